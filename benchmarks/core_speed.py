@@ -22,10 +22,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.measured import Measured, Size, Target, watch
-from core.experiment import cost, evaluate, link
-from core.noise import ROWS, TILE
-from core.quasars import V_MAX
-from sweep.executing.forkserver import ENVIRONMENT
+from linksweep.core.experiment import cost, evaluate, link
+from linksweep.core.noise import ROWS, TILE
+from linksweep.core.quasars import V_MAX
+from linksweep.sweep.executing.forkserver import ENVIRONMENT
 
 N_OBJ = (28, 300, 1156, 15_533)
 TARGETS = {"fixed design": 0.80, "equal weights": 0.80, "errors of both": 0.35}

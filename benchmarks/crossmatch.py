@@ -25,10 +25,10 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from core.catalogue import Sky
-from core.constants import ARCSEC, DEGREE, GALACTIC_AXES, MAS
-from core.frames import position
-from core.sky_pairs import Positions, at_epoch
+from linksweep.core.catalogue import Sky
+from linksweep.core.constants import ARCSEC, DEGREE, GALACTIC_AXES, MAS
+from linksweep.core.frames import position
+from linksweep.core.sky_pairs import Positions, at_epoch
 
 Array = NDArray[np.float64]
 
@@ -160,7 +160,7 @@ def make(rng: np.random.Generator, scale: float, folder: Path) -> dict[str, Any]
 
 def search(folder: Path) -> dict[str, Any]:
     """Run the search as a process; return its summary, wall time (s) and peak memory (GB)."""
-    command = [sys.executable, "-c", "from sweep.cli import main; main()", "match", "stars.fits", "wide.fits"]
+    command = [sys.executable, "-c", "from linksweep.sweep.cli import main; main()", "match", "stars.fits", "wide.fits"]
     command += ["sharp.fits", "--supplement", "supplement.fits", "--json", "-o", "out.ecsv", "--figure", "out.png"]
     for name, catalogue in (("wide", WIDE), ("sharp", SHARP)):
         command += [

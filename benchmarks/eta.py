@@ -8,10 +8,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from sweep.executing.choose import Resources
-from sweep.running.eta import Eta
-from sweep.running.run import Silent, run_study
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.eta import Eta
+from linksweep.sweep.running.run import Silent, run_study
+from linksweep.sweep.studies.reader import study_from_dict
 
 STUDIES = {
     "quasars brighter and fainter, cheap to dear": {

@@ -14,7 +14,7 @@ from pathlib import Path
 
 EXPERIMENT = """
 import time
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 def evaluate(points, n_sim, rng, catalogue_rng):
     time.sleep(10)
@@ -42,7 +42,7 @@ def seconds_to_end(folder: Path, options: list[str], number: int, moment: float 
     way.
     """
     store = tempfile.mkdtemp(dir=folder, suffix=".zarr")
-    command = [sys.executable, "-m", "sweep", "run", "study.toml", "-o", store, *options]
+    command = [sys.executable, "-m", "linksweep", "run", "study.toml", "-o", store, *options]
     process = subprocess.Popen(
         command, cwd=folder, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, start_new_session=True
     )

@@ -14,10 +14,10 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from core.catalogue import Sky
-from core.errors import MagnitudeErrors
-from core.missions import MISSIONS
-from core.quasars import V_MAX, quasars
+from linksweep.core.catalogue import Sky
+from linksweep.core.errors import MagnitudeErrors
+from linksweep.core.missions import MISSIONS
+from linksweep.core.quasars import V_MAX, quasars
 
 N_CAT, N_SIM = 100, 100
 

@@ -15,8 +15,8 @@ import time
 import dask
 from distributed import Scheduler, Worker
 
-import sweep.executing.worker_plugin  # noqa: F401, imported before the forks
-from sweep.executing.versions import identity
+import linksweep.sweep.executing.worker_plugin  # noqa: F401, imported before the forks
+from linksweep.sweep.executing.versions import identity
 
 dask.config.set(
     {  # what idle processes look at every few milliseconds, 64 of which would keep two cores busy

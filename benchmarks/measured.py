@@ -15,7 +15,7 @@ import psutil
 
 Size = Literal["tiny", "normal", "full"]
 LOOK_EVERY_S = 0.2
-SWEEP = [sys.executable, "-m", "sweep"]
+SWEEP = [sys.executable, "-m", "linksweep"]
 ROOT = Path(__file__).parent.parent
 
 

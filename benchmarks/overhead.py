@@ -30,9 +30,9 @@ OURS = """
 import sys, tempfile, time
 from pathlib import Path
 from benchmarks.trivial import FUNCTION, study
-from sweep.studies.reader import study_from_dict
-from sweep.executing.choose import Resources
-from sweep.running.run import Silent, run_study
+from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.run import Silent, run_study
 
 class Clock(Silent):
     def start(self, survey, where, workers):

@@ -45,11 +45,11 @@ def document(name: str, n: int) -> dict[str, object]:
 
 def plan(name: str, n: int) -> None:
     """Plan one study as `sweep plan` does, and print what it took."""
-    from sweep.code.load import load_experiment
-    from sweep.running.run import plan_study
-    from sweep.studies.reader import study_from_dict
+    from linksweep.sweep.code.load import load_experiment
+    from linksweep.sweep.running.run import plan_study
+    from linksweep.sweep.studies.reader import study_from_dict
 
-    load_experiment("core.experiment:link")  # what is imported is not planned
+    load_experiment("linksweep.core.experiment:link")  # what is imported is not planned
     begun = time.process_time()
     with TemporaryDirectory() as folder:
         found, _ = plan_study(study_from_dict(document(name, n)), Path(folder) / "none.zarr")

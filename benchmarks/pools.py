@@ -21,7 +21,17 @@ POOLS = {
 
 def seconds(study, pool):
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-m", "sweep", "run", "quasars", *STUDIES[study], "-o", f"{folder}/s.zarr", "--pool"]
+        command = [
+            sys.executable,
+            "-m",
+            "linksweep",
+            "run",
+            "quasars",
+            *STUDIES[study],
+            "-o",
+            f"{folder}/s.zarr",
+            "--pool",
+        ]
         begun = time.perf_counter()
         subprocess.run([*command, *POOLS[pool]], check=True, capture_output=True)
         return time.perf_counter() - begun

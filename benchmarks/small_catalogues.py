@@ -5,9 +5,9 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.measured import SWEEP, Measured, Size, Target, watch
-from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Plan
-from sweep.studies.reader import load_study
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.studies.reader import load_study
 
 STUDIES = ("radio-stars", "sqrt-n", "galaxies", "mission-length")
 WORKERS = 2

@@ -15,13 +15,13 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THRE
 _PASS = """
 import json, resource, sys, time
 import numpy as np
-from core.constants import MAS
-from core.tie.astrometry import Astrometry
-from core.tie.influence import jackknife
-from core.tie.normal_sums import group_sums
-from core.tie.problem import Problem
-from core.tie.sources import SourceTable
-from core.unknowns import parse_unknowns
+from linksweep.core.constants import MAS
+from linksweep.core.tie.astrometry import Astrometry
+from linksweep.core.tie.influence import jackknife
+from linksweep.core.tie.normal_sums import group_sums
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.sources import SourceTable
+from linksweep.core.unknowns import parse_unknowns
 n, degree = int(sys.argv[1]), int(sys.argv[2])
 rng = np.random.default_rng(1)
 ra, dec, nan = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-1.0, 1.0, n)), np.full(n, np.nan)
@@ -83,7 +83,7 @@ parquet.write_table(pa.table(columns), sys.argv[2], row_group_size=group)
 
 _RADIO_STARS = """
 import json, time
-from sweep.tie.link_tables import tie
+from linksweep.sweep.tie.link_tables import tie
 files = "{satellite}", "{reference}"
 tie(*files, "orientation,spin", errors="formal")  # imports
 begun = time.process_time()

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 NAMES = ("a", "b", "c", "d", "e", "f")
 

@@ -10,10 +10,10 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import Array, Indices
-from core.frames import Triad, triad
-from core.harmonics import Kind, fill_toroidal, turned
-from core.link import require_off_poles
+from linksweep.core.arrays import Array, Indices
+from linksweep.core.frames import Triad, triad
+from linksweep.core.harmonics import Kind, fill_toroidal, turned
+from linksweep.core.link import require_off_poles
 
 RA, DEC, PARALLAX, PMRA, PMDEC = range(5)
 PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")

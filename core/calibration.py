@@ -13,10 +13,10 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import NonlinearConstraint, least_squares, minimize
 
-from core.arrays import Array
-from core.link import Weighting
-from core.missions import AMEX_PM, GAIA_PM, Curve, Exponentials
-from core.spin_variance import Kind, Skies, draw_skies, spin_variance
+from linksweep.core.arrays import Array
+from linksweep.core.link import Weighting
+from linksweep.core.missions import AMEX_PM, GAIA_PM, Curve, Exponentials
+from linksweep.core.spin_variance import Kind, Skies, draw_skies, spin_variance
 
 Model = Literal["amex", "gaia"]
 

@@ -7,10 +7,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array
-from core.constants import DEGREE, GALACTIC_AXES, MAS
-from core.frames import position
-from core.radio_stars import RADIO_STARS
+from linksweep.core.arrays import Array
+from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS
+from linksweep.core.frames import position
+from linksweep.core.radio_stars import RADIO_STARS
 
 PmDistribution = Literal["uniform", "constant", "rayleigh"]
 

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from core.catalogue import Catalogue
-from core.catalogues.kind import RANDOM_SKY
-from core.errors import SIDES
-from core.function_curve import CurveError
-from core.missions import MissionUnavailableError
-from core.scenario import (
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.catalogues.kind import RANDOM_SKY
+from linksweep.core.errors import SIDES
+from linksweep.core.function_curve import CurveError
+from linksweep.core.missions import MissionUnavailableError
+from linksweep.core.scenario import (
     catalogue_kind,
     catalogue_size,
     error_kind,
@@ -20,7 +20,7 @@ from core.scenario import (
     systematics,
     zonal_errors,
 )
-from sweep.contract import Point
+from linksweep.sweep.contract import Point
 
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
 """Errors in mas and mas/yr between which the link is computed: outside, weights overflow or an error is not a small

@@ -13,10 +13,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.arrays import Array, Flags, Indices
-from core.galaxy_classes import Chance, Rules, chance_pairs, classify
-from core.galaxy_merge import GalaxyCatalogue, merge_galaxies
-from core.sky_pairs import Positions, count_near, displacement, occurrences, one_to_one, pairs_within, sky_tree
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.galaxy_classes import Chance, Rules, chance_pairs, classify
+from linksweep.core.galaxy_merge import GalaxyCatalogue, merge_galaxies
+from linksweep.core.sky_pairs import (
+    Positions,
+    count_near,
+    displacement,
+    occurrences,
+    one_to_one,
+    pairs_within,
+    sky_tree,
+)
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from core.arrays import Array
-from core.blocks import Glide, Objects, Orientation, Rotation
-from core.link import require_off_poles
-from core.unknowns import Unknowns
+from linksweep.core.arrays import Array
+from linksweep.core.blocks import Glide, Objects, Orientation, Rotation
+from linksweep.core.link import require_off_poles
+from linksweep.core.unknowns import Unknowns
 
 
 def link_unknowns(glide: bool = False, corrections: bool = True) -> Unknowns:

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Array, product_sum, transposed_product
-from core.design import link_unknowns
-from core.link import hold, inverse_and_condition, require_off_poles
-from core.noise import Tile
-from core.prepared import Setup
-from core.shared_arrays import Prefixes, origin
-from core.shared_sums import SharedSums
-from core.zonal import DrawnField
+from linksweep.core.arrays import Array, product_sum, transposed_product
+from linksweep.core.design import link_unknowns
+from linksweep.core.link import hold, inverse_and_condition, require_off_poles
+from linksweep.core.noise import Tile
+from linksweep.core.prepared import Setup
+from linksweep.core.shared_arrays import Prefixes, origin
+from linksweep.core.shared_sums import SharedSums
+from linksweep.core.zonal import DrawnField
 
 
 @dataclass(frozen=True)

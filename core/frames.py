@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.arrays import Array
-from core.constants import GALACTIC_AXES
+from linksweep.core.arrays import Array
+from linksweep.core.constants import GALACTIC_AXES
 
 
 class Triad(NamedTuple):

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Array
-from sweep.contract import Function
+from linksweep.core.arrays import Array
+from linksweep.sweep.contract import Function
 
 
 class CurveError(ValueError):

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from core.arrays import Array, Flags, Indices
-from core.constants import ARCSEC
-from core.sky_pairs import chord, uniform_pairs
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.constants import ARCSEC
+from linksweep.core.sky_pairs import chord, uniform_pairs
 
 CERTAIN, UNCERTAIN, SUPPLEMENT = 0, 1, 2
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from core.arrays import Array, Indices
-from core.sky_pairs import Positions, one_to_one, pairs_within
+from linksweep.core.arrays import Array, Indices
+from linksweep.core.sky_pairs import Positions, one_to_one, pairs_within
 
 _Links = tuple[Indices, Indices, Array, Array, Array]
 """Galaxies and entries that may be one, their offsets, and ra and dec of the galaxies' entries, which settle ties."""

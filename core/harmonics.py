@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from core.arrays import Array
+from linksweep.core.arrays import Array
 
 Kind = Literal["t", "s"]
 

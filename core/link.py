@@ -6,8 +6,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array
-from core.constants import MAS
+from linksweep.core.arrays import Array
+from linksweep.core.constants import MAS
 
 Weighting = Literal["inverse-variance", "equal"]
 

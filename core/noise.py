@@ -11,11 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
-from core.arrays import Array, Stack
-from core.catalogue import Catalogue
-from core.errors import ErrorModel
-from core.shared_arrays import Prefixes
-from core.zonal import DrawnField, Field, ZonalErrors
+from linksweep.core.arrays import Array, Stack
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.errors import ErrorModel
+from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.zonal import DrawnField, Field, ZonalErrors
 
 ROWS = 512
 """Realisations drawn at a time."""

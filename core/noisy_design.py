@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from core.arrays import Array, product_sum
-from core.design import GLIDE, ORIENTATION, SPIN
-from core.link import POLE_LIMIT, UnlikeError, hold, pole_error, solve_normal
-from core.noise import Tile
-from core.normal_equations import NormalSums, Seen
-from core.prepared import Setup
-from core.zonal import DrawnField
+from linksweep.core.arrays import Array, product_sum
+from linksweep.core.design import GLIDE, ORIENTATION, SPIN
+from linksweep.core.link import POLE_LIMIT, UnlikeError, hold, pole_error, solve_normal
+from linksweep.core.noise import Tile
+from linksweep.core.normal_equations import NormalSums, Seen
+from linksweep.core.prepared import Setup
+from linksweep.core.zonal import DrawnField
 
 ELEMENTS = 8192
 """Objects x realisations in one array operation, so that its arrays of 64 KiB stay near the core."""

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.arrays import Array
-from core.design import GLIDE, ORIENTATION, SPIN, link_unknowns
+from linksweep.core.arrays import Array
+from linksweep.core.design import GLIDE, ORIENTATION, SPIN, link_unknowns
 
 RA, DEC, PMRA, PMDEC = range(4)
 Z = 2

@@ -1,6 +1,6 @@
 """The outputs of a study of the link: names, units and meanings, nothing else."""
 
-from sweep.contract import Output
+from linksweep.sweep.contract import Output
 
 UNITS = ("mas",) * 3 + ("mas / yr",) * 3
 # No slashes: astropy warns about several in one string.

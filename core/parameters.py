@@ -2,12 +2,12 @@
 
 from collections.abc import Iterable
 
-from core.catalogues import CATALOGUES
-from core.errors import error_kinds
-from core.missions import MISSIONS
-from core.systematics import Vector
-from core.user_mission import mission_from_table
-from sweep.contract import Parameter
+from linksweep.core.catalogues import CATALOGUES
+from linksweep.core.errors import error_kinds
+from linksweep.core.missions import MISSIONS
+from linksweep.core.systematics import Vector
+from linksweep.core.user_mission import mission_from_table
+from linksweep.sweep.contract import Parameter
 
 
 def _choice(name: str, default: str | None, meaning: str, choices: Iterable[str]) -> Parameter:

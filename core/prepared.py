@@ -7,16 +7,16 @@ from typing import Literal
 
 import numpy as np
 
-from core.arrays import Array, Stack
-from core.catalogue import Catalogue
-from core.design import ORIENTATION, SPIN
-from core.errors import ErrorModel
-from core.frames import along, exact_differences, stored_differences
-from core.link import KINDS, UnlikeError, Weighting, combined_error, measured
-from core.noise import Noise
-from core.shared_arrays import Prefixes
-from core.systematics import Systematics, Vector
-from core.zonal import ZonalErrors
+from linksweep.core.arrays import Array, Stack
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.design import ORIENTATION, SPIN
+from linksweep.core.errors import ErrorModel
+from linksweep.core.frames import along, exact_differences, stored_differences
+from linksweep.core.link import KINDS, UnlikeError, Weighting, combined_error, measured
+from linksweep.core.noise import Noise
+from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.systematics import Systematics, Vector
+from linksweep.core.zonal import ZonalErrors
 
 Arithmetic = Literal["exact", "stored"]
 Method = Literal["catalogue", "projected"]

@@ -11,11 +11,11 @@ them, which is neglected here: `neglected` bounds the effect.
 
 import numpy as np
 
-from core.arrays import Array
-from core.design import ORIENTATION, link_unknowns
-from core.fixed_design import FixedDesign
-from core.link import LinkError
-from core.shared_arrays import parts
+from linksweep.core.arrays import Array
+from linksweep.core.design import ORIENTATION, link_unknowns
+from linksweep.core.fixed_design import FixedDesign
+from linksweep.core.link import LinkError
+from linksweep.core.shared_arrays import parts
 
 LARGEST_NEGLECT = 0.01
 """Largest bound of `neglected` that is allowed, as a fraction of sigma.  Where it was tried, the effect was 13 to 75

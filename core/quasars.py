@@ -5,8 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from core.arrays import Array
-from core.catalogue import Catalogue, Sky
+from linksweep.core.arrays import Array
+from linksweep.core.catalogue import Catalogue, Sky
 
 V_MAX = np.arange(14.0, 20.5, 0.5)
 COUNT = np.array([28, 49, 88, 163, 315, 624, 1156, 2056, 3453, 5542, 8095, 11442, 15533])

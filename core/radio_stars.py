@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array
+from linksweep.core.arrays import Array
 
 
 class RadioStars(NamedTuple):

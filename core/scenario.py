@@ -7,16 +7,16 @@ from math import hypot
 
 import numpy as np
 
-from core.arrays import Array
-from core.catalogue import Catalogue
-from core.catalogues import CATALOGUES, CatalogueKind
-from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
-from core.errors import ERROR_KINDS, SIDES, ErrorKind, ErrorModel, Errors
-from core.errors.floor import FlooredErrors, floor_of
-from core.prepared import Scenario, TrueVector
-from core.systematics import Pattern, Systematics, Vector, parse_pattern, rms
-from core.zonal import ZonalErrors
-from sweep.contract import Point
+from linksweep.core.arrays import Array
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.catalogues import CATALOGUES, CatalogueKind
+from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
+from linksweep.core.errors import ERROR_KINDS, SIDES, ErrorKind, ErrorModel, Errors
+from linksweep.core.errors.floor import FlooredErrors, floor_of
+from linksweep.core.prepared import Scenario, TrueVector
+from linksweep.core.systematics import Pattern, Systematics, Vector, parse_pattern, rms
+from linksweep.core.zonal import ZonalErrors
+from linksweep.sweep.contract import Point
 
 GALACTIC_GLIDE_UAS_YR = 4.0
 """Glide towards the Galactic centre.  Source: Kovalevsky 2003, as quoted by Metz & Geffert 2004, Sect. 5.1; Gaia EDR3

@@ -9,8 +9,8 @@ from collections.abc import Callable, Hashable
 
 import numpy as np
 
-from core.arrays import Array
-from core.blocks import Objects
+from linksweep.core.arrays import Array
+from linksweep.core.blocks import Objects
 
 PART = 2048
 """Objects whose products are added up at a time: it decides how the sums are rounded."""

@@ -8,8 +8,8 @@ from collections.abc import Callable, Hashable
 
 import numpy as np
 
-from core.arrays import Array
-from core.noise import Tile
+from linksweep.core.arrays import Array
+from linksweep.core.noise import Tile
 
 Term = Callable[[Array, slice], Array]
 """A function that returns what unit normals (..., m, 4, rows) of the objects at a place add to a sum."""

@@ -6,19 +6,19 @@ from itertools import zip_longest
 
 import numpy as np
 
-from core.arrays import Array, Stack
-from core.catalogue import Catalogue, NestedDraw
-from core.constants import MAS
-from core.design import ALWAYS, ORIENTATION, SPIN
-from core.fixed_design import FixedDesign, FixedSums, OwnFixedSums, fixed_designs
-from core.link import LinkError
-from core.noise import ROWS, chunks, tiles
-from core.noisy_design import FullPath, FullSums
-from core.prepared import Draw, Scenario, prepare
-from core.projected import Drawn, Projected
-from core.shared_arrays import Prefixes
-from core.shared_sums import SharedSums
-from core.stacks import stacked_catalogue
+from linksweep.core.arrays import Array, Stack
+from linksweep.core.catalogue import Catalogue, NestedDraw
+from linksweep.core.constants import MAS
+from linksweep.core.design import ALWAYS, ORIENTATION, SPIN
+from linksweep.core.fixed_design import FixedDesign, FixedSums, OwnFixedSums, fixed_designs
+from linksweep.core.link import LinkError
+from linksweep.core.noise import ROWS, chunks, tiles
+from linksweep.core.noisy_design import FullPath, FullSums
+from linksweep.core.prepared import Draw, Scenario, prepare
+from linksweep.core.projected import Drawn, Projected
+from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.shared_sums import SharedSums
+from linksweep.core.stacks import stacked_catalogue
 
 Streams = tuple[np.random.Generator, np.random.Generator]
 """The generators of the errors of a catalogue and of the catalogue itself."""

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from core.arrays import Array, Flags, Indices
-from core.constants import ARCSEC, DEGREE
-from core.frames import position, triad
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.constants import ARCSEC, DEGREE
+from linksweep.core.frames import position, triad
 
 MAX_RADIUS = 1.0 * DEGREE
 

@@ -7,13 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from core.arrays import Array
-from core.catalogue import GALAXY_FAINT_LIMIT_MAG, N_GALAXIES, Catalogue, Sky, galaxies, radio_stars, resample
-from core.constants import MAS
-from core.frames import triad
-from core.link import Weighting
-from core.missions import Curve
-from core.quasars import COUNT, V_MAX, quasars
+from linksweep.core.arrays import Array
+from linksweep.core.catalogue import GALAXY_FAINT_LIMIT_MAG, N_GALAXIES, Catalogue, Sky, galaxies, radio_stars, resample
+from linksweep.core.constants import MAS
+from linksweep.core.frames import triad
+from linksweep.core.link import Weighting
+from linksweep.core.missions import Curve
+from linksweep.core.quasars import COUNT, V_MAX, quasars
 
 Kind = Literal["quasars", "galaxies", "radio-stars"]
 

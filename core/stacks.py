@@ -5,8 +5,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from core.arrays import Array
-from core.catalogue import Catalogue
+from linksweep.core.arrays import Array
+from linksweep.core.catalogue import Catalogue
 
 
 class Generators:

@@ -5,10 +5,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from core.arrays import Array
-from core.frames import along, triad
-from core.harmonics import Term, terms, toroidal, turned
-from core.unknowns import HIGHEST_DEGREE
+from linksweep.core.arrays import Array
+from linksweep.core.frames import along, triad
+from linksweep.core.harmonics import Term, terms, toroidal, turned
+from linksweep.core.unknowns import HIGHEST_DEGREE
 
 Vector = tuple[float, float, float]
 Pattern = tuple[tuple[Term, float], ...]

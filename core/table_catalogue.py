@@ -5,9 +5,9 @@ from typing import Protocol
 
 import numpy as np
 
-from core.arrays import Array, Flags
-from core.catalogue import SIDES, Catalogue, OwnErrors
-from core.constants import DEGREE, MAS
+from linksweep.core.arrays import Array, Flags
+from linksweep.core.catalogue import SIDES, Catalogue, OwnErrors
+from linksweep.core.constants import DEGREE, MAS
 
 UNITS: Mapping[str, str] = {
     "ra": "deg",

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Array
-from core.blocks import (
+from linksweep.core.arrays import Array
+from linksweep.core.blocks import (
     MOTION,
     PARAMETERS,
     POSITION,
@@ -20,7 +20,7 @@ from core.blocks import (
     SpinByBin,
     of_mission,
 )
-from core.harmonics import Kind, terms
+from linksweep.core.harmonics import Kind, terms
 
 HIGHEST_DEGREE = 50
 

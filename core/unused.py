@@ -1,10 +1,10 @@
 """Which parameters change nothing at a point, and why: the platform refuses a study that sets one in vain."""
 
-from core.catalogues import CATALOGUES
-from core.catalogues.kind import RANDOM_SKY
-from core.errors import ERROR_KINDS, SIDES
-from core.scenario import catalogue_kind, error_kind, zonal_errors
-from sweep.contract import Point
+from linksweep.core.catalogues import CATALOGUES
+from linksweep.core.catalogues.kind import RANDOM_SKY
+from linksweep.core.errors import ERROR_KINDS, SIDES
+from linksweep.core.scenario import catalogue_kind, error_kind, zonal_errors
+from linksweep.sweep.contract import Point
 
 CATALOGUE_PARAMETERS = (
     *("v_min", "v_max", "counts", "mean_pm", "pm_distribution", "positions", "zone_of_avoidance", "sky_contrast"),

@@ -5,9 +5,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from core.function_curve import CurveOfFunction
-from core.missions import MISSIONS, Exponentials, Floor, LogLinear, Mission
-from sweep.contract import DefinitionError, Function, Named, SweepError, shown, suggest
+from linksweep.core.function_curve import CurveOfFunction
+from linksweep.core.missions import MISSIONS, Exponentials, Floor, LogLinear, Mission
+from linksweep.sweep.contract import DefinitionError, Function, Named, SweepError, shown, suggest
 
 OwnCurve = Exponentials | LogLinear | CurveOfFunction
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from core.errors import SIDES
-from core.scenario import catalogue_kind, error_kind, errors_at_limit, errors_of_objects, own_objects
-from sweep.contract import Point, SweepError
+from linksweep.core.errors import SIDES
+from linksweep.core.scenario import catalogue_kind, error_kind, errors_at_limit, errors_of_objects, own_objects
+from linksweep.sweep.contract import Point, SweepError
 
 KINDS = {"positions": ("proper motions", "orientation"), "proper motions": ("positions", "spin")}
 """For each kind of observable: the other kind, and the unknowns that need the first."""

@@ -13,9 +13,9 @@ from math import ceil
 
 import numpy as np
 
-from core.arrays import Array
-from core.harmonics import toroidal, turned
-from core.link import KINDS
+from linksweep.core.arrays import Array
+from linksweep.core.harmonics import toroidal, turned
+from linksweep.core.link import KINDS
 
 REACH = 5.0
 """Degrees go up to this over the width: those beyond have exp(-12.5) of the power, which goes to those below."""

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from core.experiment import link
-from sweep.contract import Output, Parameter
-from sweep.studies.form import Sampling
-from sweep.studies.reader import load_study
-from sweep.studies.source import built_in_studies
+from linksweep.core.experiment import link
+from linksweep.sweep.contract import Output, Parameter
+from linksweep.sweep.studies.form import Sampling
+from linksweep.sweep.studies.reader import load_study
+from linksweep.sweep.studies.source import built_in_studies
 
 INTRODUCTION = """# Studies, parameters and results
 

@@ -98,7 +98,7 @@ def draw() -> None:
 
 def run(words: list[str]) -> None:
     """Run a command in this process, which has imported everything already."""
-    from sweep.cli import main
+    from linksweep.sweep.cli import main
 
     caption = ["--caption"] if words[0] == "plot" else []
     if words[0] in ("tie", "forecast"):  # these write no store that exists

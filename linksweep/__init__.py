@@ -38,17 +38,17 @@ from linksweep._own_packages import load_own_packages
 load_own_packages()
 
 if TYPE_CHECKING:
-    from sweep.analysis.crossings import find, interpolate
-    from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
-    from sweep.analysis.sensitivity import sensitivity
-    from sweep.api import answer, open, plot, run  # noqa: A004
-    from sweep.contract import Experiment, Output, Parameter, Point, SweepError
-    from sweep.executing.execute import Limits
-    from sweep.functions.declared import experiment
-    from sweep.studies.reader import load_study
-    from sweep.studies.study import Study
-    from sweep.tie.link_tables import tie
-    from sweep.tie.planning import forecast
+    from linksweep.sweep.analysis.crossings import find, interpolate
+    from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+    from linksweep.sweep.analysis.sensitivity import sensitivity
+    from linksweep.sweep.api import answer, open, plot, run  # noqa: A004
+    from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
+    from linksweep.sweep.executing.execute import Limits
+    from linksweep.sweep.functions.declared import experiment
+    from linksweep.sweep.studies.reader import load_study
+    from linksweep.sweep.studies.study import Study
+    from linksweep.sweep.tie.link_tables import tie
+    from linksweep.sweep.tie.planning import forecast
 
     __version__: str
 
@@ -77,17 +77,17 @@ __all__ = [
 ]
 
 _MODULES = {
-    "sweep.analysis.crossings": ("find", "interpolate"),
-    "sweep.analysis.laws": ("fit_levelling", "fit_power_law", "ratio"),
-    "sweep.analysis.sensitivity": ("sensitivity",),
-    "sweep.api": ("answer", "open", "plot", "run"),
-    "sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),
-    "sweep.executing.execute": ("Limits",),
-    "sweep.functions.declared": ("experiment",),
-    "sweep.studies.reader": ("load_study",),
-    "sweep.studies.study": ("Study",),
-    "sweep.tie.link_tables": ("tie",),
-    "sweep.tie.planning": ("forecast",),
+    "linksweep.sweep.analysis.crossings": ("find", "interpolate"),
+    "linksweep.sweep.analysis.laws": ("fit_levelling", "fit_power_law", "ratio"),
+    "linksweep.sweep.analysis.sensitivity": ("sensitivity",),
+    "linksweep.sweep.api": ("answer", "open", "plot", "run"),
+    "linksweep.sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),
+    "linksweep.sweep.executing.execute": ("Limits",),
+    "linksweep.sweep.functions.declared": ("experiment",),
+    "linksweep.sweep.studies.reader": ("load_study",),
+    "linksweep.sweep.studies.study": ("Study",),
+    "linksweep.sweep.tie.link_tables": ("tie",),
+    "linksweep.sweep.tie.planning": ("forecast",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -1,6 +1,6 @@
 """``python -m linksweep``: the command ``sweep``."""
 
-from sweep.__main__ import main
+from linksweep.sweep.__main__ import main
 
 if __name__ == "__main__":
     main()

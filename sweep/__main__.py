@@ -1,4 +1,4 @@
-"""The command ``sweep``; ``python -m sweep`` is the same."""
+"""The command ``sweep``; ``python -m linksweep`` is the same."""
 
 import atexit
 import signal
@@ -8,11 +8,11 @@ def main() -> None:
     """Import the command and run it; Ctrl-C before it handles signals itself ends the process without a traceback."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not under nohup
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from sweep.cli.signals import leave_with_exit_code
+    from linksweep.sweep.cli.signals import leave_with_exit_code
 
     atexit.register(leave_with_exit_code)  # what is registered first runs last
-    from sweep.cli import main as command
-    from sweep.cli.streams import prepare_streams
+    from linksweep.sweep.cli import main as command
+    from linksweep.sweep.cli.streams import prepare_streams
 
     prepare_streams()
     command(prog_name="sweep")

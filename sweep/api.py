@@ -11,31 +11,31 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from sweep.contract import Experiment, SweepError, shown
-from sweep.executing.choose import Resources
-from sweep.executing.execute import NO_LIMITS, Limits
-from sweep.executing.pools import PoolName
-from sweep.executing.upstream import leave_a_worker_that_runs_its_script
-from sweep.formatting import harmless
-from sweep.functions.adapter import FunctionExperiment
-from sweep.running.failures import MaxFailures, failed_points
-from sweep.running.notebook import NotebookProgress, in_notebook
-from sweep.running.progress import TerminalProgress
-from sweep.running.run import Progress, Silent, run_study
-from sweep.running.verify import verify as verified
-from sweep.stores.location import Where, located
-from sweep.stores.named import default_store, store_named
-from sweep.stores.store import open_dataset
-from sweep.studies.live import live_study, study_of_function
-from sweep.studies.reader import load_study
-from sweep.studies.source import reference_in
-from sweep.studies.study import Study
-from sweep.tie.stored import result_at
+from linksweep.sweep.contract import Experiment, SweepError, shown
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.execute import NO_LIMITS, Limits
+from linksweep.sweep.executing.pools import PoolName
+from linksweep.sweep.executing.upstream import leave_a_worker_that_runs_its_script
+from linksweep.sweep.formatting import harmless
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.running.failures import MaxFailures, failed_points
+from linksweep.sweep.running.notebook import NotebookProgress, in_notebook
+from linksweep.sweep.running.progress import TerminalProgress
+from linksweep.sweep.running.run import Progress, Silent, run_study
+from linksweep.sweep.running.verify import verify as verified
+from linksweep.sweep.stores.location import Where, located
+from linksweep.sweep.stores.named import default_store, store_named
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.live import live_study, study_of_function
+from linksweep.sweep.studies.reader import load_study
+from linksweep.sweep.studies.source import reference_in
+from linksweep.sweep.studies.study import Study
+from linksweep.sweep.tie.stored import result_at
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from sweep.report.card import Card
+    from linksweep.sweep.report.card import Card
 
 log = logging.getLogger("linksweep")
 
@@ -208,7 +208,7 @@ def answer(dataset: xr.Dataset) -> "Card":
         >>> answer(run(study, "limits.zarr", pool="serial")).question
         'What do fainter quasars bring?'
     """
-    from sweep.report.card import card
+    from linksweep.sweep.report.card import card
 
     return card(dataset)
 
@@ -251,8 +251,8 @@ def plot(
         >>> figure = plot(run(study, "more.zarr", pool="serial"), kind="lines")
         >>> figure.savefig("more.svg")
     """
-    from sweep.plots.figure import draw_figure
-    from sweep.plots.shown import shown
+    from linksweep.sweep.plots.figure import draw_figure
+    from linksweep.sweep.plots.shown import shown
 
     return shown(draw_figure(dataset, kind, variables, over, log, linear))
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 from math import floor, inf, isfinite, log10
 from typing import Any, NamedTuple
 
-from sweep.formatting import with_error
+from linksweep.sweep.formatting import with_error
 
 LEAST, MOST = 0.1, 1000.0
 """A number from the first to below the second needs no other prefix."""

@@ -14,7 +14,7 @@ from hypothesis import settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests would fight for cores; NumPy comes later
 
-from sweep.cli import main
+from linksweep.sweep.cli import main
 from tests.patience import PATIENCE_S
 from tests.tiers import ALL, QUICK, examples
 
@@ -101,7 +101,7 @@ def start_sweep():
     """A function that starts `sweep` as a process of its own; what still runs at the end of the test is killed."""
     started = []
 
-    def start(*arguments, command=(sys.executable, "-m", "sweep"), **options):
+    def start(*arguments, command=(sys.executable, "-m", "linksweep"), **options):
         command = [*map(str, command), *map(str, arguments)]
         environment = os.environ | {"PYTHONWARNINGS": "default"}
         process = subprocess.Popen(

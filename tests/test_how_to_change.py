@@ -39,7 +39,7 @@ def entry(folder, module, name, anchor, code, trial, what):
 
 LINK = """
 import numpy as np
-from core.experiment import evaluate, link
+from linksweep.core.experiment import evaluate, link
 
 point = link.defaults() | {"n_obj": 30, CHANGES}
 assert link.check(point) is None, link.check(point)
@@ -69,7 +69,7 @@ class South(Block):
 '''
 DOTS = """
 from matplotlib.figure import Figure
-from sweep.plots.grid_figures import GridFigure
+from linksweep.sweep.plots.grid_figures import GridFigure
 
 
 def dots(dataset, variables, over):
@@ -82,8 +82,8 @@ DOTS = GridFigure(lambda dataset, variable: True, dots)
 """
 BACKWARDS = """
 from contextlib import contextmanager
-from sweep.executing.execute import Place, make_task
-from sweep.executing.worker import run_task
+from linksweep.sweep.executing.execute import Place, make_task
+from linksweep.sweep.executing.worker import run_task
 
 
 @contextmanager
@@ -98,7 +98,7 @@ def backwards(study, limits):
 OPENER = """
 
 def _backwards(study, _workers, _say, limits, _dashboard=False):
-    from sweep.executing.backwards import backwards
+    from linksweep.sweep.executing.backwards import backwards
 
     return backwards(study, limits)
 """
@@ -155,14 +155,14 @@ assert link.unit.values[-1] == "mas"
         [
             (
                 "sweep/plots/kinds.py",
-                '"scatter": Kind("sweep.plots.grid_figures:SCATTER"),',
-                '\n    "dots": Kind("sweep.plots.dots:DOTS"),',
+                '"scatter": Kind("linksweep.sweep.plots.grid_figures:SCATTER"),',
+                '\n    "dots": Kind("linksweep.sweep.plots.dots:DOTS"),',
             )
         ],
         RUN
         + """
 assert len(linksweep.plot(ds, "dots").axes[0].lines) == 1
-from sweep.cli.plot import plot
+from linksweep.sweep.cli.plot import plot
 assert any("dots" in getattr(option.type, "choices", ()) for option in plot.params)
 """,
     ),
@@ -181,7 +181,7 @@ assert any("dots" in getattr(option.type, "choices", ()) for option in plot.para
         + """
 again = linksweep.run(study, "again.zarr", pool="backwards")
 assert again.drop_attrs().identical(ds.drop_attrs())
-from sweep.cli.running import run as command
+from linksweep.sweep.cli.running import run as command
 assert any("backwards" in getattr(option.type, "choices", ()) for option in command.params)
 """,
     ),

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 import linksweep
-import sweep
+from linksweep import sweep
 from tests.documents import ROOT, code
 
 RUN = """

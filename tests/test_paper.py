@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from core.calibration import IN_CODE
-from core.experiment import link
-from core.spin_variance import draw_skies, spin_variance
-from sweep.executing.choose import Resources
-from sweep.running.run import run_study
-from sweep.studies.reader import load_study
+from linksweep.core.calibration import IN_CODE
+from linksweep.core.experiment import link
+from linksweep.core.spin_variance import draw_skies, spin_variance
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.studies.reader import load_study
 
 SPIN = ["omega_x", "omega_y", "omega_z"]
 SLOWEST_S = 1700  # a hang, not a speed limit
@@ -35,7 +35,7 @@ def results(tmp_path_factory):
 
     def result(name, *options):
         if name not in known:
-            command = [sys.executable, "-m", "sweep", "run", name, "-o", str(folder / f"{name}.zarr"), *options]
+            command = [sys.executable, "-m", "linksweep", "run", name, "-o", str(folder / f"{name}.zarr"), *options]
             run = subprocess.run(
                 command, capture_output=True, check=False, text=True, timeout=SLOWEST_S, env=os.environ
             )

@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
         elif language in ("sh", "{picture}"):
             for words in filter(None, (shlex.split(line, comments=True) for line in text.splitlines())):
                 assert words[0] == "sweep"
-                out = run(path, "-m", "sweep", *words[1:])
+                out = run(path, "-m", "linksweep", *words[1:])
                 fits += [out] if words[1] == "fit" else []
         elif language == "python":
             (path / "script.py").write_text(text)

@@ -5,12 +5,12 @@ here.
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from core.catalogues.file import File
-from core.catalogues.galaxies import Galaxies
-from core.catalogues.kind import CatalogueKind
-from core.catalogues.quasars import Quasars
-from core.catalogues.radio_stars import RadioStars
-from core.catalogues.synthetic import Synthetic
+from linksweep.core.catalogues.file import File
+from linksweep.core.catalogues.galaxies import Galaxies
+from linksweep.core.catalogues.kind import CatalogueKind
+from linksweep.core.catalogues.quasars import Quasars
+from linksweep.core.catalogues.radio_stars import RadioStars
+from linksweep.core.catalogues.synthetic import Synthetic
 
 __all__ = ["CATALOGUES", "CatalogueKind"]
 

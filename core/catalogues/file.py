@@ -6,10 +6,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from core.catalogue import Catalogue
-from core.catalogues.kind import RANDOM_SKY, CatalogueKind, sky_of, too_few
-from core.table_catalogue import Table, catalogue_from_table
-from sweep.contract import Point
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.catalogues.kind import RANDOM_SKY, CatalogueKind, sky_of, too_few
+from linksweep.core.table_catalogue import Table, catalogue_from_table
+from linksweep.sweep.contract import Point
 
 Names = tuple[tuple[str, str], ...]
 Key = tuple[Table, Names, Names, bool | None]

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from core.catalogue import GALAXY_FAINT_LIMIT_MAG, N_GALAXIES, Catalogue, galaxies
-from core.catalogues.kind import RANDOM_SKY, CatalogueKind, in_limits, sky_of
-from sweep.contract import Point
+from linksweep.core.catalogue import GALAXY_FAINT_LIMIT_MAG, N_GALAXIES, Catalogue, galaxies
+from linksweep.core.catalogues.kind import RANDOM_SKY, CatalogueKind, in_limits, sky_of
+from linksweep.sweep.contract import Point
 
 BRIGHTEST_MAG = 9.0
 """No galaxy is as bright: seven times the scatter above the mean."""

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
-from core.catalogue import Catalogue, NestedDraw, Sky
-from core.constants import DEGREE
-from sweep.contract import Point, SweepError
+from linksweep.core.catalogue import Catalogue, NestedDraw, Sky
+from linksweep.core.constants import DEGREE
+from linksweep.sweep.contract import Point, SweepError
 
 RANDOM_SKY = frozenset({"zone_of_avoidance", "sky_contrast"})
 """Parameters of random positions."""

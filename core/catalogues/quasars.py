@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from core.catalogue import Catalogue
-from core.catalogues.kind import RANDOM_SKY, CatalogueKind, in_limits, sky_of, too_few
-from core.quasars import BRIGHTEST_MAG, V_MAX, quasar_count, quasars
-from sweep.contract import Point
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.catalogues.kind import RANDOM_SKY, CatalogueKind, in_limits, sky_of, too_few
+from linksweep.core.quasars import BRIGHTEST_MAG, V_MAX, quasar_count, quasars
+from linksweep.sweep.contract import Point
 
 
 class Quasars(CatalogueKind):

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from core.catalogue import Catalogue, radio_stars, resample
-from core.catalogues.kind import RANDOM_SKY, CatalogueKind, sky_of
-from core.radio_stars import RADIO_STARS
-from sweep.contract import Point
+from linksweep.core.catalogue import Catalogue, radio_stars, resample
+from linksweep.core.catalogues.kind import RANDOM_SKY, CatalogueKind, sky_of
+from linksweep.core.radio_stars import RADIO_STARS
+from linksweep.sweep.contract import Point
 
 
 class RadioStars(CatalogueKind):

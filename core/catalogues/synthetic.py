@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from core.catalogue import Catalogue, synthetic
-from core.catalogues.kind import RANDOM_SKY, CatalogueKind, in_limits, sky_of
-from core.constants import MAS
-from sweep.contract import Point
+from linksweep.core.catalogue import Catalogue, synthetic
+from linksweep.core.catalogues.kind import RANDOM_SKY, CatalogueKind, in_limits, sky_of
+from linksweep.core.constants import MAS
+from linksweep.sweep.contract import Point
 
 BRIGHTEST_MAG, FAINTEST_MAG = 5.0, 15.0
 """The limits where a study gives none."""

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from core.catalogue import SIDES
-from core.errors.magnitude import Magnitude, MagnitudeErrors
-from core.errors.model import ErrorKind, ErrorModel, Errors
-from core.errors.normal import ErrorFree, NoErrors, Normal, NormalErrors
-from core.errors.own import CatalogueErrors, Own
+from linksweep.core.catalogue import SIDES
+from linksweep.core.errors.magnitude import Magnitude, MagnitudeErrors
+from linksweep.core.errors.model import ErrorKind, ErrorModel, Errors
+from linksweep.core.errors.normal import ErrorFree, NoErrors, Normal, NormalErrors
+from linksweep.core.errors.own import CatalogueErrors, Own
 
 __all__ = [
     "ERROR_KINDS",

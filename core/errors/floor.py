@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Array
-from core.catalogue import Catalogue
-from core.errors.model import ErrorKind, ErrorModel, Errors
-from core.errors.normal import NormalErrors
-from sweep.contract import Point
+from linksweep.core.arrays import Array
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.errors.model import ErrorKind, ErrorModel, Errors
+from linksweep.core.errors.normal import NormalErrors
+from linksweep.sweep.contract import Point
 
 
 @dataclass(frozen=True)

@@ -7,14 +7,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from core.arrays import Array
-from core.catalogue import Catalogue
-from core.catalogues.kind import CatalogueKind
-from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, four_rows, scale_of
-from core.function_curve import CurveError, CurveOfFunction
-from core.missions import Mission
-from core.user_mission import mission_of
-from sweep.contract import Named, Point
+from linksweep.core.arrays import Array
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.catalogues.kind import CatalogueKind
+from linksweep.core.errors.model import ErrorKind, ErrorModel, Errors, Objects, four_rows, scale_of
+from linksweep.core.function_curve import CurveError, CurveOfFunction
+from linksweep.core.missions import Mission
+from linksweep.core.user_mission import mission_of
+from linksweep.sweep.contract import Named, Point
 
 PROBES = 100
 """Magnitudes at which a user's function is tested before anything runs."""

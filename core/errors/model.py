@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.arrays import Array
-from core.catalogue import SIDES, Catalogue
-from core.catalogues.kind import CatalogueKind
-from core.constants import MAS
-from sweep.contract import Point
+from linksweep.core.arrays import Array
+from linksweep.core.catalogue import SIDES, Catalogue
+from linksweep.core.catalogues.kind import CatalogueKind
+from linksweep.core.constants import MAS
+from linksweep.sweep.contract import Point
 
 Objects = Callable[[], Catalogue | None]
 

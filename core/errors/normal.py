@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Array
-from core.catalogue import Catalogue
-from core.errors.model import ErrorKind, ErrorModel, Errors, Objects, four_rows, scale_of
-from sweep.contract import Point
+from linksweep.core.arrays import Array
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.errors.model import ErrorKind, ErrorModel, Errors, Objects, four_rows, scale_of
+from linksweep.sweep.contract import Point
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Array
-from core.catalogue import Catalogue, OwnErrors
-from core.catalogues.kind import CatalogueKind
-from core.errors.model import ErrorKind, ErrorModel, Objects, scale_of
-from sweep.contract import Point
+from linksweep.core.arrays import Array
+from linksweep.core.catalogue import Catalogue, OwnErrors
+from linksweep.core.catalogues.kind import CatalogueKind
+from linksweep.core.errors.model import ErrorKind, ErrorModel, Objects, scale_of
+from linksweep.sweep.contract import Point
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from core.missions.gaia import GAIA_2001, GAIA_DR3, GAIA_DR4, GAIA_DR5, PyGaia
-from core.missions.mission import (
+from linksweep.core.missions.gaia import GAIA_2001, GAIA_DR3, GAIA_DR4, GAIA_DR5, PyGaia
+from linksweep.core.missions.mission import (
     Curve,
     Exponentials,
     Floor,
@@ -13,7 +13,7 @@ from core.missions.mission import (
     MissionUnavailableError,
     accuracy_curves,
 )
-from core.missions.paper import AMEX, AMEX_PM, GAIA, GAIA_PM
+from linksweep.core.missions.paper import AMEX, AMEX_PM, GAIA, GAIA_PM
 
 __all__ = [
     "AMEX_PM",

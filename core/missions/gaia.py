@@ -5,8 +5,8 @@ from typing import Literal
 
 import numpy as np
 
-from core.arrays import Array
-from core.missions.mission import Floor, LogLinear, Mission, MissionUnavailableError
+from linksweep.core.arrays import Array
+from linksweep.core.missions.mission import Floor, LogLinear, Mission, MissionUnavailableError
 
 _MAG = tuple(float(g) for g in range(10, 22))
 _PM_UAS = (3, 3, 3, 4, 5, 8, 13, 20, 34, 60, 120, 380)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.arrays import Array
+from linksweep.core.arrays import Array
 
 Curve = Callable[[Array], Array]
 """A function that returns the standard error at each magnitude, in the same shape."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from core.missions.mission import Exponentials, Floor, Mission
+from linksweep.core.missions.mission import Exponentials, Floor, Mission
 
 AMEX_PM = Exponentials(((0.139, 0.215, 9.0), (14.2, 0.973, 15.0)))
 GAIA_PM = Exponentials(((0.01496, 0.443, 15.0),))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Flags, Indices
+from linksweep.core.arrays import Array, Flags, Indices
 
 PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))
 """The two parameters of each correlation, in the order of the Gaia archive."""

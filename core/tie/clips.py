@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from core.arrays import Array, Flags
-from core.constants import MAS
-from core.link import LinkError
-from core.tie.differences import Differences, differences
-from core.tie.normal_sums import BLOCK
-from core.tie.problem import Problem
-from core.tie.solution import Solution
+from linksweep.core.arrays import Array, Flags
+from linksweep.core.constants import MAS
+from linksweep.core.link import LinkError
+from linksweep.core.tie.differences import Differences, differences
+from linksweep.core.tie.normal_sums import BLOCK
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.solution import Solution
 
 SEPARATION_LIMIT = 10.0 * MAS
 """Separation below which a source is a radio-optical counterpart.  Source: Mignard et al. 2018, A&A 616, A14."""

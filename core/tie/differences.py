@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Array, Flags, Indices
-from core.tie.astrometry import Astrometry
-from core.tie.motion import offsets, parallax_factors, propagated
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.tie.astrometry import Astrometry
+from linksweep.core.tie.motion import offsets, parallax_factors, propagated
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,13 @@ from typing import Literal
 
 import numpy as np
 
-from core.arrays import Array, Flags, Indices
-from core.constants import MAS
-from core.link import LinkError
-from core.tie.astrometry import PAIRS, Astrometry
-from core.tie.differences import Differences
-from core.tie.motion import offsets
-from core.tie.sums import NormalSums
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.constants import MAS
+from linksweep.core.link import LinkError
+from linksweep.core.tie.astrometry import PAIRS, Astrometry
+from linksweep.core.tie.differences import Differences
+from linksweep.core.tie.motion import offsets
+from linksweep.core.tie.sums import NormalSums
 
 Weights = Literal["covariance", "variance", "equal"]
 

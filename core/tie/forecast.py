@@ -6,13 +6,13 @@ from typing import Literal
 
 import numpy as np
 
-from core.arrays import Array, Indices
-from core.link import LinkError
-from core.tie.astrometry import Astrometry, joined
-from core.tie.problem import Problem
-from core.tie.solution import inverted
-from core.tie.sums import NormalSums
-from core.unknowns import Unknowns
+from linksweep.core.arrays import Array, Indices
+from linksweep.core.link import LinkError
+from linksweep.core.tie.astrometry import Astrometry, joined
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.solution import inverted
+from linksweep.core.tie.sums import NormalSums
+from linksweep.core.unknowns import Unknowns
 
 Criterion = Literal["A", "D"]
 

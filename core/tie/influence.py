@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from core.arrays import Array, Flags
-from core.link import SMALLEST_EIGENVALUE
-from core.tie.solution import Solution
-from core.tie.sums import NormalSums
-from core.unknowns import Unknowns
+from linksweep.core.arrays import Array, Flags
+from linksweep.core.link import SMALLEST_EIGENVALUE
+from linksweep.core.tie.solution import Solution
+from linksweep.core.tie.sums import NormalSums
+from linksweep.core.unknowns import Unknowns
 
 LARGE_SHARE = 0.1
 """A source that holds a larger share of the weight of a block of unknowns is named."""

@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, chdtri
 
-from core.arrays import Flags, Indices
-from core.constants import MAS
-from core.link import LinkError
-from core.tie.astrometry import PAIRS, Astrometry, kinds
-from core.tie.differences import differences
-from core.tie.influence import discrepancies
-from core.tie.normal_sums import source_sums
-from core.tie.problem import Problem
-from core.tie.solution import Solution, solve
+from linksweep.core.arrays import Flags, Indices
+from linksweep.core.constants import MAS
+from linksweep.core.link import LinkError
+from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds
+from linksweep.core.tie.differences import differences
+from linksweep.core.tie.influence import discrepancies
+from linksweep.core.tie.normal_sums import source_sums
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.solution import Solution, solve
 
 EXCESS, DEFICIT, ABSURD = 30.0, 0.5, 1000.0
 """chi2 over its expectation above and below which it is said first, and above which a link is not given unasked.

@@ -5,9 +5,9 @@ from functools import lru_cache
 import erfa
 import numpy as np
 
-from core.arrays import Array
-from core.constants import ARCSEC
-from core.frames import triad
+from linksweep.core.arrays import Array
+from linksweep.core.constants import ARCSEC
+from linksweep.core.frames import triad
 
 J2000 = 2451545.0
 DAYS_PER_YEAR = 365.25

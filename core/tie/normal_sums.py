@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Flags, Indices
-from core.constants import MAS
-from core.tie.problem import Problem
-from core.tie.sums import NormalSums
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.constants import MAS
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.sums import NormalSums
 
 BLOCK = 4096
 """Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache."""

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from core.arrays import Array, Flags
-from core.link import SMALLEST_EIGENVALUE, LinkError
-from core.tie.sums import NormalSums
+from linksweep.core.arrays import Array, Flags
+from linksweep.core.link import SMALLEST_EIGENVALUE, LinkError
+from linksweep.core.tie.sums import NormalSums
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Flags, Indices
-from core.tie.clips import Sources, separation
-from core.tie.influence import discrepancies
-from core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
-from core.tie.problem import Problem
-from core.tie.solution import Solution, solve
-from core.tie.sums import NormalSums
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.tie.clips import Sources, separation
+from linksweep.core.tie.influence import discrepancies
+from linksweep.core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.solution import Solution, solve
+from linksweep.core.tie.sums import NormalSums
 
 DIVISIONS = 6
 """Divisions of the grid of cells of the sky, which has 72 cells."""

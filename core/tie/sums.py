@@ -6,7 +6,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from core.arrays import Array, Flags, Indices
+from linksweep.core.arrays import Array, Flags, Indices
 
 
 @dataclass(frozen=True)

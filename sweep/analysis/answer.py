@@ -8,18 +8,18 @@ from string import Formatter
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.compare import ARITHMETIC, MC_ERRORS_ALLOWED
-from sweep.analysis.gaps import ends_of, exact, lacking, numbers_of
-from sweep.analysis.long_table import own_dimensions
-from sweep.analysis.measured_claims import NOT_DONE, Measured, OutsideGridError, in_words, measure, unit_of
-from sweep.analysis.quantity import errors_beside, headlines, standard_error
-from sweep.analysis.selection import place_in_words, places_along
-from sweep.analysis.sentences import sentences
-from sweep.attributes import meaning_beside, units_of
-from sweep.contract import Array, SweepError
-from sweep.planning.point_status import Status
-from sweep.readable import in_ascii, in_short, prefixed, with_unit
-from sweep.studies.form import Conclusion, ConclusionValue
+from linksweep.sweep.analysis.compare import ARITHMETIC, MC_ERRORS_ALLOWED
+from linksweep.sweep.analysis.gaps import ends_of, exact, lacking, numbers_of
+from linksweep.sweep.analysis.long_table import own_dimensions
+from linksweep.sweep.analysis.measured_claims import NOT_DONE, Measured, OutsideGridError, in_words, measure, unit_of
+from linksweep.sweep.analysis.quantity import errors_beside, headlines, standard_error
+from linksweep.sweep.analysis.selection import place_in_words, places_along
+from linksweep.sweep.analysis.sentences import sentences
+from linksweep.sweep.attributes import meaning_beside, units_of
+from linksweep.sweep.contract import Array, SweepError
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.readable import in_ascii, in_short, prefixed, with_unit
+from linksweep.sweep.studies.form import Conclusion, ConclusionValue
 
 CONCLUSION = "conclusion"
 """The attribute of a dataset that holds the conclusion of its study, as JSON."""

@@ -14,12 +14,20 @@ from typing import Any, Literal
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.measured_claims import Measured, OutsideGridError, Points, claims_of, in_words, measure, unit_of
-from sweep.analysis.quantity import OLD_ERRORS, has_old_errors, standard_error, unknown_parts
-from sweep.attributes import units_of
-from sweep.contract import SweepError
-from sweep.readable import prefixed
-from sweep.studies.form import printed_rounding
+from linksweep.sweep.analysis.measured_claims import (
+    Measured,
+    OutsideGridError,
+    Points,
+    claims_of,
+    in_words,
+    measure,
+    unit_of,
+)
+from linksweep.sweep.analysis.quantity import OLD_ERRORS, has_old_errors, standard_error, unknown_parts
+from linksweep.sweep.attributes import units_of
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.readable import prefixed
+from linksweep.sweep.studies.form import printed_rounding
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete"]
 VERDICTS: tuple[Verdict, ...] = ("reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete")

@@ -4,9 +4,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 
-from sweep.analysis.compare import PROBABILITY, Comparison, summary
-from sweep.analysis.selection import place_in_words
-from sweep.formatting import finite_or, rounded, to_csv, to_json, with_error
+from linksweep.sweep.analysis.compare import PROBABILITY, Comparison, summary
+from linksweep.sweep.analysis.selection import place_in_words
+from linksweep.sweep.formatting import finite_or, rounded, to_csv, to_json, with_error
 
 CHANCE = f"with a probability of {100 * PROBABILITY:g} %"
 POWER = f"power: the deviation from the published number that the verdict finds {CHANCE}"

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from sweep.analysis.compare import Comparison, in_readable_unit
-from sweep.analysis.compare_tables import POWER, numbers_in_words, power_in_words
-from sweep.analysis.selection import place_in_words
-from sweep.readable import in_ascii
+from linksweep.sweep.analysis.compare import Comparison, in_readable_unit
+from linksweep.sweep.analysis.compare_tables import POWER, numbers_in_words, power_in_words
+from linksweep.sweep.analysis.selection import place_in_words
+from linksweep.sweep.readable import in_ascii
 
 if TYPE_CHECKING:
     from rich.text import Text

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.long_table import own_dimensions
-from sweep.analysis.quantity import ERROR_SUFFIXES
-from sweep.contract import Array
-from sweep.formatting import WIDTH, counted
-from sweep.planning.point_status import Status
-from sweep.readable import in_three_digits
+from linksweep.sweep.analysis.long_table import own_dimensions
+from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES
+from linksweep.sweep.contract import Array
+from linksweep.sweep.formatting import WIDTH, counted
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.readable import in_three_digits
 
 COVARIANCE, CORRELATION, CONDITION = "covariance", "correlation", "condition_number"
 

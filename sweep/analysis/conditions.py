@@ -9,7 +9,7 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Array, SweepError, shown
+from linksweep.sweep.contract import Array, SweepError, shown
 
 Sign = Literal["<", "<=", ">", ">="]
 

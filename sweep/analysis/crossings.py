@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.conditions import Limit, parse_limit
-from sweep.analysis.gaps import numbers_of
-from sweep.analysis.lines import Lines, lines, require_done
-from sweep.analysis.quantity import require_quantity
-from sweep.attributes import LOGARITHMIC_UNITS, described, units_of
-from sweep.contract import Array, SweepError, shown, small_sample_factor
-from sweep.studies.study import POINT
+from linksweep.sweep.analysis.conditions import Limit, parse_limit
+from linksweep.sweep.analysis.gaps import numbers_of
+from linksweep.sweep.analysis.lines import Lines, lines, require_done
+from linksweep.sweep.analysis.quantity import require_quantity
+from linksweep.sweep.attributes import LOGARITHMIC_UNITS, described, units_of
+from linksweep.sweep.contract import Array, SweepError, shown, small_sample_factor
+from linksweep.sweep.studies.study import POINT
 
 MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
 """Where a condition is met along a line: at no point, at all points, from or up to one crossing, between several.

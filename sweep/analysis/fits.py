@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sweep.contract import Array, small_sample_factor
+from linksweep.sweep.contract import Array, small_sample_factor
 
 FIRST_ORDER = 5.0
 """A law is judged only if the errors that points do not share are this many times the neglected second order."""

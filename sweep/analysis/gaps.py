@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.contract import Array
-from sweep.functions.layout import MISSING_INT
-from sweep.planning.point_status import Status, count_status, unfinished_in_words
+from linksweep.sweep.contract import Array
+from linksweep.sweep.functions.layout import MISSING_INT
+from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 
 
 def lacking(dataset: xr.Dataset) -> str:

@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.columns import Column, fitting
-from sweep.analysis.gaps import exact
-from sweep.analysis.long_table import Long, array_outputs, axes_of, axis_coordinates, long_table, own_dimensions
-from sweep.analysis.quantity import (
+from linksweep.sweep.analysis.columns import Column, fitting
+from linksweep.sweep.analysis.gaps import exact
+from linksweep.sweep.analysis.long_table import (
+    Long,
+    array_outputs,
+    axes_of,
+    axis_coordinates,
+    long_table,
+    own_dimensions,
+)
+from linksweep.sweep.analysis.quantity import (
     PREDICTION_SUFFIXES,
     errors_beside,
     headline_variables,
@@ -21,11 +28,11 @@ from sweep.analysis.quantity import (
     where_they_change,
     with_values,
 )
-from sweep.analysis.readable_units import in_readable_units
-from sweep.attributes import units_of
-from sweep.formatting import first_of, is_missing, plain, reading_table, rounded, with_error
-from sweep.planning.point_status import Status
-from sweep.readable import prefixed
+from linksweep.sweep.analysis.readable_units import in_readable_units
+from linksweep.sweep.attributes import units_of
+from linksweep.sweep.formatting import first_of, is_missing, plain, reading_table, rounded, with_error
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.readable import prefixed
 
 if TYPE_CHECKING:
     from rich.table import Table

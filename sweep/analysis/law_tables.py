@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
-from sweep.analysis.columns import GAP, Column, fitting
-from sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, MET_WORDS, NEVER, UP_TO
-from sweep.analysis.long_table import axis_coordinates
-from sweep.analysis.selection import places_along
-from sweep.attributes import units_of
-from sweep.formatting import fixed, plain, reading_table, to_json, with_error
-from sweep.readable import prefixed, with_unit
+from linksweep.sweep.analysis.columns import GAP, Column, fitting
+from linksweep.sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, MET_WORDS, NEVER, UP_TO
+from linksweep.sweep.analysis.long_table import axis_coordinates
+from linksweep.sweep.analysis.selection import places_along
+from linksweep.sweep.attributes import units_of
+from linksweep.sweep.formatting import fixed, plain, reading_table, to_json, with_error
+from linksweep.sweep.readable import prefixed, with_unit
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.fits import PowerLaw, p_value, power_law
-from sweep.analysis.gaps import with_nan
-from sweep.analysis.levelling import Levelling, levelling
-from sweep.analysis.lines import Lines, lines, require_done
-from sweep.analysis.measured_claims import claims_of
-from sweep.analysis.quantity import error_of_sum, require_quantity
-from sweep.analysis.selection import indices, place_in_words
-from sweep.attributes import described
-from sweep.contract import FEW, Array, SweepError
+from linksweep.sweep.analysis.fits import PowerLaw, p_value, power_law
+from linksweep.sweep.analysis.gaps import with_nan
+from linksweep.sweep.analysis.levelling import Levelling, levelling
+from linksweep.sweep.analysis.lines import Lines, lines, require_done
+from linksweep.sweep.analysis.measured_claims import claims_of
+from linksweep.sweep.analysis.quantity import error_of_sum, require_quantity
+from linksweep.sweep.analysis.selection import indices, place_in_words
+from linksweep.sweep.attributes import described
+from linksweep.sweep.contract import FEW, Array, SweepError
 
 LEVELLING_POINTS = 4
 """The fewest points for the levelling law, which has three parameters."""

@@ -8,8 +8,8 @@ from numpy.linalg import LinAlgError
 from scipy.optimize import approx_fprime, least_squares
 from scipy.special import exprel
 
-from sweep.analysis.fits import chi2_about, relative_covariance, weigh
-from sweep.contract import Array, small_sample_factor
+from linksweep.sweep.analysis.fits import chi2_about, relative_covariance, weigh
+from linksweep.sweep.contract import Array, small_sample_factor
 
 STARTS = (0.5, 2.0, 6.0)
 """First guesses of the rate, times the range of the points; the best fit is kept."""

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import (
+from linksweep.sweep.analysis.quantity import (
     COVARIANCE_SUFFIX,
     OLD_ERRORS,
     covariance_along,
@@ -17,12 +17,12 @@ from sweep.analysis.quantity import (
     samples_along,
     standard_error,
 )
-from sweep.analysis.selection import place_in_words
-from sweep.attributes import described, units_of
-from sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError
-from sweep.planning.point_status import Status, count_status, unfinished_in_words
-from sweep.studies.provenance import outer_draw_of
-from sweep.studies.study import POINT
+from linksweep.sweep.analysis.selection import place_in_words
+from linksweep.sweep.attributes import described, units_of
+from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError
+from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
+from linksweep.sweep.studies.provenance import outer_draw_of
+from linksweep.sweep.studies.study import POINT
 
 
 @dataclass(frozen=True)

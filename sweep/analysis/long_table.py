@@ -10,11 +10,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.gaps import gaps_of
-from sweep.attributes import is_truth
-from sweep.formatting import is_missing, to_csv, to_json
-from sweep.planning.point_status import Status
-from sweep.studies.provenance import FUNCTION
+from linksweep.sweep.analysis.gaps import gaps_of
+from linksweep.sweep.attributes import is_truth
+from linksweep.sweep.formatting import is_missing, to_csv, to_json
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.studies.provenance import FUNCTION
 
 Long = dict[str, tuple[str, list[Any]]]
 """Unit and values of each column of a table with one row per point."""

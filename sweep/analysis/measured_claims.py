@@ -10,13 +10,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.fits import power_law
-from sweep.analysis.quantity import covariance_along, error_of_sum, samples_along, standard_error
-from sweep.analysis.selection import coordinates_along, place_in_words, places_along
-from sweep.attributes import units_of
-from sweep.contract import SweepError
-from sweep.planning.point_status import Status
-from sweep.studies.form import Claim, Derived, Ratio, Reading, Slope
+from linksweep.sweep.analysis.fits import power_law
+from linksweep.sweep.analysis.quantity import covariance_along, error_of_sum, samples_along, standard_error
+from linksweep.sweep.analysis.selection import coordinates_along, place_in_words, places_along
+from linksweep.sweep.attributes import units_of
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.studies.form import Claim, Derived, Ratio, Reading, Slope
 
 Index = Mapping[str, int]
 

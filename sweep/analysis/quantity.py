@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sweep.attributes import ERRORS
-from sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
-from sweep.planning.point_status import Status
-from sweep.studies.provenance import FUNCTION, outer_draw_of
-from sweep.studies.study import POINT, POINT_TABLE
+from linksweep.sweep.attributes import ERRORS
+from linksweep.sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.studies.provenance import FUNCTION, outer_draw_of
+from linksweep.sweep.studies.study import POINT, POINT_TABLE
 
 COUNTS = ("status", "n_sim_done", "code")
 """Integer variables of every dataset that are not results."""

@@ -7,9 +7,9 @@ from typing import Any
 
 import xarray as xr
 
-from sweep.analysis.quantity import BESIDE, COVARIANCE_SUFFIX, errors_beside, quantities
-from sweep.attributes import units_of
-from sweep.readable import prefixed
+from linksweep.sweep.analysis.quantity import BESIDE, COVARIANCE_SUFFIX, errors_beside, quantities
+from linksweep.sweep.attributes import units_of
+from linksweep.sweep.readable import prefixed
 
 
 def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:

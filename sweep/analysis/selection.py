@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sweep.contract import FEW, SweepError, shown, suggest
-from sweep.formatting import first_of
+from linksweep.sweep.contract import FEW, SweepError, shown, suggest
+from linksweep.sweep.formatting import first_of
 
 
 def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:

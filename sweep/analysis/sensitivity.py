@@ -8,21 +8,27 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.lines import require_done
-from sweep.analysis.quantity import (
+from linksweep.sweep.analysis.lines import require_done
+from linksweep.sweep.analysis.quantity import (
     main_quantity,
     require_quantity,
     shares_random_numbers,
     standard_error,
     varied_parameters,
 )
-from sweep.analysis.sensitivity_indices import EFFECTS, first_order, indices_of_grid, morris_effects, saltelli_indices
-from sweep.attributes import described, units_of
-from sweep.contract import Array, SweepError
-from sweep.planning.point_status import Status
-from sweep.studies.designs import DESIGNS
-from sweep.studies.ranges import Range
-from sweep.studies.study import POINT, POINT_TABLE
+from linksweep.sweep.analysis.sensitivity_indices import (
+    EFFECTS,
+    first_order,
+    indices_of_grid,
+    morris_effects,
+    saltelli_indices,
+)
+from linksweep.sweep.attributes import described, units_of
+from linksweep.sweep.contract import Array, SweepError
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.studies.designs import DESIGNS
+from linksweep.sweep.studies.ranges import Range
+from linksweep.sweep.studies.study import POINT, POINT_TABLE
 
 METHOD = "sensitivity_method"
 """The attribute of a dataset of indices that says how they were made."""

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from sweep.contract import Array, SweepError
-from sweep.studies.designs import MORRIS_LEVELS, salib, unit_cube
+from linksweep.sweep.contract import Array, SweepError
+from linksweep.sweep.studies.designs import MORRIS_LEVELS, salib, unit_cube
 
 RESAMPLES = 200
 

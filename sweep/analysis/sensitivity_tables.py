@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import xarray as xr
 
-from sweep.analysis.columns import Column
-from sweep.analysis.selection import places_along
-from sweep.analysis.sensitivity import METHOD
-from sweep.attributes import units_of
-from sweep.formatting import plain, reading_table, to_csv, to_json, with_error
+from linksweep.sweep.analysis.columns import Column
+from linksweep.sweep.analysis.selection import places_along
+from linksweep.sweep.analysis.sensitivity import METHOD
+from linksweep.sweep.attributes import units_of
+from linksweep.sweep.formatting import plain, reading_table, to_csv, to_json, with_error
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -8,16 +8,16 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.analysis.gaps import ends_of, exact, numbers_of
-from sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, unknown_parts
-from sweep.analysis.selection import coordinates_along, place_in_words
-from sweep.attributes import is_truth
-from sweep.contract import Array
-from sweep.formatting import counted
-from sweep.planning.point_status import Status
-from sweep.readable import with_unit
-from sweep.studies.provenance import outer_draw_of
-from sweep.studies.study import POINT
+from linksweep.sweep.analysis.gaps import ends_of, exact, numbers_of
+from linksweep.sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, unknown_parts
+from linksweep.sweep.analysis.selection import coordinates_along, place_in_words
+from linksweep.sweep.attributes import is_truth
+from linksweep.sweep.contract import Array
+from linksweep.sweep.formatting import counted
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.readable import with_unit
+from linksweep.sweep.studies.provenance import outer_draw_of
+from linksweep.sweep.studies.study import POINT
 
 ERRORS_ALLOWED = 3.0
 """A value agrees with its prediction if it differs by at most this many of its errors."""

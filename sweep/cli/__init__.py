@@ -1,6 +1,6 @@
 """The command line; each command calls one function of the library, imported when it is needed."""
 
-from sweep.cli import (  # noqa: F401 (they add their commands to the group)
+from linksweep.sweep.cli import (  # noqa: F401 (they add their commands to the group)
     analysis,
     demo,
     match,
@@ -11,6 +11,6 @@ from sweep.cli import (  # noqa: F401 (they add their commands to the group)
     studies,
     tie,
 )
-from sweep.cli.group import main
+from linksweep.sweep.cli.group import main
 
 __all__ = ["main"]

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sweep.cli.group import main
-from sweep.cli.options import FILE, json_option, option_with_default, part_of, place_option, store_argument
-from sweep.cli.output import print_sentences, print_table, print_whole, table_width
-from sweep.cli.plot import drawing_styles, save_figure
+from linksweep.sweep.cli.group import main
+from linksweep.sweep.cli.options import FILE, json_option, option_with_default, part_of, place_option, store_argument
+from linksweep.sweep.cli.output import print_sentences, print_table, print_whole, table_width
+from linksweep.sweep.cli.plot import drawing_styles, save_figure
 
 if TYPE_CHECKING:
-    from sweep.stores.location import Location
+    from linksweep.sweep.stores.location import Location
 
 TABLES = (".csv", ".json", ".zarr")
 """Files that `sweep sensitivity` writes, beside pictures."""
@@ -58,10 +58,10 @@ def fit(
     sweep fit radio-stars --range 50: --at reference_error_scale=1
     sweep fit results/quasars.zarr --over v_max --law levelling
     """
-    from sweep.analysis.conditions import parse_range
-    from sweep.analysis.laws import fit_levelling, fit_power_law
-    from sweep.analysis.quantity import main_quantity, require_axis
-    from sweep.analysis.selection import between
+    from linksweep.sweep.analysis.conditions import parse_range
+    from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law
+    from linksweep.sweep.analysis.quantity import main_quantity, require_axis
+    from linksweep.sweep.analysis.selection import between
 
     if law == "levelling" and expect is not None:
         raise click.UsageError("--expect is an exponent and goes with --law power")
@@ -94,10 +94,10 @@ def find(store: "Location", where: str, over: str | None, at: tuple[str, ...], a
     sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --over v_max
     sweep find grid --where "sigma_spin <= 0.5" --over n_obj --at model=amex
     """
-    from sweep.analysis.conditions import parse_limit
-    from sweep.analysis.crossings import find as find_crossings
-    from sweep.analysis.crossings import points_where
-    from sweep.analysis.quantity import require_axis, varied_parameters
+    from linksweep.sweep.analysis.conditions import parse_limit
+    from linksweep.sweep.analysis.crossings import find as find_crossings
+    from linksweep.sweep.analysis.crossings import points_where
+    from linksweep.sweep.analysis.quantity import require_axis, varied_parameters
 
     limit = parse_limit(where)
     with part_of(store, at) as dataset:
@@ -109,8 +109,8 @@ def find(store: "Location", where: str, over: str | None, at: tuple[str, ...], a
 
 
 def _print(result: Any, as_json: bool) -> None:
-    from sweep.analysis import law_tables as analysis_tables
-    from sweep.analysis.columns import left_out_in_words
+    from linksweep.sweep.analysis import law_tables as analysis_tables
+    from linksweep.sweep.analysis.columns import left_out_in_words
 
     if as_json:
         click.echo(analysis_tables.as_json(result))
@@ -141,8 +141,8 @@ def sensitivity(
     sweep sensitivity results/sir.zarr
     sweep sensitivity results/sir.zarr --variable peak -o peak.png
     """
-    from sweep.analysis import sensitivity as analysis
-    from sweep.analysis import sensitivity_tables as tables
+    from linksweep.sweep.analysis import sensitivity as analysis
+    from linksweep.sweep.analysis import sensitivity_tables as tables
 
     with part_of(store, at) as dataset:
         if output is not None:
@@ -161,7 +161,7 @@ def sensitivity(
 
 
 def _require_known(output: Path) -> None:
-    from sweep.contract import SweepError
+    from linksweep.sweep.contract import SweepError
 
     suffix = output.suffix.lower()
     if suffix == ".zarr" and output.exists():
@@ -171,8 +171,8 @@ def _require_known(output: Path) -> None:
 
 
 def _write(result: Any, output: Path) -> None:
-    from sweep.analysis import sensitivity_tables as tables
-    from sweep.contract import SweepError
+    from linksweep.sweep.analysis import sensitivity_tables as tables
+    from linksweep.sweep.contract import SweepError
 
     suffix = output.suffix.lower()
     try:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import click
 
-from sweep.cli.group import main
-from sweep.cli.options import FILE
-from sweep.cli.output import print_answer, print_styled
-from sweep.formatting import WIDTH
+from linksweep.sweep.cli.group import main
+from linksweep.sweep.cli.options import FILE
+from linksweep.sweep.cli.output import print_answer, print_styled
+from linksweep.sweep.formatting import WIDTH
 
 STUDY = Path(__file__).with_name("demo.toml")
 
@@ -45,8 +45,8 @@ def demo(context: click.Context, folder: Path) -> None:
     \b
     sweep demo
     """
-    from sweep.stores.named import default_store
-    from sweep.stores.store import open_dataset
+    from linksweep.sweep.stores.named import default_store
+    from linksweep.sweep.stores.store import open_dataset
 
     text = STUDY.read_text(encoding="utf-8")
     _write(folder, text)
@@ -74,7 +74,7 @@ def demo(context: click.Context, folder: Path) -> None:
 
 def _write(folder: Path, text: str) -> None:
     """Write the study into a new folder; raises SweepError for one that is there, or that cannot be made."""
-    from sweep.contract import SweepError
+    from linksweep.sweep.contract import SweepError
 
     try:
         folder.mkdir(parents=True)

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from sweep.cli.streams import harmless_streams, output_problem
-from sweep.formatting import COMMAND
+from linksweep.sweep.cli.streams import harmless_streams, output_problem
+from linksweep.sweep.formatting import COMMAND
 
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
@@ -80,8 +80,8 @@ class _Group(click.Group):
                 COMMAND[:] = before
 
     def invoke(self, ctx: click.Context) -> Any:
-        from sweep.cli.signals import end_stopped
-        from sweep.interrupt import RunInterruptedError, how_ended, watched
+        from linksweep.sweep.cli.signals import end_stopped
+        from linksweep.sweep.interrupt import RunInterruptedError, how_ended, watched
 
         try:
             with watched():  # click itself would end with 1, which means that points failed
@@ -91,7 +91,7 @@ class _Group(click.Group):
             end_stopped(stop.signal)
 
     def _invoke(self, ctx: click.Context) -> Any:
-        from sweep.contract import SweepError
+        from linksweep.sweep.contract import SweepError
 
         try:
             return super().invoke(ctx)

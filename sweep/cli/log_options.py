@@ -10,8 +10,8 @@ from typing import TextIO
 
 import click
 
-from sweep.cli.options import gathered
-from sweep.formatting import COMMAND, harmless, without_secrets
+from linksweep.sweep.cli.options import gathered
+from linksweep.sweep.formatting import COMMAND, harmless, without_secrets
 
 DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
 """The second does not pass its messages on to the first."""
@@ -55,8 +55,8 @@ watching_options = gathered(
 @contextmanager
 def told(watching: Watching) -> Iterator[None]:
     """Send what a run says, and what Dask logs, to standard error and the log file in this block."""
-    from sweep.contract import SweepError
-    from sweep.running.progress import RECORD, SENTENCES, Sentences
+    from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.running.progress import RECORD, SENTENCES, Sentences
 
     with ExitStack() as stack:
         stack.enter_context(_handled(Sentences(watching.level), SENTENCES))

@@ -5,10 +5,10 @@ from typing import Any
 
 import click
 
-from sweep.cli.group import main
-from sweep.cli.options import FILE, json_option, option_with_default
-from sweep.cli.output import print_whole
-from sweep.formatting import to_json
+from linksweep.sweep.cli.group import main
+from linksweep.sweep.cli.options import FILE, json_option, option_with_default
+from linksweep.sweep.cli.output import print_whole
+from linksweep.sweep.formatting import to_json
 
 
 @main.command()
@@ -112,10 +112,10 @@ def match(
         --radius pgc=15 --radius uzc=3 --error pgc=5 --error uzc=1 \\
         -o galaxies.ecsv --table galaxies.dat --figure galaxies.png
     """
-    from sweep.search.match import find_galaxies
-    from sweep.search.options import plan_search
-    from sweep.search.outputs import Outputs
-    from sweep.search.summary import summarise, summary_text
+    from linksweep.sweep.search.match import find_galaxies
+    from linksweep.sweep.search.options import plan_search
+    from linksweep.sweep.search.outputs import Outputs
+    from linksweep.sweep.search.summary import summarise, summary_text
 
     search = plan_search(stars, galaxies, supplement, **search_options)
     outputs = Outputs(output, table, figure)

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sweep.cli import shell_completion
+from linksweep.sweep.cli import shell_completion
 
 if TYPE_CHECKING:
-    from sweep.stores.location import Location
-    from sweep.studies.study import Study
+    from linksweep.sweep.stores.location import Location
+    from linksweep.sweep.studies.study import Study
 
 Command = Callable[..., Any]
 Decorator = Callable[[Command], Command]
@@ -46,7 +46,7 @@ def located_option(context: click.Context, _parameter: click.Parameter, value: s
     """Turn what names a store into its place; nothing while a shell completes."""
     if value is None or context.resilient_parsing:
         return None
-    from sweep.stores.location import located
+    from linksweep.sweep.stores.location import located
 
     if value == "":
         raise click.BadParameter("is empty; give the path of a store, or s3://BUCKET/NAME")
@@ -59,7 +59,7 @@ def _named(context: click.Context, parameter: click.Parameter, value: Any) -> An
         return tuple(_named(context, parameter, one) for one in value)
     if not value or context.resilient_parsing:
         return located_option(context, parameter, value)
-    from sweep.stores.named import store_named
+    from linksweep.sweep.stores.named import store_named
 
     return store_named(value)
 
@@ -120,8 +120,8 @@ class AskedStudy:
 
     def load(self) -> "tuple[Study, Location]":
         """Return the study, and where its store is; raises SweepError for one inside a store that is not trusted."""
-        from sweep.stores.location import located
-        from sweep.stores.named import default_store
+        from linksweep.sweep.stores.location import located
+        from linksweep.sweep.stores.named import default_store
 
         given = self.settings, self.axes, self.points, self.design, self.ranges
         study = load_trusted(self.study, self.trust, *given)
@@ -130,9 +130,9 @@ class AskedStudy:
 
 def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
     """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""
-    from sweep.running.trust import require_trust_of_study
-    from sweep.studies.reader import load_study
-    from sweep.studies.source import find_study, reference_in
+    from linksweep.sweep.running.trust import require_trust_of_study
+    from linksweep.sweep.studies.reader import load_study
+    from linksweep.sweep.studies.source import find_study, reference_in
 
     if (function := reference_in(study)) is None:
         require_trust_of_study(find_study(study), trust)
@@ -188,7 +188,7 @@ study_options = gathered(
 
 def link_in(store: "Location", at: tuple[str, ...]) -> Any:
     """Return the link or forecast that a store holds, None if it holds a grid; ``--at`` is only for a grid."""
-    from sweep.tie.stored import result_at
+    from linksweep.sweep.tie.stored import result_at
 
     result = result_at(store)
     if result is not None and at:
@@ -203,13 +203,13 @@ def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) 
 
     Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
     """
-    from sweep.analysis.long_table import array_outputs
-    from sweep.analysis.quantity import ERROR_SUFFIXES
-    from sweep.analysis.selection import select
-    from sweep.contract import SweepError
-    from sweep.planning.point_status import Status
-    from sweep.stores.store import open_dataset
-    from sweep.studies.option_values import parse_places
+    from linksweep.sweep.analysis.long_table import array_outputs
+    from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES
+    from linksweep.sweep.analysis.selection import select
+    from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.planning.point_status import Status
+    from linksweep.sweep.stores.store import open_dataset
+    from linksweep.sweep.studies.option_values import parse_places
 
     places = parse_places(at)
     dataset = open_dataset(store)

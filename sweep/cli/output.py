@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sweep.formatting import WIDTH, counted, harmless, to_json
+from linksweep.sweep.formatting import WIDTH, counted, harmless, to_json
 
 if TYPE_CHECKING:
-    from sweep.stores.location import Location
-    from sweep.studies.study import Study
+    from linksweep.sweep.stores.location import Location
+    from linksweep.sweep.studies.study import Study
 
 SEGMENT_COUNTS = ("points", "done", "failed", "excluded", "realisations_done", "realisations")
 
@@ -64,8 +64,8 @@ def print_plan(report: dict[str, Any]) -> None:
 
 
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
-    from sweep.running.eta import in_words
-    from sweep.running.failures import failed_before
+    from linksweep.sweep.running.eta import in_words
+    from linksweep.sweep.running.failures import failed_before
 
     failed = failed_before(report["points_failed"])
     words = {
@@ -90,9 +90,9 @@ def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
 
 def print_table(dataset: Any, table_format: str, with_components: bool = False) -> None:
     """Print the results of a dataset, the components of some points if they are wanted, and warnings."""
-    from sweep.analysis import components, headline_table, long_table
-    from sweep.analysis.columns import left_out_in_words
-    from sweep.analysis.gaps import lacking
+    from linksweep.sweep.analysis import components, headline_table, long_table
+    from linksweep.sweep.analysis.columns import left_out_in_words
+    from linksweep.sweep.analysis.gaps import lacking
 
     if table_format == "text":
         width = table_width()
@@ -121,7 +121,7 @@ def print_verified(study: "Study", store: "Location", points: int, shown: bool =
     """Compute some points of a store again, and say to standard error which differ; return whether any does.  That none
     does is only said if ``shown``.
     """
-    from sweep.running.verify import verify
+    from linksweep.sweep.running.verify import verify
 
     found = verify(study, store, points)
     for sentence in found.differing:
@@ -134,14 +134,14 @@ def print_verified(study: "Study", store: "Location", points: int, shown: bool =
 
 def print_answer(dataset: Any) -> None:
     """Print the answer to the study's question, in lines of the width of a terminal."""
-    from sweep.analysis.answer import answer_in_short
+    from linksweep.sweep.analysis.answer import answer_in_short
 
     print_sentences(answer_in_short(dataset))
 
 
 def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -> None:
     """Print a comparison with published numbers, its remarks, and how many have each verdict."""
-    from sweep.analysis import compare_tables
+    from linksweep.sweep.analysis import compare_tables
 
     if table_format == "json":
         click.echo(compare_tables.as_json(comparisons, remarks))
@@ -152,7 +152,7 @@ def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -
             click.echo(sentence, err=True)
         return
     if comparisons:
-        from sweep.analysis.compare_text import as_text
+        from linksweep.sweep.analysis.compare_text import as_text
 
         print_whole(as_text(comparisons, table_width()))
     print_sentences(remarks)
@@ -161,7 +161,7 @@ def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -
 
 def print_status(report: dict[str, Any]) -> None:
     """Print how far a run is."""
-    from sweep.running.axis_progress import as_lines
+    from linksweep.sweep.running.axis_progress import as_lines
 
     for key, value in report.items():
         if key == "axes":
@@ -181,7 +181,7 @@ def print_status(report: dict[str, Any]) -> None:
 
 def _print_failures(failures: dict[str, str]) -> None:
     """Print why points failed: each of a few, else the reasons with their counts, and the first points."""
-    from sweep.running.failures import failed_points
+    from linksweep.sweep.running.failures import failed_points
 
     click.echo("failures:")
     if len(failures) > MOST_FAILURES:

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.log_options import Watching, watching_options
-from sweep.cli.options import FILE, gathered, json_option, json_or, option_with_default, stores_argument
-from sweep.cli.output import print_comparisons, print_whole
-from sweep.cli.resource_options import resource_options
-from sweep.cli.running import Running, run_with_progress
-from sweep.formatting import to_json
+from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, main
+from linksweep.sweep.cli.log_options import Watching, watching_options
+from linksweep.sweep.cli.options import FILE, gathered, json_option, json_or, option_with_default, stores_argument
+from linksweep.sweep.cli.output import print_comparisons, print_whole
+from linksweep.sweep.cli.resource_options import resource_options
+from linksweep.sweep.cli.running import Running, run_with_progress
+from linksweep.sweep.formatting import to_json
 
 if TYPE_CHECKING:
-    from sweep.executing.choose import Resources
-    from sweep.stores.location import Location
+    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.stores.location import Location
 
 all_option = click.option(
     "--all",
@@ -41,7 +41,7 @@ class AskedStores:
 
     def require_either(self) -> None:
         """Raise click.UsageError unless there are either stores or --all, and for options of --all without it."""
-        from sweep.executing.choose import Resources
+        from linksweep.sweep.executing.choose import Resources
 
         if self.everything == bool(self.stores):
             raise click.UsageError("name stores, or give --all")
@@ -55,9 +55,9 @@ class AskedStores:
         """Return the stores; with --all, first run the unfinished studies: all, or those with something published."""
         if not self.everything:
             return self.stores
-        from sweep.paper.published_stores import lacks_packages, paper_studies, store_of, unfinished
-        from sweep.stores.location import located
-        from sweep.stores.named import RESULTS
+        from linksweep.sweep.paper.published_stores import lacks_packages, paper_studies, store_of, unfinished
+        from linksweep.sweep.stores.location import located
+        from linksweep.sweep.stores.named import RESULTS
 
         results = self.results or RESULTS
         studies = paper_studies(published)
@@ -91,8 +91,8 @@ def compare(asked: AskedStores, table_format: str, as_json: bool) -> None:
     sweep compare --all --workers 4
     """
     table_format = json_or(table_format, as_json)
-    from sweep.analysis.compare import all_is_well
-    from sweep.paper.published_stores import compare_stores
+    from linksweep.sweep.analysis.compare import all_is_well
+    from linksweep.sweep.paper.published_stores import compare_stores
 
     asked.require_either()
     comparisons, remarks = compare_stores(asked.found(published=True))
@@ -125,7 +125,7 @@ def report(asked: AskedStores, output: Path | None) -> None:
     sweep report --all -o paper.html
     """
     try:
-        from sweep.report.page import check_output, default_path, report_of, write_report
+        from linksweep.sweep.report.page import check_output, default_path, report_of, write_report
     except ImportError as error:
         raise click.UsageError(f"a report needs more packages: pip install 'linksweep[report]' ({error})") from error
     asked.require_either()
@@ -144,7 +144,7 @@ def calibrate(as_json: bool) -> None:
     sweep calibrate
     sweep calibrate --json > calibration.json
     """
-    from sweep.paper.calibrate import as_text, calibration_report
+    from linksweep.sweep.paper.calibrate import as_text, calibration_report
 
     found = calibration_report()
     if as_json:

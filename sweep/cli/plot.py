@@ -6,9 +6,9 @@ from typing import Any
 
 import click
 
-from sweep.cli.group import main
-from sweep.cli.options import FILE, gathered, link_in, part_of, place_option
-from sweep.plots.kinds import STANDALONE, all_kinds
+from linksweep.sweep.cli.group import main
+from linksweep.sweep.cli.options import FILE, gathered, link_in, part_of, place_option
+from linksweep.sweep.plots.kinds import STANDALONE, all_kinds
 
 NARROWEST_MM, WIDEST_MM = 40.0, 1000.0
 
@@ -28,7 +28,7 @@ def _millimetres(_context: click.Context, _parameter: click.Parameter, value: st
 def drawing_styles() -> Any:
     """Return `sweep.plots.style`; raises click.UsageError where matplotlib, which it needs, is not installed."""
     try:
-        from sweep.plots import style
+        from linksweep.sweep.plots import style
     except ImportError as error:
         raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
     return style
@@ -36,8 +36,8 @@ def drawing_styles() -> Any:
 
 def save_figure(dataset: Any, path: Path) -> None:
     """Draw a dataset into a file, in the way that suits it."""
-    from sweep.plots import style
-    from sweep.plots.figure import draw_figure
+    from linksweep.sweep.plots import style
+    from linksweep.sweep.plots.figure import draw_figure
 
     with style.settings():
         style.save(draw_figure(dataset), path)
@@ -74,17 +74,17 @@ class Drawing:
 
     def figure(self) -> tuple[Any, Any]:
         """Return a figure, and the dataset that it shows."""
-        from sweep.plots.figure import draw_figure
-        from sweep.plots.standalone import accuracy_figure, sky_figure
-        from sweep.stores.named import store_named
+        from linksweep.sweep.plots.figure import draw_figure
+        from linksweep.sweep.plots.standalone import accuracy_figure, sky_figure
+        from linksweep.sweep.stores.named import store_named
 
         if self.kind == "accuracy":
-            from sweep.plots.views import accuracy_curves, models_of
+            from linksweep.sweep.plots.views import accuracy_curves, models_of
 
             models: Any = self.models
             if self.source is not None:
-                from sweep.running.reproduce import study_to_look_at
-                from sweep.studies.reader import load_study
+                from linksweep.sweep.running.reproduce import study_to_look_at
+                from linksweep.sweep.studies.reader import load_study
 
                 is_file = self.source.endswith(".toml")
                 study = load_study(self.source) if is_file else study_to_look_at(store_named(self.source))
@@ -93,7 +93,7 @@ class Drawing:
             return accuracy_figure(curves), curves
         assert self.source is not None, "asked for before"
         if self.kind == "sky":
-            from sweep.plots.views import catalogue_of_point, catalogue_of_table
+            from linksweep.sweep.plots.views import catalogue_of_point, catalogue_of_table
 
             if Path(self.source).is_file():
                 sky = catalogue_of_table(Path(self.source))
@@ -163,7 +163,7 @@ def plot(drawn: Drawing, width: float | None, style: str | None, caption: bool, 
         styles.save(figure, path)
     click.echo(f"wrote {path}", err=True)
     if caption:
-        from sweep.plots.caption import caption_and_description
+        from linksweep.sweep.plots.caption import caption_and_description
 
         beside = path.with_suffix(".txt")
         styles.save_text(caption_and_description(figure, dataset), beside)

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sweep.cli.options import gathered
-from sweep.executing.pools import DEFAULT_POOL, POOLS
+from linksweep.sweep.cli.options import gathered
+from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
 
 if TYPE_CHECKING:
-    from sweep.executing.choose import Resources
-    from sweep.executing.pools import PoolName
+    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.executing.pools import PoolName
 
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 
@@ -45,8 +45,8 @@ def _resources(
     dashboard: bool,
 ) -> "Resources":
     """Return what to run on; raises click.UsageError for options that contradict each other."""
-    from sweep.executing.choose import Resources
-    from sweep.executing.execute import Limits
+    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.executing.execute import Limits
 
     if scheduler is not None and cluster is not None:
         raise click.UsageError("--scheduler and --cluster are two places; name one")

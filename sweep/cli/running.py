@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sweep.cli import options
-from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.log_options import Watching, told, watching_options
-from sweep.cli.output import print_answer, print_plan, print_table, print_verified
-from sweep.cli.plot import drawing_styles, save_figure
-from sweep.cli.resource_options import resource_options
-from sweep.cli.signals import a_signal_ends_the_command, end_stopped
-from sweep.executing.pools import DEFAULT_POOL, POOLS
-from sweep.formatting import to_json
+from linksweep.sweep.cli import options
+from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, main
+from linksweep.sweep.cli.log_options import Watching, told, watching_options
+from linksweep.sweep.cli.output import print_answer, print_plan, print_table, print_verified
+from linksweep.sweep.cli.plot import drawing_styles, save_figure
+from linksweep.sweep.cli.resource_options import resource_options
+from linksweep.sweep.cli.signals import a_signal_ends_the_command, end_stopped
+from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
+from linksweep.sweep.formatting import to_json
 
 if TYPE_CHECKING:
-    from sweep.executing.choose import Resources
-    from sweep.running.failures import MaxFailures
-    from sweep.stores.location import Location
-    from sweep.studies.study import Study
+    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.running.failures import MaxFailures
+    from linksweep.sweep.stores.location import Location
+    from linksweep.sweep.studies.study import Study
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Running:
 def _max_failures(_context: click.Context, _parameter: click.Parameter, value: str | None) -> "MaxFailures | None":
     if value is None:
         return None
-    from sweep.running.failures import MaxFailures
+    from linksweep.sweep.running.failures import MaxFailures
 
     try:
         return MaxFailures.of(value)
@@ -62,10 +62,10 @@ def run_with_progress(
     """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone.  Return
     why points failed.  An interruption ends the command.
     """
-    from sweep.interrupt import RunInterruptedError
-    from sweep.running.progress import TerminalProgress
-    from sweep.running.run import run_study
-    from sweep.stores.named import short_name
+    from linksweep.sweep.interrupt import RunInterruptedError
+    from linksweep.sweep.running.progress import TerminalProgress
+    from linksweep.sweep.running.run import run_study
+    from linksweep.sweep.stores.named import short_name
 
     bar = how.watching.level < logging.ERROR
     with a_signal_ends_the_command(), told(how.watching), TerminalProgress(study, bar) as progress:
@@ -133,7 +133,7 @@ def plan(asked: options.AskedStudy, workers: int | None, accept_code: bool, as_j
     \b
     sweep plan grid --set n_cat=100
     """
-    from sweep.running.status import plan_report
+    from linksweep.sweep.running.status import plan_report
 
     report = plan_report(*asked.load(), workers, accept_code)
     if as_json:
@@ -158,7 +158,7 @@ def retry(store: "Location", trust: bool, how: Running) -> None:
     \b
     sweep retry results/quasars.zarr
     """
-    from sweep.running.reproduce import study_of
+    from linksweep.sweep.running.reproduce import study_of
 
     if run_with_progress(study_of(store, trust=trust), store, how, retry=True):
         sys.exit(EXIT_FAILED_POINTS)
@@ -212,9 +212,9 @@ def scaling(
     """
     if figure is not None:
         drawing_styles().require_format(figure)
-    from sweep.interrupt import RunInterruptedError
-    from sweep.running.scaling import check_free, measure_scaling, write_scaling
-    from sweep.stores.named import default_store
+    from linksweep.sweep.interrupt import RunInterruptedError
+    from linksweep.sweep.running.scaling import check_free, measure_scaling, write_scaling
+    from linksweep.sweep.stores.named import default_store
 
     loaded = options.load_trusted(study, trust, settings, axes)
     path = output or default_store(f"{loaded.name}-scaling")

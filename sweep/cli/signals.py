@@ -29,7 +29,7 @@ def a_signal_ends_the_command() -> Iterator[None]:
     A run inside the block handles the first of them itself and ends in good order; a signal that arrives here is a
     further one, or came before the run.
     """
-    from sweep.interrupt import SIGNALS
+    from linksweep.sweep.interrupt import SIGNALS
 
     answered = {number: signal.getsignal(number) for number in SIGNALS}
     before = {number: handler for number, handler in answered.items() if handler not in (signal.SIG_IGN, None)}
@@ -46,7 +46,7 @@ def a_signal_ends_the_command() -> Iterator[None]:
 
 def end_stopped(number: int) -> NoReturn:
     """End the process with the exit code of a signal; workers that still compute are not waited for."""
-    from sweep.executing.upstream import skip_end_of_clusters
+    from linksweep.sweep.executing.upstream import skip_end_of_clusters
 
     _stopped_by.append(number)
     _kill_children()

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from sweep.cli import options
-from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.output import print_status, print_table, print_verified, status_as_json
-from sweep.formatting import to_json
+from linksweep.sweep.cli import options
+from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, main
+from linksweep.sweep.cli.output import print_status, print_table, print_verified, status_as_json
+from linksweep.sweep.formatting import to_json
 
 if TYPE_CHECKING:
-    from sweep.stores.location import Location
+    from linksweep.sweep.stores.location import Location
 
 
 @main.command()
@@ -31,7 +31,7 @@ def show(store: "Location", table_format: str, at: tuple[str, ...], as_json: boo
     """
     table_format = options.json_or(table_format, as_json)
     if (link := options.link_in(store, at)) is not None:
-        from sweep.tie.text import as_format
+        from linksweep.sweep.tie.text import as_format
 
         click.echo(as_format(link, table_format).rstrip("\n"))
         return
@@ -49,7 +49,7 @@ def status(store: "Location", as_json: bool) -> None:
     \b
     sweep status results/quasars.zarr
     """
-    from sweep.running.status import status_report
+    from linksweep.sweep.running.status import status_report
 
     report = status_report(store)
     if as_json:
@@ -67,7 +67,7 @@ def check(store: "Location", as_json: bool) -> None:
     \b
     sweep check results/quasars.zarr
     """
-    from sweep.stores.repair import check as check_files
+    from linksweep.sweep.stores.repair import check as check_files
 
     report = check_files(store)
     if as_json:
@@ -94,7 +94,7 @@ def repair(store: "Location", break_lock: bool) -> None:
     \b
     sweep repair results/quasars.zarr
     """
-    from sweep.stores.repair import repair as repair_files
+    from linksweep.sweep.stores.repair import repair as repair_files
 
     for sentence in repair_files(store, break_lock=break_lock) or ["every file is as it was written"]:
         click.echo(sentence)
@@ -119,9 +119,9 @@ def reproduce(store: "Location", at: str | None, points: int, debug: bool, trust
     sweep reproduce results/quasars.zarr --at model=gaia,v_max=16
     sweep reproduce results/quasars.zarr --points 20
     """
-    from sweep.contract import SweepError
-    from sweep.running.reproduce import reproduce as compute_again
-    from sweep.running.reproduce import study_of
+    from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.running.reproduce import reproduce as compute_again
+    from linksweep.sweep.running.reproduce import study_of
 
     if at is None:
         if debug or as_json:
@@ -169,7 +169,7 @@ def merge(
     \b
     sweep merge results/low.zarr results/high.zarr -o results/all.zarr
     """
-    from sweep.running.merge import merge as merge_stores
+    from linksweep.sweep.running.merge import merge as merge_stores
 
     dataset = merge_stores(store, other, output, accept_code=accept_code, trust=trust)
     print_table(dataset, "json" if as_json else "text")

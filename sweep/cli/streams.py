@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from sweep.formatting import harmless
+from linksweep.sweep.formatting import harmless
 
 
 class _Unfailing(io.TextIOWrapper):

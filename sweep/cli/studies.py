@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
-from sweep.cli.group import main
-from sweep.cli.options import json_option
-from sweep.cli.output import print_styled
-from sweep.formatting import WIDTH, to_json
+from linksweep.sweep.cli.group import main
+from linksweep.sweep.cli.options import json_option
+from linksweep.sweep.cli.output import print_styled
+from linksweep.sweep.formatting import WIDTH, to_json
 
 
 @main.command("list")
@@ -22,7 +22,7 @@ def list_studies(as_json: bool) -> None:
     """
     import tomllib
 
-    from sweep.studies.source import built_in_studies
+    from linksweep.sweep.studies.source import built_in_studies
 
     studies = {}
     for name, path in built_in_studies().items():
@@ -44,13 +44,13 @@ def _indented(text: str) -> str:
 
 def _answer(name: str) -> list[str]:
     """Return the answer of a study from its store in the default place; none without one that can be read."""
-    from sweep.stores.named import default_store
+    from linksweep.sweep.stores.named import default_store
 
     if not default_store(name).exists():
         return []
-    from sweep.analysis.answer import answer_in_short, completeness
-    from sweep.contract import SweepError
-    from sweep.stores.store import open_dataset
+    from linksweep.sweep.analysis.answer import answer_in_short, completeness
+    from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.stores.store import open_dataset
 
     try:
         dataset = open_dataset(default_store(name))
@@ -60,7 +60,7 @@ def _answer(name: str) -> list[str]:
 
 
 @main.command()
-@click.argument("experiment", default="core.experiment:link")
+@click.argument("experiment", default="linksweep.core.experiment:link")
 @json_option
 def params(experiment: str, as_json: bool) -> None:
     """List the parameters of EXPERIMENT (module:attribute, file.py:attribute, or a study of it) with unit,
@@ -71,9 +71,9 @@ def params(experiment: str, as_json: bool) -> None:
     sweep params quasars
     sweep params my_experiment.py:experiment
     """
-    from sweep.code.load import load_experiment
-    from sweep.studies.reader import load_study
-    from sweep.studies.source import built_in_studies
+    from linksweep.sweep.code.load import load_experiment
+    from linksweep.sweep.studies.reader import load_study
+    from linksweep.sweep.studies.source import built_in_studies
 
     is_study = experiment.endswith(".toml") or experiment in built_in_studies()
     declared = load_study(experiment).experiment if is_study else load_experiment(experiment)
@@ -93,7 +93,7 @@ def params(experiment: str, as_json: bool) -> None:
 
 @main.command()
 @click.argument("name")
-@click.argument("experiment", default="core.experiment:link")
+@click.argument("experiment", default="linksweep.core.experiment:link")
 def new(name: str, experiment: str) -> None:
     """Write NAME.toml, a study of EXPERIMENT to start from: it runs as it is, and has every parameter in a comment.
 
@@ -101,10 +101,10 @@ def new(name: str, experiment: str) -> None:
     sweep new mine
     sweep new mine my_experiment.py:experiment
     """
-    from sweep.code.load import load_experiment
-    from sweep.contract import SweepError, shown
-    from sweep.studies.definitions import GOOD_NAME
-    from sweep.studies.template import new_study
+    from linksweep.sweep.code.load import load_experiment
+    from linksweep.sweep.contract import SweepError, shown
+    from linksweep.sweep.studies.definitions import GOOD_NAME
+    from linksweep.sweep.studies.template import new_study
 
     if not GOOD_NAME.fullmatch(name):
         raise SweepError(
@@ -125,14 +125,14 @@ def new(name: str, experiment: str) -> None:
 
 
 @main.command()
-@click.argument("experiment", default="core.experiment:link")
+@click.argument("experiment", default="linksweep.core.experiment:link")
 def schema(experiment: str) -> None:
     """Print the JSON Schema of studies of EXPERIMENT, by which editors complete and check them.
 
     \b
     sweep schema > study.schema.json
     """
-    from sweep.code.load import load_experiment
-    from sweep.studies.schema import study_schema
+    from linksweep.sweep.code.load import load_experiment
+    from linksweep.sweep.studies.schema import study_schema
 
     click.echo(json.dumps(study_schema(load_experiment(experiment)), indent=1, ensure_ascii=False))

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from sweep.cli.group import EXIT_FAILED_POINTS, main
-from sweep.cli.options import FILE, json_option, option_with_default
-from sweep.cli.tie_options import numbers, table_options
+from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, main
+from linksweep.sweep.cli.options import FILE, json_option, option_with_default
+from linksweep.sweep.cli.tie_options import numbers, table_options
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -91,9 +91,9 @@ def tie(
 
     With chi2 above 1000 times its expectation the exit code is 1, and nothing is written.
     """
-    from sweep.tie.link_tables import MisfitError
-    from sweep.tie.link_tables import tie as solve
-    from sweep.tie.options import parse_bins
+    from linksweep.sweep.tie.link_tables import MisfitError
+    from linksweep.sweep.tie.link_tables import tie as solve
+    from linksweep.sweep.tie.options import parse_bins
 
     _check_targets(output, figures)
     try:
@@ -147,7 +147,7 @@ def forecast(
     \b
     sweep forecast gaia.fits vlbi.ecsv --add 2026,2030 --choose 5 --for spin
     """
-    from sweep.tie.planning import forecast as plan
+    from linksweep.sweep.tie.planning import forecast as plan
 
     _check_targets(output, figures)
     result = plan(
@@ -170,7 +170,7 @@ def _spin(text: str) -> list[float] | str:
 
 def _check_targets(output: Path | None, figures: Path | None) -> None:
     """Raise an error unless a store can be written and figures be drawn, before anything is computed."""
-    from sweep.contract import SweepError
+    from linksweep.sweep.contract import SweepError
 
     if output is not None and output.suffix != ".zarr":
         raise SweepError("a result is written to a store whose name ends in .zarr", str(output))
@@ -181,7 +181,7 @@ def _check_targets(output: Path | None, figures: Path | None) -> None:
 
 
 def _put(result: "xr.Dataset", output: Path | None, figures: Path | None, as_json: bool) -> None:
-    from sweep.tie.text import as_format
+    from linksweep.sweep.tie.text import as_format
 
     text = as_format(result, "json" if as_json else "text")
     if output is not None:
@@ -194,9 +194,9 @@ def _put(result: "xr.Dataset", output: Path | None, figures: Path | None, as_jso
 
 
 def _draw(result: "xr.Dataset", folder: Path) -> None:
-    from sweep.contract import SweepError
-    from sweep.plots import style
-    from sweep.plots.tie.figure import link_figures
+    from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.plots import style
+    from linksweep.sweep.plots.tie.figure import link_figures
 
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -5,8 +5,8 @@ from typing import Any
 
 import click
 
-from sweep.cli.options import gathered, option_with_default
-from sweep.formatting import split_assignment
+from linksweep.sweep.cli.options import gathered, option_with_default
+from linksweep.sweep.formatting import split_assignment
 
 
 def numbers(option: str, text: str) -> list[float]:
@@ -73,7 +73,7 @@ def _tables(
     jitter: Sequence[str],
 ) -> dict[str, Any]:
     """Return the options of the tables as `sweep.tie.options.Options` has them."""
-    from sweep.tie.column_names import TableOptions
+    from linksweep.sweep.tie.column_names import TableOptions
 
     further = dict(_named("--mission", "NAME=TABLE", item) for item in missions)
     if len(further) < len(missions):

@@ -23,12 +23,12 @@ from types import ModuleType
 from typing import IO, Any, Protocol
 from weakref import WeakKeyDictionary
 
-from sweep.code.files import OURS, LocalFiles, read_files
-from sweep.code.reach import Reach, distributions_at, distributions_of, version_of, without_package
-from sweep.contract import Experiment, SweepError, shown
-from sweep.functions.adapter import experiment_of, is_plain_function
-from sweep.functions.declared import ATTRIBUTE
-from sweep.functions.signature import name_of
+from linksweep.sweep.code.files import OURS, LocalFiles, read_files
+from linksweep.sweep.code.reach import Reach, distributions_at, distributions_of, version_of, without_package
+from linksweep.sweep.contract import Experiment, SweepError, shown
+from linksweep.sweep.functions.adapter import experiment_of, is_plain_function
+from linksweep.sweep.functions.declared import ATTRIBUTE
+from linksweep.sweep.functions.signature import name_of
 
 SESSION = "session"
 """Stands in place of a module in the reference of a function that only this session has."""
@@ -250,7 +250,7 @@ def _differences_elsewhere(reference: str, parts: Mapping[str, str]) -> list[str
 @cache
 def _elsewhere(reference: str) -> tuple[dict[str, str], dict[str, str]]:
     """Return the parts of what a reference names as two new processes have them, none for one of this session."""
-    code = f"import json; from sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
+    code = f"import json; from linksweep.sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
     files: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     some = [new_process(code, **files) for _ in range(2)]
     one, other = (json.loads((process.communicate()[0].splitlines() or [b"{}"])[-1]) for process in some)

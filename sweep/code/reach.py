@@ -34,8 +34,8 @@ from typing import Any
 
 import numpy as np
 
-from sweep.code.files import OURS, PREFIX, local_files_of
-from sweep.contract import SweepError
+from linksweep.sweep.code.files import OURS, PREFIX, local_files_of
+from linksweep.sweep.contract import SweepError
 
 INSTALLED = {"site-packages", "dist-packages"}
 """Names of folders in which installed distributions are."""

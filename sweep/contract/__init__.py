@@ -3,12 +3,12 @@
 This package and NumPy are all that an experiment needs; the platform knows nothing of what is inside one.
 """
 
-from sweep.contract.checked import Array, NotFiniteError, ResultError, check_finite, checked
-from sweep.contract.errors import FEW, DefinitionError, SweepError, shown, suggest
-from sweep.contract.experiment import Evaluate, Experiment, GeneratorPair, Summarise
-from sweep.contract.output import Output
-from sweep.contract.parameter import Define, Function, Kind, Named, Parameter, Point, Value
-from sweep.contract.samples import FEWEST_SAMPLES, small_sample_factor
+from linksweep.sweep.contract.checked import Array, NotFiniteError, ResultError, check_finite, checked
+from linksweep.sweep.contract.errors import FEW, DefinitionError, SweepError, shown, suggest
+from linksweep.sweep.contract.experiment import Evaluate, Experiment, GeneratorPair, Summarise
+from linksweep.sweep.contract.output import Output
+from linksweep.sweep.contract.parameter import Define, Function, Kind, Named, Parameter, Point, Value
+from linksweep.sweep.contract.samples import FEWEST_SAMPLES, small_sample_factor
 
 __all__ = [
     "FEW",

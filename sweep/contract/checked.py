@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract.errors import shown, suggest
+from linksweep.sweep.contract.errors import shown, suggest
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, get_args
 
-from sweep.contract.errors import shown, suggest
-from sweep.contract.output import Output
-from sweep.contract.parameter import Kind, Parameter
-from sweep.contract.units import unit_problem
+from linksweep.sweep.contract.errors import shown, suggest
+from linksweep.sweep.contract.output import Output
+from linksweep.sweep.contract.parameter import Kind, Parameter
+from linksweep.sweep.contract.units import unit_problem
 
 RESERVED = ("status", "n_sim_done", "sample", "code", "blocks", "failures", "realisations")
 """Names that the platform uses in every dataset or store."""

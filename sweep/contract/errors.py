@@ -5,7 +5,7 @@ import reprlib
 from collections.abc import Sequence
 from typing import Any
 
-from sweep.formatting import harmless
+from linksweep.sweep.formatting import harmless
 
 FEW = 20
 """The most names that a message lists."""

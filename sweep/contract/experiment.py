@@ -9,11 +9,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from sweep.contract.checked import Array, checked
-from sweep.contract.declaration import problems
-from sweep.contract.errors import SweepError, shown, suggest
-from sweep.contract.output import Output
-from sweep.contract.parameter import Parameter, Point, Value
+from linksweep.sweep.contract.checked import Array, checked
+from linksweep.sweep.contract.declaration import problems
+from linksweep.sweep.contract.errors import SweepError, shown, suggest
+from linksweep.sweep.contract.output import Output
+from linksweep.sweep.contract.parameter import Parameter, Point, Value
 
 GeneratorPair = tuple[np.random.Generator, np.random.Generator]
 """The generators of a block's realisations and of their catalogue."""

@@ -6,7 +6,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from sweep.contract.errors import shown, suggest
+from linksweep.sweep.contract.errors import shown, suggest
 
 Value = Any  # of a parameter: bool, int, float, str, a tuple, a table file, or None
 Point = Mapping[str, Any]

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sweep.contract.checked import Array
+from linksweep.sweep.contract.checked import Array
 
 FEWEST_SAMPLES = 5
 """Fewest independent samples (catalogues, mostly) whose scatter gives an error: with fewer it is not known."""

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sweep.contract import Point, shown
-from sweep.executing.captured import undisturbed
-from sweep.executing.deadlines import Deadlines, TimeLimitError
-from sweep.executing.own_process import is_interruption
-from sweep.executing.task import Task
-from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.layout import differences
-from sweep.functions.results import Flat
+from linksweep.sweep.contract import Point, shown
+from linksweep.sweep.executing.captured import undisturbed
+from linksweep.sweep.executing.deadlines import Deadlines, TimeLimitError
+from linksweep.sweep.executing.own_process import is_interruption
+from linksweep.sweep.executing.task import Task
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.functions.layout import differences
+from linksweep.sweep.functions.results import Flat
 
 LONGEST_S = 1.0
 """Seconds of a first call after which there is no second one."""

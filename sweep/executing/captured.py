@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TextIO
 
-from sweep.executing.own_process import Surroundings, forks_ended, generators_restored, seeded
+from linksweep.sweep.executing.own_process import Surroundings, forks_ended, generators_restored, seeded
 
 MOST_PRINTED = 10_000
 """Characters of one block that are kept."""

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from sweep.contract import SweepError, shown, suggest
-from sweep.executing.execute import NO_LIMITS, Limits, Opened, Say, available_cores, measured_first
-from sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName
-from sweep.studies.study import Study
+from linksweep.sweep.contract import SweepError, shown, suggest
+from linksweep.sweep.executing.execute import NO_LIMITS, Limits, Opened, Say, available_cores, measured_first
+from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName
+from linksweep.sweep.studies.study import Study
 
 CERTAINLY_LONG = 5e7
 """Random numbers that take half a second to draw: a run of more is worth the start of workers, whatever it computes."""
@@ -60,12 +60,12 @@ def choose_executor(study: Study, cost: float, resources: Resources, say: Say) -
     """
     limits = resources.limits
     if resources.scheduler is not None:
-        from sweep.executing.clusters import dask_scheduler, tls
+        from linksweep.sweep.executing.clusters import dask_scheduler, tls
 
         security = tls(*resources.tls) if resources.tls else None
         return dask_scheduler(study, resources.scheduler, security, say, limits)
     if resources.cluster is not None:
-        from sweep.executing.clusters import dask_from_file
+        from linksweep.sweep.executing.clusters import dask_from_file
 
         return dask_from_file(study, resources.cluster, say, limits)
     pool, workers = POOLS[resources.pool or DEFAULT_POOL], resources.workers or available_cores()

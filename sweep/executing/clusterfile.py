@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sweep.contract import SweepError, shown, suggest
+from linksweep.sweep.contract import SweepError, shown, suggest
 
 KEYS = ("class", "options", "scale", "adapt")
 BOUNDS = ("minimum", "maximum", "minimum_jobs", "maximum_jobs")

@@ -15,13 +15,13 @@ from distributed.security import Security
 from distributed.utils import LoopRunner
 from threadpoolctl import threadpool_limits
 
-from sweep.contract import SweepError
-from sweep.executing.clusterfile import cluster_class, read_cluster_file
-from sweep.executing.dask_executor import DaskExecutor
-from sweep.executing.dask_workers import DaskWorkers
-from sweep.executing.execute import NO_LIMITS, Executor, Limits, Place, Say
-from sweep.executing.local_cluster import LOOPBACK, local_cluster, own_cluster, without_logs
-from sweep.studies.study import Study
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.clusterfile import cluster_class, read_cluster_file
+from linksweep.sweep.executing.dask_executor import DaskExecutor
+from linksweep.sweep.executing.dask_workers import DaskWorkers
+from linksweep.sweep.executing.execute import NO_LIMITS, Executor, Limits, Place, Say
+from linksweep.sweep.executing.local_cluster import LOOPBACK, local_cluster, own_cluster, without_logs
+from linksweep.sweep.studies.study import Study
 
 CONNECT_TIMEOUT_S = 10
 

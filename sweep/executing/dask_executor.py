@@ -10,14 +10,14 @@ from typing import Any
 
 from distributed import Future, KilledWorker
 
-from sweep.contract import SweepError
-from sweep.executing.dask_workers import LOOK_EVERY_S, DaskWorkers
-from sweep.executing.execute import Limits, Results, Say, Take, make_task
-from sweep.executing.task import Failure, TaskResult, failed
-from sweep.executing.worker_plugin import Answer, run_on_worker
-from sweep.planning.plan import Work
-from sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_seconds
-from sweep.studies.study import Study
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.dask_workers import LOOK_EVERY_S, DaskWorkers
+from linksweep.sweep.executing.execute import Limits, Results, Say, Take, make_task
+from linksweep.sweep.executing.task import Failure, TaskResult, failed
+from linksweep.sweep.executing.worker_plugin import Answer, run_on_worker
+from linksweep.sweep.planning.plan import Work
+from linksweep.sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_seconds
+from linksweep.sweep.studies.study import Study
 
 MOST_SENT, MOST_FETCHED = 32, 256
 """Most tasks that are sent in one message, and most results that are fetched in one."""

@@ -9,11 +9,11 @@ from typing import Any
 
 from distributed import Client, Future, WorkerPlugin
 
-from sweep.code.load import sendable, source_digest
-from sweep.contract import SweepError
-from sweep.executing.execute import Say
-from sweep.executing.versions import Identity, differences, identity, require_same
-from sweep.executing.worker_plugin import Answer, SourcesPlugin, TaskPlugin
+from linksweep.sweep.code.load import sendable, source_digest
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.execute import Say
+from linksweep.sweep.executing.versions import Identity, differences, identity, require_same
+from linksweep.sweep.executing.worker_plugin import Answer, SourcesPlugin, TaskPlugin
 
 LOOK_EVERY_S = 1.0
 """Seconds between two looks at the number of workers."""

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 from threadpoolctl import threadpool_limits
 
-from sweep.code.load import source_digest
-from sweep.executing.isolated import Children
-from sweep.executing.task import PointBlock, Task, TaskResult
-from sweep.executing.versions import identity
-from sweep.executing.worker import run_task
-from sweep.functions.adapter import FunctionExperiment
-from sweep.planning.plan import Work
-from sweep.studies.study import Study
+from linksweep.sweep.code.load import source_digest
+from linksweep.sweep.executing.isolated import Children
+from linksweep.sweep.executing.task import PointBlock, Task, TaskResult
+from linksweep.sweep.executing.versions import identity
+from linksweep.sweep.executing.worker import run_task
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.planning.plan import Work
+from linksweep.sweep.studies.study import Study
 
 Take = Callable[[int], list[list[Work]]]
 """Returns the work of at most so many tasks that can begin now; once a result has been taken, there may be more."""

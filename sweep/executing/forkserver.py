@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 Made = TypeVar("Made")
 
-PRELOADED = ["linksweep", "sweep.executing.preloaded", "core.experiment"]
+PRELOADED = ["linksweep", "linksweep.sweep.executing.preloaded", "linksweep.core.experiment"]
 """What workers import: linksweep first, which keeps a ``sweep.py`` of the user's from being taken for ours; last the
 experiment that is run most: its workers begin 0.05 s sooner, those of others lose half of that."""
 

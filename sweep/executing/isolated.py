@@ -15,14 +15,14 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import IO, Any
 
-from sweep.code.load import load_experiment, new_process, provide, sendable
-from sweep.contract import SweepError
-from sweep.executing.deadlines import Deadlines
-from sweep.executing.own_process import ignored
-from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, joined, too_long
-from sweep.executing.together import takes_several
-from sweep.executing.versions import Identity, differences, identity
-from sweep.executing.worker import ENOUGH_S, run_units
+from linksweep.sweep.code.load import load_experiment, new_process, provide, sendable
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.deadlines import Deadlines
+from linksweep.sweep.executing.own_process import ignored
+from linksweep.sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, joined, too_long
+from linksweep.sweep.executing.together import takes_several
+from linksweep.sweep.executing.versions import Identity, differences, identity
+from linksweep.sweep.executing.worker import ENOUGH_S, run_units
 
 TRIES = 2
 """How often a block may end its child, when it is known which block it was."""
@@ -278,7 +278,7 @@ class _New(_Child):
         super().__init__()
         number = self._theirs.fileno()
         files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
-        start = f"from sweep.executing.isolated import child; child({number})"
+        start = f"from linksweep.sweep.executing.isolated import child; child({number})"
         self._process = new_process(start, **files, pass_fds=[number])
         self._theirs.close()
         self.pid = self._process.pid

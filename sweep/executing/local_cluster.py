@@ -18,9 +18,9 @@ from typing import Any
 import dask
 from distributed import LocalCluster, Worker
 
-from sweep.contract import SweepError
-from sweep.executing.forkserver import ENVIRONMENT, SAFE_PATH, signals_blocked, start_method
-from sweep.executing.upstream import (
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.forkserver import ENVIRONMENT, SAFE_PATH, signals_blocked, start_method
+from linksweep.sweep.executing.upstream import (
     leave_a_worker_that_runs_its_script,
     lost_workers_replaced,
     only_scripts_with_a_file_run,

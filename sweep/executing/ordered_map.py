@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from sweep.contract import SweepError
-from sweep.executing.versions import identity, require_same
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.versions import identity, require_same
 
 Result = TypeVar("Result")
 Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]
@@ -94,7 +94,7 @@ def _on_one_thread(function: Callable[..., Result], *arguments: Any) -> Result:
 
 @contextmanager
 def _local(workers: int | None) -> Iterator[Any]:
-    from sweep.executing.local_cluster import local_cluster
+    from linksweep.sweep.executing.local_cluster import local_cluster
 
     options = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
     with local_cluster(options) as cluster, cluster.get_client() as client:
@@ -104,7 +104,7 @@ def _local(workers: int | None) -> Iterator[Any]:
 @contextmanager
 def _elsewhere(scheduler: str, experiment: str) -> Iterator[tuple[Any, Mapping[str, str]]]:
     """Give a client of a scheduler whose workers are as this process is, and what is expected of those that join."""
-    from sweep.executing.clusters import client_at
+    from linksweep.sweep.executing.clusters import client_at
 
     expected = identity(experiment).deciding
     with client_at(scheduler) as client:

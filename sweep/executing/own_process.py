@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
-from sweep.executing.upstream import environment
+from linksweep.sweep.executing.upstream import environment
 
 
 class Surroundings:

@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from sweep.executing.uncollected import uncollected
+from linksweep.sweep.executing.uncollected import uncollected
 
 if TYPE_CHECKING:
-    from sweep.executing.execute import Executor, Limits, Opened, Place, Say
-    from sweep.studies.study import Study
+    from linksweep.sweep.executing.execute import Executor, Limits, Opened, Place, Say
+    from linksweep.sweep.studies.study import Study
 
 PoolName = Literal["processes", "threads", "serial"]
 
@@ -28,25 +28,25 @@ class Pool(NamedTuple):
 def _processes(
     study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool
 ) -> "Iterator[tuple[Place, Executor]]":
-    from sweep.executing.forkserver import start_method
+    from linksweep.sweep.executing.forkserver import start_method
 
     with ExitStack() as stack:
         with uncollected():
             method = stack.enter_context(start_method())  # its server imports Dask while this process does
-            from sweep.executing.clusters import local_workers
+            from linksweep.sweep.executing.clusters import local_workers
 
             opened = stack.enter_context(local_workers(study, workers, say, limits, dashboard, method))
         yield opened
 
 
 def _threads(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool) -> "Opened":
-    from sweep.executing.clusters import local_workers
+    from linksweep.sweep.executing.clusters import local_workers
 
     return local_workers(study, workers, say, limits, dashboard)
 
 
 def _serial(study: "Study", _workers: int, _say: "Say", limits: "Limits", _dashboard: bool) -> "Opened":
-    from sweep.executing.execute import serial
+    from linksweep.sweep.executing.execute import serial
 
     return serial(study, limits)
 

@@ -2,11 +2,11 @@
 
 import gc
 
-from sweep.executing.uncollected import uncollected
+from linksweep.sweep.executing.uncollected import uncollected
 
 with uncollected():
     import distributed  # noqa: F401
 
-    import sweep.executing.worker_plugin  # noqa: F401
+    import linksweep.sweep.executing.worker_plugin  # noqa: F401
 
 gc.freeze()  # workers will not search these objects either: they share this memory until one of them writes to it

@@ -9,10 +9,10 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import NotFiniteError, ResultError
-from sweep.executing.captured import Captured
-from sweep.functions.results import Flat
-from sweep.planning.block import Block
+from linksweep.sweep.contract import NotFiniteError, ResultError
+from linksweep.sweep.executing.captured import Captured
+from linksweep.sweep.functions.results import Flat
+from linksweep.sweep.planning.block import Block
 
 MAX_MESSAGE, MAX_TRACEBACK = 1_000, 20_000
 """Characters that are kept of what an experiment says when it fails."""

@@ -8,16 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Experiment, Point, check_finite, checked, shown
-from sweep.executing.called_again import how_it_differs
-from sweep.executing.captured import captured, undisturbed
-from sweep.executing.deadlines import Deadlines
-from sweep.executing.own_process import is_interruption
-from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed
-from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.layout import Layout
-from sweep.functions.results import Flat
-from sweep.planning.streams import block_generators
+from linksweep.sweep.contract import Experiment, Point, check_finite, checked, shown
+from linksweep.sweep.executing.called_again import how_it_differs
+from linksweep.sweep.executing.captured import captured, undisturbed
+from linksweep.sweep.executing.deadlines import Deadlines
+from linksweep.sweep.executing.own_process import is_interruption
+from linksweep.sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.functions.layout import Layout
+from linksweep.sweep.functions.results import Flat
+from linksweep.sweep.planning.streams import block_generators
 
 MOST_CATALOGUES = 256
 """Most catalogues in one call."""

@@ -8,9 +8,9 @@ from typing import Any
 
 from threadpoolctl import threadpool_info
 
-from sweep.code.load import code_of, load_experiment
-from sweep.code.reach import version_of
-from sweep.contract import SweepError
+from linksweep.sweep.code.load import code_of, load_experiment
+from linksweep.sweep.code.reach import version_of
+from linksweep.sweep.contract import SweepError
 
 DECIDING = ("linksweep", "numpy", "scipy")
 OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.code.load import load_experiment
-from sweep.contract import Experiment, GeneratorPair, Point, check_finite, checked
-from sweep.executing.called_again import how_it_differs
-from sweep.executing.captured import Captured, captured, undisturbed
-from sweep.executing.deadlines import Deadlines, TimeLimitError
-from sweep.executing.own_process import is_interruption
-from sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, failure_of, joined, too_long
-from sweep.executing.together import alike, catalogues_together, points_together, takes_several
-from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.results import Flat
-from sweep.planning.streams import block_generators, generators_of
+from linksweep.sweep.code.load import load_experiment
+from linksweep.sweep.contract import Experiment, GeneratorPair, Point, check_finite, checked
+from linksweep.sweep.executing.called_again import how_it_differs
+from linksweep.sweep.executing.captured import Captured, captured, undisturbed
+from linksweep.sweep.executing.deadlines import Deadlines, TimeLimitError
+from linksweep.sweep.executing.own_process import is_interruption
+from linksweep.sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, failure_of, joined, too_long
+from linksweep.sweep.executing.together import alike, catalogues_together, points_together, takes_several
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.functions.results import Flat
+from linksweep.sweep.planning.streams import block_generators, generators_of
 
 ENOUGH_S = 2.0
 """Seconds after which a task returns what it has, so that its results do not wait for those of slower points."""

@@ -8,13 +8,13 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 from threadpoolctl import threadpool_limits
 
-from sweep.code.files import LocalFiles
-from sweep.code.load import Live, provide
-from sweep.executing.deadlines import Deadlines
-from sweep.executing.isolated import run_guarded
-from sweep.executing.task import Task, TaskResult
-from sweep.executing.versions import Identity, differences, identity
-from sweep.executing.worker import run_task
+from linksweep.sweep.code.files import LocalFiles
+from linksweep.sweep.code.load import Live, provide
+from linksweep.sweep.executing.deadlines import Deadlines
+from linksweep.sweep.executing.isolated import run_guarded
+from linksweep.sweep.executing.task import Task, TaskResult
+from linksweep.sweep.executing.versions import Identity, differences, identity
+from linksweep.sweep.executing.worker import run_task
 
 PLUGIN = "linksweep"
 

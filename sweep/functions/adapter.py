@@ -8,13 +8,13 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Array, Experiment, Output, Parameter, Point, SweepError
-from sweep.functions.declared import ATTRIBUTE, Declaration, declaration_of, problems
-from sweep.functions.layout import SLOTS, Layout
-from sweep.functions.named_results import Declared
-from sweep.functions.realisations import Realisations, drawn
-from sweep.functions.results import Flat, flatten, split_points
-from sweep.functions.signature import ALLOWED, Signature, name_of, signature_of
+from linksweep.sweep.contract import Array, Experiment, Output, Parameter, Point, SweepError
+from linksweep.sweep.functions.declared import ATTRIBUTE, Declaration, declaration_of, problems
+from linksweep.sweep.functions.layout import SLOTS, Layout
+from linksweep.sweep.functions.named_results import Declared
+from linksweep.sweep.functions.realisations import Realisations, drawn
+from linksweep.sweep.functions.results import Flat, flatten, split_points
+from linksweep.sweep.functions.signature import ALLOWED, Signature, name_of, signature_of
 
 COUNT = 1
 """Numbers at the start of a row of realisations: how many it holds.  So no row is all NaN, which marks a lost row."""

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 from functools import wraps
 from typing import Any, TypeVar, cast
 
-from sweep.contract import Output, ResultError, SweepError, shown
-from sweep.contract.declaration import RESERVED, TAKEN, name_problem, packages_problems, parameter_problems
-from sweep.contract.units import unit_problem
-from sweep.functions.signature import Signature, signature_of
-from sweep.functions.statistics import statistic_problem
-from sweep.functions.values import coordinate_of
+from linksweep.sweep.contract import Output, ResultError, SweepError, shown
+from linksweep.sweep.contract.declaration import RESERVED, TAKEN, name_problem, packages_problems, parameter_problems
+from linksweep.sweep.contract.units import unit_problem
+from linksweep.sweep.functions.signature import Signature, signature_of
+from linksweep.sweep.functions.statistics import statistic_problem
+from linksweep.sweep.functions.values import coordinate_of
 
 ATTRIBUTE = "__linksweep__"
 """The attribute of a function that holds its declaration."""

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Output, shown, suggest
-from sweep.contract.declaration import name_problem
+from linksweep.sweep.contract import Output, shown, suggest
+from linksweep.sweep.contract.declaration import name_problem
 
 Type = Literal["float", "int", "bool", "text", "datetime"]
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
-from sweep.contract import Output, ResultError, shown
-from sweep.functions.layout import Coordinate, Layout
-from sweep.functions.values import coordinate_of, is_xarray
+from linksweep.sweep.contract import Output, ResultError, shown
+from linksweep.sweep.functions.layout import Coordinate, Layout
+from linksweep.sweep.functions.values import coordinate_of, is_xarray
 
 
 @dataclasses.dataclass(frozen=True)

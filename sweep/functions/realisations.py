@@ -7,11 +7,20 @@ from functools import cached_property
 
 import numpy as np
 
-from sweep.contract import Array, Output, ResultError
-from sweep.functions.layout import NUMBERS, Field, Layout, as_floats, differences
-from sweep.functions.named_results import Declared
-from sweep.functions.results import Flat
-from sweep.functions.statistics import DEFAULT, MOMENTS, merged, moments_of, quantile_of, quantiles, statistic, unknown
+from linksweep.sweep.contract import Array, Output, ResultError
+from linksweep.sweep.functions.layout import NUMBERS, Field, Layout, as_floats, differences
+from linksweep.sweep.functions.named_results import Declared
+from linksweep.sweep.functions.results import Flat
+from linksweep.sweep.functions.statistics import (
+    DEFAULT,
+    MOMENTS,
+    merged,
+    moments_of,
+    quantile_of,
+    quantiles,
+    statistic,
+    unknown,
+)
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-from sweep.contract import Output, Parameter, SweepError
-from sweep.functions.adapter import FunctionExperiment, undeclared_experiment
-from sweep.functions.layout import Layout, layout_of_json
+from linksweep.sweep.contract import Output, Parameter, SweepError
+from linksweep.sweep.functions.adapter import FunctionExperiment, undeclared_experiment
+from linksweep.sweep.functions.layout import Layout, layout_of_json
 
 
 def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter, ...]) -> FunctionExperiment:

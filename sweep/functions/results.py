@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import NotFiniteError, Output, ResultError, suggest
-from sweep.contract.checked import not_finite
-from sweep.contract.units import same_unit
-from sweep.functions.layout import Coordinate, Field, Layout, Type, problems_of_names
-from sweep.functions.named_results import Declared, named_results
-from sweep.functions.values import TEXT_BYTES, Value, text_digest, value_of
+from linksweep.sweep.contract import NotFiniteError, Output, ResultError, suggest
+from linksweep.sweep.contract.checked import not_finite
+from linksweep.sweep.contract.units import same_unit
+from linksweep.sweep.functions.layout import Coordinate, Field, Layout, Type, problems_of_names
+from linksweep.sweep.functions.named_results import Declared, named_results
+from linksweep.sweep.functions.values import TEXT_BYTES, Value, text_digest, value_of
 
 
 class Flat(NamedTuple):

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import numpy as np
 
-from sweep.contract import Parameter, SweepError, shown
-from sweep.contract.parameter import Kind
+from linksweep.sweep.contract import Parameter, SweepError, shown
+from linksweep.sweep.contract.parameter import Kind
 
 RNG, N_SIM = "rng", "n_sim"
 """Arguments that the platform gives: a NumPy generator, and how many realisations are wanted at once."""

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sweep.contract import FEWEST_SAMPLES, Array, shown, small_sample_factor, suggest
-from sweep.functions.layout import Field
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, shown, small_sample_factor, suggest
+from linksweep.sweep.functions.layout import Field
 
 MOMENTS = 6
 """What a block keeps of each number of an output: mean, sums of 2nd to 4th powers about it, least and largest value."""

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import ResultError, shown
-from sweep.contract.units import is_quantity
-from sweep.functions.layout import EXACT_INT, Coordinate, Type
+from linksweep.sweep.contract import ResultError, shown
+from linksweep.sweep.contract.units import is_quantity
+from linksweep.sweep.functions.layout import EXACT_INT, Coordinate, Type
 
 TEXT_BYTES = 16
 """Bytes of the digest that stands for a text in a row."""

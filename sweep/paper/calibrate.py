@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from core import calibration
-from core.calibration import CONSTANTS, IN_CODE, Fit, Model, PublishedSigma
-from core.catalogue import N_GALAXIES
-from core.spin_variance import Kind, Skies
-from sweep.formatting import WIDTH, reading_table
-from sweep.readable import in_ascii
+from linksweep.core import calibration
+from linksweep.core.calibration import CONSTANTS, IN_CODE, Fit, Model, PublishedSigma
+from linksweep.core.catalogue import N_GALAXIES
+from linksweep.core.spin_variance import Kind, Skies
+from linksweep.sweep.formatting import WIDTH, reading_table
+from linksweep.sweep.readable import in_ascii
 
 if TYPE_CHECKING:
     from rich.console import Group
@@ -67,7 +67,7 @@ def as_text(report: dict[str, Any]) -> "Group":
 
 
 def _rows(name: str) -> list[dict[str, str]]:
-    text = (resources.files("sweeps") / "published" / name).read_text(encoding="utf-8")
+    text = (resources.files("linksweep.sweeps") / "published" / name).read_text(encoding="utf-8")
     return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
 
 

@@ -4,16 +4,16 @@ import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
-from sweep.analysis.compare import Comparison, compare, remarks
-from sweep.contract import SweepError
-from sweep.planning.checked_grid import make_grid
-from sweep.running.run import plan_study
-from sweep.stores.location import Where, located, reading
-from sweep.stores.opened import OpenStore
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import load_study
-from sweep.studies.source import built_in_studies
-from sweep.studies.study import Study
+from linksweep.sweep.analysis.compare import Comparison, compare, remarks
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.running.run import plan_study
+from linksweep.sweep.stores.location import Where, located, reading
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import load_study
+from linksweep.sweep.studies.source import built_in_studies
+from linksweep.sweep.studies.study import Study
 
 PAPER_ORDER = (
     *("algorithm", "error-surface", "sqrt-n", "scatter", "quasars", "galaxies", "completeness", "mission-length"),

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Array, Value
-from sweep.planning.block import Block, ledger_key
-from sweep.planning.block_rows import BlockRows
-from sweep.planning.grid import AT_ONCE, GridPoint
-from sweep.planning.plan import Plan, PlanSize, Survey, Work, cost_together
-from sweep.planning.point_status import Status
-from sweep.planning.precision import wanted_parts
+from linksweep.sweep.contract import Array, Value
+from linksweep.sweep.planning.block import Block, ledger_key
+from linksweep.sweep.planning.block_rows import BlockRows
+from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
+from linksweep.sweep.planning.plan import Plan, PlanSize, Survey, Work, cost_together
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.planning.precision import wanted_parts
 
 MISSING, DONE = int(Status.MISSING), int(Status.DONE)
 """As integers: NumPy compares arrays with them ten times as fast as with members of an enumeration."""

@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from sweep.contract import SweepError, shown
-from sweep.planning.grid import Grid
-from sweep.planning.point_cache import PointCache
-from sweep.studies.designs import remarks
-from sweep.studies.study import POINT, Study
+from linksweep.sweep.contract import SweepError, shown
+from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.point_cache import PointCache
+from linksweep.sweep.studies.designs import remarks
+from linksweep.sweep.studies.study import POINT, Study
 
 MAX_POINTS = 10_000_000
 MAX_PROBLEMS = 20

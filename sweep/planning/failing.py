@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sweep.contract import check_finite
-from sweep.planning.accumulator import Accumulator
+from linksweep.sweep.contract import check_finite
+from linksweep.sweep.planning.accumulator import Accumulator
 
 
 def failing(accumulator: Accumulator, indices: Sequence[int]) -> dict[int, Exception]:

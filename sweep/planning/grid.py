@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Value
-from sweep.studies.study import POINT, Study
-from sweep.tables.file import as_json
+from linksweep.sweep.contract import Value
+from linksweep.sweep.studies.study import POINT, Study
+from linksweep.sweep.tables.file import as_json
 
 AT_ONCE = 2**16
 """How many points have their places in memory at a time."""

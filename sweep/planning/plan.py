@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
-from sweep.contract import SweepError, Value
-from sweep.planning.block import Block
-from sweep.planning.grid import Grid, GridPoint
-from sweep.planning.point_cache import PointCache
-from sweep.studies.study import Study
+from linksweep.sweep.contract import SweepError, Value
+from linksweep.sweep.planning.block import Block
+from linksweep.sweep.planning.grid import Grid, GridPoint
+from linksweep.sweep.planning.point_cache import PointCache
+from linksweep.sweep.studies.study import Study
 
 TARGET = 2**24
 """The most random numbers in a block of several catalogues, and in a task that returns samples: about 0.2 s of work,

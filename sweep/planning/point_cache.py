@@ -3,7 +3,7 @@
 from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, Generic, TypeVar
 
-from sweep.contract import Point
+from linksweep.sweep.contract import Point
 
 T = TypeVar("T")
 

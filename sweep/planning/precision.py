@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from sweep.contract import Array
-from sweep.planning.plan import Plan
+from linksweep.sweep.contract import Array
+from linksweep.sweep.planning.plan import Plan
 
 LARGEST_STEP = 16
 """A point that is not precise enough gets at most this many times its realisations before it is checked again."""

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.random.bit_generator import ISpawnableSeedSequence
 from numpy.typing import NDArray
 
-from sweep.contract import GeneratorPair
-from sweep.planning.block import Block
+from linksweep.sweep.contract import GeneratorPair
+from linksweep.sweep.planning.block import Block
 
 Words = NDArray[np.uint32]
 

@@ -7,12 +7,12 @@ from itertools import accumulate
 
 import numpy as np
 
-from sweep.contract import Array
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.block import Block
-from sweep.planning.grid import GridPoint
-from sweep.planning.plan import MOST_SHARING, TARGET, Plan, Work
-from sweep.planning.tuning import TUNED, Tuning
+from linksweep.sweep.contract import Array
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.block import Block
+from linksweep.sweep.planning.grid import GridPoint
+from linksweep.sweep.planning.plan import MOST_SHARING, TARGET, Plan, Work
+from linksweep.sweep.planning.tuning import TUNED, Tuning
 
 TASK_S = 1.0
 """Seconds of work that a task aims at."""

@@ -6,22 +6,22 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sweep.analysis.gaps import with_nan
-from sweep.analysis.measured_claims import claims_of
-from sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity, varied_parameters
-from sweep.analysis.sensitivity import is_sensitivity
-from sweep.contract import SweepError, shown, suggest
-from sweep.planning.point_status import Status, count_status, unfinished_in_words
-from sweep.plots.kinds import GRID, SCALING
-from sweep.plots.labels import value_text, with_chosen_component
-from sweep.plots.named_ticks import fit_names
-from sweep.plots.scales import SCALE, with_scales
-from sweep.plots.scatter import sampled
-from sweep.plots.sensitivity import sensitivity_figure
-from sweep.plots.standalone import is_scaling
-from sweep.plots.style import wrapped
-from sweep.plots.tie.figure import draw_link, is_link
-from sweep.studies.study import POINT
+from linksweep.sweep.analysis.gaps import with_nan
+from linksweep.sweep.analysis.measured_claims import claims_of
+from linksweep.sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity, varied_parameters
+from linksweep.sweep.analysis.sensitivity import is_sensitivity
+from linksweep.sweep.contract import SweepError, shown, suggest
+from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
+from linksweep.sweep.plots.kinds import GRID, SCALING
+from linksweep.sweep.plots.labels import value_text, with_chosen_component
+from linksweep.sweep.plots.named_ticks import fit_names
+from linksweep.sweep.plots.scales import SCALE, with_scales
+from linksweep.sweep.plots.scatter import sampled
+from linksweep.sweep.plots.sensitivity import sensitivity_figure
+from linksweep.sweep.plots.standalone import is_scaling
+from linksweep.sweep.plots.style import wrapped
+from linksweep.sweep.plots.tie.figure import draw_link, is_link
+from linksweep.sweep.studies.study import POINT
 
 MAP_POINTS = 5
 """A map is the default if two axes have at least this many points each."""

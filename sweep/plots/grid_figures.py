@@ -7,19 +7,19 @@ from typing import NamedTuple
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, varied_parameters
-from sweep.analysis.readable_units import in_readable_units
-from sweep.contract import SweepError, shown, suggest
-from sweep.plots.law import draw_law
-from sweep.plots.layout import Layout, arrange
-from sweep.plots.legends import legend_below
-from sweep.plots.lines import draw_lines, draw_point
-from sweep.plots.maps import accuracy_in_words, add_bar, colour_limits, draw_map
-from sweep.plots.panels import draw_panels
-from sweep.plots.points import draw_curves, pairs_figure, points_figure
-from sweep.plots.scatter import component_dimension, draw_scatter, sampled
-from sweep.plots.style import figure_size, is_narrow, is_stacked, line_inches, wanted_width, wrapped
-from sweep.studies.study import POINT
+from linksweep.sweep.analysis.quantity import main_quantity, numeric_axes, quantities, require_axis, varied_parameters
+from linksweep.sweep.analysis.readable_units import in_readable_units
+from linksweep.sweep.contract import SweepError, shown, suggest
+from linksweep.sweep.plots.law import draw_law
+from linksweep.sweep.plots.layout import Layout, arrange
+from linksweep.sweep.plots.legends import legend_below
+from linksweep.sweep.plots.lines import draw_lines, draw_point
+from linksweep.sweep.plots.maps import accuracy_in_words, add_bar, colour_limits, draw_map
+from linksweep.sweep.plots.panels import draw_panels
+from linksweep.sweep.plots.points import draw_curves, pairs_figure, points_figure
+from linksweep.sweep.plots.scatter import component_dimension, draw_scatter, sampled
+from linksweep.sweep.plots.style import figure_size, is_narrow, is_stacked, line_inches, wanted_width, wrapped
+from linksweep.sweep.studies.study import POINT
 
 BELOW_LINES, BELOW_LINE_INCHES = 12, 0.2
 """Lines of text below a narrow scatter, and the height of each for which the figure has room."""

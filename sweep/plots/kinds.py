@@ -21,53 +21,63 @@ class Kind(NamedTuple):
 
 
 GRID: Mapping[str, Kind] = {
-    "lines": Kind("sweep.plots.grid_figures:LINES"),
-    "law": Kind("sweep.plots.grid_figures:LAW"),
-    "map": Kind("sweep.plots.grid_figures:MAP"),
-    "scatter": Kind("sweep.plots.grid_figures:SCATTER"),
-    "points": Kind("sweep.plots.grid_figures:POINTS"),
-    "pairs": Kind("sweep.plots.grid_figures:PAIRS"),
-    "curves": Kind("sweep.plots.grid_figures:CURVES"),
+    "lines": Kind("linksweep.sweep.plots.grid_figures:LINES"),
+    "law": Kind("linksweep.sweep.plots.grid_figures:LAW"),
+    "map": Kind("linksweep.sweep.plots.grid_figures:MAP"),
+    "scatter": Kind("linksweep.sweep.plots.grid_figures:SCATTER"),
+    "points": Kind("linksweep.sweep.plots.grid_figures:POINTS"),
+    "pairs": Kind("linksweep.sweep.plots.grid_figures:PAIRS"),
+    "curves": Kind("linksweep.sweep.plots.grid_figures:CURVES"),
 }
 """Kinds for the results of a study: objects of type `GridFigure`."""
 
-SCALING: Mapping[str, Kind] = {"scaling": Kind("sweep.plots.standalone:scaling_figure")}
+SCALING: Mapping[str, Kind] = {"scaling": Kind("linksweep.sweep.plots.standalone:scaling_figure")}
 """Kinds for the measurements of `sweep scaling`: functions of its dataset."""
 
 STANDALONE: Mapping[str, Kind] = {
-    "sky": Kind("sweep.plots.standalone:sky_figure"),
-    "accuracy": Kind("sweep.plots.standalone:accuracy_figure"),
+    "sky": Kind("linksweep.sweep.plots.standalone:sky_figure"),
+    "accuracy": Kind("linksweep.sweep.plots.standalone:accuracy_figure"),
 }
 """Kinds for catalogues and missions: functions of a dataset of `sweep.plots.views`."""
 
 LINK: Mapping[str, Mapping[str, Kind]] = {
     "tie": {
-        "solution": Kind("sweep.plots.tie.solution:solution_figure", "The unknowns with errors of several kinds"),
+        "solution": Kind(
+            "linksweep.sweep.plots.tie.solution:solution_figure", "The unknowns with errors of several kinds"
+        ),
         "residuals": Kind(
-            "sweep.plots.tie.residuals:residual_figure", "Differences before and residuals after the fit on the sky"
+            "linksweep.sweep.plots.tie.residuals:residual_figure",
+            "Differences before and residuals after the fit on the sky",
         ),
         "separations": Kind(
-            "sweep.plots.tie.sources:separation_figure",
+            "linksweep.sweep.plots.tie.sources:separation_figure",
             "Normalised separations of the sources, beside the Rayleigh distribution expected if errors are right",
         ),
         "weight": Kind(
-            "sweep.plots.tie.sources:weight_figure",
+            "linksweep.sweep.plots.tie.sources:weight_figure",
             "Discrepancy of each source per observation, against its share of the weight",
         ),
-        "ranking": Kind("sweep.plots.tie.sources:influence_figure", "The most influential sources"),
+        "ranking": Kind("linksweep.sweep.plots.tie.sources:influence_figure", "The most influential sources"),
         "jackknife": Kind(
-            "sweep.plots.tie.left_out:jackknife_figure", "Solutions without each source, and ellipses of the errors"
+            "linksweep.sweep.plots.tie.left_out:jackknife_figure",
+            "Solutions without each source, and ellipses of the errors",
         ),
-        "trajectory": Kind("sweep.plots.tie.left_out:trajectory_figure", "The solution while the clip drops sources"),
+        "trajectory": Kind(
+            "linksweep.sweep.plots.tie.left_out:trajectory_figure", "The solution while the clip drops sources"
+        ),
         "spectrum": Kind(
-            "sweep.plots.tie.spectrum:spectrum_figure",
+            "linksweep.sweep.plots.tie.spectrum:spectrum_figure",
             "Vector spherical harmonics by degree, beside noise, and their significance",
         ),
-        "bins": Kind("sweep.plots.tie.solution:bin_figure", "The spin in each bin"),
+        "bins": Kind("linksweep.sweep.plots.tie.solution:bin_figure", "The spin in each bin"),
     },
     "forecast": {
-        "epochs": Kind("sweep.plots.tie.forecasts:epoch_figure", "Formal errors against the epoch of new positions"),
-        "ranking": Kind("sweep.plots.tie.forecasts:ranking_figure", "The sources whose observation helps most"),
+        "epochs": Kind(
+            "linksweep.sweep.plots.tie.forecasts:epoch_figure", "Formal errors against the epoch of new positions"
+        ),
+        "ranking": Kind(
+            "linksweep.sweep.plots.tie.forecasts:ranking_figure", "The sources whose observation helps most"
+        ),
     },
 }
 """Kinds for the results of `sweep tie` and `sweep forecast`: functions of these; the first possible is the default."""

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.quantity import COVARIANCE_SUFFIX
-from sweep.attributes import units_of
-from sweep.formatting import plain as shown
-from sweep.readable import written
+from linksweep.sweep.analysis.quantity import COVARIANCE_SUFFIX
+from linksweep.sweep.attributes import units_of
+from linksweep.sweep.formatting import plain as shown
+from linksweep.sweep.readable import written
 
 GREEK = (
     *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi"),

@@ -6,16 +6,16 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from sweep.analysis.fits import power_law
-from sweep.analysis.laws import fit_power_law
-from sweep.analysis.lines import lines
-from sweep.contract import SweepError
-from sweep.formatting import with_error
-from sweep.plots.labels import label, quantity_label, symbol, value_text
-from sweep.plots.legends import legend
-from sweep.plots.scales import SCALE, logarithmic
-from sweep.plots.signs import COMPUTED, LAW_BAND, SIMULATED
-from sweep.plots.style import BAND, finish, series
+from linksweep.sweep.analysis.fits import power_law
+from linksweep.sweep.analysis.laws import fit_power_law
+from linksweep.sweep.analysis.lines import lines
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.formatting import with_error
+from linksweep.sweep.plots.labels import label, quantity_label, symbol, value_text
+from linksweep.sweep.plots.legends import legend
+from linksweep.sweep.plots.scales import SCALE, logarithmic
+from linksweep.sweep.plots.signs import COMPUTED, LAW_BAND, SIMULATED
+from linksweep.sweep.plots.style import BAND, finish, series
 
 GUIDE: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 3))}
 

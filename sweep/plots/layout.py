@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from sweep.contract import SweepError
-from sweep.plots.style import COLOURS
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.style import COLOURS
 
 MOST_SERIES = len(COLOURS)
 MOST_PANELS = 24

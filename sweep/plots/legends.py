@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
-from sweep.plots.signs import MOVED, PREDICTED, PUBLISHED
-from sweep.plots.style import line_inches, shown_letters, wanted_width
+from linksweep.sweep.plots.signs import MOVED, PREDICTED, PUBLISHED
+from linksweep.sweep.plots.style import line_inches, shown_letters, wanted_width
 
 LEGEND_INCHES = (0.6, 0.065)
 """Width of an entry of a legend without its text, and of each letter, in inches."""

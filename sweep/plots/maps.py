@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
 
-from sweep.analysis.quantity import prediction_name, standard_error
-from sweep.attributes import is_truth
-from sweep.plots.labels import explained_label, quantity_label
-from sweep.plots.scales import edges, fit_bar, fit_scale, is_logarithmic, number_text
+from linksweep.sweep.analysis.quantity import prediction_name, standard_error
+from linksweep.sweep.attributes import is_truth
+from linksweep.sweep.plots.labels import explained_label, quantity_label
+from linksweep.sweep.plots.scales import edges, fit_bar, fit_scale, is_logarithmic, number_text
 
 LEVELS = 8
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator
 
-from sweep.plots.style import in_lines
+from linksweep.sweep.plots.style import in_lines
 
 ROOM = 0.78
 """The share of the distance between two names that they may take; a report makes some figures smaller, not their

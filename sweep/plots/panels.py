@@ -9,13 +9,13 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.analysis.readable_units import in_readable_units
-from sweep.contract import SweepError
-from sweep.plots.labels import value_text
-from sweep.plots.layout import Layout, is_far
-from sweep.plots.legends import legend_below
-from sweep.plots.scales import SCALE, scale_of
-from sweep.plots.style import figure_size, in_lines, is_narrow, least_height, most_columns, wanted_width
+from linksweep.sweep.analysis.readable_units import in_readable_units
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.labels import value_text
+from linksweep.sweep.plots.layout import Layout, is_far
+from linksweep.sweep.plots.legends import legend_below
+from linksweep.sweep.plots.scales import SCALE, scale_of
+from linksweep.sweep.plots.style import figure_size, in_lines, is_narrow, least_height, most_columns, wanted_width
 
 MOST_INSIDE = 4
 """A legend with more entries than this stands below the panel, where it covers nothing."""

@@ -13,14 +13,14 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from sweep.analysis.quantity import standard_error, varied_parameters
-from sweep.analysis.selection import places_along
-from sweep.contract import SweepError, shown, suggest
-from sweep.plots.labels import label, quantity_label, value_text
-from sweep.plots.legends import legend
-from sweep.plots.scales import fit_bar, fit_scale, is_logarithmic
-from sweep.plots.style import COLOURS, figure_size, finish, in_lines, most_columns, series
-from sweep.studies.study import POINT
+from linksweep.sweep.analysis.quantity import standard_error, varied_parameters
+from linksweep.sweep.analysis.selection import places_along
+from linksweep.sweep.contract import SweepError, shown, suggest
+from linksweep.sweep.plots.labels import label, quantity_label, value_text
+from linksweep.sweep.plots.legends import legend
+from linksweep.sweep.plots.scales import fit_bar, fit_scale, is_logarithmic
+from linksweep.sweep.plots.style import COLOURS, figure_size, finish, in_lines, most_columns, series
+from linksweep.sweep.studies.study import POINT
 
 MOST_PARAMETERS = 12
 MOST_PAIRED = 8

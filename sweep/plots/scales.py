@@ -13,9 +13,9 @@ from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from sweep.attributes import LOGARITHMIC_UNITS, TRUTH, is_truth, units_of
-from sweep.contract import Array, SweepError, shown, suggest
-from sweep.studies.form import FigureForm
+from linksweep.sweep.attributes import LOGARITHMIC_UNITS, TRUTH, is_truth, units_of
+from linksweep.sweep.contract import Array, SweepError, shown, suggest
+from linksweep.sweep.studies.form import FigureForm
 
 FEW_TICKS = 8.0
 """On axes that span less than this factor, ticks at 1, 2 and 5 of each decade are too few."""

@@ -9,12 +9,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from scipy.special import chdtri
 
-from sweep.contract import SweepError
-from sweep.formatting import with_error
-from sweep.plots.labels import label, symbol
-from sweep.plots.legends import legend
-from sweep.plots.style import COLOURS, finish
-from sweep.readable import prefixed, written
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.formatting import with_error
+from linksweep.sweep.plots.labels import label, symbol
+from linksweep.sweep.plots.legends import legend
+from linksweep.sweep.plots.style import COLOURS, finish
+from linksweep.sweep.readable import prefixed, written
 
 CONFIDENCES = (0.683, 0.954)
 CROSS_PT = 9.0

@@ -5,13 +5,13 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.analysis.sensitivity import METHOD
-from sweep.attributes import units_of
-from sweep.contract import SweepError
-from sweep.plots.labels import label, symbol
-from sweep.plots.legends import legend
-from sweep.plots.style import BAND, COLOURS, finish, series
-from sweep.readable import written
+from linksweep.sweep.analysis.sensitivity import METHOD
+from linksweep.sweep.attributes import units_of
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.labels import label, symbol
+from linksweep.sweep.plots.legends import legend
+from linksweep.sweep.plots.style import BAND, COLOURS, finish, series
+from linksweep.sweep.readable import written
 
 WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute effect $\mu^*$", "sigma": r"$\sigma$"}
 

@@ -8,7 +8,7 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from sweep.analysis.quantity import errors_beside, standard_error
+from linksweep.sweep.analysis.quantity import errors_beside, standard_error
 
 SIMULATED, COMPUTED, PREDICTED, PUBLISHED = "simulated", "computed", "predicted", "published"
 MOVED = "markers moved sideways, lines not"

@@ -7,11 +7,11 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from core.arrays import Array
-from core.constants import DEGREE, GALACTIC_AXES
-from core.frames import position
-from sweep.plots.labels import label
-from sweep.plots.style import COLOURS
+from linksweep.core.arrays import Array
+from linksweep.core.constants import DEGREE, GALACTIC_AXES
+from linksweep.core.frames import position
+from linksweep.sweep.plots.labels import label
+from linksweep.sweep.plots.style import COLOURS
 
 MINUS = "\N{MINUS SIGN}"
 

@@ -5,12 +5,12 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from sweep.contract import SweepError
-from sweep.plots.labels import label
-from sweep.plots.legends import legend
-from sweep.plots.scales import logarithmic
-from sweep.plots.sky import add_sky, draw_sky
-from sweep.plots.style import BAND, COLOURS, figure_size, finish, series, wrapped
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.labels import label
+from linksweep.sweep.plots.legends import legend
+from linksweep.sweep.plots.scales import logarithmic
+from linksweep.sweep.plots.sky import add_sky, draw_sky
+from linksweep.sweep.plots.style import BAND, COLOURS, figure_size, finish, series, wrapped
 
 LINES = ("solid", "dashed", "dashdot", "dotted", (0, (6, 1, 1, 1, 1, 1)), (0, (3, 1)))
 

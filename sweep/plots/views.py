@@ -7,22 +7,22 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from core.arrays import Array
-from core.calibration import IN_CODE, Model, all_skies, fit
-from core.constants import DEGREE
-from core.function_curve import CurveError
-from core.missions import MISSIONS, MissionUnavailableError
-from core.missions import accuracy_curves as mission_curves
-from core.scenario import scenario
-from core.user_mission import mission_of
-from sweep.contract import Named, SweepError, shown, suggest
-from sweep.paper.calibrate import published_numbers
-from sweep.planning.grid import Grid
-from sweep.planning.streams import generators
-from sweep.running.reproduce import place_of, study_to_look_at
-from sweep.stores.location import Where
-from sweep.studies.study import Study
-from sweep.tables.file import table_file
+from linksweep.core.arrays import Array
+from linksweep.core.calibration import IN_CODE, Model, all_skies, fit
+from linksweep.core.constants import DEGREE
+from linksweep.core.function_curve import CurveError
+from linksweep.core.missions import MISSIONS, MissionUnavailableError
+from linksweep.core.missions import accuracy_curves as mission_curves
+from linksweep.core.scenario import scenario
+from linksweep.core.user_mission import mission_of
+from linksweep.sweep.contract import Named, SweepError, shown, suggest
+from linksweep.sweep.paper.calibrate import published_numbers
+from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.streams import generators
+from linksweep.sweep.running.reproduce import place_of, study_to_look_at
+from linksweep.sweep.stores.location import Where
+from linksweep.sweep.studies.study import Study
+from linksweep.sweep.tables.file import table_file
 
 BRIGHTEST_MAG, FAINTEST_MAG, STEP_MAG = 9.0, 21.0, 0.1
 MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}

@@ -7,11 +7,11 @@ from html import escape
 
 import xarray as xr
 
-from sweep.analysis.answer import answer_in_short, completeness
-from sweep.contract import SweepError
-from sweep.formatting import harmless
-from sweep.readable import with_micro_signs
-from sweep.tie.text import as_format
+from linksweep.sweep.analysis.answer import answer_in_short, completeness
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.formatting import harmless
+from linksweep.sweep.readable import with_micro_signs
+from linksweep.sweep.tie.text import as_format
 
 WIDTH = "46rem"
 """The largest width of a card; it is narrower where there is less room."""
@@ -55,9 +55,9 @@ def card(dataset: xr.Dataset) -> Card:
 def _picture(dataset: xr.Dataset) -> str:
     """Return the figure as an image that is part of the page; a sentence where there is none."""
     try:
-        from sweep.plots.caption import description
-        from sweep.plots.figure import draw_figure
-        from sweep.plots.style import settings
+        from linksweep.sweep.plots.caption import description
+        from linksweep.sweep.plots.figure import draw_figure
+        from linksweep.sweep.plots.style import settings
     except ImportError:
         return "<p><small>A figure needs Matplotlib: <code>pip install 'linksweep[plot]'</code></small></p>"
     out = io.BytesIO()

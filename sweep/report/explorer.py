@@ -7,11 +7,11 @@ import numpy as np
 import xarray as xr
 from bokeh.resources import Resources
 
-from sweep.analysis.quantity import error_bar, prediction_name, quantities
-from sweep.attributes import is_truth, meaning_beside, units_of
-from sweep.plots.scales import SCALE, is_logarithmic, with_scales
-from sweep.readable import prefixed, written
-from sweep.studies.study import POINT
+from linksweep.sweep.analysis.quantity import error_bar, prediction_name, quantities
+from linksweep.sweep.attributes import is_truth, meaning_beside, units_of
+from linksweep.sweep.plots.scales import SCALE, is_logarithmic, with_scales
+from linksweep.sweep.readable import prefixed, written
+from linksweep.sweep.studies.study import POINT
 
 DIGITS = 7
 """Significant digits of a number in the page: more than any Monte-Carlo result needs."""

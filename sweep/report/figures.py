@@ -17,18 +17,18 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal
 from matplotlib.text import Text
 
-from sweep.analysis.long_table import own_dimensions
-from sweep.analysis.quantity import errors_beside, prediction_name, standard_error, where_they_change
-from sweep.analysis.selection import places_along
-from sweep.analysis.sentences import ERRORS_ALLOWED
-from sweep.contract import SweepError
-from sweep.plots.caption import caption, description
-from sweep.plots.figure import draw_figure
-from sweep.plots.kinds import LINK
-from sweep.plots.scatter import sampled
-from sweep.plots.style import BAND, COLOURS, settings
-from sweep.plots.tie.figure import link_figures
-from sweep.studies.study import POINT
+from linksweep.sweep.analysis.long_table import own_dimensions
+from linksweep.sweep.analysis.quantity import errors_beside, prediction_name, standard_error, where_they_change
+from linksweep.sweep.analysis.selection import places_along
+from linksweep.sweep.analysis.sentences import ERRORS_ALLOWED
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.caption import caption, description
+from linksweep.sweep.plots.figure import draw_figure
+from linksweep.sweep.plots.kinds import LINK
+from linksweep.sweep.plots.scatter import sampled
+from linksweep.sweep.plots.style import BAND, COLOURS, settings
+from linksweep.sweep.plots.tie.figure import link_figures
+from linksweep.sweep.studies.study import POINT
 
 POINTS_PER_INCH = 72.0
 

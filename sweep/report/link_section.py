@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sweep.analysis.answer import Answer
-from sweep.formatting import with_error
-from sweep.report.figures import link_pictures
-from sweep.report.section import Section, Table
+from linksweep.sweep.analysis.answer import Answer
+from linksweep.sweep.formatting import with_error
+from linksweep.sweep.report.figures import link_pictures
+from linksweep.sweep.report.section import Section, Table
 
 STEPS_SHOWN = 40
 

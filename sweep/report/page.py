@@ -15,16 +15,16 @@ import yaml
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from sweep.analysis.compare_tables import summary_line
-from sweep.contract import SweepError
-from sweep.plots.tie.figure import is_link
-from sweep.report.explorer import MOST_NUMBERS, library
-from sweep.report.link_section import link_section
-from sweep.report.section import Section, section
-from sweep.stores.location import Where, located
-from sweep.stores.store import open_dataset
-from sweep.studies.provenance import CITATION, is_of_the_link
-from sweep.tie.stored import result_at
+from linksweep.sweep.analysis.compare_tables import summary_line
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.tie.figure import is_link
+from linksweep.sweep.report.explorer import MOST_NUMBERS, library
+from linksweep.sweep.report.link_section import link_section
+from linksweep.sweep.report.section import Section, section
+from linksweep.sweep.stores.location import Where, located
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.provenance import CITATION, is_of_the_link
+from linksweep.sweep.tie.stored import result_at
 
 MARK = "<!doctype html>\n<!-- linksweep report -->\n"
 """The beginning of every report: a file that does not begin with it is not replaced."""
@@ -58,7 +58,7 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
         room -= one.numbers
     explored = any(one.explorer["quantities"] for one in sections)
     scripts = [library(), _file("page.js"), _file("explorer.js")] if explored else [_file("page.js")]
-    pages = PackageLoader("sweep.report", TEMPLATES)
+    pages = PackageLoader("linksweep.sweep.report", TEMPLATES)
     environment = Environment(
         loader=pages, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
@@ -147,7 +147,7 @@ def citations(version: str) -> tuple[str, str]:
 
 def _citation_file() -> Any:
     """Return the contents of the citation file: in the wheel it is beside the modules, in a checkout above them."""
-    installed = Path(str(files("sweep") / CITATION_FILE))
+    installed = Path(str(files("linksweep.sweep") / CITATION_FILE))
     path = installed if installed.is_file() else Path(__file__).parents[2] / CITATION_FILE
     return yaml.safe_load(path.read_text(encoding="utf-8"))
 
@@ -158,7 +158,7 @@ def _people(authors: Sequence[Mapping[str, str]]) -> str:
 
 
 def _file(name: str) -> str:
-    return (files("sweep.report") / TEMPLATES / name).read_text(encoding="utf-8")
+    return (files("linksweep.sweep.report") / TEMPLATES / name).read_text(encoding="utf-8")
 
 
 def _policy(scripts: Sequence[str]) -> str:

@@ -10,25 +10,25 @@ from typing import Any
 
 import xarray as xr
 
-from sweep.analysis import sensitivity_tables as tables
-from sweep.analysis.answer import Answer, answer_in_short, answers, completeness, said_first
-from sweep.analysis.columns import Column
-from sweep.analysis.compare import Comparison, caveats, compare, in_readable_unit
-from sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
-from sweep.analysis.components import condition_warning
-from sweep.analysis.gaps import with_nan
-from sweep.analysis.headline_table import headline_columns, rows_left_out, tables_with_errors, warnings_of
-from sweep.analysis.quantity import headlines, varied_parameters
-from sweep.analysis.readable_units import in_readable_units
-from sweep.analysis.selection import place_in_words
-from sweep.analysis.sensitivity import sensitivity
-from sweep.contract import SweepError
-from sweep.planning.point_status import Status, count_status
-from sweep.readable import with_micro_signs, written
-from sweep.report.explorer import explorer
-from sweep.report.figures import Picture, drawn, pictures
-from sweep.studies.provenance import FUNCTION, outer_draw_of
-from sweep.studies.study import POINT_TABLE
+from linksweep.sweep.analysis import sensitivity_tables as tables
+from linksweep.sweep.analysis.answer import Answer, answer_in_short, answers, completeness, said_first
+from linksweep.sweep.analysis.columns import Column
+from linksweep.sweep.analysis.compare import Comparison, caveats, compare, in_readable_unit
+from linksweep.sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
+from linksweep.sweep.analysis.components import condition_warning
+from linksweep.sweep.analysis.gaps import with_nan
+from linksweep.sweep.analysis.headline_table import headline_columns, rows_left_out, tables_with_errors, warnings_of
+from linksweep.sweep.analysis.quantity import headlines, varied_parameters
+from linksweep.sweep.analysis.readable_units import in_readable_units
+from linksweep.sweep.analysis.selection import place_in_words
+from linksweep.sweep.analysis.sensitivity import sensitivity
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.point_status import Status, count_status
+from linksweep.sweep.readable import with_micro_signs, written
+from linksweep.sweep.report.explorer import explorer
+from linksweep.sweep.report.figures import Picture, drawn, pictures
+from linksweep.sweep.studies.provenance import FUNCTION, outer_draw_of
+from linksweep.sweep.studies.study import POINT_TABLE
 
 SEVERITY = ("NOT reproduced", "incomplete", "within tolerance", "not comparable", "reproduced")
 """The order of verdicts in the table: those that need attention come first."""

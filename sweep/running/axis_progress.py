@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.planning.point_status import Status
+from linksweep.sweep.planning.point_status import Status
 
 MOST_LINES = 15
 """Most lines for one axis in a text."""

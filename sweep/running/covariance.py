@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from sweep.attributes import described
-from sweep.contract import FEWEST_SAMPLES, Array, Output
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.block import Block, ledger_key
-from sweep.planning.plan import Plan
-from sweep.planning.point_status import Status
+from linksweep.sweep.attributes import described
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.block import Block, ledger_key
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.point_status import Status
 
 LARGEST = 10**7
 """Most elements of one covariance, which has one for every pair of points along an axis, and of its samples."""

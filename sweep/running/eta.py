@@ -4,7 +4,7 @@ import math
 from bisect import bisect_right, insort
 from dataclasses import dataclass
 
-from sweep.executing.task import TaskResult
+from linksweep.sweep.executing.task import TaskResult
 
 OVERLAP = 0.25
 """A task may seem to begin this fraction of its length before the last one on its worker ended: results come late."""

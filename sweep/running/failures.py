@@ -4,11 +4,11 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from sweep.contract import SweepError, shown
-from sweep.executing.task import Failure
-from sweep.formatting import counted, harmless
-from sweep.planning.grid import GridPoint, describe
-from sweep.studies.study import Study
+from linksweep.sweep.contract import SweepError, shown
+from linksweep.sweep.executing.task import Failure
+from linksweep.sweep.formatting import counted, harmless
+from linksweep.sweep.planning.grid import GridPoint, describe
+from linksweep.sweep.studies.study import Study
 
 NAMED = 5
 """Most reasons of failed points that are named."""

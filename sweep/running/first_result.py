@@ -5,17 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from sweep.contract import SweepError
-from sweep.executing.execute import Executor, Results
-from sweep.executing.task import Failure, TaskResult
-from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.layout import differences, with_head
-from sweep.functions.results import Flat
-from sweep.planning.plan import PlanSize, Work
-from sweep.planning.work_queue import Pending
-from sweep.running.failures import FailureCount
-from sweep.running.writer import Taken, size_of
-from sweep.studies.study import Study
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.execute import Executor, Results
+from linksweep.sweep.executing.task import Failure, TaskResult
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.functions.layout import differences, with_head
+from linksweep.sweep.functions.results import Flat
+from linksweep.sweep.planning.plan import PlanSize, Work
+from linksweep.sweep.planning.work_queue import Pending
+from linksweep.sweep.running.failures import FailureCount
+from linksweep.sweep.running.writer import Taken, size_of
+from linksweep.sweep.studies.study import Study
 
 Done = tuple[list[Work], TaskResult]
 

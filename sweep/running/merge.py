@@ -10,32 +10,32 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sweep.code.load import Imports, SourceFunction, code_differences
-from sweep.contract import Array, Named, SweepError, Value
-from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.layout import Layout
-from sweep.functions.layout import differences as layout_differences
-from sweep.functions.record import layout_of_record
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.grid import Grid, describe
-from sweep.planning.plan import Plan
-from sweep.running.reproduce import study_of
-from sweep.running.writer import Writer
-from sweep.stores import failures
-from sweep.stores.code import CodeRecord, as_json, records_of
-from sweep.stores.create import create_store, find_store, replace_store
-from sweep.stores.identity import differences
-from sweep.stores.ledger import Ledger
-from sweep.stores.location import Location, Where, located
-from sweep.stores.lock import holder, is_left_over, locked
-from sweep.stores.opened import OpenStore
-from sweep.stores.root import is_new
-from sweep.stores.store import Store
-from sweep.stores.texts import Texts
-from sweep.studies.provenance import provenance
-from sweep.studies.reader import study_of_attributes
-from sweep.studies.record import RECORD, Recorded, recorded, recorded_study
-from sweep.studies.study import Study
+from linksweep.sweep.code.load import Imports, SourceFunction, code_differences
+from linksweep.sweep.contract import Array, Named, SweepError, Value
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.functions.layout import Layout
+from linksweep.sweep.functions.layout import differences as layout_differences
+from linksweep.sweep.functions.record import layout_of_record
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.grid import Grid, describe
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.running.reproduce import study_of
+from linksweep.sweep.running.writer import Writer
+from linksweep.sweep.stores import failures
+from linksweep.sweep.stores.code import CodeRecord, as_json, records_of
+from linksweep.sweep.stores.create import create_store, find_store, replace_store
+from linksweep.sweep.stores.identity import differences
+from linksweep.sweep.stores.ledger import Ledger
+from linksweep.sweep.stores.location import Location, Where, located
+from linksweep.sweep.stores.lock import holder, is_left_over, locked
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.root import is_new
+from linksweep.sweep.stores.store import Store
+from linksweep.sweep.stores.texts import Texts
+from linksweep.sweep.studies.provenance import provenance
+from linksweep.sweep.studies.reader import study_of_attributes
+from linksweep.sweep.studies.record import RECORD, Recorded, recorded, recorded_study
+from linksweep.sweep.studies.study import Study
 
 MERGED = "merged"
 """The attribute of a store made of others: JSON of where their results come from."""

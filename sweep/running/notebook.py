@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from sweep.executing.task import TaskResult
-from sweep.formatting import harmless
-from sweep.planning.plan import Survey, Work
-from sweep.running.eta import Eta, in_words
-from sweep.running.failures import FailureCount
-from sweep.running.writer import Taken
-from sweep.studies.study import Study
+from linksweep.sweep.executing.task import TaskResult
+from linksweep.sweep.formatting import harmless
+from linksweep.sweep.planning.plan import Survey, Work
+from linksweep.sweep.running.eta import Eta, in_words
+from linksweep.sweep.running.failures import FailureCount
+from linksweep.sweep.running.writer import Taken
+from linksweep.sweep.studies.study import Study
 
 EVERY_S = 0.5
 """Seconds between two updates of the line, at least."""

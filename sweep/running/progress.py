@@ -10,16 +10,16 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task
 from rich.text import Text
 
-from sweep.executing.task import TaskResult
-from sweep.formatting import counted, harmless, per_second
-from sweep.interrupt import how_ended
-from sweep.planning.grid import describe
-from sweep.planning.plan import Survey, Work
-from sweep.running.eta import Eta, in_words
-from sweep.running.failures import FailureCount, failed_before, failed_points
-from sweep.running.run_summary import RunSummary
-from sweep.running.writer import Taken
-from sweep.studies.study import Study
+from linksweep.sweep.executing.task import TaskResult
+from linksweep.sweep.formatting import counted, harmless, per_second
+from linksweep.sweep.interrupt import how_ended
+from linksweep.sweep.planning.grid import describe
+from linksweep.sweep.planning.plan import Survey, Work
+from linksweep.sweep.running.eta import Eta, in_words
+from linksweep.sweep.running.failures import FailureCount, failed_before, failed_points
+from linksweep.sweep.running.run_summary import RunSummary
+from linksweep.sweep.running.writer import Taken
+from linksweep.sweep.studies.study import Study
 
 SENTENCES = logging.getLogger("linksweep")
 """Messages to the user and to the log file, with a debug message for each point."""

@@ -7,28 +7,28 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from sweep.contract import ResultError, SweepError, Value, shown, suggest
-from sweep.executing.task import TaskResult, failed
-from sweep.executing.worker import function_values, run_block
-from sweep.formatting import first_of
-from sweep.functions.adapter import FunctionExperiment
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.failing import failing
-from sweep.planning.grid import Grid, describe
-from sweep.planning.plan import Plan, Work
-from sweep.planning.point_status import Status
-from sweep.planning.streams import generators_of
-from sweep.planning.work_queue import Pending
-from sweep.running.first_result import as_rows
-from sweep.running.results import assemble
-from sweep.running.trust import Asking, OursAlone
-from sweep.stores.code import differences_of_code
-from sweep.stores.location import Where
-from sweep.stores.opened import OpenStore
-from sweep.studies.option_values import parse_places, parse_value
-from sweep.studies.reader import study_of_attributes
-from sweep.studies.record import as_recorded
-from sweep.studies.study import POINT, Study
+from linksweep.sweep.contract import ResultError, SweepError, Value, shown, suggest
+from linksweep.sweep.executing.task import TaskResult, failed
+from linksweep.sweep.executing.worker import function_values, run_block
+from linksweep.sweep.formatting import first_of
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.failing import failing
+from linksweep.sweep.planning.grid import Grid, describe
+from linksweep.sweep.planning.plan import Plan, Work
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.planning.streams import generators_of
+from linksweep.sweep.planning.work_queue import Pending
+from linksweep.sweep.running.first_result import as_rows
+from linksweep.sweep.running.results import assemble
+from linksweep.sweep.running.trust import Asking, OursAlone
+from linksweep.sweep.stores.code import differences_of_code
+from linksweep.sweep.stores.location import Where
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.studies.option_values import parse_places, parse_value
+from linksweep.sweep.studies.reader import study_of_attributes
+from linksweep.sweep.studies.record import as_recorded
+from linksweep.sweep.studies.study import POINT, Study
 
 MAX_NAMED = 10
 

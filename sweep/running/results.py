@@ -8,18 +8,18 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.attributes import ERRORS, TRUTH, described, short_meaning
-from sweep.contract import Array, Output, Parameter
-from sweep.executing.upstream import dask_arrays_only_where_imported
-from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.layout import EXACT_INT, MISSING_INT
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.block import ledger_key
-from sweep.planning.grid import Grid
-from sweep.planning.plan import Plan
-from sweep.planning.point_status import Status
-from sweep.studies.form import printed_rounding
-from sweep.studies.study import POINT
+from linksweep.sweep.attributes import ERRORS, TRUTH, described, short_meaning
+from linksweep.sweep.contract import Array, Output, Parameter
+from linksweep.sweep.executing.upstream import dask_arrays_only_where_imported
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.functions.layout import EXACT_INT, MISSING_INT
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.block import ledger_key
+from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.studies.form import printed_rounding
+from linksweep.sweep.studies.study import POINT
 
 dask_arrays_only_where_imported()  # before the first dataset is made here; `snapshot.decode` does so before one is read
 

@@ -6,30 +6,30 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from sweep.contract import SweepError
-from sweep.executing.choose import ANY_RESOURCES, Resources, choose_executor
-from sweep.executing.execute import Executor, Place
-from sweep.executing.task import TaskResult
-from sweep.functions.adapter import FunctionExperiment
-from sweep.interrupt import watched
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Plan, Survey, Work
-from sweep.planning.tuning import TUNED, Tuning
-from sweep.planning.work_queue import Pending
-from sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
-from sweep.running.first_result import Done, as_rows, first_results, refusing
-from sweep.running.subset import part_of_larger
-from sweep.running.writer import Taken, Writer
-from sweep.stores.code import check_code, record_code
-from sweep.stores.create import check_points, create_store, find_store, replace_store
-from sweep.stores.location import Where
-from sweep.stores.lock import locked
-from sweep.stores.opened import OpenStore
-from sweep.stores.store import Store
-from sweep.studies.provenance import provenance
-from sweep.studies.record import RECORD, as_recorded, recorded
-from sweep.studies.study import Study
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import ANY_RESOURCES, Resources, choose_executor
+from linksweep.sweep.executing.execute import Executor, Place
+from linksweep.sweep.executing.task import TaskResult
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.interrupt import watched
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.plan import Plan, Survey, Work
+from linksweep.sweep.planning.tuning import TUNED, Tuning
+from linksweep.sweep.planning.work_queue import Pending
+from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
+from linksweep.sweep.running.first_result import Done, as_rows, first_results, refusing
+from linksweep.sweep.running.subset import part_of_larger
+from linksweep.sweep.running.writer import Taken, Writer
+from linksweep.sweep.stores.code import check_code, record_code
+from linksweep.sweep.stores.create import check_points, create_store, find_store, replace_store
+from linksweep.sweep.stores.location import Where
+from linksweep.sweep.stores.lock import locked
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.store import Store
+from linksweep.sweep.studies.provenance import provenance
+from linksweep.sweep.studies.record import RECORD, as_recorded, recorded
+from linksweep.sweep.studies.study import Study
 
 if TYPE_CHECKING:
     import xarray as xr

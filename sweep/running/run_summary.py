@@ -5,13 +5,13 @@ from array import array
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from sweep.executing.task import TaskResult
-from sweep.formatting import counted, per_second
-from sweep.planning.grid import GridPoint, describe
-from sweep.planning.plan import PlanSize, Work
-from sweep.running.eta import in_words
-from sweep.running.failures import short
-from sweep.studies.study import Study
+from linksweep.sweep.executing.task import TaskResult
+from linksweep.sweep.formatting import counted, per_second
+from linksweep.sweep.planning.grid import GridPoint, describe
+from linksweep.sweep.planning.plan import PlanSize, Work
+from linksweep.sweep.running.eta import in_words
+from linksweep.sweep.running.failures import short
+from linksweep.sweep.studies.study import Study
 
 NAMED = 5
 """Most warnings that are named."""

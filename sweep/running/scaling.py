@@ -12,15 +12,15 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.attributes import described
-from sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_factor
-from sweep.executing.choose import Resources
-from sweep.executing.execute import available_cores
-from sweep.executing.pools import DEFAULT_POOL, PoolName
-from sweep.planning.plan import Survey
-from sweep.running.run import Silent, run_study
-from sweep.studies.provenance import now, provenance
-from sweep.studies.study import Study
+from linksweep.sweep.attributes import described
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_factor
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.execute import available_cores
+from linksweep.sweep.executing.pools import DEFAULT_POOL, PoolName
+from linksweep.sweep.planning.plan import Survey
+from linksweep.sweep.running.run import Silent, run_study
+from linksweep.sweep.studies.provenance import now, provenance
+from linksweep.sweep.studies.study import Study
 
 KINDS = ("strong", "weak")
 MAX_WORKERS = 4096

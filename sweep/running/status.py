@@ -9,24 +9,24 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from sweep.attributes import units_of
-from sweep.contract import Named, SweepError
-from sweep.executing.execute import available_cores
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.grid import Grid
-from sweep.planning.plan import TARGET, Plan
-from sweep.planning.point_status import Status, count_status
-from sweep.running.axis_progress import by_axis
-from sweep.running.run import plan_study
-from sweep.running.writer import MAX_FAILURES_NAMED, failures_by_place
-from sweep.stores.ledger import Ledger
-from sweep.stores.location import Where
-from sweep.stores.lock import holder
-from sweep.stores.opened import UNFINISHED, OpenStore
-from sweep.stores.root import is_new
-from sweep.stores.store import BLOCKS
-from sweep.studies.record import recorded_study
-from sweep.studies.study import Study
+from linksweep.sweep.attributes import units_of
+from linksweep.sweep.contract import Named, SweepError
+from linksweep.sweep.executing.execute import available_cores
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.plan import TARGET, Plan
+from linksweep.sweep.planning.point_status import Status, count_status
+from linksweep.sweep.running.axis_progress import by_axis
+from linksweep.sweep.running.run import plan_study
+from linksweep.sweep.running.writer import MAX_FAILURES_NAMED, failures_by_place
+from linksweep.sweep.stores.ledger import Ledger
+from linksweep.sweep.stores.location import Where
+from linksweep.sweep.stores.lock import holder
+from linksweep.sweep.stores.opened import UNFINISHED, OpenStore
+from linksweep.sweep.stores.root import is_new
+from linksweep.sweep.stores.store import BLOCKS
+from linksweep.sweep.studies.record import recorded_study
+from linksweep.sweep.studies.study import Study
 
 PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git_commit", "versions")
 """Attributes of a store that its status shows.  Not ``finished``, which is the time of the last writing."""

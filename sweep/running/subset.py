@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.contract import Named, SweepError, Value
-from sweep.planning.grid import Grid
-from sweep.planning.point_status import Status
-from sweep.stores.opened import OpenStore
-from sweep.tables.file import content_digest
+from linksweep.sweep.contract import Named, SweepError, Value
+from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.tables.file import content_digest
 
 if TYPE_CHECKING:
     import xarray as xr

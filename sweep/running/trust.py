@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from sweep.code.load import Imports, SourceFunction, file_of
-from sweep.contract import Experiment, SweepError, shown
-from sweep.stores.folder import Folder
-from sweep.stores.location import Location
-from sweep.stores.origin import was_written_here
-from sweep.stores.root import ROOT
+from linksweep.sweep.code.load import Imports, SourceFunction, file_of
+from linksweep.sweep.contract import Experiment, SweepError, shown
+from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.location import Location
+from linksweep.sweep.stores.origin import was_written_here
+from linksweep.sweep.stores.root import ROOT
 
-OURS = frozenset({"core.experiment:link"})
+OURS = frozenset({"linksweep.core.experiment:link"})
 """Experiments that come with linksweep and may be named by any store."""
 
 

@@ -9,22 +9,22 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from sweep.contract import Array
-from sweep.executing.execute import make_task
-from sweep.executing.isolated import Children
-from sweep.executing.versions import identity
-from sweep.functions.adapter import FunctionExperiment
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.block import ledger_key
-from sweep.planning.grid import Grid, GridPoint, describe
-from sweep.planning.plan import Plan, Work
-from sweep.planning.point_status import Status
-from sweep.running.first_result import as_rows
-from sweep.stores.location import Where
-from sweep.stores.opened import OpenStore
-from sweep.stores.store import Store
-from sweep.studies.record import as_recorded
-from sweep.studies.study import Study
+from linksweep.sweep.contract import Array
+from linksweep.sweep.executing.execute import make_task
+from linksweep.sweep.executing.isolated import Children
+from linksweep.sweep.executing.versions import identity
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.block import ledger_key
+from linksweep.sweep.planning.grid import Grid, GridPoint, describe
+from linksweep.sweep.planning.plan import Plan, Work
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.running.first_result import as_rows
+from linksweep.sweep.stores.location import Where
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.store import Store
+from linksweep.sweep.studies.record import as_recorded
+from linksweep.sweep.studies.study import Study
 
 MOST_EXPLAINED = 3
 """Points that differ and are computed twice more, each time in a process of their own, to find the cause."""

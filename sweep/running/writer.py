@@ -12,25 +12,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import SweepError
-from sweep.executing.task import Failure, TaskResult, failure_of
-from sweep.executing.uncollected import uncollected
-from sweep.functions.adapter import FunctionExperiment
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.block import Block, ledger_key
-from sweep.planning.failing import failing
-from sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe
-from sweep.planning.plan import PlanSize, Work
-from sweep.planning.point_status import Status
-from sweep.planning.tuning import TUNED, Tuning
-from sweep.planning.work_queue import Pending
-from sweep.running.covariance import covariances
-from sweep.stores.code import codes_of_points, records_of
-from sweep.stores.create import RESCUED, create_store, free_beside
-from sweep.stores.failures import Record
-from sweep.stores.store import Store
-from sweep.studies.provenance import host, now, provenance
-from sweep.studies.record import RECORD, recorded
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.task import Failure, TaskResult, failure_of
+from linksweep.sweep.executing.uncollected import uncollected
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.block import Block, ledger_key
+from linksweep.sweep.planning.failing import failing
+from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe
+from linksweep.sweep.planning.plan import PlanSize, Work
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.planning.tuning import TUNED, Tuning
+from linksweep.sweep.planning.work_queue import Pending
+from linksweep.sweep.running.covariance import covariances
+from linksweep.sweep.stores.code import codes_of_points, records_of
+from linksweep.sweep.stores.create import RESCUED, create_store, free_beside
+from linksweep.sweep.stores.failures import Record
+from linksweep.sweep.stores.store import Store
+from linksweep.sweep.studies.provenance import host, now, provenance
+from linksweep.sweep.studies.record import RECORD, recorded
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -147,7 +147,7 @@ class Writer:
         with self._held():
             # imports xarray and pandas while the workers compute; interrupted there, they could not be imported again
             with uncollected():
-                from sweep.running.results import assemble, assemble_samples, code_variable
+                from linksweep.sweep.running.results import assemble, assemble_samples, code_variable
 
             self._refuse_what_is_not_joined()
             self.flush()
@@ -190,7 +190,7 @@ class Writer:
         if not (lost := self.store.lost()):
             return
         if self._rescued is None:
-            from sweep.running.results import assemble
+            from linksweep.sweep.running.results import assemble
 
             attributes = self._attributes() | {RESCUED: str(of)}
             with self._held(), self._lock:

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Flags, Indices
-from core.table_catalogue import ALONG_RA
-from sweep.contract import suggest
-from sweep.tables.columns import column_values, in_time, missing_values, rows_listed
-from sweep.tables.names import error_column, first_found, value_column
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.table_catalogue import ALONG_RA
+from linksweep.sweep.contract import suggest
+from linksweep.sweep.tables.columns import column_values, in_time, missing_values, rows_listed
+from linksweep.sweep.tables.names import error_column, first_found, value_column
 
 UNITS: Mapping[str, str] = {
     "ra": "deg",

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from core.galaxy_classes import CLASS_NAMES
-from sweep.contract import SweepError, suggest
-from sweep.search.columns import TYC, UNITS
-from sweep.search.result import STAR_MOTIONS, Result, match_columns
-from sweep.search.summary import summarise
-from sweep.tables.reader import read_table
+from linksweep.core.galaxy_classes import CLASS_NAMES
+from linksweep.sweep.contract import SweepError, suggest
+from linksweep.sweep.search.columns import TYC, UNITS
+from linksweep.sweep.search.result import STAR_MOTIONS, Result, match_columns
+from linksweep.sweep.search.summary import summarise
+from linksweep.sweep.tables.reader import read_table
 
 MATCH_COLUMNS: Mapping[str, tuple[str | None, str]] = {
     "class": (None, "certain, uncertain or supplement"),

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Indices
-from sweep.contract import SweepError
+from linksweep.core.arrays import Indices
+from linksweep.sweep.contract import SweepError
 
 LETTERS = "GUS"
 """The class letters in order of the codes certain, uncertain, supplement."""

@@ -5,15 +5,15 @@ from dataclasses import fields
 
 import numpy as np
 
-from core.constants import ARCSEC, DEGREE, MAS
-from core.crossmatch import cross_match
-from core.galaxy_merge import GalaxyCatalogue
-from core.sky_pairs import Positions, at_epoch
-from sweep.contract import SweepError
-from sweep.search.options import Search
-from sweep.search.outputs import Outputs, check_for_galaxy_table, check_outputs, write_outputs
-from sweep.search.result import STAR_MOTIONS, Result
-from sweep.search.tables import SkyTable, read_galaxies, read_stars, table_name, tyc_code
+from linksweep.core.constants import ARCSEC, DEGREE, MAS
+from linksweep.core.crossmatch import cross_match
+from linksweep.core.galaxy_merge import GalaxyCatalogue
+from linksweep.core.sky_pairs import Positions, at_epoch
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.search.options import Search
+from linksweep.sweep.search.outputs import Outputs, check_for_galaxy_table, check_outputs, write_outputs
+from linksweep.sweep.search.result import STAR_MOTIONS, Result
+from linksweep.sweep.search.tables import SkyTable, read_galaxies, read_stars, table_name, tyc_code
 
 
 def find_galaxies(search: Search, outputs: Outputs | None = None, overwrite: bool = False) -> Result:

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from core.constants import ARCSEC
-from core.galaxy_classes import Rules
-from core.sky_pairs import MAX_RADIUS
-from sweep.contract import SweepError, suggest
-from sweep.formatting import split_assignment
-from sweep.search.columns import COLUMNS, UNITS
-from sweep.search.tables import EPOCHS, Reading, table_name
+from linksweep.core.constants import ARCSEC
+from linksweep.core.galaxy_classes import Rules
+from linksweep.core.sky_pairs import MAX_RADIUS
+from linksweep.sweep.contract import SweepError, suggest
+from linksweep.sweep.formatting import split_assignment
+from linksweep.sweep.search.columns import COLUMNS, UNITS
+from linksweep.sweep.search.tables import EPOCHS, Reading, table_name
 
 DEFAULT_RADIUS_ARCSEC = 5.0
 

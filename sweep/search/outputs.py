@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from sweep.contract import SweepError
-from sweep.search.columns import TYC
-from sweep.search.ecsv import matches_table
-from sweep.search.galaxy_table import GalaxyTable, format_galaxy_table
-from sweep.search.options import Search
-from sweep.search.result import Result, match_columns
-from sweep.search.tables import SkyTable
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.search.columns import TYC
+from linksweep.sweep.search.ecsv import matches_table
+from linksweep.sweep.search.galaxy_table import GalaxyTable, format_galaxy_table
+from linksweep.sweep.search.options import Search
+from linksweep.sweep.search.result import Result, match_columns
+from linksweep.sweep.search.tables import SkyTable
 
 MAP_SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -84,7 +84,7 @@ def write_outputs(result: Result, outputs: Outputs, overwrite: bool = False) -> 
         table = matches_table(result)
         writers.append((outputs.ecsv, lambda path: table.write(path, format="ascii.ecsv")))
     if outputs.sky_map is not None:
-        from sweep.search.skymap import sky_map_of
+        from linksweep.sweep.search.skymap import sky_map_of
 
         figure, kind = sky_map_of(result), outputs.sky_map.suffix[1:].lower()
         writers.append((outputs.sky_map, lambda path: figure.savefig(path, format=kind, dpi=200)))

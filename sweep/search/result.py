@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.constants import ARCSEC
-from core.crossmatch import Matches
-from core.galaxy_classes import CLASS_NAMES, REASON_NAMES
-from sweep.search.columns import TYC, UNITS
-from sweep.search.options import Search
-from sweep.search.tables import SkyTable
+from linksweep.core.constants import ARCSEC
+from linksweep.core.crossmatch import Matches
+from linksweep.core.galaxy_classes import CLASS_NAMES, REASON_NAMES
+from linksweep.sweep.search.columns import TYC, UNITS
+from linksweep.sweep.search.options import Search
+from linksweep.sweep.search.tables import SkyTable
 
 STAR_MOTIONS = {name: f"star_{name}" for name in ("pmra", "pmdec", "pmra_error", "pmdec_error")}
 """Columns for the stars' measured proper motions, so named that a study does not take them for the galaxies' (zero)."""

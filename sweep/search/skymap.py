@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from core.arrays import Array
-from core.constants import DEGREE
-from core.frames import galactic
-from sweep.plots.sky import GALACTIC, add_sky, on_map
-from sweep.search.result import Result, match_columns
+from linksweep.core.arrays import Array
+from linksweep.core.constants import DEGREE
+from linksweep.core.frames import galactic
+from linksweep.sweep.plots.sky import GALACTIC, add_sky, on_map
+from linksweep.sweep.search.result import Result, match_columns
 
 STYLES = {
     "certain": ("o", "#0072B2"),

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array
-from core.constants import ARCSEC
-from core.galaxy_classes import CLASS_NAMES, REASON_NAMES, second_epoch_pm_error
-from sweep.formatting import reading_table, with_error
-from sweep.search.options import Search
-from sweep.search.result import Result, match_columns
-from sweep.search.tables import MAGNITUDES
+from linksweep.core.arrays import Array
+from linksweep.core.constants import ARCSEC
+from linksweep.core.galaxy_classes import CLASS_NAMES, REASON_NAMES, second_epoch_pm_error
+from linksweep.sweep.formatting import reading_table, with_error
+from linksweep.sweep.search.options import Search
+from linksweep.sweep.search.result import Result, match_columns
+from linksweep.sweep.search.tables import MAGNITUDES
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

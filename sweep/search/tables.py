@@ -9,12 +9,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Indices
-from core.constants import DEGREE
-from core.table_catalogue import ALONG_RA
-from sweep.contract import SweepError
-from sweep.search.columns import NAME, TYC, ColumnReader
-from sweep.tables.reader import read_table
+from linksweep.core.arrays import Array, Indices
+from linksweep.core.constants import DEGREE
+from linksweep.core.table_catalogue import ALONG_RA
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.search.columns import NAME, TYC, ColumnReader
+from linksweep.sweep.tables.reader import read_table
 
 MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
 """The columns of magnitudes, best first."""

@@ -17,7 +17,7 @@ from obstore import exceptions
 from obstore.exceptions import AlreadyExistsError, PreconditionError
 from obstore.store import S3Store
 
-from sweep.contract import SweepError
+from linksweep.sweep.contract import SweepError
 
 AT_ONCE = 16
 """Requests under way at a time: an answer takes tens of milliseconds, whatever its size."""

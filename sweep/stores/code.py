@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.code.load import SESSION, code_differences, code_of, unsteady
-from sweep.contract import SweepError
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.block import ledger_key
-from sweep.planning.plan import Plan
-from sweep.planning.point_status import Status
-from sweep.stores.store import CODE, Store
-from sweep.studies.study import Study
+from linksweep.sweep.code.load import SESSION, code_differences, code_of, unsteady
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.block import ledger_key
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.stores.store import CODE, Store
+from linksweep.sweep.studies.study import Study
 
 UNKNOWN, SEVERAL = 0, -1
 """The code of a point that is not done, and of one whose blocks were made by different codes."""

@@ -6,16 +6,16 @@ from contextlib import suppress
 from typing import Any
 from uuid import uuid4
 
-from sweep.contract import SweepError
-from sweep.stores import chunk_names, snapshot
-from sweep.stores.checksums import sealed
-from sweep.stores.identity import changed_points, differences, identity
-from sweep.stores.location import Location, Where, located, writing
-from sweep.stores.manifest import MANIFEST, STORE
-from sweep.stores.opened import OpenStore
-from sweep.stores.origin import ORIGIN, origin
-from sweep.stores.root import LEDGER_THEN, ROOT, find_root
-from sweep.studies.study import Study
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores import chunk_names, snapshot
+from linksweep.sweep.stores.checksums import sealed
+from linksweep.sweep.stores.identity import changed_points, differences, identity
+from linksweep.sweep.stores.location import Location, Where, located, writing
+from linksweep.sweep.stores.manifest import MANIFEST, STORE
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.origin import ORIGIN, origin
+from linksweep.sweep.stores.root import LEDGER_THEN, ROOT, find_root
+from linksweep.sweep.studies.study import Study
 
 RESERVED = {"blocks", "failures"}
 

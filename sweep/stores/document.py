@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, Json, ValidationError, model_validator
 
-from sweep.stores.manifest import Count, Manifest
+from linksweep.sweep.stores.manifest import Count, Manifest
 
 INDEX_BYTES = 40
 """Bytes in a row of the index."""

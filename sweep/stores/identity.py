@@ -4,12 +4,12 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from sweep.contract import Named
-from sweep.stores.ledger_arrays import shapes_of
-from sweep.stores.root import FORMAT
-from sweep.studies.designs import DESIGNS
-from sweep.studies.study import Study
-from sweep.tables.file import content_digest
+from linksweep.sweep.contract import Named
+from linksweep.sweep.stores.ledger_arrays import shapes_of
+from linksweep.sweep.stores.root import FORMAT
+from linksweep.sweep.studies.designs import DESIGNS
+from linksweep.sweep.studies.study import Study
+from linksweep.sweep.tables.file import content_digest
 
 
 def identity(study: Study) -> dict[str, Any]:

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Array, SweepError
-from sweep.planning.block_rows import KEY_BYTES, BlockRows
-from sweep.stores import failures
-from sweep.stores.checksums import DamagedError, noting
-from sweep.stores.ledger_arrays import KINDS, START_BYTES, Column
-from sweep.stores.location import Location
-from sweep.stores.manifest import MANIFEST, Documents, Manifest, Part, newest
-from sweep.stores.root import COPY
+from linksweep.sweep.contract import Array, SweepError
+from linksweep.sweep.planning.block_rows import KEY_BYTES, BlockRows
+from linksweep.sweep.stores import failures
+from linksweep.sweep.stores.checksums import DamagedError, noting
+from linksweep.sweep.stores.ledger_arrays import KINDS, START_BYTES, Column
+from linksweep.sweep.stores.location import Location
+from linksweep.sweep.stores.manifest import MANIFEST, Documents, Manifest, Part, newest
+from linksweep.sweep.stores.root import COPY
 
 ROW = np.dtype([("key", f"V{KEY_BYTES - 8}"), ("n_cat", "<u4"), ("n_sim", "<u4"), ("start", "<u8")])
 """A row of the index: the key ends with the number of catalogues and the number of realisations of each."""

@@ -11,11 +11,11 @@ from zarr.buffer import cpu
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
-from sweep.contract import Experiment
-from sweep.planning.block_rows import KEY_BYTES
-from sweep.stores.checksums import SEAL, DamagedError, content_checksum, noting, sealed, unsealed
-from sweep.stores.location import Location
-from sweep.stores.manifest import ANOTHER, Part
+from linksweep.sweep.contract import Experiment
+from linksweep.sweep.planning.block_rows import KEY_BYTES
+from linksweep.sweep.stores.checksums import SEAL, DamagedError, content_checksum, noting, sealed, unsealed
+from linksweep.sweep.stores.location import Location
+from linksweep.sweep.stores.manifest import ANOTHER, Part
 
 START_BYTES = 8
 FEWEST_ROWS = 64

@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Union
 
-from sweep.contract import SweepError
-from sweep.stores.folder import Folder
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.folder import Folder
 
 if TYPE_CHECKING:
-    from sweep.stores.bucket import Bucket
+    from linksweep.sweep.stores.bucket import Bucket
 
 Location = Union[Folder, "Bucket"]
 """A place for the files of a store.  Both kinds have the same methods, which raise OSError where they fail."""
@@ -31,7 +31,7 @@ def located(where: Where) -> Location:
     address = str(where)
     if address.startswith("s3:/"):  # pathlib makes one slash of two
         try:
-            from sweep.stores.bucket import bucket_at
+            from linksweep.sweep.stores.bucket import bucket_at
         except ImportError as error:
             missing = f"stores in a bucket need obstore: pip install 'linksweep[s3]' ({error})"
             raise SweepError(missing, address) from error

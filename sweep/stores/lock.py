@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Literal
 from uuid import uuid4
 
-from sweep.contract import SweepError
-from sweep.stores.folder import TAKING
-from sweep.stores.location import Location, Where, located, reading, writing
-from sweep.studies.provenance import command_line, host, now
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.folder import TAKING
+from linksweep.sweep.stores.location import Location, Where, located, reading, writing
+from linksweep.sweep.studies.provenance import command_line, host, now
 
 ATTEMPTS, PAUSE_S = 100, 0.02
 

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sweep.stores.checksums import group_document, sealed, unsealed
-from sweep.stores.location import Location
+from linksweep.sweep.stores.checksums import group_document, sealed, unsealed
+from linksweep.sweep.stores.location import Location
 
 MANIFEST = "blocks/manifest/zarr.json"
 REVISION = "revision"

@@ -3,7 +3,7 @@
 from contextlib import suppress
 from pathlib import Path
 
-from sweep.stores.location import Location, Where, located
+from linksweep.sweep.stores.location import Location, Where, located
 
 RESULTS = Path("results")
 """The folder where a run puts its store by default."""

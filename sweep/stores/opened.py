@@ -8,13 +8,13 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-from sweep.contract import SweepError
-from sweep.stores import chunk_names, snapshot
-from sweep.stores.checksums import DamagedError
-from sweep.stores.ledger import Ledger
-from sweep.stores.location import Location, Where, located, reading
-from sweep.stores.root import REPAIR, is_new, manifest_of, read_root
-from sweep.stores.texts import Texts
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores import chunk_names, snapshot
+from linksweep.sweep.stores.checksums import DamagedError
+from linksweep.sweep.stores.ledger import Ledger
+from linksweep.sweep.stores.location import Location, Where, located, reading
+from linksweep.sweep.stores.root import REPAIR, is_new, manifest_of, read_root
+from linksweep.sweep.stores.texts import Texts
 
 if TYPE_CHECKING:
     import xarray as xr

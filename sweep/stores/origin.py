@@ -6,9 +6,9 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from sweep.stores.folder import Folder
-from sweep.stores.location import Location
-from sweep.studies.provenance import host
+from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.location import Location
+from linksweep.sweep.studies.provenance import host
 
 ORIGIN = "written_by"
 """The attribute of a store that holds its origin, as JSON."""

@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from sweep.contract import SweepError
-from sweep.stores import chunk_names, snapshot
-from sweep.stores.checksums import noting, unsealed
-from sweep.stores.create import put_root
-from sweep.stores.ledger import Ledger, rows_of
-from sweep.stores.location import Location, Where, located, reading, writing
-from sweep.stores.lock import holder, locked
-from sweep.stores.manifest import MANIFEST, STORE, Manifest
-from sweep.stores.opened import UNFINISHED
-from sweep.stores.root import COPY, LEDGER_THEN, ROOT, copied, find_root, is_new, manifest_of, readable_copy
-from sweep.stores.texts import Texts
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores import chunk_names, snapshot
+from linksweep.sweep.stores.checksums import noting, unsealed
+from linksweep.sweep.stores.create import put_root
+from linksweep.sweep.stores.ledger import Ledger, rows_of
+from linksweep.sweep.stores.location import Location, Where, located, reading, writing
+from linksweep.sweep.stores.lock import holder, locked
+from linksweep.sweep.stores.manifest import MANIFEST, STORE, Manifest
+from linksweep.sweep.stores.opened import UNFINISHED
+from linksweep.sweep.stores.root import COPY, LEDGER_THEN, ROOT, copied, find_root, is_new, manifest_of, readable_copy
+from linksweep.sweep.stores.texts import Texts
 
 CUT_SHORT = "is unfinished: its results are older than its ledger; nothing is damaged, and the same `sweep run` goes on"
 

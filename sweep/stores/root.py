@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
-from sweep.contract import SweepError
-from sweep.stores.checksums import SEAL, unsealed
-from sweep.stores.document import check_attributes, check_root
-from sweep.stores.location import Location, reading
-from sweep.stores.manifest import REVISION, STORE, Manifest
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.checksums import SEAL, unsealed
+from linksweep.sweep.stores.document import check_attributes, check_root
+from linksweep.sweep.stores.location import Location, reading
+from linksweep.sweep.stores.manifest import REVISION, STORE, Manifest
 
 FORMAT = 4
 

@@ -13,12 +13,12 @@ from zarr.buffer import cpu
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
-from sweep.executing.upstream import dask_arrays_only_where_imported
-from sweep.stores.checksums import SEAL, DamagedError, content_checksum, sealed, unsealed
-from sweep.stores.chunk_names import ENCODINGS, chunk_key, chunk_places
-from sweep.stores.document import MOST_VALUES
-from sweep.stores.manifest import ANOTHER, REVISION, STORE, checked_revision
-from sweep.stores.root import LEDGER_THEN
+from linksweep.sweep.executing.upstream import dask_arrays_only_where_imported
+from linksweep.sweep.stores.checksums import SEAL, DamagedError, content_checksum, sealed, unsealed
+from linksweep.sweep.stores.chunk_names import ENCODINGS, chunk_key, chunk_places
+from linksweep.sweep.stores.document import MOST_VALUES
+from linksweep.sweep.stores.manifest import ANOTHER, REVISION, STORE, checked_revision
+from linksweep.sweep.stores.root import LEDGER_THEN
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -7,17 +7,17 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from sweep.contract import Array, SweepError
-from sweep.functions.values import TEXT_BYTES
-from sweep.stores import chunk_names, failures, snapshot
-from sweep.stores.checksums import DamagedError, sealed
-from sweep.stores.identity import identity
-from sweep.stores.location import Where, reading, writing
-from sweep.stores.manifest import MANIFEST, STORE
-from sweep.stores.opened import OpenStore, reading_ledger
-from sweep.stores.origin import ORIGIN, origin
-from sweep.stores.root import COPY, LEDGER_THEN, ROOT, copied
-from sweep.studies.study import Study
+from linksweep.sweep.contract import Array, SweepError
+from linksweep.sweep.functions.values import TEXT_BYTES
+from linksweep.sweep.stores import chunk_names, failures, snapshot
+from linksweep.sweep.stores.checksums import DamagedError, sealed
+from linksweep.sweep.stores.identity import identity
+from linksweep.sweep.stores.location import Where, reading, writing
+from linksweep.sweep.stores.manifest import MANIFEST, STORE
+from linksweep.sweep.stores.opened import OpenStore, reading_ledger
+from linksweep.sweep.stores.origin import ORIGIN, origin
+from linksweep.sweep.stores.root import COPY, LEDGER_THEN, ROOT, copied
+from linksweep.sweep.studies.study import Study
 
 if TYPE_CHECKING:
     import xarray as xr

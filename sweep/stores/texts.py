@@ -4,10 +4,10 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from sweep.functions.values import text_digest
-from sweep.stores.checksums import noting
-from sweep.stores.ledger import Ledger
-from sweep.stores.location import Location
+from linksweep.sweep.functions.values import text_digest
+from linksweep.sweep.stores.checksums import noting
+from linksweep.sweep.stores.ledger import Ledger
+from linksweep.sweep.stores.location import Location
 
 FOLDER = "blocks/texts"
 MOST_BYTES = 2**20

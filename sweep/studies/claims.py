@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from string import Formatter
 from typing import Any, TypeVar
 
-from sweep.contract import Experiment, Named, Value, shown, suggest
-from sweep.formatting import first_of
-from sweep.studies import form
-from sweep.studies.problems import Problems
-from sweep.studies.values import is_number
+from linksweep.sweep.contract import Experiment, Named, Value, shown, suggest
+from linksweep.sweep.formatting import first_of
+from linksweep.sweep.studies import form
+from linksweep.sweep.studies.problems import Problems
+from linksweep.sweep.studies.values import is_number
 
 FORMATS = ("", "error", "%")
 """What may follow a name: nothing for the number, ``:error`` for its error beside it, ``:%`` for percent."""

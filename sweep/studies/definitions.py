@@ -8,9 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sweep.code.load import Code
-from sweep.contract import DefinitionError, Experiment, Function, Named, Parameter, shown
-from sweep.studies.problems import Problems
+from linksweep.sweep.code.load import Code
+from linksweep.sweep.contract import DefinitionError, Experiment, Function, Named, Parameter, shown
+from linksweep.sweep.studies.problems import Problems
 
 Tables = Mapping[str, Mapping[str, Mapping[str, Any]]]
 """Definitions as the study has them, by parameter and name."""

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sweep.contract import Array, SweepError
+from linksweep.sweep.contract import Array, SweepError
 
 MORRIS_LEVELS = 4
 """Values of each parameter in a Morris design; an even number."""

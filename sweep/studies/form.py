@@ -195,7 +195,7 @@ class Form(Section):
 
     title: Text
     question: Text | None = None
-    experiment: str = "core.experiment:link"
+    experiment: str = "linksweep.core.experiment:link"
     axes: dict[str, Any] = Field(default_factory=dict)
     fixed: dict[str, Any] = Field(default_factory=dict)
     define: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)

@@ -5,10 +5,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from sweep.contract import shown, suggest
-from sweep.studies import form
-from sweep.studies.problems import Problems
-from sweep.studies.source import Place
+from linksweep.sweep.contract import shown, suggest
+from linksweep.sweep.studies import form
+from linksweep.sweep.studies.problems import Problems
+from linksweep.sweep.studies.source import Place
 
 
 def read_form(document: Mapping[str, Any], problems: Problems) -> form.Form | None:

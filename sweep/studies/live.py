@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from sweep.code.load import Imports, keep
-from sweep.contract import Experiment, SweepError, shown
-from sweep.contract.units import is_quantity
-from sweep.functions.adapter import is_plain_function
-from sweep.functions.signature import name_of
-from sweep.studies.points import columns_of
-from sweep.studies.reader import study_from_dict
-from sweep.studies.study import Study
-from sweep.tables.file import content_digest
+from linksweep.sweep.code.load import Imports, keep
+from linksweep.sweep.contract import Experiment, SweepError, shown
+from linksweep.sweep.contract.units import is_quantity
+from linksweep.sweep.functions.adapter import is_plain_function
+from linksweep.sweep.functions.signature import name_of
+from linksweep.sweep.studies.points import columns_of
+from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.study import Study
+from linksweep.sweep.tables.file import content_digest
 
 Mentioned = Callable[..., Any] | Experiment
 
@@ -50,7 +50,7 @@ def live_study(document: Mapping[str, Any]) -> Study:
         for key, value in document.items()
         if key != "experiment"
     }
-    given = document.get("experiment", "core.experiment:link")
+    given = document.get("experiment", "linksweep.core.experiment:link")
     plain["experiment"] = given if isinstance(given, str) else reference_of(given)
     name = plain["experiment"].rpartition(":")[2] if isinstance(given, str) else _name_of(given)
     plain.setdefault("title", name)

@@ -4,8 +4,8 @@ import tomllib
 from collections.abc import Sequence
 from typing import Any
 
-from sweep.contract import SweepError, shown
-from sweep.formatting import split_assignment
+from linksweep.sweep.contract import SweepError, shown
+from linksweep.sweep.formatting import split_assignment
 
 
 def parse_value(text: str) -> Any:

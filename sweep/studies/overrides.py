@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from sweep.contract import SweepError, shown
-from sweep.formatting import split_assignment
-from sweep.studies.form import Sampling
-from sweep.studies.option_values import parse_axis, parse_range, parse_value
-from sweep.studies.source import Place
+from linksweep.sweep.contract import SweepError, shown
+from linksweep.sweep.formatting import split_assignment
+from linksweep.sweep.studies.form import Sampling
+from linksweep.sweep.studies.option_values import parse_axis, parse_range, parse_value
+from linksweep.sweep.studies.source import Place
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from sweep.code.load import Code
-from sweep.contract import Experiment, SweepError, shown, suggest
-from sweep.contract.units import factor_between, is_quantity
-from sweep.studies.designs import DESIGNS, MORRIS_LEVELS
-from sweep.studies.form import PointsForm
-from sweep.studies.problems import Problems
-from sweep.studies.ranges import read_range
-from sweep.studies.source import Place
-from sweep.tables.columns import rows_listed
-from sweep.tables.reader import read_table
+from linksweep.sweep.code.load import Code
+from linksweep.sweep.contract import Experiment, SweepError, shown, suggest
+from linksweep.sweep.contract.units import factor_between, is_quantity
+from linksweep.sweep.studies.designs import DESIGNS, MORRIS_LEVELS
+from linksweep.sweep.studies.form import PointsForm
+from linksweep.sweep.studies.problems import Problems
+from linksweep.sweep.studies.ranges import read_range
+from linksweep.sweep.studies.source import Place
+from linksweep.sweep.tables.columns import rows_listed
+from linksweep.sweep.tables.reader import read_table
 
 MOST_ROWS = 1_000_000
 

@@ -6,8 +6,8 @@ from contextlib import contextmanager
 from copy import copy
 from functools import cache
 
-from sweep.contract import SweepError, shown
-from sweep.studies.source import Place, lines_of_keys
+from linksweep.sweep.contract import SweepError, shown
+from linksweep.sweep.studies.source import Place, lines_of_keys
 
 MAX_PROBLEMS = 50
 """After this many problems of one study no more are looked for."""

@@ -10,11 +10,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from sweep.code.reach import version_of
-from sweep.formatting import COMMAND, without_secrets
-from sweep.functions.adapter import FunctionExperiment
-from sweep.studies.study import POINT_TABLE, Study
-from sweep.tables.file import content_digest
+from linksweep.sweep.code.reach import version_of
+from linksweep.sweep.formatting import COMMAND, without_secrets
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.studies.study import POINT_TABLE, Study
+from linksweep.sweep.tables.file import content_digest
 
 PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
 
@@ -26,7 +26,7 @@ datasets from before that have no such attribute.
 OUTER_DRAW, CITATION = "outer_draw", "citation"
 """Attributes: what an experiment calls draws that realisations share, and what it asks to cite, as JSON."""
 
-OF_THE_LINK = ("core.", "sweep.tie.")
+OF_THE_LINK = ("core.", "linksweep.sweep.tie.")
 """Modules of experiments that come with linksweep and share catalogues."""
 
 FUNCTION = "function"

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from sweep.contract import Array, Parameter, shown
-from sweep.studies.values import number_problem
+from linksweep.sweep.contract import Array, Parameter, shown
+from linksweep.sweep.studies.values import number_problem
 
 WAYS = 'write [low, high], { low, high, spacing = "log" } or { values = [...] }'
 

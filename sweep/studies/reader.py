@@ -6,20 +6,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sweep.code.load import Code, Imports, absolute_reference
-from sweep.contract import Experiment, SweepError, Value
-from sweep.studies.claims import ClaimContext, check_figure, checked_claim, checked_conclusion
-from sweep.studies.definitions import defined_values
-from sweep.studies.form import Form, Sampling
-from sweep.studies.form_reader import read_form
-from sweep.studies.overrides import Overrides, override
-from sweep.studies.points import read_points
-from sweep.studies.problems import Problems
-from sweep.studies.rules import check_sampling, exclusion, read_published, zipped_axes
-from sweep.studies.source import find_study, parsed, read_text, reference_in
-from sweep.studies.study import POINT, PointTable, Study
-from sweep.studies.values import Values
-from sweep.tables.file import TableFile
+from linksweep.sweep.code.load import Code, Imports, absolute_reference
+from linksweep.sweep.contract import Experiment, SweepError, Value
+from linksweep.sweep.studies.claims import ClaimContext, check_figure, checked_claim, checked_conclusion
+from linksweep.sweep.studies.definitions import defined_values
+from linksweep.sweep.studies.form import Form, Sampling
+from linksweep.sweep.studies.form_reader import read_form
+from linksweep.sweep.studies.overrides import Overrides, override
+from linksweep.sweep.studies.points import read_points
+from linksweep.sweep.studies.problems import Problems
+from linksweep.sweep.studies.rules import check_sampling, exclusion, read_published, zipped_axes
+from linksweep.sweep.studies.source import find_study, parsed, read_text, reference_in
+from linksweep.sweep.studies.study import POINT, PointTable, Study
+from linksweep.sweep.studies.values import Values
+from linksweep.sweep.tables.file import TableFile
 
 ONCE = Sampling(n_sim=1)
 """The sampling of a deterministic experiment, which is evaluated once at each point."""

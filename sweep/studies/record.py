@@ -6,13 +6,13 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from sweep.code.load import SourceFunction
-from sweep.contract import Experiment, Named, Output, Parameter, SweepError, shown
-from sweep.functions.adapter import FunctionExperiment
-from sweep.functions.record import experiment_of_record, layout_of_record
-from sweep.studies.reader import study_of_attributes
-from sweep.studies.study import Study
-from sweep.tables.file import as_json
+from linksweep.sweep.code.load import SourceFunction
+from linksweep.sweep.contract import Experiment, Named, Output, Parameter, SweepError, shown
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.functions.record import experiment_of_record, layout_of_record
+from linksweep.sweep.studies.reader import study_of_attributes
+from linksweep.sweep.studies.study import Study
+from linksweep.sweep.tables.file import as_json
 
 RECORD = "experiment_record"
 """The attribute of a store that holds the record, as JSON."""

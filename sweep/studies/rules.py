@@ -4,12 +4,12 @@ import csv
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
-from sweep.contract import Experiment, Parameter, SweepError, Value, shown, suggest
-from sweep.studies.form import PublishedForm, Sampling
-from sweep.studies.problems import Problems
-from sweep.studies.source import read_text
-from sweep.studies.study import Condition, Published
-from sweep.studies.values import Values, is_number, number_problem
+from linksweep.sweep.contract import Experiment, Parameter, SweepError, Value, shown, suggest
+from linksweep.sweep.studies.form import PublishedForm, Sampling
+from linksweep.sweep.studies.problems import Problems
+from linksweep.sweep.studies.source import read_text
+from linksweep.sweep.studies.study import Condition, Published
+from linksweep.sweep.studies.values import Values, is_number, number_problem
 
 
 def check_sampling(sampling: Sampling, experiment: Experiment, problems: Problems) -> None:

@@ -3,9 +3,9 @@
 import math
 from typing import Any
 
-from sweep.contract import Experiment, Parameter
-from sweep.studies.designs import DESIGNS
-from sweep.studies.form import Form
+from linksweep.sweep.contract import Experiment, Parameter
+from linksweep.sweep.studies.designs import DESIGNS
+from linksweep.sweep.studies.form import Form
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

@@ -6,7 +6,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from sweep.contract import SweepError, shown, suggest
+from linksweep.sweep.contract import SweepError, shown, suggest
 
 MAX_FILE_BYTES = 1_000_000
 
@@ -24,7 +24,7 @@ Place = tuple[str | int, ...]
 
 def built_in_studies() -> dict[str, Path]:
     """Return the studies that ship with the package, by name."""
-    return {path.stem: path for path in sorted(Path(str(resources.files("sweeps"))).glob("*.toml"))}
+    return {path.stem: path for path in sorted(Path(str(resources.files("linksweep.sweeps"))).glob("*.toml"))}
 
 
 def reference_in(name_or_path: str) -> str | None:

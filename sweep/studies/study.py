@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from sweep.contract import Experiment, Value
-from sweep.studies.form import Claim, Conclusion, Sampling
-from sweep.tables.file import content_digest
+from linksweep.sweep.contract import Experiment, Value
+from linksweep.sweep.studies.form import Claim, Conclusion, Sampling
+from linksweep.sweep.tables.file import content_digest
 
 
 @dataclass(frozen=True)

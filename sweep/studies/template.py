@@ -2,10 +2,10 @@
 
 import json
 
-from sweep.contract import Experiment, Parameter
-from sweep.functions.adapter import FunctionExperiment
-from sweep.studies.designs import DESIGNS
-from sweep.studies.form import Sampling
+from linksweep.sweep.contract import Experiment, Parameter
+from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.studies.designs import DESIGNS
+from linksweep.sweep.studies.form import Sampling
 
 SAMPLING = {
     "n_sim": "realisations of each catalogue",

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sweep.contract import Experiment, SweepError, Value, shown
-from sweep.contract.parameter import HUGE, bound_in_words
-from sweep.formatting import first_of
-from sweep.studies.problems import Problems
-from sweep.studies.source import Place
-from sweep.tables.file import table_file
+from linksweep.sweep.contract import Experiment, SweepError, Value, shown
+from linksweep.sweep.contract.parameter import HUGE, bound_in_words
+from linksweep.sweep.formatting import first_of
+from linksweep.sweep.studies.problems import Problems
+from linksweep.sweep.studies.source import Place
+from linksweep.sweep.tables.file import table_file
 
 MAX_AXIS_VALUES = 1_000_000
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.contract import SweepError
+from linksweep.sweep.contract import SweepError
 
 READMES = ("ReadMe", "README", "readme", "ReadMe.txt", "README.txt", "readme.txt")
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sweep.contract import Array
+from linksweep.sweep.contract import Array
 
 ROWS_NAMED = 5
 

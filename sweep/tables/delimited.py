@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import Any
 
-from sweep.tables.rows import fields_of, read_rows
+from linksweep.sweep.tables.rows import fields_of, read_rows
 
 DELIMITERS = ("\t", ";", "|", ",")
 

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from sweep.contract import Array, Named, SweepError
-from sweep.tables.cds import readme_of
-from sweep.tables.columns import column_values, in_time, rows_listed
-from sweep.tables.names import first_found
-from sweep.tables.reader import read_table
+from linksweep.sweep.contract import Array, Named, SweepError
+from linksweep.sweep.tables.cds import readme_of
+from linksweep.sweep.tables.columns import column_values, in_time, rows_listed
+from linksweep.sweep.tables.names import first_found
+from linksweep.sweep.tables.reader import read_table
 
 NAMES = ("name", "main_id", "object", "source_name", "iers", "designation", "id", "source_id", "hip", "tyc")
 """Columns that name a row, in upper or lower case, best first."""

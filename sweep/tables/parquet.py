@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.contract import SweepError
+from linksweep.sweep.contract import SweepError
 
 
 def parquet_table(content: bytes) -> Any:

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sweep.contract import SweepError
-from sweep.tables.cds import add_degrees, read_with_readme, readme_of
-from sweep.tables.delimited import read_delimited
-from sweep.tables.parquet import parquet_table
-from sweep.tables.rows import read_rows
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tables.cds import add_degrees, read_with_readme, readme_of
+from linksweep.sweep.tables.delimited import read_delimited
+from linksweep.sweep.tables.parquet import parquet_table
+from linksweep.sweep.tables.rows import read_rows
 
 FORMATS = (
     "FITS, VOTable, ECSV, CSV, TSV or other delimited text, Parquet, MRT, or a CDS table with its ReadMe beside it"

@@ -5,15 +5,15 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Flags
-from core.blocks import PARAMETERS
-from core.constants import MAS
-from core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
-from core.tie.mistakes import LARGER, LARGEST, PLAUSIBLE, SMALLER
-from sweep.contract import SweepError
-from sweep.tables.names import first_found
-from sweep.tie import hipparcos
-from sweep.tie.column_names import (
+from linksweep.core.arrays import Array, Flags
+from linksweep.core.blocks import PARAMETERS
+from linksweep.core.constants import MAS
+from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
+from linksweep.core.tie.mistakes import LARGER, LARGEST, PLAUSIBLE, SMALLER
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tables.names import first_found
+from linksweep.sweep.tie import hipparcos
+from linksweep.sweep.tie.column_names import (
     CORRELATIONS,
     EPOCHS,
     NAMES,
@@ -24,7 +24,7 @@ from sweep.tie.column_names import (
     error_column_of,
     unit_of,
 )
-from sweep.tie.column_reader import ColumnReader
+from linksweep.sweep.tie.column_reader import ColumnReader
 
 FASTEST_KM_S = 5000.0
 """No star is faster: larger radial velocities are redshifts, or stand for missing ones."""

@@ -4,10 +4,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from core.blocks import PARAMETERS
-from core.tie.astrometry import PAIRS
-from sweep.contract import SweepError
-from sweep.tables.names import VALUES, error_column, first_found, value_column
+from linksweep.core.blocks import PARAMETERS
+from linksweep.core.tie.astrometry import PAIRS
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tables.names import VALUES, error_column, first_found, value_column
 
 EPOCHS = (1700.0, 2300.0)
 """The smallest and the largest epoch that is allowed, Julian years."""

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Flags
-from core.constants import DEGREE
-from core.tie.astrometry import named_rows
-from sweep.formatting import first_of
-from sweep.tables.columns import column_values, in_time, missing_values
-from sweep.tables.rows import MISSING
+from linksweep.core.arrays import Array, Flags
+from linksweep.core.constants import DEGREE
+from linksweep.core.tie.astrometry import named_rows
+from linksweep.sweep.formatting import first_of
+from linksweep.sweep.tables.columns import column_values, in_time, missing_values
+from linksweep.sweep.tables.rows import MISSING
 
 MJD_FROM = 15000.0
 """Larger epochs are modified Julian dates, and those above `JD_FROM` Julian dates."""

@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array
-from core.blocks import PARAMETERS, SpinByBin
-from core.constants import MAS
-from core.tie.astrometry import kinds
-from core.tie.clips import Clipped, separation
-from core.tie.differences import differences
-from sweep.tie.components import spectrum
-from sweep.tie.options import SIGNS, Options
-from sweep.tie.solution import Link
+from linksweep.core.arrays import Array
+from linksweep.core.blocks import PARAMETERS, SpinByBin
+from linksweep.core.constants import MAS
+from linksweep.core.tie.astrometry import kinds
+from linksweep.core.tie.clips import Clipped, separation
+from linksweep.core.tie.differences import differences
+from linksweep.sweep.tie.components import spectrum
+from linksweep.sweep.tie.options import SIGNS, Options
+from linksweep.sweep.tie.solution import Link
 
 if TYPE_CHECKING:
     import xarray as xr

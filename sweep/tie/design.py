@@ -7,19 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Array, Indices
-from core.constants import MAS
-from core.tie.clips import Clip, parse_clip
-from core.tie.forecast import Goal, choose, released, scaled_from, scaling_notes, with_new_rows
-from core.tie.normal_sums import source_sums
-from core.tie.problem import Problem
-from sweep.contract import Point, SweepError
-from sweep.tie.column_names import TableOptions
-from sweep.tie.options import Options, parse_bins
-from sweep.tie.parameters import PARAMETERS, TABLE
-from sweep.tie.reference_rows import ALL
-from sweep.tie.setup import ZERO_MOTION, Setup, set_up
-from sweep.tie.solution import Link, solve_link
+from linksweep.core.arrays import Array, Indices
+from linksweep.core.constants import MAS
+from linksweep.core.tie.clips import Clip, parse_clip
+from linksweep.core.tie.forecast import Goal, choose, released, scaled_from, scaling_notes, with_new_rows
+from linksweep.core.tie.normal_sums import source_sums
+from linksweep.core.tie.problem import Problem
+from linksweep.sweep.contract import Point, SweepError
+from linksweep.sweep.tie.column_names import TableOptions
+from linksweep.sweep.tie.options import Options, parse_bins
+from linksweep.sweep.tie.parameters import PARAMETERS, TABLE
+from linksweep.sweep.tie.reference_rows import ALL
+from linksweep.sweep.tie.setup import ZERO_MOTION, Setup, set_up
+from linksweep.sweep.tie.solution import Link, solve_link
 
 ERRORS = ("scaled", "formal", "jackknife")
 

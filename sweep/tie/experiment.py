@@ -4,14 +4,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from core.arrays import Array
-from core.constants import MAS
-from core.tie.clips import Clip, clipped
-from core.tie.draws import Draw, Simulation
-from core.tie.solution import Solution, solve
-from core.tie.sources import sources_of
-from sweep.contract import Experiment, Point, SweepError
-from sweep.tie.components import (
+from linksweep.core.arrays import Array
+from linksweep.core.constants import MAS
+from linksweep.core.tie.clips import Clip, clipped
+from linksweep.core.tie.draws import Draw, Simulation
+from linksweep.core.tie.solution import Solution, solve
+from linksweep.core.tie.sources import sources_of
+from linksweep.sweep.contract import Experiment, Point, SweepError
+from linksweep.sweep.tie.components import (
     BIN_SHAPE,
     COMPONENTS,
     FIELD_UNITS,
@@ -27,9 +27,9 @@ from sweep.tie.components import (
     components,
     powers,
 )
-from sweep.tie.design import Design, design_of
-from sweep.tie.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, TABLE
-from sweep.tie.summary import FACTS, summarise
+from linksweep.sweep.tie.design import Design, design_of
+from linksweep.sweep.tie.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, TABLE
+from linksweep.sweep.tie.summary import FACTS, summarise
 
 N = len(COMPONENTS)
 SUMS: Mapping[str, tuple[int, ...]] = {

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from core.arrays import Array
-from core.tie.astrometry import PAIRS
-from sweep.tie.column_reader import ColumnReader
+from linksweep.core.arrays import Array
+from linksweep.core.tie.astrometry import PAIRS
+from linksweep.sweep.tie.column_reader import ColumnReader
 
 EPOCH = 1991.25
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array
-from core.constants import ARCSEC, DEGREE
-from core.tie.astrometry import Astrometry
-from sweep.contract import SweepError
+from linksweep.core.arrays import Array
+from linksweep.core.constants import ARCSEC, DEGREE
+from linksweep.core.tie.astrometry import Astrometry
+from linksweep.sweep.contract import SweepError
 
 _ROW = re.compile(
     r"ICRF (?P<icrf>J[0-9.]+[+-][0-9]+)\s+(?P<name>\S+)\s+(?P<info>[A-Z]\s+)?"

@@ -5,18 +5,18 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sweep.contract import SweepError
-from sweep.executing.ordered_map import ordered_map
-from sweep.tie.dataset import as_dataset
-from sweep.tie.options import Options
-from sweep.tie.row_groups import set_up_row_groups, why_whole
-from sweep.tie.setup import set_up
-from sweep.tie.solution import RESAMPLES, Link, solve_link
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.ordered_map import ordered_map
+from linksweep.sweep.tie.dataset import as_dataset
+from linksweep.sweep.tie.options import Options
+from linksweep.sweep.tie.row_groups import set_up_row_groups, why_whole
+from linksweep.sweep.tie.setup import set_up
+from linksweep.sweep.tie.solution import RESAMPLES, Link, solve_link
 
 if TYPE_CHECKING:
     import xarray as xr
 
-EXPERIMENT = "sweep.tie.experiment:tie"
+EXPERIMENT = "linksweep.sweep.tie.experiment:tie"
 """The experiment whose code the workers must have."""
 
 

@@ -5,14 +5,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial import cKDTree
 
-from core.arrays import Array, Indices
-from core.constants import ARCSEC
-from core.frames import triad
-from core.tie.astrometry import named_rows
-from core.tie.motion import propagated
-from sweep.contract import SweepError
-from sweep.tie.column_names import NAMES
-from sweep.tie.tables import AstrometricTable
+from linksweep.core.arrays import Array, Indices
+from linksweep.core.constants import ARCSEC
+from linksweep.core.frames import triad
+from linksweep.core.tie.astrometry import named_rows
+from linksweep.core.tie.motion import propagated
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tie.column_names import NAMES
+from linksweep.sweep.tie.tables import AstrometricTable
 
 DEFAULT_RADIUS_ARCSEC = 1.0
 

@@ -7,11 +7,11 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from core.tie.elimination import Weights
-from core.unknowns import require_mission_name
-from sweep.contract import SweepError
-from sweep.formatting import split_assignment
-from sweep.tie.column_names import TableOptions, require_epoch
+from linksweep.core.tie.elimination import Weights
+from linksweep.core.unknowns import require_mission_name
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.formatting import split_assignment
+from linksweep.sweep.tie.column_names import TableOptions, require_epoch
 
 Sign = Literal["reference-satellite", "satellite-reference"]
 SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference": -1.0}

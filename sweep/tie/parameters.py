@@ -1,8 +1,8 @@
 """The parameters of a study of a link, and its outputs."""
 
-from core.tie.forecast import RELEASES
-from sweep.contract import Output, Parameter
-from sweep.tie.components import FIELD_UNITS, HIGHEST_STORED, MOST_BINS, UNITS
+from linksweep.core.tie.forecast import RELEASES
+from linksweep.sweep.contract import Output, Parameter
+from linksweep.sweep.tie.components import FIELD_UNITS, HIGHEST_STORED, MOST_BINS, UNITS
 
 TABLE = "table"
 """Stands for what a table itself has: its errors, or the release whose epoch it has."""

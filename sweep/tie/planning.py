@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from core.arrays import Array
-from core.constants import MAS
-from core.link import LinkError
-from core.tie.forecast import Criterion, Goal, choose, released, scaled_from, scaling_notes, with_new_rows
-from core.tie.normal_sums import source_sums
-from core.tie.problem import Problem
-from core.tie.solution import inverted
-from sweep.contract import SweepError
-from sweep.tie.options import Options
-from sweep.tie.setup import Setup, set_up
+from linksweep.core.arrays import Array
+from linksweep.core.constants import MAS
+from linksweep.core.link import LinkError
+from linksweep.core.tie.forecast import Criterion, Goal, choose, released, scaled_from, scaling_notes, with_new_rows
+from linksweep.core.tie.normal_sums import source_sums
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.solution import inverted
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tie.options import Options
+from linksweep.sweep.tie.setup import Setup, set_up
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from core.arrays import Array
-from core.blocks import Rotation, SpinByBin
-from core.constants import GALACTIC_AXES, MAS
-from core.frames import triad
-from core.tie.astrometry import KINDS, PAIRS, Astrometry, kinds
-from core.unknowns import Unknowns
-from sweep.contract import SweepError
-from sweep.tables.reader import read_table
+from linksweep.core.arrays import Array
+from linksweep.core.blocks import Rotation, SpinByBin
+from linksweep.core.constants import GALACTIC_AXES, MAS
+from linksweep.core.frames import triad
+from linksweep.core.tie.astrometry import KINDS, PAIRS, Astrometry, kinds
+from linksweep.core.unknowns import Unknowns
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tables.reader import read_table
 
 ICRF3_EPOCH = 2015.0
 

@@ -8,19 +8,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from core.arrays import Array, Flags, Indices
-from core.tie import sources
-from core.tie.normal_sums import group_sums
-from core.tie.problem import Problem
-from core.tie.sources import DIVISIONS, Heaviest, sky_cells
-from core.tie.sums import NormalSums
-from core.unknowns import Unknowns
-from sweep.contract import SweepError
-from sweep.tables.parquet import read_row_group
-from sweep.tie.options import SIGNS, Options
-from sweep.tie.reference_rows import known_spin, with_jitter
-from sweep.tie.setup import zero_motion
-from sweep.tie.tables import AstrometricTable, astrometric_table, digest_of
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.tie import sources
+from linksweep.core.tie.normal_sums import group_sums
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.sources import DIVISIONS, Heaviest, sky_cells
+from linksweep.core.tie.sums import NormalSums
+from linksweep.core.unknowns import Unknowns
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tables.parquet import read_row_group
+from linksweep.sweep.tie.options import SIGNS, Options
+from linksweep.sweep.tie.reference_rows import known_spin, with_jitter
+from linksweep.sweep.tie.setup import zero_motion
+from linksweep.sweep.tie.tables import AstrometricTable, astrometric_table, digest_of
 
 
 @dataclass(frozen=True)

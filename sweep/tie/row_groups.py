@@ -14,27 +14,27 @@ from typing import Any
 
 import numpy as np
 
-from core.arrays import Array, Flags, Indices
-from core.link import LinkError
-from core.tie.astrometry import Astrometry
-from core.tie.clips import Sources, separation
-from core.tie.normal_sums import source_counts, source_discrepancies
-from core.tie.problem import Problem
-from core.tie.solution import Solution, solve
-from core.tie.sources import Heaviest
-from core.tie.sums import NormalSums
-from core.unknowns import Unknowns
-from sweep.contract import SweepError
-from sweep.executing.ordered_map import Map
-from sweep.tables.parquet import is_parquet, row_groups
-from sweep.tie import row_group
-from sweep.tie.column_names import columns_needed
-from sweep.tie.matching import Match
-from sweep.tie.options import Options
-from sweep.tie.row_group import RowGroup
-from sweep.tie.setup import ZERO_MOTION, Setup, default_epoch, zero_motion
-from sweep.tie.tables import AstrometricTable
-from sweep.tie.unknowns_of import unknowns_of
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.link import LinkError
+from linksweep.core.tie.astrometry import Astrometry
+from linksweep.core.tie.clips import Sources, separation
+from linksweep.core.tie.normal_sums import source_counts, source_discrepancies
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.solution import Solution, solve
+from linksweep.core.tie.sources import Heaviest
+from linksweep.core.tie.sums import NormalSums
+from linksweep.core.unknowns import Unknowns
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.ordered_map import Map
+from linksweep.sweep.tables.parquet import is_parquet, row_groups
+from linksweep.sweep.tie import row_group
+from linksweep.sweep.tie.column_names import columns_needed
+from linksweep.sweep.tie.matching import Match
+from linksweep.sweep.tie.options import Options
+from linksweep.sweep.tie.row_group import RowGroup
+from linksweep.sweep.tie.setup import ZERO_MOTION, Setup, default_epoch, zero_motion
+from linksweep.sweep.tie.tables import AstrometricTable
+from linksweep.sweep.tie.unknowns_of import unknowns_of
 
 FROM_ROWS = 100_000
 """Smaller tables are solved as a whole."""

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.arrays import Array, Indices
-from core.constants import DEGREE
-from core.tie.astrometry import Astrometry, joined, kinds, named_rows
-from core.tie.problem import Problem
-from sweep.contract import SweepError
-from sweep.tie.column_names import TableOptions
-from sweep.tie.matching import Match, match, separations
-from sweep.tie.options import SIGNS, Options
-from sweep.tie.reference_rows import ICRF3_EPOCH, aberrated, known_spin, with_jitter
-from sweep.tie.tables import AstrometricTable, read_table
-from sweep.tie.unknowns_of import unknowns_of
+from linksweep.core.arrays import Array, Indices
+from linksweep.core.constants import DEGREE
+from linksweep.core.tie.astrometry import Astrometry, joined, kinds, named_rows
+from linksweep.core.tie.problem import Problem
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tie.column_names import TableOptions
+from linksweep.sweep.tie.matching import Match, match, separations
+from linksweep.sweep.tie.options import SIGNS, Options
+from linksweep.sweep.tie.reference_rows import ICRF3_EPOCH, aberrated, known_spin, with_jitter
+from linksweep.sweep.tie.tables import AstrometricTable, read_table
+from linksweep.sweep.tie.unknowns_of import unknowns_of
 
 FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
 """Separations from the source of the same name above which a row is noted, and is refused."""

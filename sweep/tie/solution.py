@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from core.arrays import Array, Indices
-from core.link import LinkError
-from core.tie.astrometry import kinds
-from core.tie.clips import Clipped, Sources, clipped, parse_clip
-from core.tie.influence import LARGE_SHARE, Influence, bootstrap, influence, jackknife, sandwich, shares
-from core.tie.mistakes import DEFICIT, GOOD, Misfit, misfit
-from core.tie.solution import Solution
-from core.tie.sources import SourceTable
-from core.unknowns import Unknowns
-from sweep.contract import SweepError
-from sweep.tie.row_groups import RowGroupTable
-from sweep.tie.setup import Setup
+from linksweep.core.arrays import Array, Indices
+from linksweep.core.link import LinkError
+from linksweep.core.tie.astrometry import kinds
+from linksweep.core.tie.clips import Clipped, Sources, clipped, parse_clip
+from linksweep.core.tie.influence import LARGE_SHARE, Influence, bootstrap, influence, jackknife, sandwich, shares
+from linksweep.core.tie.mistakes import DEFICIT, GOOD, Misfit, misfit
+from linksweep.core.tie.solution import Solution
+from linksweep.core.tie.sources import SourceTable
+from linksweep.core.unknowns import Unknowns
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tie.row_groups import RowGroupTable
+from linksweep.sweep.tie.setup import Setup
 
 ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
 ALWAYS = ("formal", "scaled")

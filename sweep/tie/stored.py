@@ -4,9 +4,9 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sweep.contract import SweepError
-from sweep.stores.folder import Folder
-from sweep.stores.location import reading
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.location import reading
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from core.arrays import Array
-from sweep.tie.components import ORIENTATION, SPIN
+from linksweep.core.arrays import Array
+from linksweep.sweep.tie.components import ORIENTATION, SPIN
 
 FACTS = ("n_sources", "n_kept", "chi2_ratio", "largest_share", "n_drawn")
 """Numbers of the tables that no draw changes."""

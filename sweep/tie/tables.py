@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from core.tie.astrometry import Astrometry
-from sweep.contract import SweepError
-from sweep.tables import reader
-from sweep.tie import icrf
-from sweep.tie.astrometry_reader import AstrometryReader
-from sweep.tie.column_names import TableOptions
+from linksweep.core.tie.astrometry import Astrometry
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tables import reader
+from linksweep.sweep.tie import icrf
+from linksweep.sweep.tie.astrometry_reader import AstrometryReader
+from linksweep.sweep.tie.column_names import TableOptions
 
-_OWN = Path(str(resources.files("sweeps") / "data")).resolve()
+_OWN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sweep.formatting import to_json
+from linksweep.sweep.formatting import to_json
 
 if TYPE_CHECKING:
     import xarray as xr

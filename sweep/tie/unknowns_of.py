@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from core.arrays import Indices
-from core.link import LinkError
-from core.tie.astrometry import Astrometry
-from core.tie.problem import Problem
-from core.tie.sources import SourceTable
-from core.unknowns import Unknowns, parse_unknowns
-from sweep.tie.options import Options
+from linksweep.core.arrays import Indices
+from linksweep.core.link import LinkError
+from linksweep.core.tie.astrometry import Astrometry
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.sources import SourceTable
+from linksweep.core.unknowns import Unknowns, parse_unknowns
+from linksweep.sweep.tie.options import Options
 
 
 def unknowns_of(

@@ -5,9 +5,9 @@ import pytest
 from astropy import units
 from astropy.coordinates import SkyCoord
 
-from core.catalogue import Sky
-from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
-from core.frames import position, triad
+from linksweep.core.catalogue import Sky
+from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
+from linksweep.core.frames import position, triad
 
 FRAME_BIAS = 0.03 / 3600 * DEGREE  # astropy hangs the Galactic axes on FK5, 0.023 arcsec from ICRS
 

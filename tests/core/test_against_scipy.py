@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.catalogue import Sky
-from core.constants import MAS, MICROARCSEC
-from core.design import design_matrix
-from core.frames import exact_differences, satellite_catalogue, triad
-from core.link import solve
+from linksweep.core.catalogue import Sky
+from linksweep.core.constants import MAS, MICROARCSEC
+from linksweep.core.design import design_matrix
+from linksweep.core.frames import exact_differences, satellite_catalogue, triad
+from linksweep.core.link import solve
 
 
 def noisy_link(epsilon, sigma, n_obj=200):

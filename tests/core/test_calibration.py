@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from core.calibration import IN_CODE, PublishedSigma, all_skies, constants_of, curve_of, fit, published_model
-from core.catalogue import GALAXY_FAINT_LIMIT_MAG, Sky, radio_stars, resample
-from core.constants import MAS
-from core.design import design_matrix
-from core.errors import MagnitudeErrors
-from core.link import solve
-from core.missions import MISSIONS
-from core.quasars import quasars
-from core.spin_variance import draw_skies, spin_variance
-from sweep.paper.calibrate import published_numbers
+from linksweep.core.calibration import IN_CODE, PublishedSigma, all_skies, constants_of, curve_of, fit, published_model
+from linksweep.core.catalogue import GALAXY_FAINT_LIMIT_MAG, Sky, radio_stars, resample
+from linksweep.core.constants import MAS
+from linksweep.core.design import design_matrix
+from linksweep.core.errors import MagnitudeErrors
+from linksweep.core.link import solve
+from linksweep.core.missions import MISSIONS
+from linksweep.core.quasars import quasars
+from linksweep.core.spin_variance import draw_skies, spin_variance
+from linksweep.sweep.paper.calibrate import published_numbers
 
 
 @pytest.fixture(scope="module", params=["amex", "gaia"])

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from core.catalogue import Catalogue, Sky, galaxies, radio_stars, resample, synthetic
-from core.constants import DEGREE, GALACTIC_AXES, MAS
-from core.experiment import link, scenario
-from core.frames import triad
-from core.quasars import quasars
-from core.table_catalogue import OBSERVABLES
+from linksweep.core.catalogue import Catalogue, Sky, galaxies, radio_stars, resample, synthetic
+from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS
+from linksweep.core.experiment import link, scenario
+from linksweep.core.frames import triad
+from linksweep.core.quasars import quasars
+from linksweep.core.table_catalogue import OBSERVABLES
 
 P_VALUE = 1e-3  # of a Kolmogorov-Smirnov or chi-square test with a fixed seed
 ALL_SKY = Sky()

@@ -6,11 +6,11 @@ import functools
 import numpy as np
 import pytest
 
-from core.calibration import IN_CODE, all_skies, constants_of, fit, published_model
-from sweep.executing.choose import Resources
-from sweep.paper.calibrate import published_numbers
-from sweep.running.run import run_study
-from sweep.studies.reader import study_from_dict
+from linksweep.core.calibration import IN_CODE, all_skies, constants_of, fit, published_model
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.paper.calibrate import published_numbers
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.in_memory import results_of
 from tests.sweep.test_coverage import assert_covers
 

@@ -8,10 +8,10 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
-from core.crossmatch import Matches, cross_match
-from core.frames import galactic
-from core.galaxy_classes import (
+from linksweep.core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
+from linksweep.core.crossmatch import Matches, cross_match
+from linksweep.core.frames import galactic
+from linksweep.core.galaxy_classes import (
     CERTAIN,
     CROWDED,
     OFFSET,
@@ -23,8 +23,8 @@ from core.galaxy_classes import (
     classify,
     second_epoch_pm_error,
 )
-from core.galaxy_merge import GalaxyCatalogue, merge_galaxies
-from core.sky_pairs import (
+from linksweep.core.galaxy_merge import GalaxyCatalogue, merge_galaxies
+from linksweep.core.sky_pairs import (
     Positions,
     at_epoch,
     count_near,

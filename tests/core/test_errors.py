@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from core.catalogue import radio_stars, synthetic
-from core.constants import MAS
-from core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
-from core.experiment import link, scenario
-from core.missions import MISSIONS, PyGaia
-from core.noise import Noise
-from core.shared_arrays import Prefixes
-from core.simulate import simulate
+from linksweep.core.catalogue import radio_stars, synthetic
+from linksweep.core.constants import MAS
+from linksweep.core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
+from linksweep.core.experiment import link, scenario
+from linksweep.core.missions import MISSIONS, PyGaia
+from linksweep.core.noise import Noise
+from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.simulate import simulate
 
 CATALOGUE = synthetic(np.random.default_rng(1), 50, 5.0, 15.0)
 

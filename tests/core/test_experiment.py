@@ -9,20 +9,20 @@ import pytest
 from astropy import units
 from astropy.table import Table
 
-from core.catalogue import Catalogue
-from core.constants import GALACTIC_AXES, MAS
-from core.design import GLIDE_LABELS, LABELS
-from core.experiment import SUMS, check, cost, evaluate, link, samples, scenario, summarise
-from core.link import LinkError
-from core.missions import MISSIONS
-from core.outputs import OUTPUTS
-from core.parameters import PARAMETERS
-from core.quasars import quasar_count
-from core.scenario import error_model, errors_at_limit, has_errors
-from core.simulate import simulate
-from core.user_mission import mission_from_table
-from sweep.contract import Named
-from sweep.tables.file import table_file
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.constants import GALACTIC_AXES, MAS
+from linksweep.core.design import GLIDE_LABELS, LABELS
+from linksweep.core.experiment import SUMS, check, cost, evaluate, link, samples, scenario, summarise
+from linksweep.core.link import LinkError
+from linksweep.core.missions import MISSIONS
+from linksweep.core.outputs import OUTPUTS
+from linksweep.core.parameters import PARAMETERS
+from linksweep.core.quasars import quasar_count
+from linksweep.core.scenario import error_model, errors_at_limit, has_errors
+from linksweep.core.simulate import simulate
+from linksweep.core.user_mission import mission_from_table
+from linksweep.sweep.contract import Named
+from linksweep.sweep.tables.file import table_file
 
 SIX = ["mas"] * 3 + ["mas / yr"] * 3
 

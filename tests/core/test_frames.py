@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from core.constants import MAS, MICROARCSEC
-from core.frames import (
+from linksweep.core.constants import MAS, MICROARCSEC
+from linksweep.core.frames import (
     exact_differences,
     position,
     rotation_matrix,

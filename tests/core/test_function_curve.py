@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from core.function_curve import CurveError, CurveOfFunction
+from linksweep.core.function_curve import CurveError, CurveOfFunction
 
 
 class Known:

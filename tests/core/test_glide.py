@@ -6,15 +6,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from core.catalogue import Sky, synthetic
-from core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
-from core.design import design_matrix
-from core.errors import NoErrors, NormalErrors
-from core.experiment import link, scenario
-from core.frames import position, triad
-from core.link import LinkError, solve
-from core.prepared import Scenario, TrueVector
-from core.simulate import simulate
+from linksweep.core.catalogue import Sky, synthetic
+from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
+from linksweep.core.design import design_matrix
+from linksweep.core.errors import NoErrors, NormalErrors
+from linksweep.core.experiment import link, scenario
+from linksweep.core.frames import position, triad
+from linksweep.core.link import LinkError, solve
+from linksweep.core.prepared import Scenario, TrueVector
+from linksweep.core.simulate import simulate
 
 GLIDE = 4.0 * MICROARCSEC * GALACTIC_AXES[0]
 NONE = TrueVector((0.0, 0.0, 0.0))

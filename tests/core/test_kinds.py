@@ -10,8 +10,8 @@ ROOT = Path(__file__).parents[2]
 RING = """
 import numpy as np
 
-from core.catalogue import Catalogue
-from core.catalogues.kind import CatalogueKind
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.catalogues.kind import CatalogueKind
 
 
 class Ring(CatalogueKind):
@@ -29,8 +29,8 @@ class Ring(CatalogueKind):
         return Catalogue(2 * np.pi * np.arange(n) / n, np.linspace(-1.0, 1.0, n), zero, zero, zero + 10.0)
 """
 DOUBLE = """
-from core.errors.model import Errors
-from core.errors.normal import Normal, NormalErrors
+from linksweep.core.errors.model import Errors
+from linksweep.core.errors.normal import Normal, NormalErrors
 
 
 class Double(Normal):
@@ -49,14 +49,14 @@ class Double(Normal):
 FLAT = """
 import numpy as np
 
-from core.missions.mission import LogLinear
-from core.missions.mission import Mission
+from linksweep.core.missions.mission import LogLinear
+from linksweep.core.missions.mission import Mission
 
 FLAT = Mission(LogLinear((0.0, 9.0), (2.0, 2.0)), LogLinear((0.0, 9.0), (4.0, 4.0)), 1.0, np.inf, "a toy")
 """
 TRIED = """
 import numpy as np
-from core.experiment import evaluate, link
+from linksweep.core.experiment import evaluate, link
 
 def sums(**changes):
     point = link.defaults() | changes

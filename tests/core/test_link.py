@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from core.constants import MAS, MICROARCSEC
-from core.design import design_matrix, paper_design_matrix
-from core.frames import exact_differences, satellite_catalogue, triad
-from core.link import LinkError, combined_error, inverse_and_condition, solve, solve_normal
+from linksweep.core.constants import MAS, MICROARCSEC
+from linksweep.core.design import design_matrix, paper_design_matrix
+from linksweep.core.frames import exact_differences, satellite_catalogue, triad
+from linksweep.core.link import LinkError, combined_error, inverse_and_condition, solve, solve_normal
 from tests.tiers import examples
 
 EPSILON, OMEGA = np.array([1.0, -2.0, 0.5]) * MAS, np.array([0.3, 0.7, -1.1]) * MAS

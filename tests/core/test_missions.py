@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from core.catalogue import Sky
-from core.frames import triad
-from core.missions import MISSIONS, Exponentials, LogLinear, PyGaia, accuracy_curves
-from core.quasars import quasars
+from linksweep.core.catalogue import Sky
+from linksweep.core.frames import triad
+from linksweep.core.missions import MISSIONS, Exponentials, LogLinear, PyGaia, accuracy_curves
+from linksweep.core.quasars import quasars
 
 TABLE_1_AMEX = {14: 0.65, 14.5: 0.63, 15: 0.61, 15.5: 0.60, 16: 0.58, 16.5: 0.58, 17: 0.57}
 TABLE_1_GAIA = {

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from pygaia.errors import astrometric
 
-from core.experiment import link
-from core.missions import MISSIONS, MissionUnavailableError
+from linksweep.core.experiment import link
+from linksweep.core.missions import MISSIONS, MissionUnavailableError
 
 G_MAG = np.array([8.0, 9.0, 13.0, 15.0, 17.5, 20.0, 21.0])
 
@@ -58,8 +58,8 @@ def test_the_names_are_known_without_pygaia():
     code = """if True:
         import sys
         import numpy as np
-        from core.experiment import link
-        from core.missions import MISSIONS
+        from linksweep.core.experiment import link
+        from linksweep.core.missions import MISSIONS
         assert "gaia-dr3" in next(p for p in link.parameters if p.name == "model").choices
         MISSIONS["gaia"].sigma_pm_mas_yr(np.array([15.0]))
         assert "pygaia" not in sys.modules

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from core.catalogue import Catalogue
-from core.constants import DEGREE, MAS
-from core.design import design_matrix
-from core.errors import CatalogueErrors
-from core.experiment import link, scenario
-from core.link import POLE_LIMIT, LinkError, solve
-from core.noise import Tile, tile_objects
-from core.noisy_design import ELEMENTS, SMALL_ANGLE, FullPath
-from core.prepared import Draw, prepare
-from core.shared_arrays import Prefixes
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.constants import DEGREE, MAS
+from linksweep.core.design import design_matrix
+from linksweep.core.errors import CatalogueErrors
+from linksweep.core.experiment import link, scenario
+from linksweep.core.link import POLE_LIMIT, LinkError, solve
+from linksweep.core.noise import Tile, tile_objects
+from linksweep.core.noisy_design import ELEMENTS, SMALL_ANGLE, FullPath
+from linksweep.core.prepared import Draw, prepare
+from linksweep.core.shared_arrays import Prefixes
 from tests.tiers import examples
 
 ARCSEC = 1000.0 * MAS

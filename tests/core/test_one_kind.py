@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from core.experiment import check, evaluate, link, samples, summarise
-from core.warn import warn
-from sweep.tables.file import table_file
+from linksweep.core.experiment import check, evaluate, link, samples, summarise
+from linksweep.core.warn import warn
+from linksweep.sweep.tables.file import table_file
 
 N_OBJ = 12
 RNG = np.random.default_rng(8)

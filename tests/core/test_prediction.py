@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from astropy import units
 
-from core.calibration import IN_CODE, PublishedSigma, curve_of, fit, published_model
-from core.catalogue import Catalogue
-from core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
-from core.design import design_matrix
-from core.errors import CatalogueErrors, NoErrors, NormalErrors
-from core.experiment import evaluate, link, scenario, summarise
-from core.fixed_design import fixed_designs
-from core.link import inverse_and_condition, solve
-from core.prepared import Draw, prepare
-from core.projected import neglected
-from core.shared_arrays import Prefixes
-from core.spin_variance import draw_skies, spin_variance
+from linksweep.core.calibration import IN_CODE, PublishedSigma, curve_of, fit, published_model
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
+from linksweep.core.design import design_matrix
+from linksweep.core.errors import CatalogueErrors, NoErrors, NormalErrors
+from linksweep.core.experiment import evaluate, link, scenario, summarise
+from linksweep.core.fixed_design import fixed_designs
+from linksweep.core.link import inverse_and_condition, solve
+from linksweep.core.prepared import Draw, prepare
+from linksweep.core.projected import neglected
+from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.spin_variance import draw_skies, spin_variance
 
 
 def point(**changes):

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from core.checks import check
-from core.constants import MAS
-from core.design import design_matrix
-from core.errors import CatalogueErrors, NormalErrors
-from core.experiment import evaluate, link, scenario
-from core.fixed_design import fixed_designs
-from core.link import LinkError, solve
-from core.prepared import Draw, prepare
-from core.projected import Projected, neglected
-from core.shared_arrays import Prefixes
-from core.simulate import simulate
+from linksweep.core.checks import check
+from linksweep.core.constants import MAS
+from linksweep.core.design import design_matrix
+from linksweep.core.errors import CatalogueErrors, NormalErrors
+from linksweep.core.experiment import evaluate, link, scenario
+from linksweep.core.fixed_design import fixed_designs
+from linksweep.core.link import LinkError, solve
+from linksweep.core.prepared import Draw, prepare
+from linksweep.core.projected import Projected, neglected
+from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.simulate import simulate
 
 
 def point(**changes):

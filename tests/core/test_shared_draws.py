@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.arrays import transposed_product
-from core.errors import MagnitudeErrors, NoErrors, NormalErrors
-from core.experiment import evaluate, link, samples, scenario
-from core.function_curve import CurveOfFunction
-from core.missions import Mission
-from core.noise import ROWS, TILE, Noise, chunks, tile_objects, tiles
-from core.parameters import SHARED
-from core.shared_sums import SharedSums
-from core.simulate import simulate
+from linksweep.core.arrays import transposed_product
+from linksweep.core.errors import MagnitudeErrors, NoErrors, NormalErrors
+from linksweep.core.experiment import evaluate, link, samples, scenario
+from linksweep.core.function_curve import CurveOfFunction
+from linksweep.core.missions import Mission
+from linksweep.core.noise import ROWS, TILE, Noise, chunks, tile_objects, tiles
+from linksweep.core.parameters import SHARED
+from linksweep.core.shared_sums import SharedSums
+from linksweep.core.simulate import simulate
 from tests.tiers import examples
 
 OTHER = {

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from core.catalogue import Sky, synthetic
-from core.constants import MAS
-from core.design import design_matrix
-from core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
-from core.frames import exact_differences, triad
-from core.link import LinkError, combined_error, solve
-from core.missions import MISSIONS
-from core.noise import ROWS, TILE
-from core.prepared import Scenario, TrueVector
-from core.quasars import quasars
-from core.simulate import simulate
+from linksweep.core.catalogue import Sky, synthetic
+from linksweep.core.constants import MAS
+from linksweep.core.design import design_matrix
+from linksweep.core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
+from linksweep.core.frames import exact_differences, triad
+from linksweep.core.link import LinkError, combined_error, solve
+from linksweep.core.missions import MISSIONS
+from linksweep.core.noise import ROWS, TILE
+from linksweep.core.prepared import Scenario, TrueVector
+from linksweep.core.quasars import quasars
+from linksweep.core.simulate import simulate
 from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([1.0, -0.7, 0.4]) * MAS, np.array([-0.5, 0.9, 1.2]) * MAS

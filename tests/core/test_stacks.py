@@ -7,15 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import core.experiment
-from core.catalogue import Catalogue, NestedDraw, OwnErrors
-from core.constants import DEGREE, MAS
-from core.errors import CatalogueErrors, NormalErrors
-from core.experiment import evaluate, evaluate_catalogues, link
-from core.link import LinkError, UnlikeError
-from core.scenario import scenario
-from core.simulate import can_stack, simulate, simulate_stack
-from core.stacks import Generators, stacked_catalogue
+import linksweep.core.experiment
+from linksweep.core.catalogue import Catalogue, NestedDraw, OwnErrors
+from linksweep.core.constants import DEGREE, MAS
+from linksweep.core.errors import CatalogueErrors, NormalErrors
+from linksweep.core.experiment import evaluate, evaluate_catalogues, link
+from linksweep.core.link import LinkError, UnlikeError
+from linksweep.core.scenario import scenario
+from linksweep.core.simulate import can_stack, simulate, simulate_stack
+from linksweep.core.stacks import Generators, stacked_catalogue
 from tests.tiers import examples
 
 CATALOGUES = ("synthetic", "quasars", "galaxies", "radio-stars")
@@ -63,7 +63,7 @@ def test_each_catalogue_has_the_bits_that_it_has_by_itself(changes, n_sim, n_cat
 @pytest.mark.parametrize("reference_errors", ["none", "normal"])
 def test_so_it_is_where_objects_come_in_several_tiles_and_catalogues_in_several_stacks(reference_errors, monkeypatch):
     point = link.defaults() | {"n_obj": 700, "reference_errors": reference_errors}
-    monkeypatch.setattr(core.experiment, "STACK", 2 * 700 * 100)
+    monkeypatch.setattr(linksweep.core.experiment, "STACK", 2 * 700 * 100)
     assert_same_bits(evaluate_catalogues([point], 100, streams(5)), one_by_one(point, 100, 5))
 
 

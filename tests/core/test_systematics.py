@@ -7,25 +7,25 @@ import pytest
 from scipy import stats
 from scipy.special import eval_jacobi, sph_harm_y
 
-from core.catalogue import Catalogue
-from core.constants import GALACTIC_AXES, MAS
-from core.design import design_matrix
-from core.errors import CatalogueErrors, Errors, MagnitudeErrors
-from core.errors.floor import FlooredErrors
-from core.experiment import cost, evaluate, link, samples, scenario, summarise
-from core.fixed_design import fixed_designs
-from core.frames import triad
-from core.harmonics import terms, toroidal, turned
-from core.link import LinkError
-from core.missions import MISSIONS
-from core.prepared import Draw, prepare
-from core.shared_arrays import Prefixes
-from core.simulate import simulate
-from core.systematics import Systematics, parse_pattern, pattern_field, rms
-from core.zonal import Field, ZonalErrors
-from sweep.contract import SweepError
-from sweep.planning.checked_grid import make_grid
-from sweep.studies.reader import study_from_dict
+from linksweep.core.catalogue import Catalogue
+from linksweep.core.constants import GALACTIC_AXES, MAS
+from linksweep.core.design import design_matrix
+from linksweep.core.errors import CatalogueErrors, Errors, MagnitudeErrors
+from linksweep.core.errors.floor import FlooredErrors
+from linksweep.core.experiment import cost, evaluate, link, samples, scenario, summarise
+from linksweep.core.fixed_design import fixed_designs
+from linksweep.core.frames import triad
+from linksweep.core.harmonics import terms, toroidal, turned
+from linksweep.core.link import LinkError
+from linksweep.core.missions import MISSIONS
+from linksweep.core.prepared import Draw, prepare
+from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.simulate import simulate
+from linksweep.core.systematics import Systematics, parse_pattern, pattern_field, rms
+from linksweep.core.zonal import Field, ZonalErrors
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.studies.reader import study_from_dict
 
 NORMAL = {"satellite_errors": "normal"}
 

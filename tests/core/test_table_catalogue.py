@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from astropy.table import MaskedColumn, Table
 
-from core.constants import DEGREE, MAS
-from core.experiment import link, scenario
-from core.table_catalogue import CORRELATIONS, catalogue_from_table
-from sweep.contract import SweepError
-from sweep.tables.file import table_file
+from linksweep.core.constants import DEGREE, MAS
+from linksweep.core.experiment import link, scenario
+from linksweep.core.table_catalogue import CORRELATIONS, catalogue_from_table
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tables.file import table_file
 
 RA, DEC = np.array([10.0, 100.0, 200.0, 359.0]), np.array([60.0, -30.0, 0.5, -80.0])
 PMRA, PMDEC, MAG = (

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-import core.unknowns as unknowns_module
-from core.blocks import Objects
-from core.constants import MAS
-from core.design import design_matrix
-from core.frames import position, triad, turned
-from core.harmonics import terms, toroidal
-from core.harmonics import turned as quarter_turn
-from core.unknowns import parse_unknowns
+import linksweep.core.unknowns as unknowns_module
+from linksweep.core.blocks import Objects
+from linksweep.core.constants import MAS
+from linksweep.core.design import design_matrix
+from linksweep.core.frames import position, triad, turned
+from linksweep.core.harmonics import terms, toroidal
+from linksweep.core.harmonics import turned as quarter_turn
+from linksweep.core.unknowns import parse_unknowns
 
 
 def sky(n, seed=0):

@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from core.catalogues import CATALOGUES
-from core.errors import ERROR_KINDS
-from core.experiment import evaluate, link
-from core.parameters import PARAMETERS
-from core.unused import CATALOGUE_PARAMETERS, ERROR_PARAMETERS
-from sweep.contract import SweepError
-from sweep.planning.checked_grid import make_grid
-from sweep.studies.reader import study_from_dict
+from linksweep.core.catalogues import CATALOGUES
+from linksweep.core.errors import ERROR_KINDS
+from linksweep.core.experiment import evaluate, link
+from linksweep.core.parameters import PARAMETERS
+from linksweep.core.unused import CATALOGUE_PARAMETERS, ERROR_PARAMETERS
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.studies.reader import study_from_dict
 
 
 @pytest.fixture

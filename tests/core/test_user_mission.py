@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from core.missions import MISSIONS, accuracy_curves
-from core.user_mission import mission_from_table
-from sweep.contract import DefinitionError, SweepError
+from linksweep.core.missions import MISSIONS, accuracy_curves
+from linksweep.core.user_mission import mission_from_table
+from linksweep.sweep.contract import DefinitionError, SweepError
 from tests.tiers import examples
 
 EITHER = "needs either sigma_pos or position_ratio (sigma_pos = position_ratio x sigma_pm)"

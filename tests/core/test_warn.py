@@ -7,11 +7,11 @@ import pytest
 from astropy.table import Table
 from click.testing import CliRunner
 
-from core.experiment import link
-from core.missions import MISSIONS
-from sweep.cli.group import main
-from sweep.stores.store import open_dataset
-from sweep.tables.file import table_file
+from linksweep.core.experiment import link
+from linksweep.core.missions import MISSIONS
+from linksweep.sweep.cli.group import main
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.tables.file import table_file
 
 
 def point(**changes):

@@ -1,6 +1,6 @@
 """A small experiment that has nothing to do with astrometry, as a user would write one."""
 
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 
 def toss(points, n_sim, rng, catalogue_rng):

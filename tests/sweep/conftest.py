@@ -11,9 +11,9 @@ from uuid import uuid4
 import pytest
 import xarray as xr
 
-from sweep.executing.choose import Resources
-from sweep.running.run import run_study
-from sweep.studies.reader import load_study
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.studies.reader import load_study
 from tests.conftest import LINK_STUDY
 
 SERIAL = Resources(pool="serial")
@@ -120,6 +120,6 @@ def store_of(tmp_path_factory, worker_id):
 @pytest.fixture
 def dataset_of(store_of):
     """A function that returns the dataset of a built-in study, run with fewer realisations."""
-    from sweep.stores.store import open_dataset
+    from linksweep.sweep.stores.store import open_dataset
 
     return lambda name: open_dataset(store_of(name))

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 
 def crash():

@@ -1,6 +1,6 @@
 """An experiment whose every text tries to get out of the page that shows it; one of its points fails."""
 
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 BREAK = "</script><script>window.owned = true</script>"
 METALS = ("<img src=x onerror='window.owned = true'>", "$$x^$$", "tin")

@@ -3,16 +3,16 @@
 import numpy as np
 import xarray as xr
 
-from sweep.executing.worker import run_block
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.block import ledger_key
-from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Plan
-from sweep.planning.streams import generators_of
-from sweep.running.covariance import covariances
-from sweep.running.results import assemble
-from sweep.studies.provenance import provenance
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing.worker import run_block
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.block import ledger_key
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.streams import generators_of
+from linksweep.sweep.running.covariance import covariances
+from linksweep.sweep.running.results import assemble
+from linksweep.sweep.studies.provenance import provenance
+from linksweep.sweep.studies.reader import study_from_dict
 
 
 def results_of(document) -> xr.Dataset:

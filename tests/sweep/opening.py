@@ -1,7 +1,7 @@
 """Stores as a run opens them."""
 
-from sweep.stores.create import create_store, find_store
-from sweep.stores.store import Store
+from linksweep.sweep.stores.create import create_store, find_store
+from linksweep.sweep.stores.store import Store
 
 
 def existing_store(where, study):

@@ -2,7 +2,7 @@
 
 import time
 
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 
 def sleep(points, n_sim, rng, catalogue_rng):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 SCATTER = 0.3
 """Catalogues differ in the logarithm of their scale by so much, a normal deviate."""

@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import linksweep
-from sweep.attributes import described, meaning_of, short_meaning
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import load_study
-from sweep.studies.source import built_in_studies
+from linksweep.sweep.attributes import described, meaning_of, short_meaning
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import load_study
+from linksweep.sweep.studies.source import built_in_studies
 from tests.tiers import slow
 
 LONGEST_LABEL = 90

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from sweep.contract import Experiment, Output, Parameter, SweepError
-from sweep.stores.store import open_dataset
+from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
+from linksweep.sweep.stores.store import open_dataset
 from tests.sweep.user import write_experiment, write_study
 
 GOOD = {

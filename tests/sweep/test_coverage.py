@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, t
 
-from core.galaxy_classes import chance_pairs
-from core.sky_pairs import Positions, sky_tree
-from sweep.analysis.compare import compare
-from sweep.analysis.conditions import parse_limit
-from sweep.analysis.crossings import find, interpolate
-from sweep.analysis.fits import power_law
-from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
-from sweep.analysis.levelling import levelling
-from sweep.running.scaling import _dataset
+from linksweep.core.galaxy_classes import chance_pairs
+from linksweep.core.sky_pairs import Positions, sky_tree
+from linksweep.sweep.analysis.compare import compare
+from linksweep.sweep.analysis.conditions import parse_limit
+from linksweep.sweep.analysis.crossings import find, interpolate
+from linksweep.sweep.analysis.fits import power_law
+from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+from linksweep.sweep.analysis.levelling import levelling
+from linksweep.sweep.running.scaling import _dataset
 from tests.sweep import spread
 from tests.sweep.in_memory import results_of
 

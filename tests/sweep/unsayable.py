@@ -1,6 +1,6 @@
 """An experiment that fails with a message that is too long and that no encoding of Unicode can hold."""
 
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 
 def evaluate(points, n_sim, rng, catalogue_rng):

@@ -3,7 +3,7 @@
 import textwrap
 
 EXPERIMENT = """
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 {before}
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sweep.contract import SweepError, shown, suggest
-from sweep.plots.kinds import LINK
+from linksweep.sweep.contract import SweepError, shown, suggest
+from linksweep.sweep.plots.kinds import LINK
 
 
 def is_link(dataset: xr.Dataset) -> bool:

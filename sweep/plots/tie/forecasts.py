@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from sweep.contract import SweepError
-from sweep.plots.legends import BEST
-from sweep.plots.style import COLOURS, figure_size, finish, in_lines, is_stacked, series
-from sweep.plots.tie.names import places_by, readable, unknown_symbols
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.legends import BEST
+from linksweep.sweep.plots.style import COLOURS, figure_size, finish, in_lines, is_stacked, series
+from linksweep.sweep.plots.tie.names import places_by, readable, unknown_symbols
 
 RANKED = 20
 CURVE: dict[str, Any] = {"markersize": 4.0, "linewidth": 1.2}

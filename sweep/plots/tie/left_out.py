@@ -8,11 +8,11 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from sweep.contract import SweepError
-from sweep.plots.scales import logarithmic
-from sweep.plots.scatter import confidence_ellipse
-from sweep.plots.style import BAND, COLOURS, figure_size, finish, is_stacked
-from sweep.plots.tie.names import kept_sources, name_points, readable, unknown_symbols, vectors
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.scales import logarithmic
+from linksweep.sweep.plots.scatter import confidence_ellipse
+from linksweep.sweep.plots.style import BAND, COLOURS, figure_size, finish, is_stacked
+from linksweep.sweep.plots.tie.names import kept_sources, name_points, readable, unknown_symbols, vectors
 
 CONFIDENCE = 0.683
 NAMED = 5

@@ -11,9 +11,9 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
-from core.arrays import Array
-from sweep.plots.labels import symbol
-from sweep.readable import written
+from linksweep.core.arrays import Array
+from linksweep.sweep.plots.labels import symbol
+from linksweep.sweep.readable import written
 
 MICRO_BELOW = 0.5
 """Numbers in mas that are all smaller than this are shown in micro-arcseconds."""

@@ -7,12 +7,12 @@ import xarray as xr
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from core.arrays import Array
-from core.constants import DEGREE
-from sweep.contract import SweepError
-from sweep.plots.sky import add_sky, on_map
-from sweep.plots.style import COLOURS, figure_size, in_lines, is_stacked
-from sweep.plots.tie.names import readable
+from linksweep.core.arrays import Array
+from linksweep.core.constants import DEGREE
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.sky import add_sky, on_map
+from linksweep.sweep.plots.style import COLOURS, figure_size, in_lines, is_stacked
+from linksweep.sweep.plots.tie.names import readable
 
 MOST_ARROWS = 150
 """More rows than this are averaged in cells of equal area."""

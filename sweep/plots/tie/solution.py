@@ -4,9 +4,9 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from sweep.contract import SweepError
-from sweep.plots.style import figure_size, finish, series
-from sweep.plots.tie.names import places_by, readable, unknown_symbols
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.style import figure_size, finish, series
+from linksweep.sweep.plots.tie.names import places_by, readable, unknown_symbols
 
 
 def solution_figure(dataset: xr.Dataset) -> Figure:

@@ -6,12 +6,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from scipy.special import chdtrc
 
-from core.arrays import Array
-from core.tie.influence import LARGE_SHARE
-from sweep.contract import SweepError
-from sweep.plots.legends import legend, legend_below
-from sweep.plots.style import COLOURS, figure_size, finish, is_stacked
-from sweep.plots.tie.names import kept_sources, name_points
+from linksweep.core.arrays import Array
+from linksweep.core.tie.influence import LARGE_SHARE
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.legends import legend, legend_below
+from linksweep.sweep.plots.style import COLOURS, figure_size, finish, is_stacked
+from linksweep.sweep.plots.tie.names import kept_sources, name_points
 
 LINEAR_UP_TO = 6.0
 NAMED = 8

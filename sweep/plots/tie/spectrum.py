@@ -6,11 +6,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from scipy.special import ndtri
 
-from sweep.contract import SweepError
-from sweep.plots.legends import legend_below
-from sweep.plots.lines import DASH, WIDEST_DASH
-from sweep.plots.scales import logarithmic
-from sweep.plots.style import figure_size, finish, series
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots.legends import legend_below
+from linksweep.sweep.plots.lines import DASH, WIDEST_DASH
+from linksweep.sweep.plots.scales import logarithmic
+from linksweep.sweep.plots.style import figure_size, finish, series
 
 THRESHOLD = 3.0
 MOST_SIGMA = 10.0

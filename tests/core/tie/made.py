@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from core.constants import MAS
-from core.frames import satellite_catalogue
-from core.tie.astrometry import PAIRS, Astrometry
+from linksweep.core.constants import MAS
+from linksweep.core.frames import satellite_catalogue
+from linksweep.core.tie.astrometry import PAIRS, Astrometry
 
 
 def random_correlations(rng, n):

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, lstsq
 
-from core.constants import MAS
-from core.link import LinkError
-from core.tie.astrometry import Astrometry
-from core.tie.differences import differences
-from core.tie.elimination import eliminate
-from core.tie.influence import bootstrap, discrepancies, expected_discrepancies
-from core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums
-from core.tie.problem import Problem
-from core.tie.solution import solve
-from core.unknowns import parse_unknowns
+from linksweep.core.constants import MAS
+from linksweep.core.link import LinkError
+from linksweep.core.tie.astrometry import Astrometry
+from linksweep.core.tie.differences import differences
+from linksweep.core.tie.elimination import eliminate
+from linksweep.core.tie.influence import bootstrap, discrepancies, expected_discrepancies
+from linksweep.core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.solution import solve
+from linksweep.core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
 
 UNKNOWNS = parse_unknowns("orientation,spin,parallax")
@@ -36,7 +36,7 @@ def mixed(n=12, seed=4, per_source=3):
     rows = len(source)
     epoch = rng.uniform(1990.0, 2020.0, rows)
     own = satellite.taken(source)
-    from core.tie.motion import propagated
+    from linksweep.core.tie.motion import propagated
 
     values = propagated(own.values, own.radial_velocity, own.epoch, epoch)
     errors = rng.uniform(0.1, 1.0, (5, rows)) * MAS
@@ -201,8 +201,8 @@ def test_groups_add_up_to_the_sources_in_blocks_of_any_size(monkeypatch):
     problem = mixed()
     sums = source_sums(problem)
     group = np.arange(12) % 3
-    monkeypatch.setattr("core.tie.normal_sums.BLOCK", 2)
-    monkeypatch.setattr("core.tie.normal_sums.GATHERED", 5)
+    monkeypatch.setattr("linksweep.core.tie.normal_sums.BLOCK", 2)
+    monkeypatch.setattr("linksweep.core.tie.normal_sums.GATHERED", 5)
     grouped = group_sums(problem, group, 3)
     for one in range(3):
         np.testing.assert_allclose(grouped.normal[one], sums.normal[group == one].sum(axis=0), rtol=1e-10)
@@ -243,7 +243,7 @@ def test_simple_rows_have_the_general_form(kind, monkeypatch):
     def never(*arguments):
         calls.append(arguments)
 
-    monkeypatch.setattr("core.tie.problem.eliminate_simple", never)
+    monkeypatch.setattr("linksweep.core.tie.problem.eliminate_simple", never)
     general = source_sums(problem)
     assert calls
     for name in ("normal", "right", "squares", "count"):

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, lstsq
 
-from core.constants import MAS
-from core.tie.astrometry import joined
-from core.tie.clips import separation
-from core.tie.differences import differences
-from core.tie.draws import Simulation
-from core.tie.motion import propagated
-from core.tie.normal_sums import group_sums, source_discrepancies, source_sums
-from core.tie.problem import Problem
-from core.tie.solution import solve
-from core.unknowns import parse_unknowns, require_mission_name
+from linksweep.core.constants import MAS
+from linksweep.core.tie.astrometry import joined
+from linksweep.core.tie.clips import separation
+from linksweep.core.tie.differences import differences
+from linksweep.core.tie.draws import Simulation
+from linksweep.core.tie.motion import propagated
+from linksweep.core.tie.normal_sums import group_sums, source_discrepancies, source_sums
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.solution import solve
+from linksweep.core.unknowns import parse_unknowns, require_mission_name
 from tests.core.tie.made import noise, seen_by_satellite, stars
 
 GAIA, HIPPARCOS = 2016.0, 1991.25

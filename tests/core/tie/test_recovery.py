@@ -9,16 +9,16 @@ from astropy import units
 from astropy.coordinates import Distance, SkyCoord, get_body_barycentric
 from astropy.time import Time
 
-from core.blocks import Rotation
-from core.constants import MAS
-from core.frames import position, triad
-from core.tie import differences as differences_module
-from core.tie.astrometry import Astrometry, kinds
-from core.tie.motion import parallax_factors, propagated
-from core.tie.normal_sums import source_sums
-from core.tie.problem import Problem
-from core.tie.solution import solve
-from core.unknowns import Unknowns, parse_unknowns
+from linksweep.core.blocks import Rotation
+from linksweep.core.constants import MAS
+from linksweep.core.frames import position, triad
+from linksweep.core.tie import differences as differences_module
+from linksweep.core.tie.astrometry import Astrometry, kinds
+from linksweep.core.tie.motion import parallax_factors, propagated
+from linksweep.core.tie.normal_sums import source_sums
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.solution import solve
+from linksweep.core.unknowns import Unknowns, parse_unknowns
 from tests.core.tie.made import seen_by_satellite, stars
 
 EPSILON = np.array([70.0, -130.0, 90.0]) * MAS
@@ -98,7 +98,7 @@ def test_positions_of_single_epochs(years):
 
 def test_orientation_and_spin_from_positions_of_two_epochs():
     first, second = made("single", -6.0), made("single", 7.7)
-    from core.tie.forecast import joined
+    from linksweep.core.tie.forecast import joined
 
     rows = joined(first.rows, second.rows)
     both = Problem(first.satellite, rows, np.tile(np.arange(30), 2), parse_unknowns("orientation,spin"), first.epoch)
@@ -173,7 +173,7 @@ def test_propagation_without_radial_velocity_is_seen():
 
 def test_a_design_without_the_years_is_seen(monkeypatch):
     problem = replace(made("position", 10.0), unknowns=parse_unknowns("orientation,spin"))
-    from core.tie.forecast import joined
+    from linksweep.core.tie.forecast import joined
 
     two = made("position", -10.0)
     both = replace(problem, rows=joined(problem.rows, two.rows), source=np.tile(np.arange(30), 2))
@@ -186,7 +186,7 @@ def test_a_design_without_the_years_is_seen(monkeypatch):
         found.partials[:, 0, 3] = found.partials[:, 1, 4] = found.partials[:, 0, 3] / 2
         return found
 
-    monkeypatch.setattr("core.tie.problem.differences", without)
+    monkeypatch.setattr("linksweep.core.tie.problem.differences", without)
     assert np.abs(solve(source_sums(both)).estimate[3:] - OMEGA).max() / MAS > 0.1
 
 

@@ -14,8 +14,8 @@ from scipy.stats import f as f_law
 from scipy.stats import linregress
 
 import linksweep
-from sweep.analysis.compare import compare
-from sweep.planning.point_status import Status
+from linksweep.sweep.analysis.compare import compare
+from linksweep.sweep.planning.point_status import Status
 
 seeds = st.integers(0, 2**32 - 1)
 several = settings(max_examples=25, deadline=None)

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from sweep.analysis.compare import VERDICTS, Comparison, Measured, PublishedNumber, judged
-from sweep.analysis.compare_text import COLOURS, as_text
+from linksweep.sweep.analysis.compare import VERDICTS, Comparison, Measured, PublishedNumber, judged
+from linksweep.sweep.analysis.compare_text import COLOURS, as_text
 
 LONG = {"mission": "hipparcos", "reference_error_scale": 0.25, "satellite_errors": "magnitude", "weighting": "equal"}
 

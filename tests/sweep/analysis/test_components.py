@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.analysis.components import component_lines, condition_warning
+from linksweep.sweep.analysis.components import component_lines, condition_warning
 
 NAMES = ["omega_x", "omega_y", "omega_z"]
 

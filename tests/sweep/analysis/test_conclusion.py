@@ -5,13 +5,13 @@ import tomllib
 
 import pytest
 
-from sweep.analysis.answer import answer_in_short, answers, conclusion_in_words
-from sweep.analysis.headline_table import headline_columns
-from sweep.analysis.quantity import main_quantity
-from sweep.contract import SweepError
-from sweep.planning.point_status import Status
-from sweep.studies.reader import load_study, study_from_dict
-from sweep.studies.source import built_in_studies
+from linksweep.sweep.analysis.answer import answer_in_short, answers, conclusion_in_words
+from linksweep.sweep.analysis.headline_table import headline_columns
+from linksweep.sweep.analysis.quantity import main_quantity
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.studies.source import built_in_studies
 from tests.sweep.conftest import SHORT
 
 AT = {"model": "gaia", "v_max": 20.0}

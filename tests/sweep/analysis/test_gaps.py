@@ -8,11 +8,11 @@ from astropy.table import Table
 from click.testing import CliRunner
 
 import linksweep
-from sweep.analysis.answer import answers, completeness
-from sweep.analysis.conditions import parse_limit
-from sweep.analysis.crossings import points_where
-from sweep.analysis.gaps import with_nan
-from sweep.cli import main
+from linksweep.sweep.analysis.answer import answers, completeness
+from linksweep.sweep.analysis.conditions import parse_limit
+from linksweep.sweep.analysis.crossings import points_where
+from linksweep.sweep.analysis.gaps import with_nan
+from linksweep.sweep.cli import main
 
 LARGE = 2**60
 

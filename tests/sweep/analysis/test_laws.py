@@ -10,20 +10,20 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.analysis.conditions import Limit, parse_limit, parse_range
-from sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, NEVER, SEVERAL, UP_TO, find, interpolate
-from sweep.analysis.fits import power_law
-from sweep.analysis.law_tables import as_json, rows
-from sweep.analysis.laws import fit_levelling, fit_power_law, ratio
-from sweep.analysis.lines import lines
-from sweep.analysis.quantity import main_quantity, quantities, require_axis, standard_error
-from sweep.analysis.selection import between, select
-from sweep.cli import main
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.point_status import Status
-from sweep.running.run import run_study
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.analysis.conditions import Limit, parse_limit, parse_range
+from linksweep.sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, NEVER, SEVERAL, UP_TO, find, interpolate
+from linksweep.sweep.analysis.fits import power_law
+from linksweep.sweep.analysis.law_tables import as_json, rows
+from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+from linksweep.sweep.analysis.lines import lines
+from linksweep.sweep.analysis.quantity import main_quantity, quantities, require_axis, standard_error
+from linksweep.sweep.analysis.selection import between, select
+from linksweep.sweep.cli import main
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.studies.reader import study_from_dict
 
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
 V = np.arange(14.0, 20.1, 0.5)

@@ -9,9 +9,14 @@ import xarray as xr
 
 import linksweep
 from linksweep import SweepError, experiment, sensitivity
-from sweep.analysis.sensitivity_indices import first_order, indices_of_grid, saltelli_indices, weights_of_order
-from sweep.analysis.sensitivity_tables import columns_of
-from sweep.studies.designs import DESIGNS
+from linksweep.sweep.analysis.sensitivity_indices import (
+    first_order,
+    indices_of_grid,
+    saltelli_indices,
+    weights_of_order,
+)
+from linksweep.sweep.analysis.sensitivity_tables import columns_of
+from linksweep.sweep.studies.designs import DESIGNS
 from tests.tiers import slow
 
 PI = np.pi

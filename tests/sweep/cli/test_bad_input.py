@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from sweep.cli import main
+from linksweep.sweep.cli import main
 from tests.tiers import slow
 
 GOOD = """\
@@ -420,7 +420,7 @@ def test_a_package_that_is_not_installed(here: Path) -> None:
         ("own/inner/part.py:f", f"named by its module: PYTHONPATH={here} sweep run own.inner.part:f"),
         ("own.inner.part:f", f"No module named 'own'; it is not installed: PYTHONPATH={here} finds it here"),
     ):
-        command = [sys.executable, "-P", "-m", "sweep", "run", reference, "--axis", "x=1"]  # as the command is
+        command = [sys.executable, "-P", "-m", "linksweep", "run", reference, "--axis", "x=1"]  # as the command is
         done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout) == (2, "")
         assert phrase in done.stderr
@@ -428,9 +428,9 @@ def test_a_package_that_is_not_installed(here: Path) -> None:
 
 def test_a_check_that_raises_is_a_reason(here: Path) -> None:
     (here / "mine.py").write_text(
-        "import dataclasses, core.experiment\n"
+        "import dataclasses, linksweep.core.experiment\n"
         "def check(point): raise KeyError('lost')\n"
-        "experiment = dataclasses.replace(core.experiment.link, check=check)\n"
+        "experiment = dataclasses.replace(linksweep.core.experiment.link, check=check)\n"
     )
     (here / "study.toml").write_text(f'experiment = "mine.py:experiment"\n{GOOD}')
     check_refused(here, ("run", "study.toml"), "check of a point raises KeyError: 'lost' (4 points)")
@@ -522,7 +522,7 @@ def test_problems_of_options_and_study_come_together(here: Path) -> None:
     ],
 )
 def test_bad_scheduler(here: Path, monkeypatch: pytest.MonkeyPatch, address: str) -> None:
-    monkeypatch.setattr("sweep.executing.clusters.CONNECT_TIMEOUT_S", 1)
+    monkeypatch.setattr("linksweep.sweep.executing.clusters.CONNECT_TIMEOUT_S", 1)
     (here / "study.toml").write_text(GOOD)
     check_refused(here, ("run", "study.toml", "--scheduler", address), "no Dask scheduler", repr(address))
 

@@ -9,11 +9,11 @@ import click
 import pytest
 import xarray as xr
 
-from sweep.analysis.columns import GAP, fitting
-from sweep.analysis.headline_table import headline_columns
-from sweep.cli import main
-from sweep.cli.group import SECTIONS
-from sweep.stores.store import open_dataset
+from linksweep.sweep.analysis.columns import GAP, fitting
+from linksweep.sweep.analysis.headline_table import headline_columns
+from linksweep.sweep.cli import main
+from linksweep.sweep.cli.group import SECTIONS
+from linksweep.sweep.stores.store import open_dataset
 from tests.conftest import COINS
 from tests.tiers import slow
 
@@ -38,7 +38,7 @@ def test_every_command_has_help_with_an_example(sweep, command):
 
 def test_help_imports_nothing_heavy():
     """`sweep --help` answers at once: what takes long to import is imported by the commands that need it."""
-    code = "import sys, sweep.cli; print(*sorted({m.partition('.')[0] for m in sys.modules}))"
+    code = "import sys, linksweep.sweep.cli; print(*sorted({m.partition('.')[0] for m in sys.modules}))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "click" in loaded
     assert not {"numpy", "xarray", "zarr", "dask", "distributed", "pydantic", "rich", "matplotlib"} & set(loaded)
@@ -105,7 +105,7 @@ def test_an_axis_replaced_by_a_value_is_fixed(sweep, link_study, tmp_path):
 @pytest.mark.slow
 def test_a_bar_on_a_terminal_and_lines_elsewhere(link_study, tmp_path):
     """Under a pseudo-terminal the bar is drawn; what is left at the end are plain sentences."""
-    script = f"{sys.executable} -m sweep run {link_study} -o {tmp_path}/s.zarr --set n_sim=20000 --pool serial"
+    script = f"{sys.executable} -m linksweep run {link_study} -o {tmp_path}/s.zarr --set n_sim=20000 --pool serial"
     shown = subprocess.run(["script", "-qec", script, "/dev/null"], capture_output=True, text=True, check=True).stdout
     assert "realisations/s" in shown
     assert "6/6 points" in shown
@@ -127,7 +127,7 @@ def test_the_four_axis_grid_runs(sweep, tmp_path):
 @pytest.mark.slow
 def test_no_number_is_cut_on_a_narrow_terminal(sweep, link_study, tmp_path):
     sweep("run", link_study, "-o", tmp_path / "s.zarr", "--set", "n_sim=20")
-    command = f"stty cols 40; {sys.executable} -m sweep show {tmp_path}/s.zarr"
+    command = f"stty cols 40; {sys.executable} -m linksweep show {tmp_path}/s.zarr"
     shown = subprocess.run(["script", "-qec", command, "/dev/null"], capture_output=True, text=True, check=True).stdout
     assert "sigma_spin" in shown
     assert "…" not in shown
@@ -199,4 +199,4 @@ def test_two_formats_are_refused(sweep, store_of, command):
 
 @pytest.mark.slow
 def test_params_of_a_study_are_those_of_its_experiment(sweep):
-    assert sweep("params", "icrf2-icrf3") == sweep("params", "sweep.tie.experiment:tie")
+    assert sweep("params", "icrf2-icrf3") == sweep("params", "linksweep.sweep.tie.experiment:tie")

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.formatting import harmless, to_csv
-from sweep.stores.checksums import sealed
+from linksweep.sweep.formatting import harmless, to_csv
+from linksweep.sweep.stores.checksums import sealed
 
 MARK = "\x1b]0;owned\x07\x9b2J\u202e\x1b[31m\r\x08"
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
@@ -66,7 +66,7 @@ def folder(tmp_path_factory):
 def store(folder):
     command = ["run", "study.toml", "--pool", "serial", "-o", "s.zarr", "--log", "run.log", "--verbose"]
     done = subprocess.run(
-        [sys.executable, "-m", "sweep", *command], cwd=folder, capture_output=True, text=True, check=False
+        [sys.executable, "-m", "linksweep", *command], cwd=folder, capture_output=True, text=True, check=False
     )
     assert done.returncode == 1, done.stderr
     assert not found(done.stdout + done.stderr + (folder / "run.log").read_text())
@@ -96,7 +96,7 @@ def test_a_terminal_gets_styles_of_ours_alone(store, folder):
         ours, theirs = pty.openpty()
         environment = os.environ | {"TERM": "xterm"}
         with subprocess.Popen(
-            [sys.executable, "-m", "sweep", *look], cwd=folder, stdout=theirs, stderr=theirs, env=environment
+            [sys.executable, "-m", "linksweep", *look], cwd=folder, stdout=theirs, stderr=theirs, env=environment
         ):
             os.close(theirs)
             said = b""

@@ -2,9 +2,9 @@
 
 import pytest
 
-from sweep.cli import demo
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import load_study
+from linksweep.sweep.cli import demo
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import load_study
 
 
 def test_the_study_is_one_with_a_question_and_an_answer():
@@ -41,7 +41,7 @@ def test_a_folder_that_is_there_is_not_touched(sweep, tmp_path):
 def test_steps_whose_packages_are_missing_are_left_out(tmp_path, monkeypatch, package):
     from click.testing import CliRunner
 
-    from sweep.cli import main
+    from linksweep.sweep.cli import main
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(

@@ -8,7 +8,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 import linksweep
-from sweep.cli import main
+from linksweep.sweep.cli import main
 
 
 def law(a: float, b: float = 1.0):

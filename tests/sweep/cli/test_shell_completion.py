@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from sweep.cli.shell_completion import SAMPLING
-from sweep.studies.form import Sampling
+from linksweep.sweep.cli.shell_completion import SAMPLING
+from linksweep.sweep.studies.form import Sampling
 from tests.tiers import slow
 
 BIN = Path(sys.executable).parent
@@ -85,8 +85,8 @@ def test_nothing_heavy_is_imported():
     code = (
         "import os, sys; os.environ.update(_SWEEP_COMPLETE='bash_complete', COMP_WORDS='sweep run quasars --set ', "
         "COMP_CWORD='4')\n"
-        "import sweep.cli\n"
-        "try: sweep.cli.main(prog_name='sweep')\n"
+        "import linksweep.sweep.cli\n"
+        "try: linksweep.sweep.cli.main(prog_name='sweep')\n"
         "except SystemExit: print(*{m.partition('.')[0] for m in sys.modules}, file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from sweep.executing.choose import Resources
-from sweep.executing.task import MAX_MESSAGE
-from sweep.running.run import run_study
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import load_study
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.task import MAX_MESSAGE
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import load_study
 from tests.tiers import slow
 
 UNSAYABLE = str(Path(__file__).parents[1] / "unsayable.py") + ":experiment"
@@ -33,7 +33,16 @@ def store(tmp_path_factory):
 
 def shell(redirection, *arguments, unbuffered=""):
     """Run ``sweep`` with redirected streams; return exit code, standard output and standard error."""
-    command = ["/bin/sh", "-c", f'exec "$@" {redirection}', "sh", sys.executable, "-m", "sweep", *map(str, arguments)]
+    command = [
+        "/bin/sh",
+        "-c",
+        f'exec "$@" {redirection}',
+        "sh",
+        sys.executable,
+        "-m",
+        "linksweep",
+        *map(str, arguments),
+    ]
     environment = os.environ | {"PYTHONUNBUFFERED": unbuffered}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     return done.returncode, done.stdout, done.stderr

@@ -10,8 +10,8 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 
-from core.constants import MAS
-from sweep.cli import main
+from linksweep.core.constants import MAS
+from linksweep.sweep.cli import main
 from tests.core.tie.test_missions import EPSILON, OMEGA, missions
 from tests.sweep.tie.test_tables import gaia
 
@@ -148,7 +148,7 @@ def test_wrong_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, argum
 
 def test_help_imports_nothing_heavy():
     code = (
-        "import sys; from sweep.cli import main; main(['tie', '--help'], standalone_mode=False); "
+        "import sys; from linksweep.sweep.cli import main; main(['tie', '--help'], standalone_mode=False); "
         "print({'astropy', 'erfa', 'scipy', 'xarray'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -7,8 +7,8 @@ import pytest
 from click.testing import CliRunner
 
 import linksweep
-from sweep.cli import main
-from sweep.report.link_section import link_section
+from linksweep.sweep.cli import main
+from linksweep.sweep.report.link_section import link_section
 
 
 def run(*arguments):

@@ -6,15 +6,15 @@ import pytest
 import xarray as xr
 from distributed import KilledWorker
 
-from sweep.contract import SweepError
-from sweep.executing import dask_executor
-from sweep.executing.choose import Resources
-from sweep.executing.dask_workers import DaskWorkers
-from sweep.executing.execute import NO_LIMITS
-from sweep.executing.pools import POOLS
-from sweep.executing.worker_plugin import run_on_worker
-from sweep.running.run import Silent, run_study
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing import dask_executor
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.dask_workers import DaskWorkers
+from linksweep.sweep.executing.execute import NO_LIMITS
+from linksweep.sweep.executing.pools import POOLS
+from linksweep.sweep.executing.worker_plugin import run_on_worker
+from linksweep.sweep.running.run import Silent, run_study
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import existing_store
 from tests.tiers import slow
 

@@ -6,11 +6,11 @@ from contextlib import closing, suppress
 
 import pytest
 
-from sweep.contract import SweepError
-from sweep.executing import clusters
-from sweep.executing.clusters import client_at, dask_scheduler
-from sweep.executing.local_cluster import local_cluster
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing import clusters
+from linksweep.sweep.executing.clusters import client_at, dask_scheduler
+from linksweep.sweep.executing.local_cluster import local_cluster
+from linksweep.sweep.studies.reader import study_from_dict
 
 
 def test_a_port_that_says_nothing(monkeypatch):

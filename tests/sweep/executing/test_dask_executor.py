@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 from distributed.comm import CommClosedError
 
-from sweep.contract import SweepError
-from sweep.executing import dask_workers
-from sweep.executing.dask_executor import MOST_FETCHED, MOST_SENT, DaskExecutor
-from sweep.executing.dask_workers import MAX_ATTEMPTS, DaskWorkers
-from sweep.executing.execute import NO_LIMITS
-from sweep.executing.task import failed
-from sweep.executing.versions import identity
-from sweep.executing.worker_plugin import Answer
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Plan
-from sweep.planning.work_queue import Pending
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing import dask_workers
+from linksweep.sweep.executing.dask_executor import MOST_FETCHED, MOST_SENT, DaskExecutor
+from linksweep.sweep.executing.dask_workers import MAX_ATTEMPTS, DaskWorkers
+from linksweep.sweep.executing.execute import NO_LIMITS
+from linksweep.sweep.executing.task import failed
+from linksweep.sweep.executing.versions import identity
+from linksweep.sweep.executing.worker_plugin import Answer
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.work_queue import Pending
+from linksweep.sweep.studies.reader import study_from_dict
 
 STUDY = {
     "title": "t",

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError, experiment
-from sweep.executing.together import dependence
-from sweep.functions.adapter import experiment_of
-from sweep.planning.point_status import Status
+from linksweep.sweep.executing.together import dependence
+from linksweep.sweep.functions.adapter import experiment_of
+from linksweep.sweep.planning.point_status import Status
 from tests.tiers import examples
 
 POINTS = [{"x": x} for x in (3.0, 1.0, -2.0, 0.5)]

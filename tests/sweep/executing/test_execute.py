@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Plan
-from sweep.planning.work_queue import Pending
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.work_queue import Pending
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.deadly import FATES
 from tests.tiers import slow
 

@@ -36,10 +36,10 @@ def started_to_write(store: Path, process):
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
     """The study that all tests here run, and its results in the serial reference."""
-    from sweep.executing.choose import Resources
-    from sweep.executing.execute import NO_LIMITS
-    from sweep.running.run import run_study
-    from sweep.studies.reader import load_study
+    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.executing.execute import NO_LIMITS
+    from linksweep.sweep.running.run import run_study
+    from linksweep.sweep.studies.reader import load_study
     from tests.conftest import LINK_STUDY
 
     path = tmp_path_factory.mktemp("reference")

@@ -14,9 +14,9 @@ import pytest
 import xarray as xr
 from distributed import LocalCluster
 
-from sweep.executing.forkserver import ENVIRONMENT, PRELOADED, SAFE_PATH, signals_blocked, start_method
-from sweep.executing.local_cluster import own_cluster
-from sweep.executing.worker_plugin import TaskPlugin
+from linksweep.sweep.executing.forkserver import ENVIRONMENT, PRELOADED, SAFE_PATH, signals_blocked, start_method
+from linksweep.sweep.executing.local_cluster import own_cluster
+from linksweep.sweep.executing.worker_plugin import TaskPlugin
 from tests.patience import PATIENCE_S
 from tests.sweep.executing.test_faults import started_to_write
 from tests.sweep.outside import below, command_of, workers_below
@@ -98,7 +98,7 @@ def test_workers_draw_different_numbers_even_from_the_generator_they_must_not_us
 def test_modules_of_the_folder_are_not_taken_for_others(link_study, tmp_path, start_sweep):
     (tmp_path / "sweep.py").write_text("raise SystemExit('the wrong sweep')")
     (tmp_path / "calendar.py").write_text("raise ZeroDivisionError('the wrong calendar')")
-    command = [sys.executable, "-P", "-m", "sweep"]
+    command = [sys.executable, "-P", "-m", "linksweep"]
     process = start_sweep("run", link_study, "-o", "s.zarr", "--workers", 1, command=command, cwd=tmp_path)
     _, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, "wrong" in err) == (0, False), err
@@ -127,7 +127,7 @@ def test_what_is_made_while_it_is_interrupted_is_undone():
 
 
 def test_what_is_made_too_late_is_undone_later(monkeypatch):
-    monkeypatch.setattr("sweep.executing.forkserver.UNDO_S", 0.0)
+    monkeypatch.setattr("linksweep.sweep.executing.forkserver.UNDO_S", 0.0)
     undone = queue.Queue()
     with pytest.raises(KeyboardInterrupt):
         signals_blocked(interrupted_meanwhile, undone.put)
@@ -217,7 +217,7 @@ def test_no_process_of_a_run_imports_what_lies_in_the_present_folder(tmp_path):
     for name in names:
         (folder / f"{name}.py").write_text(f"open({str(tmp_path / 'marks')!r}, 'a').write(__name__ + ' ')\n")
     (folder / "mine.py").write_text("import os\ndef f(x: float = 1.0):\n    return os._exit(3) if x == 2.0 else x\n")
-    command = "import sys; from sweep.__main__ import main; sys.exit(main())"
+    command = "import sys; from linksweep.sweep.__main__ import main; sys.exit(main())"
     run = ("run", "mine.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", "--workers", "1")
     done = subprocess.run(
         [sys.executable, "-P", "-c", command, *run], cwd=folder, capture_output=True, text=True, check=False

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from linksweep import run
-from sweep.executing import isolated
+from linksweep.sweep.executing import isolated
 from tests.patience import PATIENCE_S
 from tests.sweep.outside import below, command_of, wait_until
 from tests.tiers import slow

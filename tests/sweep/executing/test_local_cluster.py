@@ -11,10 +11,10 @@ from contextlib import contextmanager, nullcontext
 import pytest
 from distributed import LocalCluster
 
-from sweep.contract import SweepError
-from sweep.executing import choose
-from sweep.executing.choose import Resources
-from sweep.executing.local_cluster import NoWorkersError, local_cluster, own_cluster
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing import choose
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.local_cluster import NoWorkersError, local_cluster, own_cluster
 from tests.patience import PATIENCE_S
 from tests.sweep.outside import workers_below
 from tests.tiers import slow
@@ -104,7 +104,7 @@ def test_a_start_that_fails_is_tried_again_a_few_times(failures, starts, monkeyp
             raise RuntimeError("Nanny failed to start.")
         yield "a cluster"
 
-    monkeypatch.setattr("sweep.executing.local_cluster.own_cluster", own_cluster)
+    monkeypatch.setattr("linksweep.sweep.executing.local_cluster.own_cluster", own_cluster)
     expected = nullcontext() if failures < starts else pytest.raises(NoWorkersError, match="may kill them")
     with expected, local_cluster({}) as cluster:
         assert cluster == "a cluster"

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from sweep.executing import execute, worker
-from sweep.executing.choose import ANY_RESOURCES, Resources
-from sweep.executing.execute import Limits
-from sweep.executing.pools import POOLS
-from sweep.running.run import Silent, run_study
-from sweep.stores.opened import OpenStore
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing import execute, worker
+from linksweep.sweep.executing.choose import ANY_RESOURCES, Resources
+from linksweep.sweep.executing.execute import Limits
+from linksweep.sweep.executing.pools import POOLS
+from linksweep.sweep.running.run import Silent, run_study
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.outside import wait_until
 from tests.tiers import slow
 
@@ -69,7 +69,7 @@ def test_a_task_that_takes_too_long_hands_back_what_it_has(coins, tmp_path, monk
     study = study_from_dict(coins)
     whole, _ = run_study(study, tmp_path / "whole.zarr", Resources(pool="serial"))
     monkeypatch.setattr(worker, "ENOUGH_S", -1.0)
-    monkeypatch.setattr("sweep.executing.isolated.ENOUGH_S", -1.0)
+    monkeypatch.setattr("linksweep.sweep.executing.isolated.ENOUGH_S", -1.0)
     watcher = Watcher()
     dataset, failures = run_study(study, tmp_path / "s.zarr", resources, watcher)
     assert not failures

@@ -6,12 +6,12 @@ import pytest
 from distributed import Client
 from distributed.comm import CommClosedError
 
-from sweep.contract import SweepError
-from sweep.executing import ordered_map, versions
-from sweep.executing.local_cluster import local_cluster
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing import ordered_map, versions
+from linksweep.sweep.executing.local_cluster import local_cluster
 from tests.patience import PATIENCE_S
 
-EXPERIMENT = "core.experiment:link"
+EXPERIMENT = "linksweep.core.experiment:link"
 ONE = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
 
 

@@ -13,11 +13,11 @@ import tempfile
 
 import pytest
 
-from sweep.executing.execute import NO_LIMITS
-from sweep.executing.local_cluster import local_cluster
-from sweep.executing.ordered_map import ordered_map
-from sweep.executing.pools import POOLS
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing.execute import NO_LIMITS
+from linksweep.sweep.executing.local_cluster import local_cluster
+from linksweep.sweep.executing.ordered_map import ordered_map
+from linksweep.sweep.executing.pools import POOLS
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
 from tests.sweep.outside import below, listening, unix_sockets, wait_until
 from tests.tiers import slow
@@ -152,7 +152,7 @@ def test_a_pool_lets_nobody_in(study, temporary, pool):
 
 @pytest.mark.slow
 def test_pieces_of_tables_are_worked_on_where_nobody_else_gets_in(temporary):
-    with ordered_map(2, None, "core.experiment:link") as mapped:
+    with ordered_map(2, None, "linksweep.core.experiment:link") as mapped:
         assert list(mapped(pow, [(2, 3)])) == [8]
         ports, got = what_others_get([temporary])
     assert ports

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from linksweep import run
-from sweep.executing.own_process import forks_ended
-from sweep.interrupt import RunInterruptedError
+from linksweep.sweep.executing.own_process import forks_ended
+from linksweep.sweep.interrupt import RunInterruptedError
 from tests.tiers import slow
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sweep.code.load import keep
-from sweep.executing.task import PointBlock, Task
-from sweep.executing.together import MOST_CATALOGUES, alike
-from sweep.executing.worker import run_task
-from sweep.planning.block import Block
+from linksweep.sweep.code.load import keep
+from linksweep.sweep.executing.task import PointBlock, Task
+from linksweep.sweep.executing.together import MOST_CATALOGUES, alike
+from linksweep.sweep.executing.worker import run_task
+from linksweep.sweep.planning.block import Block
 from tests.sweep.coins import experiment, toss
 
 CALLS = []

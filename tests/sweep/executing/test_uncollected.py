@@ -4,10 +4,10 @@ import gc
 
 import pytest
 
-from sweep.executing.execute import NO_LIMITS
-from sweep.executing.pools import POOLS
-from sweep.executing.uncollected import uncollected
-from sweep.studies.reader import load_study
+from linksweep.sweep.executing.execute import NO_LIMITS
+from linksweep.sweep.executing.pools import POOLS
+from linksweep.sweep.executing.uncollected import uncollected
+from linksweep.sweep.studies.reader import load_study
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +37,7 @@ def test_garbage_is_collected_while_workers_compute_and_where_none_can_start(lin
     study = load_study(str(link_study))
     with POOLS["processes"].open(study, 1, print, NO_LIMITS, False) as (place, _):
         assert (place.workers, gc.isenabled()) == (1, True)
-    monkeypatch.setattr("sweep.executing.clusters.local_cluster", None)
+    monkeypatch.setattr("linksweep.sweep.executing.clusters.local_cluster", None)
     with pytest.raises(TypeError), POOLS["processes"].open(study, 1, print, NO_LIMITS, False):
         pass
     assert gc.isenabled()

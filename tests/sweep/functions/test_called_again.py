@@ -152,7 +152,7 @@ def test_a_vectorised_function_is_called_twice_too(tmp_path):
 def test_a_resumed_run_looks_too(tmp_path):
     """In a new process nothing is known of the function, whose code may have been accepted."""
     module = tmp_path / "f.py"
-    command = [sys.executable, "-m", "sweep", "run", "f.py:f", "-o", "s.zarr"]
+    command = [sys.executable, "-m", "linksweep", "run", "f.py:f", "-o", "s.zarr"]
 
     def sweep(*more):
         return subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=False)

@@ -15,10 +15,10 @@ import xarray as xr
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
-from sweep.contract import NotFiniteError, Output, ResultError
-from sweep.functions.layout import differences, with_head
-from sweep.functions.named_results import Declared
-from sweep.functions.results import flatten, split_points
+from linksweep.sweep.contract import NotFiniteError, Output, ResultError
+from linksweep.sweep.functions.layout import differences, with_head
+from linksweep.sweep.functions.named_results import Declared
+from linksweep.sweep.functions.results import flatten, split_points
 
 PLAIN = Declared("f", "f", (), ("beta",))
 

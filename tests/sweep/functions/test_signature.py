@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.signal.windows import kaiser
 
-from sweep.contract import Output, Parameter, SweepError
-from sweep.functions.adapter import experiment_of
-from sweep.functions.declared import experiment
-from sweep.functions.signature import signature_of
+from linksweep.sweep.contract import Output, Parameter, SweepError
+from linksweep.sweep.functions.adapter import experiment_of
+from linksweep.sweep.functions.declared import experiment
+from linksweep.sweep.functions.signature import signature_of
 
 
 def several(

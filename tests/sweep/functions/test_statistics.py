@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sweep.functions.layout import Field
-from sweep.functions.statistics import fewest_for, merged, moments_of, quantile_of, quantiles, statistic, unknown
+from linksweep.sweep.functions.layout import Field
+from linksweep.sweep.functions.statistics import (
+    fewest_for,
+    merged,
+    moments_of,
+    quantile_of,
+    quantiles,
+    statistic,
+    unknown,
+)
 
 
 def made(values):

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from sweep.paper.calibrate import as_text, calibration_report
+from linksweep.sweep.paper.calibrate import as_text, calibration_report
 
 
 @pytest.fixture(scope="module")

@@ -37,7 +37,7 @@ PAPER = np.array([line.split() for line in TABLE_1.split("\n") if line], dtype=f
 def main_job(tmp_path_factory):
     """Run the command once; give its folder and what it printed."""
     folder = tmp_path_factory.mktemp("main")
-    command = [sys.executable, "-m", "sweep", "run", "quasars"]
+    command = [sys.executable, "-m", "linksweep", "run", "quasars"]
     run = subprocess.run(
         command, cwd=folder, capture_output=True, check=False, text=True, env=os.environ | {"COLUMNS": "200"}
     )

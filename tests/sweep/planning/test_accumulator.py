@@ -9,14 +9,14 @@ from hashlib import blake2b
 import numpy as np
 import pytest
 
-from sweep.contract import Experiment, Output, Parameter
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.block import Block, ledger_key
-from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Plan
-from sweep.planning.point_status import Status
-from sweep.planning.work_queue import Pending
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.block import Block, ledger_key
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.planning.work_queue import Pending
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.conftest import COINS
 
 
@@ -182,7 +182,7 @@ GRIDS = {
 
 @pytest.mark.parametrize("name", GRIDS)
 def test_digests_many_at_a_time_are_those_of_the_points(name, monkeypatch):
-    monkeypatch.setattr("sweep.planning.grid.AT_ONCE", 2)
+    monkeypatch.setattr("linksweep.sweep.planning.grid.AT_ONCE", 2)
     grid = make_grid(study_from_dict({"title": "", "experiment": COINS} | GRIDS[name]))
     points = list(grid.points())
     defaults = grid.study.experiment.defaults()
@@ -199,7 +199,7 @@ def test_digests_many_at_a_time_are_those_of_the_points(name, monkeypatch):
 @pytest.mark.parametrize("name", GRIDS)
 @pytest.mark.parametrize("only_failed", [False, True])
 def test_a_survey_of_many_points_is_that_of_one_after_the_other(name, only_failed, monkeypatch):
-    monkeypatch.setattr("sweep.planning.accumulator.AT_ONCE", 2)
+    monkeypatch.setattr("linksweep.sweep.planning.accumulator.AT_ONCE", 2)
     document = {"title": "", "experiment": COINS, "sampling": {"n_sim": 10, "n_cat": 1}} | GRIDS[name]
     plan = Plan(make_grid(study_from_dict(document)))
     digests = [point.digest for point in plan.grid.points()]

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.planning.block_rows import KEY_BYTES, BlockRows
+from linksweep.sweep.planning.block_rows import KEY_BYTES, BlockRows
 
 KEYS = st.integers(0, 5).map(lambda number: number.to_bytes(KEY_BYTES, "little"))
 

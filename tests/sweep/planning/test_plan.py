@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.contract import SweepError
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.block import ledger_key
-from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan
-from sweep.planning.tuning import TUNED
-from sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, Pending
-from sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.block import ledger_key
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan
+from linksweep.sweep.planning.tuning import TUNED
+from linksweep.sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, Pending
+from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 from tests.sweep.running import test_precision
 from tests.tiers import examples, slow

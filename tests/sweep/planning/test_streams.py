@@ -8,8 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.planning.block import Block
-from sweep.planning.streams import CHILDREN, FEWEST_AT_ONCE, MOST_AT_ONCE, block_generators, generators, generators_of
+from linksweep.sweep.planning.block import Block
+from linksweep.sweep.planning.streams import (
+    CHILDREN,
+    FEWEST_AT_ONCE,
+    MOST_AT_ONCE,
+    block_generators,
+    generators,
+    generators_of,
+)
 
 SEEDS = st.sampled_from([0, 5, 2**32, 2**64 - 1]) | st.integers(0, 2**64 - 1)
 

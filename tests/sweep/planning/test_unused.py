@@ -2,12 +2,12 @@
 
 import pytest
 
-from sweep.contract import SweepError
-from sweep.planning.checked_grid import make_grid
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.studies.reader import study_from_dict
 
 SHAPES = """
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 asked = []
 

@@ -14,26 +14,26 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from sweep.analysis.laws import fit_power_law
-from sweep.analysis.quantity import standard_error
-from sweep.analysis.selection import select
-from sweep.cli import main
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.point_status import Status
-from sweep.plots import scales, style
-from sweep.plots.caption import caption, description
-from sweep.plots.figure import draw_figure, possible_kinds
-from sweep.plots.labels import explained_label, symbol
-from sweep.plots.layout import arrange
-from sweep.plots.lines import draw_lines
-from sweep.plots.maps import add_bar, colour_limits, draw_map
-from sweep.plots.scatter import draw_scatter
-from sweep.plots.sky import add_sky, draw_sky
-from sweep.plots.standalone import accuracy_figure, draw_scaling, sky_figure
-from sweep.plots.views import accuracy_curves, catalogue_of_point, catalogue_of_table, models_of
-from sweep.running.run import run_study
-from sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.analysis.laws import fit_power_law
+from linksweep.sweep.analysis.quantity import standard_error
+from linksweep.sweep.analysis.selection import select
+from linksweep.sweep.cli import main
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.plots import scales, style
+from linksweep.sweep.plots.caption import caption, description
+from linksweep.sweep.plots.figure import draw_figure, possible_kinds
+from linksweep.sweep.plots.labels import explained_label, symbol
+from linksweep.sweep.plots.layout import arrange
+from linksweep.sweep.plots.lines import draw_lines
+from linksweep.sweep.plots.maps import add_bar, colour_limits, draw_map
+from linksweep.sweep.plots.scatter import draw_scatter
+from linksweep.sweep.plots.sky import add_sky, draw_sky
+from linksweep.sweep.plots.standalone import accuracy_figure, draw_scaling, sky_figure
+from linksweep.sweep.plots.views import accuracy_curves, catalogue_of_point, catalogue_of_table, models_of
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.tiers import slow
 
 

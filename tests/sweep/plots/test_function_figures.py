@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import linksweep
-from sweep.plots import style
-from sweep.plots.caption import caption, caption_and_description, description
-from sweep.plots.figure import draw_figure
+from linksweep.sweep.plots import style
+from linksweep.sweep.plots.caption import caption, caption_and_description, description
+from linksweep.sweep.plots.figure import draw_figure
 
 
 def decay(half_life: float, years: int = 10):

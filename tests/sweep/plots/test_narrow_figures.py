@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from sweep.plots import style
-from sweep.plots.figure import draw_figure
-from sweep.plots.layout import Layout
-from sweep.plots.lines import draw_lines
-from sweep.plots.panels import draw_panels
+from linksweep.sweep.plots import style
+from linksweep.sweep.plots.figure import draw_figure
+from linksweep.sweep.plots.layout import Layout
+from linksweep.sweep.plots.lines import draw_lines
+from linksweep.sweep.plots.panels import draw_panels
 from tests.tiers import slow
 
 WIDTH = 88.0

@@ -5,9 +5,9 @@ import pytest
 
 import linksweep
 from linksweep import SweepError
-from sweep.plots import style
-from sweep.plots.caption import description
-from sweep.plots.figure import draw_figure
+from linksweep.sweep.plots import style
+from linksweep.sweep.plots.caption import description
+from linksweep.sweep.plots.figure import draw_figure
 
 
 @pytest.fixture(scope="module")
@@ -127,8 +127,8 @@ def test_points_with_errors_show_them(tmp_path):
 @pytest.mark.slow
 def test_a_report_of_points_has_scatters_and_does_not_join_them(points, tmp_path):
     pytest.importorskip("bokeh")
-    from sweep.report.explorer import explorer
-    from sweep.report.section import section
+    from linksweep.sweep.report.explorer import explorer
+    from linksweep.sweep.report.section import section
 
     page = section("s.zarr", points, 1, 100_000)
     assert all(picture.svg for picture in page.pictures)

@@ -17,10 +17,10 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.contour import ContourSet
 
 import linksweep
-from sweep.analysis.quantity import standard_error
-from sweep.contract import SweepError
-from sweep.report.explorer import explorer
-from sweep.report.page import report_of
+from linksweep.sweep.analysis.quantity import standard_error
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.report.explorer import explorer
+from linksweep.sweep.report.page import report_of
 
 LARGE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0]
 
@@ -298,7 +298,7 @@ def test_tables_have_true_and_false(weighed, sweep):
 
 @pytest.mark.parametrize("over", ["load", "strong"])
 def test_figures_and_their_words_have_true_and_false(weighed, over):
-    from sweep.plots.caption import caption_and_description
+    from linksweep.sweep.plots.caption import caption_and_description
 
     dataset = linksweep.open(weighed)
     figure = linksweep.plot(dataset, "lines", variables=["stands"], over=[over])

@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 
 import linksweep
-from sweep.contract import SweepError
-from sweep.stores.store import open_dataset
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.store import open_dataset
 
 QUESTION = "How well do quasars alone tie a mission's proper motions to the extragalactic frame?"
 
@@ -43,7 +43,7 @@ def test_without_a_figure_there_is_a_sentence(results, monkeypatch):
     real = builtins.__import__
 
     def without_matplotlib(name, *rest):
-        if name.startswith("sweep.plots"):
+        if name.startswith("linksweep.sweep.plots"):
             raise ImportError(name)
         return real(name, *rest)
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from sweep.analysis.quantity import standard_error
-from sweep.analysis.readable_units import in_readable_units
-from sweep.report.figures import differences
+from linksweep.sweep.analysis.quantity import standard_error
+from linksweep.sweep.analysis.readable_units import in_readable_units
+from linksweep.sweep.report.figures import differences
 
 
 def test_differences_are_in_errors_and_have_no_unit(dataset_of):

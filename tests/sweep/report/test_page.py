@@ -16,19 +16,19 @@ import xarray as xr
 from click.testing import CliRunner
 
 import linksweep
-from sweep.analysis.answer import answers, completeness
-from sweep.cli import main
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.point_status import Status
-from sweep.report.explorer import explorer
-from sweep.report.figures import SAMPLES, drawn, pictures
-from sweep.report.page import MARK, check_output, citations, report_of, report_page, write_report
-from sweep.report.section import MOST_ROWS, SEVERITY, section
-from sweep.running.run import run_study
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import load_study, study_from_dict
-from sweep.studies.source import built_in_studies
+from linksweep.sweep.analysis.answer import answers, completeness
+from linksweep.sweep.cli import main
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.report.explorer import explorer
+from linksweep.sweep.report.figures import SAMPLES, drawn, pictures
+from linksweep.sweep.report.page import MARK, check_output, citations, report_of, report_page, write_report
+from linksweep.sweep.report.section import MOST_ROWS, SEVERITY, section
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.studies.source import built_in_studies
 from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
@@ -321,8 +321,8 @@ def test_the_same_store_gives_the_same_bytes_in_another_process(store_of, tmp_pa
 
 @pytest.mark.slow
 def test_a_page_of_several_stores_counts_all_verdicts(store_of):
-    from sweep.analysis.compare import compare
-    from sweep.analysis.compare_tables import summary_line
+    from linksweep.sweep.analysis.compare import compare
+    from linksweep.sweep.analysis.compare_tables import summary_line
 
     stores = [store_of("quasars"), store_of("sqrt-n")]
     page = report_of(stores)
@@ -411,7 +411,7 @@ def test_a_missing_package_is_named_with_what_to_do(tmp_path, package):
     (tmp_path / package).mkdir()
     (tmp_path / package / "__init__.py").write_text(f"raise ImportError('no {package} here')")
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
-    command = [sys.executable, "-m", "sweep", "report", "s.zarr"]
+    command = [sys.executable, "-m", "linksweep", "report", "s.zarr"]
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment)
     assert run.returncode == 2
     assert "pip install 'linksweep[report]'" in run.stderr
@@ -425,7 +425,7 @@ def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coins):
     study += f"[sampling]\nn_sim = 1000\nn_cat = 20\nseed = 7\n[[claim]]\n{claim}value = {{ variable = 'share' }}\n"
     (tmp_path / "coins.toml").write_text(study)
     path = tmp_path / "coins.toml"
-    monkeypatch.setattr("sweep.paper.published_stores.built_in_studies", lambda: {str(path): path})
+    monkeypatch.setattr("linksweep.sweep.paper.published_stores.built_in_studies", lambda: {str(path): path})
     outcome = CliRunner().invoke(main, ["report", "--all", "--results", "all", "--pool", "serial"])
     assert outcome.exit_code == 0, outcome.output
     page = (tmp_path / "paper-report.html").read_text()

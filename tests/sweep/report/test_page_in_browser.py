@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import linksweep
-from sweep.analysis.quantity import standard_error
-from sweep.formatting import with_error
-from sweep.plots.scales import is_logarithmic
-from sweep.report.page import report_of
-from sweep.stores.store import open_dataset
+from linksweep.sweep.analysis.quantity import standard_error
+from linksweep.sweep.formatting import with_error
+from linksweep.sweep.plots.scales import is_logarithmic
+from linksweep.sweep.report.page import report_of
+from linksweep.sweep.stores.store import open_dataset
 from tests.patience import PATIENCE_S
 from tests.sweep.report.test_page import evil_store
 

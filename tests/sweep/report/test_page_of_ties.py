@@ -8,13 +8,13 @@ import pytest
 from click.testing import CliRunner
 
 import linksweep
-from core.constants import MAS
-from core.tie.motion import propagated
-from sweep.cli import main
-from sweep.executing.choose import Resources
-from sweep.report.page import report_of
-from sweep.running.run import run_study
-from sweep.studies.reader import load_study
+from linksweep.core.constants import MAS
+from linksweep.core.tie.motion import propagated
+from linksweep.sweep.cli import main
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.report.page import report_of
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.studies.reader import load_study
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import gaia
 
@@ -37,7 +37,7 @@ def store(tmp_path_factory):
         gaia(folder / f"{name}.ecsv", replace(one, values=one.values + 3.0 * noise(rng, one)))
     lines = (
         'title = "Radio stars"',
-        'experiment = "sweep.tie.experiment:tie"',
+        'experiment = "linksweep.sweep.tie.experiment:tie"',
         "[fixed]",
         'satellite = "satellite.ecsv"',
         'reference = "reference.ecsv"',

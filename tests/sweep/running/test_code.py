@@ -5,10 +5,10 @@ import shutil
 
 import pytest
 
-from sweep.executing.choose import Resources
-from sweep.running.reproduce import reproduce
-from sweep.stores.opened import OpenStore
-from sweep.stores.store import open_dataset
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.reproduce import reproduce
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.store import open_dataset
 from tests.sweep.user import write_experiment, write_study
 from tests.tiers import slow
 
@@ -132,8 +132,8 @@ def test_reproduce_says_that_the_code_is_another(folder, sweep):
 
 
 def test_a_store_without_a_record_is_adopted_and_says_so(folder, sweep, monkeypatch):
-    import sweep.running.run as running
-    from sweep.studies.reader import load_study
+    import linksweep.sweep.running.run as running
+    from linksweep.sweep.studies.reader import load_study
 
     with monkeypatch.context() as patched:  # as 0.1 wrote it
         patched.setattr(running, "record_code", lambda *arguments: None)
@@ -161,7 +161,7 @@ def test_versions_of_declared_packages_count(folder, sweep):
 
 
 def test_a_python_process_that_runs_twice_sees_the_change(folder):
-    from sweep.studies.reader import load_study
+    from linksweep.sweep.studies.reader import load_study
 
     first = load_study(str(folder / "s.toml")).experiment
     again = load_study(str(folder / "s.toml")).experiment
@@ -175,7 +175,7 @@ def test_a_python_process_that_runs_twice_sees_the_change(folder):
 
 @pytest.mark.slow
 def test_helpers_of_the_same_name_in_two_folders_do_not_mix(tmp_path, sweep):
-    from sweep.studies.reader import load_study
+    from linksweep.sweep.studies.reader import load_study
 
     loaded = []
     for number in (1, 2):

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.executing.choose import Resources
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import Plan
-from sweep.planning.streams import generators
-from sweep.planning.tuning import Tuning
-from sweep.planning.work_queue import Pending
-from sweep.running.run import plan_study, run_study
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.streams import generators
+from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.planning.work_queue import Pending
+from linksweep.sweep.running.run import plan_study, run_study
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
@@ -66,7 +66,7 @@ def test_a_point_that_raises_is_recorded_and_the_rest_goes_on(coins, tmp_path, m
         return toss(points, n_sim, rng, catalogue_rng)
 
     toss = study.experiment.evaluate
-    monkeypatch.setattr("sweep.executing.worker.load_experiment", lambda reference, digest: broken)
+    monkeypatch.setattr("linksweep.sweep.executing.worker.load_experiment", lambda reference, digest: broken)
     broken = replace(study.experiment, evaluate=fail)
     dataset, failures = run(coins, tmp_path / "s.zarr")
     assert failures == {"metal=tin,coins=5": "ZeroDivisionError: no coins left"}
@@ -124,7 +124,7 @@ def test_a_larger_study_keeps_the_numbers_of_the_smaller_one(coins, tmp_path):
 
 def test_a_finished_study_is_not_computed_again(coins, tmp_path, monkeypatch):
     first, _ = run(coins, tmp_path / "s.zarr")
-    monkeypatch.setattr("sweep.executing.worker.run_block", None)  # would raise
+    monkeypatch.setattr("linksweep.sweep.executing.worker.run_block", None)  # would raise
     again, failures = run(coins, tmp_path / "s.zarr")
     assert not failures
     xr.testing.assert_identical(first.drop_attrs(), again.drop_attrs())
@@ -132,10 +132,10 @@ def test_a_finished_study_is_not_computed_again(coins, tmp_path, monkeypatch):
 
 def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
     """A grid of any size makes no large graph: batches are drawn only a few tasks ahead of the results."""
-    from sweep.executing import clusters, dask_executor
+    from linksweep.sweep.executing import clusters, dask_executor
 
     study = study_from_dict(coins | {"sampling": {"n_sim": 5, "n_cat": 8}})
-    monkeypatch.setattr("sweep.planning.plan.TARGET", 1.0)  # one catalogue a block
+    monkeypatch.setattr("linksweep.sweep.planning.plan.TARGET", 1.0)  # one catalogue a block
     plan = Plan(make_grid(study))
     pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))), Tuning(most_blocks=1))
     drawn = 0
@@ -160,7 +160,9 @@ def test_dask_gives_the_bits_of_the_serial_reference(coins, tmp_path, pool):
 
 
 def test_a_point_of_nothing_but_nan_has_failed(coins, tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.executing.worker.run_block", lambda *arguments: (np.full((1, 2), np.nan), None))
+    monkeypatch.setattr(
+        "linksweep.sweep.executing.worker.run_block", lambda *arguments: (np.full((1, 2), np.nan), None)
+    )
     dataset, failures = run(coins, tmp_path / "s.zarr")
     assert set(failures.values()) == {"share is NaN"}
     assert (dataset["status"] == 2).all()
@@ -170,7 +172,7 @@ def test_a_title_is_shown_as_it_is_written(coins, tmp_path):
     """Square brackets are markup to the library that draws the table."""
     from rich.console import Console
 
-    from sweep.analysis.headline_table import as_text
+    from linksweep.sweep.analysis.headline_table import as_text
 
     dataset, _ = run(coins | {"title": "Coins [/mas] [bold]x"}, tmp_path / "s.zarr")
     console = Console(file=io.StringIO(), width=200)
@@ -179,8 +181,8 @@ def test_a_title_is_shown_as_it_is_written(coins, tmp_path):
 
 
 def test_a_table_for_reading_says_what_it_leaves_out(coins, tmp_path, capsys):
-    from sweep.analysis.headline_table import MOST_ROWS
-    from sweep.cli.output import print_table
+    from linksweep.sweep.analysis.headline_table import MOST_ROWS
+    from linksweep.sweep.cli.output import print_table
 
     axes = {"coins": {"start": 1, "stop": MOST_ROWS + 7, "step": 1}}
     sampling = {"n_sim": 1, "n_cat": 1, "seed": 1}

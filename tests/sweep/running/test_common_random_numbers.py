@@ -7,12 +7,12 @@ import pytest
 import xarray as xr
 from astropy import units as u
 
-from sweep.contract import Experiment, Output, Parameter, SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.checked_grid import make_grid
-from sweep.running.covariance import squared
-from sweep.running.run import run_study
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.running.covariance import squared
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
@@ -96,7 +96,7 @@ def test_the_bits_are_those_of_the_serial_reference(tmp_path, resources):
 def test_a_study_that_grows_draws_again_only_for_what_is_new(tmp_path, monkeypatch):
     run({"mixing": MIXING[:2]}, tmp_path / "s.zarr", n_cat=20)
     asked = []
-    monkeypatch.setattr("sweep.executing.worker.load_experiment", lambda reference, digest: spying)
+    monkeypatch.setattr("linksweep.sweep.executing.worker.load_experiment", lambda reference, digest: spying)
     spying = replace(experiment, evaluate=lambda points, *rest: asked.extend(points) or evaluate(points, *rest))
     grown = run({"mixing": MIXING}, tmp_path / "s.zarr")
     assert len(asked) == 2 * 20 + 40
@@ -112,7 +112,7 @@ def test_a_point_that_raises_does_not_take_those_that_share_with_it(tmp_path, mo
 
     whole = run({"mixing": MIXING}, tmp_path / "whole.zarr")
     monkeypatch.setattr(
-        "sweep.executing.worker.load_experiment", lambda reference, digest: replace(experiment, evaluate=fail)
+        "linksweep.sweep.executing.worker.load_experiment", lambda reference, digest: replace(experiment, evaluate=fail)
     )
     study = study_from_dict(document({"mixing": MIXING}))
     dataset, failures = run_study(study, tmp_path / "s.zarr", SERIAL)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.running.eta import Eta, in_words
+from linksweep.sweep.running.eta import Eta, in_words
 from tests.tiers import examples, slow
 
 START_S = 7.0

@@ -6,10 +6,10 @@ import pytest
 import xarray as xr
 
 import linksweep
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.running.run import plan_study, run_study
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.run import plan_study, run_study
+from linksweep.sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
 

@@ -11,14 +11,14 @@ from rich.console import Console
 
 import linksweep
 from linksweep import SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.checked_grid import make_grid
-from sweep.planning.point_status import Status, count_status
-from sweep.running import notebook, progress
-from sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError, failed_points
-from sweep.running.run import run_study
-from sweep.stores.store import open_dataset
-from sweep.studies.live import study_of_function
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.point_status import Status, count_status
+from linksweep.sweep.running import notebook, progress
+from linksweep.sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError, failed_points
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.live import study_of_function
 from tests.tiers import slow
 
 FUNCTIONS = """
@@ -195,7 +195,7 @@ def test_reasons_are_grouped_by_what_they_have_in_common():
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.one_of(st.none(), st.integers(0, 30), st.floats(0, 100)))
 def test_the_rule_in_any_order(fails, limit):
     """Against a count by hand, point by point."""
-    from sweep.executing.task import Failure
+    from linksweep.sweep.executing.task import Failure
 
     study = odd_study(100)
     points = list(make_grid(study).points())

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import Output, SweepError, experiment
-from sweep.functions.layout import Layout
-from sweep.running.reproduce import reproduce
-from sweep.stores.opened import OpenStore
+from linksweep.sweep.functions.layout import Layout
+from linksweep.sweep.running.reproduce import reproduce
+from linksweep.sweep.stores.opened import OpenStore
 from tests.tiers import examples, slow
 
 T = np.linspace(0.0, 160.0, 81)

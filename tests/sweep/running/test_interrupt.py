@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from sweep import interrupt
-from sweep.executing.choose import Resources
-from sweep.interrupt import LOST_S, RunInterruptedError, watched
-from sweep.planning.tuning import Tuning
-from sweep.running.run import run_study
-from sweep.stores.store import Store
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep import interrupt
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.interrupt import LOST_S, RunInterruptedError, watched
+from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores.store import Store
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
 from tests.tiers import slow
 
@@ -149,12 +149,12 @@ def test_another_error_after_a_signal_stays_what_it_is():
 
 @pytest.mark.parametrize(
     ("module", "code", "said"),
-    [("sweep.cli.group", -signal.SIGINT, ""), ("sweep.contract", 130, "interrupted\n")],
+    [("linksweep.sweep.cli.group", -signal.SIGINT, ""), ("linksweep.sweep.contract", 130, "interrupted\n")],
     ids=["of the commands", "of a command"],
 )
 def test_interrupted_while_modules_are_imported(start_sweep, module, code, said):
     script = (
-        "import builtins, signal, sweep.__main__ as command\n"
+        "import builtins, signal, linksweep.sweep.__main__ as command\n"
         "def interrupted(name, *others, imported=builtins.__import__):\n"
         f"    if name == {module!r}:\n"
         "        signal.raise_signal(signal.SIGINT)\n"
@@ -408,7 +408,7 @@ class Finder:
             os.kill(os.getpid(), signal.SIGINT)
 
 sys.meta_path.insert(0, Finder())
-from sweep.__main__ import main
+from linksweep.sweep.__main__ import main
 main()
 """
 
@@ -472,12 +472,12 @@ def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
     """Where the end itself hangs, here in a write, another Ctrl-C helps."""
     (tmp_path / "study.toml").write_text(sleepers(0.0, sheep=3))
     slow = (
-        "import time, sweep.stores.store, sweep.cli\n"
+        "import time, linksweep.sweep.stores.store, linksweep.sweep.cli\n"
         "def slow(self, dataset):\n"
         "    print('writing', flush=True)\n"
         "    time.sleep(3600)\n"
-        "sweep.stores.store.Store.write = slow\n"
-        "sweep.cli.main()"
+        "linksweep.sweep.stores.store.Store.write = slow\n"
+        "linksweep.sweep.cli.main()"
     )
     command = [sys.executable, "-c", slow, "run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr"]
     process = start_sweep(command=command, start_new_session=True)

@@ -9,7 +9,7 @@ import sys
 import pytest
 import xarray as xr
 
-from sweep.studies.reader import load_study
+from linksweep.sweep.studies.reader import load_study
 from tests.patience import PATIENCE_S
 from tests.sweep.opening import existing_store
 
@@ -26,7 +26,7 @@ WAYS = {  # how often each is drawn, of the signal and of the resources
 }
 POOLS = {("--pool", "serial"): 3, ("--workers", "2"): 1, ("--pool", "threads", "--workers", "2"): 1}
 
-READY = (sys.executable, "-c", "import sweep.__main__ as command; print('ready', flush=True); command.main()")
+READY = (sys.executable, "-c", "import linksweep.sweep.__main__ as command; print('ready', flush=True); command.main()")
 """Python has a traceback of its own for an interrupt while it starts; from here on there is none."""
 
 LONG = ("--set", "n_sim=12000", "--set", "n_cat=8")

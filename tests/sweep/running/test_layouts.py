@@ -29,7 +29,7 @@ if __name__ == "__main__":
 def run(folder: Path, axis: str, script: bool) -> tuple[int, str]:
     """Sweep ``f`` over an axis, by the command or by a script; return the exit code and what was printed."""
     work = folder / "work"
-    command = ["-m", "sweep", "run", "main.py:f", "--axis", f"x={axis}", "-o", "../s.zarr", "--pool", "serial"]
+    command = ["-m", "linksweep", "run", "main.py:f", "--axis", f"x={axis}", "-o", "../s.zarr", "--pool", "serial"]
     if script:
         (work / "main.py").write_text((work / "main.py").read_text() + SCRIPT.replace("AXIS", f"[{axis}]"))
         command = ["main.py"]

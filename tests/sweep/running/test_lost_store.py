@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import linksweep
-from sweep.stores.lock import holder
-from sweep.stores.manifest import MANIFEST
+from linksweep.sweep.stores.lock import holder
+from linksweep.sweep.stores.manifest import MANIFEST
 from tests.patience import PATIENCE_S
 
 MODEL = """
@@ -30,7 +30,7 @@ def started(tmp_path):
     """A run some points of which are in its store, and a function that lets it end."""
     go = tmp_path / "go"
     (tmp_path / "model.py").write_text(MODEL.format(last=LAST, go=str(go)))
-    command = [sys.executable, "-m", "sweep", "run", "model.py:model", "--axis", f"x=1:{LAST}:1", "-o", "s.zarr"]
+    command = [sys.executable, "-m", "linksweep", "run", "model.py:model", "--axis", f"x=1:{LAST}:1", "-o", "s.zarr"]
     process = subprocess.Popen(
         [*command, "--pool", "threads", "--workers", "1"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
     )
@@ -50,8 +50,8 @@ def started(tmp_path):
 
 
 def _has_some(store):
-    from sweep.contract import SweepError
-    from sweep.stores.opened import OpenStore
+    from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.stores.opened import OpenStore
 
     try:
         return len(OpenStore(store).ledger().rows) > 0 and (store / "status" / "zarr.json").exists()
@@ -80,7 +80,7 @@ def test_it_is_said_and_what_was_computed_is_kept(started, tmp_path, change, los
     change(tmp_path / "s.zarr")
     err = end()
     if process.returncode == 0:  # the last write has set it right
-        check = [sys.executable, "-m", "sweep", "check", "s.zarr"]
+        check = [sys.executable, "-m", "linksweep", "check", "s.zarr"]
         assert subprocess.run(check, cwd=tmp_path, capture_output=True, check=False).returncode == 0
         assert linksweep.open(tmp_path / "s.zarr").attrs["complete"] == 1
         return

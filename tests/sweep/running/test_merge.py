@@ -8,10 +8,10 @@ import pytest
 
 import linksweep
 from linksweep import SweepError
-from sweep.running.merge import MERGED, merge
-from sweep.stores.folder import Folder
-from sweep.stores.opened import OpenStore
-from sweep.stores.repair import check
+from linksweep.sweep.running.merge import MERGED, merge
+from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.repair import check
 from tests.tiers import slow
 
 MODEL = (
@@ -82,7 +82,7 @@ def test_tables_are_joined_and_keep_the_axes_that_cross_them(run, tmp_path):
 @pytest.mark.slow
 def test_the_link_merges_to_the_bits_of_one_run(tmp_path):
     study = {
-        "experiment": "core.experiment:link",
+        "experiment": "linksweep.core.experiment:link",
         "sampling": {"n_sim": 40, "n_cat": 2, "seed": 8, "keep_samples": True},
     }
 
@@ -122,7 +122,7 @@ def test_what_does_not_belong_together_is_refused_and_nothing_is_written(run, tm
     run("b.zarr", f"{tmp_path}/other.py:model", axes={"k": [1]})
     with pytest.raises(SweepError, match="these differ"):
         merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
-    link = {"experiment": "core.experiment:link", "fixed": {"n_obj": 20}}
+    link = {"experiment": "linksweep.core.experiment:link", "fixed": {"n_obj": 20}}
     for store, sampling in (("s.zarr", {"n_sim": 10, "seed": 1}), ("t.zarr", {"n_sim": 20, "seed": 2})):
         linksweep.run(link | {"sampling": sampling}, tmp_path / store, pool="serial")
     with pytest.raises(SweepError) as told:
@@ -233,7 +233,7 @@ def test_what_another_merge_has_left_is_not_replaced(run, tmp_path, monkeypatch)
         raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr("sweep.running.merge.Writer.write", killed)
+        patch.setattr("linksweep.sweep.running.merge.Writer.write", killed)
         with pytest.raises(Killed):
             merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
     with pytest.raises(SweepError, match="holds a store already"):

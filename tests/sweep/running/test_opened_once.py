@@ -7,18 +7,18 @@ from collections import Counter
 
 import pytest
 
-from sweep.contract import SweepError
-from sweep.executing import choose
-from sweep.executing.choose import Resources
-from sweep.planning.accumulator import Accumulator
-from sweep.planning.grid import Grid
-from sweep.running import status
-from sweep.running.reproduce import reproduce
-from sweep.running.run import Silent, plan_study, run_study
-from sweep.running.status import status_report
-from sweep.stores.folder import Folder
-from sweep.stores.repair import repair
-from sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing import choose
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.running import status
+from linksweep.sweep.running.reproduce import reproduce
+from linksweep.sweep.running.run import Silent, plan_study, run_study
+from linksweep.sweep.running.status import status_report
+from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.repair import repair
+from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 
 SERIAL = Resources(pool="serial")

@@ -8,8 +8,8 @@ import xarray as xr
 
 import linksweep
 from linksweep import SweepError
-from sweep.stores.opened import OpenStore
-from sweep.studies.study import POINT, POINT_TABLE
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.studies.study import POINT, POINT_TABLE
 from tests.tiers import slow
 
 
@@ -87,7 +87,7 @@ def test_a_design_that_cannot_grow_says_so(tmp_path):
         run(model, tmp_path / "s.zarr", points=points | {"seed": 1})
 
 
-LINK = {"experiment": "core.experiment:link", "sampling": {"n_sim": 60, "n_cat": 3, "seed": 8}}
+LINK = {"experiment": "linksweep.core.experiment:link", "sampling": {"n_sim": 60, "n_cat": 3, "seed": 8}}
 
 
 def test_a_point_of_a_table_has_the_bits_of_the_same_point_in_a_grid(tmp_path):

@@ -5,11 +5,11 @@ import pytest
 import xarray as xr
 
 import linksweep
-from sweep.contract import Experiment, Output, Parameter, SweepError
-from sweep.executing.choose import Resources
-from sweep.interrupt import RunInterruptedError
-from sweep.running.run import run_study
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.interrupt import RunInterruptedError
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
@@ -80,7 +80,7 @@ def test_the_numbers_do_not_depend_on_who_computes_them(tmp_path, resources):
 
 def test_a_run_stopped_between_rounds_goes_on_to_the_same_numbers(tmp_path, monkeypatch):
     whole, _ = run_study(study(), tmp_path / "whole.zarr", SERIAL)
-    from sweep.executing.worker import run_block
+    from linksweep.sweep.executing.worker import run_block
 
     for stop_at in (1, 4, 5, 9, 13):
         blocks = []
@@ -91,7 +91,7 @@ def test_a_run_stopped_between_rounds_goes_on_to_the_same_numbers(tmp_path, monk
                 raise KeyboardInterrupt
             return run_block(*arguments)
 
-        monkeypatch.setattr("sweep.executing.worker.run_block", stopped)
+        monkeypatch.setattr("linksweep.sweep.executing.worker.run_block", stopped)
         with pytest.raises(RunInterruptedError):
             run_study(study(), tmp_path / "s.zarr", SERIAL)
         monkeypatch.undo()

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from sweep.cli import main
-from sweep.executing.task import TaskResult
-from sweep.formatting import per_second
-from sweep.planning.block import Block
-from sweep.planning.checked_grid import make_grid
-from sweep.planning.plan import PlanSize, Survey, Work
-from sweep.running.eta import in_words
-from sweep.running.failures import failed_points
-from sweep.running.progress import SENTENCES, TerminalProgress
-from sweep.running.run_summary import RunSummary
-from sweep.running.writer import Taken
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.cli import main
+from linksweep.sweep.executing.task import TaskResult
+from linksweep.sweep.formatting import per_second
+from linksweep.sweep.planning.block import Block
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.plan import PlanSize, Survey, Work
+from linksweep.sweep.running.eta import in_words
+from linksweep.sweep.running.failures import failed_points
+from linksweep.sweep.running.progress import SENTENCES, TerminalProgress
+from linksweep.sweep.running.run_summary import RunSummary
+from linksweep.sweep.running.writer import Taken
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
 
 FAULTY = """
@@ -175,7 +175,7 @@ def told():
 def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeypatch):
     """A simulated run of a day, a task a second."""
     clock = 0.0
-    monkeypatch.setattr("sweep.running.progress.time.monotonic", lambda: clock)
+    monkeypatch.setattr("linksweep.sweep.running.progress.time.monotonic", lambda: clock)
     study = study_from_dict(coins)
     point = next(iter(make_grid(study).points()))
     seconds = 86_400
@@ -255,7 +255,9 @@ def test_the_end_of_a_run_tells_the_reasons_of_failures_grouped():
 @pytest.mark.skipif(shutil.which("script") is None, reason="needs the command script, which has a terminal")
 def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_sweep):
     """The bar is drawn again and again; what stays are the sentences."""
-    inner = f"TERM=xterm {sys.executable} -m sweep run {link_study} -o {tmp_path}/s.zarr --set n_sim=100000 --workers 1"
+    inner = (
+        f"TERM=xterm {sys.executable} -m linksweep run {link_study} -o {tmp_path}/s.zarr --set n_sim=100000 --workers 1"
+    )
     process = start_sweep(command=["script", "-qec", inner, "/dev/null"])
     shown, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, shown

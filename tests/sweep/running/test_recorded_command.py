@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.formatting import without_secrets
+from linksweep.sweep.formatting import without_secrets
 
 SECRET = "hunter2"
 

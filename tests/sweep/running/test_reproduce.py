@@ -6,12 +6,12 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from sweep.executing import worker
-from sweep.executing.choose import Resources
-from sweep.interrupt import RunInterruptedError
-from sweep.planning.tuning import Tuning
-from sweep.running.run import run_study
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing import worker
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.interrupt import RunInterruptedError
+from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
 
 EXPERIMENT = (Path(__file__).parents[1] / "coins.py").read_text()
@@ -91,7 +91,7 @@ def test_retry_leaves_what_is_only_missing(coins, tmp_path, monkeypatch):
             raise KeyboardInterrupt
         return run_block(experiment, points, *rest)
 
-    monkeypatch.setattr("sweep.executing.worker.run_block", stopped)
+    monkeypatch.setattr("linksweep.sweep.executing.worker.run_block", stopped)
     with pytest.raises(RunInterruptedError):
         run_study(study, tmp_path / "s.zarr", Resources(pool="serial"), tuning=Tuning(most_blocks=1))
     monkeypatch.undo()

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.contract import Output, SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.tuning import Tuning
-from sweep.running.run import run_study
-from sweep.stores.store import Store
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import Output, SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores.store import Store
+from linksweep.sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
 LINK = {
@@ -79,7 +79,7 @@ def test_keeping_samples_is_part_of_what_a_store_means(kept, tmp_path):
 
 
 def test_the_sample_outputs_are_declared():
-    from core.experiment import link
+    from linksweep.core.experiment import link
 
     assert link.samples_width == 6
     assert isinstance(link.sample_outputs[0], Output)

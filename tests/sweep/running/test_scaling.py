@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.contract import SweepError
-from sweep.running.run import run_study
-from sweep.running.scaling import measure_scaling
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.running.scaling import measure_scaling
+from linksweep.sweep.studies.reader import study_from_dict
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def slow_clock(monkeypatch):
         overhead = 1.0 if workers == 1 else 1.25
         return work / workers * overhead, 10.0
 
-    monkeypatch.setattr("sweep.running.scaling._timed", timed)
+    monkeypatch.setattr("linksweep.sweep.running.scaling._timed", timed)
     return asked
 
 
@@ -120,6 +120,6 @@ def test_a_point_that_fails_ends_it(coins, monkeypatch):
         dataset, _ = run_study(*arguments)
         return dataset, {"metal=tin,coins=1": "ZeroDivisionError: no coins left"}
 
-    monkeypatch.setattr("sweep.running.scaling.run_study", failing)
+    monkeypatch.setattr("linksweep.sweep.running.scaling.run_study", failing)
     with pytest.raises(SweepError, match=r"1 points fail, e\.g\. metal=tin,coins=1: ZeroDivisionError"):
         measure_scaling(study, [1], "threads")

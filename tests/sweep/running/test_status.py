@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.executing.choose import Resources
-from sweep.interrupt import RunInterruptedError
-from sweep.planning.point_status import Status
-from sweep.planning.tuning import Tuning
-from sweep.running.axis_progress import MOST_LINES, AxisSegment, as_lines, by_axis, folded
-from sweep.running.run import Silent, run_study
-from sweep.running.status import plan_report, status_report
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.interrupt import RunInterruptedError
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.running.axis_progress import MOST_LINES, AxisSegment, as_lines, by_axis, folded
+from linksweep.sweep.running.run import Silent, run_study
+from linksweep.sweep.running.status import plan_report, status_report
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.tiers import examples
 
 SERIAL = Resources(pool="serial")
@@ -205,8 +205,8 @@ sampling = {{ n_sim = 1000, n_cat = 20 }}
 
 
 def test_the_time_of_a_plan_is_for_the_cores_that_there_are(coins, tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.running.status.available_cores", lambda: 4)
-    monkeypatch.setattr("sweep.running.status._normals_per_second", lambda: 1e8)
+    monkeypatch.setattr("linksweep.sweep.running.status.available_cores", lambda: 4)
+    monkeypatch.setattr("linksweep.sweep.running.status._normals_per_second", lambda: 1e8)
     study = study_from_dict(coins | {"sampling": {"n_sim": 10**6, "n_cat": 20}})
     whole = plan_report(study, tmp_path / "s.zarr", 1)
     assert whole["cores"] == 1

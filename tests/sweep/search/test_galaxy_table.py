@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.contract import SweepError
-from sweep.search.galaxy_table import GalaxyTable, format_galaxy_table, read_galaxy_table
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.search.galaxy_table import GalaxyTable, format_galaxy_table, read_galaxy_table
 
 
 def test_the_byte_positions_of_the_table():

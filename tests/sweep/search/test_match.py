@@ -11,18 +11,18 @@ import pytest
 from astropy.table import MaskedColumn, Table
 from click.testing import CliRunner
 
-from core.galaxy_classes import CLASS_NAMES
-from sweep.cli import main
-from sweep.contract import SweepError
-from sweep.search.ecsv import read_matches
-from sweep.search.galaxy_table import read_galaxy_table
-from sweep.search.match import find_galaxies
-from sweep.search.options import plan_search
-from sweep.search.outputs import Outputs, publish
-from sweep.search.result import match_columns
-from sweep.search.skymap import MAX_BACKGROUND, sky_map, sky_map_of
-from sweep.search.summary import summarise
-from sweep.search.tables import Reading, read_galaxies, read_stars
+from linksweep.core.galaxy_classes import CLASS_NAMES
+from linksweep.sweep.cli import main
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.search.ecsv import read_matches
+from linksweep.sweep.search.galaxy_table import read_galaxy_table
+from linksweep.sweep.search.match import find_galaxies
+from linksweep.sweep.search.options import plan_search
+from linksweep.sweep.search.outputs import Outputs, publish
+from linksweep.sweep.search.result import match_columns
+from linksweep.sweep.search.skymap import MAX_BACKGROUND, sky_map, sky_map_of
+from linksweep.sweep.search.summary import summarise
+from linksweep.sweep.search.tables import Reading, read_galaxies, read_stars
 from tests.documents import commands
 
 ARCSEC = 1.0 / 3600.0
@@ -556,7 +556,7 @@ def test_help_has_an_example():
 
 def test_help_imports_nothing_heavy():
     heavy = "{'numpy', 'scipy', 'astropy', 'matplotlib'}"
-    code = f"import sys, sweep.cli; sys.exit(len({heavy} & set(sys.modules)))"
+    code = f"import sys, linksweep.sweep.cli; sys.exit(len({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

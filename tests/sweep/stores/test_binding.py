@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.tuning import Tuning
-from sweep.running.run import run_study
-from sweep.stores import folder, ledger_arrays
-from sweep.stores.checksums import sealed, unsealed
-from sweep.stores.folder import Folder
-from sweep.stores.location import located
-from sweep.stores.repair import check, repair
-from sweep.stores.store import open_dataset
-from sweep.studies.provenance import provenance
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores import folder, ledger_arrays
+from linksweep.sweep.stores.checksums import sealed, unsealed
+from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.location import located
+from linksweep.sweep.stores.repair import check, repair
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.provenance import provenance
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import create_or_resume, existing_store
 from tests.tiers import slow
 
@@ -78,7 +78,7 @@ def test_any_two_files_exchanged_are_found_or_harmless(two_writings):
 
 def in_use(store):
     """The files that the root document means, and those of the ledger; the rest is of the writing before."""
-    from sweep.stores import chunk_names, snapshot
+    from linksweep.sweep.stores import chunk_names, snapshot
 
     root = json.loads((store / "zarr.json").read_text())
     arrays = snapshot.arrays_of(root)
@@ -129,10 +129,10 @@ def test_samples_of_another_block_are_found(tmp_path, monkeypatch):
 COPIES = 100
 RUN = """
 import sys
-from sweep.executing.choose import Resources
-from sweep.running.run import run_study
-from sweep.planning.tuning import Tuning
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.studies.reader import study_from_dict
 import json
 often = Tuning(most_blocks=1, flush_every_s=-1.0, write_every_s=-1.0, write_share=1e9)
 print("ready", flush=True)

@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.tuning import Tuning
-from sweep.running.run import run_study
-from sweep.stores.folder import Folder
-from sweep.stores.repair import check, repair
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.repair import check, repair
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import existing_store
 
 SERIAL = Resources(pool="serial")

@@ -5,11 +5,11 @@ import json
 import pytest
 import zarr
 
-from sweep.contract import SweepError
-from sweep.stores.checksums import sealed
-from sweep.stores.failures import MAX_TRACEBACKS, TRACEBACK_BYTES
-from sweep.studies.provenance import provenance
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.checksums import sealed
+from linksweep.sweep.stores.failures import MAX_TRACEBACKS, TRACEBACK_BYTES
+from linksweep.sweep.studies.provenance import provenance
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import create_or_resume
 
 

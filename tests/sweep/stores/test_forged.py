@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 import linksweep
-from sweep.cli import main
-from sweep.stores.checksums import sealed
+from linksweep.sweep.cli import main
+from linksweep.sweep.stores.checksums import sealed
 from tests.tiers import slow
 
 MODEL = "def model(x: float = 1.0, k: int = 1):\n    return {'y': x * k, 'name': f'{x:g}'}\n"

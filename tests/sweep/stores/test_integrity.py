@@ -9,16 +9,16 @@ import pytest
 import xarray as xr
 
 import linksweep
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.running.run import run_study
-from sweep.running.status import status_report
-from sweep.stores import chunk_names, snapshot
-from sweep.stores.checksums import unsealed
-from sweep.stores.location import located
-from sweep.stores.opened import OpenStore
-from sweep.stores.repair import check, repair
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.running.status import status_report
+from linksweep.sweep.stores import chunk_names, snapshot
+from linksweep.sweep.stores.checksums import unsealed
+from linksweep.sweep.stores.location import located
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.repair import check, repair
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.stores.test_binding import small_chunks
 from tests.tiers import slow
 

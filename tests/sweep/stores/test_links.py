@@ -6,8 +6,8 @@ import shutil
 import pytest
 
 import linksweep
-from sweep.contract import SweepError
-from sweep.stores.folder import Folder
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.folder import Folder
 from tests.sweep.stores.test_integrity import MODEL, files_of
 
 COMMANDS = (

@@ -5,9 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from sweep.contract import SweepError
-from sweep.stores.folder import Folder
-from sweep.stores.location import located
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.location import located
 
 
 def test_files_come_back_as_they_were_put(place):

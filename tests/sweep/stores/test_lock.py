@@ -14,16 +14,16 @@ import pytest
 import xarray as xr
 import zarr
 
-from sweep.contract import SweepError
-from sweep.stores import folder, lock
-from sweep.stores.location import located
-from sweep.stores.lock import Holder, holder, locked
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores import folder, lock
+from linksweep.sweep.stores.location import located
+from linksweep.sweep.stores.lock import Holder, holder, locked
 from tests.patience import PATIENCE_S
 from tests.tiers import slow
 
 HOLD = """
 import sys, time
-from sweep.stores.lock import locked
+from linksweep.sweep.stores.lock import locked
 with locked(sys.argv[1]):
     print("held", flush=True)
     time.sleep(float(sys.argv[2]))
@@ -240,9 +240,9 @@ def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, 
 
 
 def test_plain_readers_do_not_see_the_lock(tmp_path, coins):
-    from sweep.executing.choose import Resources
-    from sweep.running.run import run_study
-    from sweep.studies.reader import study_from_dict
+    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.running.run import run_study
+    from linksweep.sweep.studies.reader import study_from_dict
 
     store = tmp_path / "s.zarr"
     run_study(study_from_dict(coins), store, Resources(pool="serial"))

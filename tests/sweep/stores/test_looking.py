@@ -7,16 +7,16 @@ from pathlib import Path
 import click
 import pytest
 
-from sweep.cli import main
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.running.reproduce import reproduce, study_of
-from sweep.running.run import run_study
-from sweep.running.status import status_report
-from sweep.stores.checksums import sealed
-from sweep.stores.folder import Folder
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.cli import main
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.reproduce import reproduce, study_of
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.running.status import status_report
+from linksweep.sweep.stores.checksums import sealed
+from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import study_from_dict
 
 SERIAL = Resources(pool="serial")
 COINS = (Path(__file__).parents[1] / "coins.py").read_text()
@@ -135,7 +135,7 @@ def test_a_store_from_elsewhere_asks_once(tmp_path, coins):
 @pytest.mark.parametrize("who", ["host", "user"])
 def test_another_host_or_user_is_elsewhere(tmp_path, coins, monkeypatch, who):
     run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
-    monkeypatch.setattr(f"sweep.stores.origin.{'host' if who == 'host' else '_user'}", lambda: "another")
+    monkeypatch.setattr(f"linksweep.sweep.stores.origin.{'host' if who == 'host' else '_user'}", lambda: "another")
     with pytest.raises(SweepError, match=r"coins.py, and the store was not written here"):
         study_of(tmp_path / "s.zarr")
 

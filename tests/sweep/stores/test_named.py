@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-from sweep.stores.named import short_name, store_named
+from linksweep.sweep.stores.named import short_name, store_named
 
 
 def test_the_name_of_a_study_is_that_of_its_store(tmp_path, monkeypatch):
@@ -35,7 +35,7 @@ def test_a_name_that_is_no_utf_8_ends_no_command_in_a_traceback(tmp_path, monkey
         *(["fit", store, "--over", "x"], ["reproduce", store, "--at", "x=1"], ["retry", store], ["compare", store]),
         *(["merge", store, store, "-o", os.fsdecode(b"m\xff.zarr")], ["show", os.fsdecode(b"none\xff.zarr")]),
     ):
-        done = subprocess.run([sys.executable, "-m", "sweep", *command], capture_output=True, check=False)
+        done = subprocess.run([sys.executable, "-m", "linksweep", *command], capture_output=True, check=False)
         assert done.returncode in (0, 1, 2), command
         assert b"Traceback" not in done.stderr, (command, done.stderr)
         assert done.returncode == 0 or command[-1] != store or command[0] == "compare", (command, done.stderr)

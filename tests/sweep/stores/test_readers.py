@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.contract import SweepError
-from sweep.stores.store import open_dataset
-from sweep.studies.provenance import provenance
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.provenance import provenance
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import create_or_resume, existing_store
 from tests.tiers import slow
 
@@ -21,8 +21,8 @@ READ = """
 import json, sys, time
 import numpy as np
 import xarray as xr
-from sweep.contract import SweepError
-from sweep.stores.store import open_dataset
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.store import open_dataset
 
 def ours(path):
     return open_dataset(path)
@@ -163,8 +163,8 @@ def test_a_store_that_changes_all_the_time_is_not_read_for_ever(tmp_path, coins,
 
 def test_no_codec_of_a_store_can_run_anything(tmp_path, coins):
     """No pickle in any file: every document names only codecs that hold plain numbers and text."""
-    from sweep.executing.choose import Resources
-    from sweep.running.run import run_study
+    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.running.run import run_study
 
     run_study(study_from_dict(coins), tmp_path / "s.zarr", Resources(pool="serial"))
     documents = list((tmp_path / "s.zarr").rglob("zarr.json"))
@@ -178,7 +178,7 @@ def test_no_codec_of_a_store_can_run_anything(tmp_path, coins):
 
 
 def test_an_array_of_another_codec_is_not_read(tmp_path, coins):
-    from sweep.stores.checksums import sealed
+    from linksweep.sweep.stores.checksums import sealed
 
     study = study_from_dict(coins)
     path = tmp_path / "s.zarr"

@@ -7,17 +7,17 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.tuning import Tuning
-from sweep.running.run import run_study
-from sweep.stores import ledger_arrays
-from sweep.stores.folder import Folder
-from sweep.stores.location import located
-from sweep.stores.lock import locked
-from sweep.stores.repair import check, repair
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores import ledger_arrays
+from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.location import located
+from linksweep.sweep.stores.lock import locked
+from linksweep.sweep.stores.repair import check, repair
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import create_or_resume, existing_store
 from tests.sweep.stores.test_integrity import in_use
 from tests.tiers import slow

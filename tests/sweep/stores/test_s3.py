@@ -12,14 +12,14 @@ import pytest
 import xarray as xr
 from zarr.storage import ObjectStore
 
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.tuning import Tuning
-from sweep.running.run import run_study
-from sweep.stores import bucket as bucket_module
-from sweep.stores.location import located
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores import bucket as bucket_module
+from linksweep.sweep.stores.location import located
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.documents import run_commands
 from tests.sweep.conftest import make_bucket
 from tests.sweep.opening import existing_store
@@ -258,7 +258,7 @@ def test_what_does_not_work_is_said_in_a_sentence(bucket, link_study, sweep, mon
 
 
 def test_obstore_is_an_extra(monkeypatch):
-    monkeypatch.delitem(sys.modules, "sweep.stores.bucket")
+    monkeypatch.delitem(sys.modules, "linksweep.sweep.stores.bucket")
     monkeypatch.setitem(sys.modules, "obstore", None)
     with pytest.raises(SweepError, match=r"pip install 'linksweep\[s3\]'"):
         located("s3://abc/x")

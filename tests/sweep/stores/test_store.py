@@ -10,15 +10,15 @@ import pytest
 import xarray as xr
 
 import linksweep
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.running.run import run_study
-from sweep.stores import snapshot
-from sweep.stores.create import find_store
-from sweep.stores.opened import OpenStore
-from sweep.stores.store import open_dataset
-from sweep.studies.provenance import provenance
-from sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores import snapshot
+from linksweep.sweep.stores.create import find_store
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.provenance import provenance
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import create_or_resume, existing_store
 
 

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sweep.code.load import Imports
-from sweep.contract import Named, SweepError
-from sweep.executing.choose import Resources
-from sweep.planning.grid import Grid
-from sweep.running.reproduce import reproduce
-from sweep.running.run import run_study
-from sweep.stores.opened import OpenStore
-from sweep.stores.store import open_dataset
-from sweep.studies.reader import load_study, study_from_dict, study_of_attributes
+from linksweep.sweep.code.load import Imports
+from linksweep.sweep.contract import Named, SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.running.reproduce import reproduce
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.reader import load_study, study_from_dict, study_of_attributes
 
 CURVES = """\
 import numpy as np
@@ -61,7 +61,7 @@ n_cat = 2
 """
 
 DICE = """\
-from sweep.contract import DefinitionError, Experiment, Output, Parameter
+from linksweep.sweep.contract import DefinitionError, Experiment, Output, Parameter
 
 
 def dice(points, n_sim, rng, catalogue_rng):
@@ -218,8 +218,8 @@ def test_a_curve_of_more_than_the_magnitude_is_refused(here, sweep, returned):
 
 
 def test_a_function_of_a_module(here):
-    found = Imports().function("core.quasars:completeness", Path())
-    assert (found.reference, found.name) == ("core.quasars:completeness", "completeness")
+    found = Imports().function("linksweep.core.quasars:completeness", Path())
+    assert (found.reference, found.name) == ("linksweep.core.quasars:completeness", "completeness")
     assert found(19.0) == pytest.approx(0.054)
 
 

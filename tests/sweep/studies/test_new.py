@@ -8,17 +8,17 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from jsonschema import Draft202012Validator
 
-from sweep.code.load import load_experiment
-from sweep.contract import SweepError
-from sweep.planning.checked_grid import make_grid
-from sweep.studies.reader import study_from_dict
-from sweep.studies.schema import study_schema
-from sweep.studies.template import NOT_HERE, new_study
+from linksweep.sweep.code.load import load_experiment
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.schema import study_schema
+from linksweep.sweep.studies.template import NOT_HERE, new_study
 from tests.conftest import COINS
 from tests.sweep.mutations import corpus
 from tests.sweep.studies.test_study_fuzz import GOOD, documents
 
-LINK = "core.experiment:link"
+LINK = "linksweep.core.experiment:link"
 
 
 def validator(reference=LINK):
@@ -71,7 +71,7 @@ def test_what_it_says_in_comments_are_the_defaults(reference):
 ODD = """
 import math
 import numpy as np
-from sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter
 
 def check(point):
     if point["kind"] != "a":

@@ -2,8 +2,8 @@
 
 import pytest
 
-from sweep.contract import SweepError
-from sweep.studies.reader import load_study
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.studies.reader import load_study
 
 
 @pytest.mark.parametrize(

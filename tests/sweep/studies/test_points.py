@@ -10,11 +10,11 @@ from astropy.table import MaskedColumn, QTable, Table
 from astropy.utils.masked import Masked
 
 from linksweep import Parameter, SweepError, experiment
-from sweep.contract import Parameter as Declared
-from sweep.planning.checked_grid import make_grid
-from sweep.studies.designs import DESIGNS
-from sweep.studies.live import study_of_function
-from sweep.studies.ranges import Range, read_range
+from linksweep.sweep.contract import Parameter as Declared
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.studies.designs import DESIGNS
+from linksweep.sweep.studies.live import study_of_function
+from linksweep.sweep.studies.ranges import Range, read_range
 
 
 @experiment()

@@ -19,17 +19,17 @@ from click.testing import CliRunner, Result
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sweep.cli import main
-from sweep.contract import SweepError
-from sweep.planning.checked_grid import make_grid
-from sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.cli import main
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.patience import PATIENCE_S
 from tests.sweep.mutations import ROOT, mutants
 from tests.tiers import examples, slow
 
 GOOD: dict[str, Any] = {
     "title": "A good study",
-    "experiment": "core.experiment:link",
+    "experiment": "linksweep.core.experiment:link",
     "axes": {"v_max": {"start": 14.0, "stop": 16.0, "step": 0.5}, "n_obj": [10, 11, 12, 13, 14], "model": ["amex"]},
     "fixed": {"catalogue": "quasars", "omega": [1.0, 2.0, 3.0], "corrections": False, "error_scale": 2.0},
     "sampling": {"n_sim": 10, "n_cat": 2, "seed": 3},
@@ -58,7 +58,7 @@ WORDS = """
     n_sim seed zip file source start stop step num spacing log linear values above below equal in amex gaia
     synthetic quasars points design n ranges columns sobol low high text exact tolerance slope ratio value variable
     over component of to at where sigma covariance omega_x 0.60 nan mission_length satellite_errors normal none
-    table.csv core.experiment:link math:tau : x.py:y . 10**5000
+    table.csv linksweep.core.experiment:link math:tau : x.py:y . 10**5000
 """.split()  # noqa: SIM905
 
 keys = st.one_of(st.sampled_from(WORDS), st.sampled_from(["", "a.b", "\x1b[31m", "\0", "\n", "ä", "\u202e", "😀" * 50]))
@@ -310,7 +310,7 @@ QUICK = {"an axis of 1e9 values by step", "brackets without end"}
 @pytest.mark.parametrize("case", [c if c in QUICK else pytest.param(c, marks=pytest.mark.slow) for c in LARGE])
 def test_what_is_too_large_is_refused_soon_and_in_little_memory(tmp_path: Path, case: str) -> None:
     (tmp_path / "study.toml").write_text(LARGE[case])
-    command = ["sh", "-c", f"ulimit -v {ADDRESSES_KB}; exec {sys.executable} -m sweep plan study.toml"]
+    command = ["sh", "-c", f"ulimit -v {ADDRESSES_KB}; exec {sys.executable} -m linksweep plan study.toml"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith("error: study.toml: ")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sweep.studies.values import axis_values
+from linksweep.sweep.studies.values import axis_values
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,9 @@ from astropy.coordinates import Angle
 from astropy.io import fits
 from astropy.table import Table
 
-from sweep.contract import SweepError
-from sweep.tables.columns import column_values
-from sweep.tables.reader import read_table
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tables.columns import column_values
+from linksweep.sweep.tables.reader import read_table
 
 VIZIER = """\
 #

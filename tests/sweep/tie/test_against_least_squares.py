@@ -14,12 +14,12 @@ from scipy import stats
 from scipy.linalg import block_diag
 
 import linksweep
-from core.blocks import Objects
-from core.constants import MAS
-from core.tie.astrometry import joined
-from core.unknowns import parse_unknowns
-from sweep.contract import SweepError
-from sweep.tie.column_names import TableOptions
+from linksweep.core.blocks import Objects
+from linksweep.core.constants import MAS
+from linksweep.core.tie.astrometry import joined
+from linksweep.core.unknowns import parse_unknowns
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tie.column_names import TableOptions
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import gaia
 
@@ -317,9 +317,9 @@ def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypa
     tables = drawn_tables(folder, 8, n=30, far=(3, 7))
     options = {"clip": clip, "weights": weights, "errors": "formal,scaled,cells"}
     plain = linked(tables, **options)
-    monkeypatch.setattr("core.tie.sources.KEPT_NUMBERS", 0)
-    monkeypatch.setattr("core.tie.normal_sums.BLOCK", 4)
-    monkeypatch.setattr("core.tie.normal_sums.GATHERED", 11)
+    monkeypatch.setattr("linksweep.core.tie.sources.KEPT_NUMBERS", 0)
+    monkeypatch.setattr("linksweep.core.tie.normal_sums.BLOCK", 4)
+    monkeypatch.setattr("linksweep.core.tie.normal_sums.GATHERED", 11)
     link = linked(tables, **options)
     assert "cook_distance" not in link
     for name in ("estimate", "errors", "covariances", "chi2", "chi2_expected", "dof", "discrepancy", "weight_factor"):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from core.constants import MAS
-from sweep.contract import SweepError
-from sweep.tie.column_names import TableOptions
-from sweep.tie.link_tables import tie
-from sweep.tie.tables import read_table
+from linksweep.core.constants import MAS
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tie.column_names import TableOptions
+from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.tables import read_table
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 

@@ -5,8 +5,8 @@ import pytest
 from astropy.table import MaskedColumn, Table
 from astropy.time import Time
 
-from sweep.contract import SweepError
-from sweep.tie.tables import read_table
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tie.tables import read_table
 
 WHEN = Time([1991.25, 2016.0, 2030.4], format="jyear", scale="tdb")
 

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from core.constants import MAS
-from core.tie.astrometry import joined
-from sweep.tie.link_tables import tie
-from sweep.tie.planning import forecast
+from linksweep.core.constants import MAS
+from linksweep.core.tie.astrometry import joined
+from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.planning import forecast
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 from tests.tiers import slow

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from astropy.table import Table, vstack
 
-from sweep.contract import SweepError
-from sweep.tie.link_tables import tie
-from sweep.tie.matching import match
-from sweep.tie.tables import read_table
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.matching import match
+from linksweep.sweep.tie.tables import read_table
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 

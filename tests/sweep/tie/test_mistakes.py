@@ -10,16 +10,16 @@ from astropy.table import Table, vstack
 from click.testing import CliRunner
 
 import linksweep
-from core.constants import DEGREE, MAS
-from core.tie.astrometry import PAIRS
-from core.tie.motion import parallax_factors, propagated
-from sweep.cli import main
-from sweep.contract import SweepError
-from sweep.studies.reader import load_study
-from sweep.tie.column_names import TableOptions
-from sweep.tie.experiment import check, warn
-from sweep.tie.experiment import tie as study_tie
-from sweep.tie.link_tables import tie
+from linksweep.core.constants import DEGREE, MAS
+from linksweep.core.tie.astrometry import PAIRS
+from linksweep.core.tie.motion import parallax_factors, propagated
+from linksweep.sweep.cli import main
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.studies.reader import load_study
+from linksweep.sweep.tie.column_names import TableOptions
+from linksweep.sweep.tie.experiment import check, warn
+from linksweep.sweep.tie.experiment import tie as study_tie
+from linksweep.sweep.tie.link_tables import tie
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import NAMES
 
@@ -247,7 +247,7 @@ def test_a_study_of_absurd_tables_is_refused_with_the_cause(tmp_path):
     satellite, reference = sky(8, 4)
     satellite["ref_epoch"] += 0.5
     written(tmp_path, satellite, reference)
-    named = 'title = "t"\nexperiment = "sweep.tie.experiment:tie"\n[fixed]\nsatellite = "satellite.csv"\n'
+    named = 'title = "t"\nexperiment = "linksweep.sweep.tie.experiment:tie"\n[fixed]\nsatellite = "satellite.csv"\n'
     (tmp_path / "study.toml").write_text(f'{named}reference = "reference.csv"\n[sampling]\nn_sim = 2\n')
     point = study_tie.defaults() | load_study(str(tmp_path / "study.toml")).fixed
     assert re.search("epochs of the satellite 0.5 years too late.*accept_misfit = true computes it", check(point))
@@ -312,7 +312,7 @@ def test_quasars_without_an_epoch_are_mean_positions(tmp_path):
 def test_a_study_takes_quasars_without_an_epoch(tmp_path):
     satellite, reference = sky(8, 4)
     written(tmp_path, satellite, reference["source_id", "ra", "dec", "ra_error", "dec_error"])
-    named = 'title = "t"\nexperiment = "sweep.tie.experiment:tie"\n[fixed]\nsatellite = "satellite.csv"\n'
+    named = 'title = "t"\nexperiment = "linksweep.sweep.tie.experiment:tie"\n[fixed]\nsatellite = "satellite.csv"\n'
     more = 'reference = "reference.csv"\nunknowns = "orientation"\naccept_misfit = true\n[sampling]\nn_sim = 2\n'
     (tmp_path / "study.toml").write_text(named + more)
     point = study_tie.defaults() | load_study(str(tmp_path / "study.toml")).fixed

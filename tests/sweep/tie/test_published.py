@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from core.constants import MAS
-from core.tie.normal_sums import source_sums
-from core.tie.problem import Problem
-from core.tie.solution import solve
-from core.unknowns import parse_unknowns
-from sweep.tie.link_tables import tie
-from sweep.tie.tables import read_table
+from linksweep.core.constants import MAS
+from linksweep.core.tie.normal_sums import source_sums
+from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.solution import solve
+from linksweep.core.unknowns import parse_unknowns
+from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.tables import read_table
 
 
 def test_icrf2_against_icrf3():

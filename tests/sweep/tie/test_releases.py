@@ -9,11 +9,11 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.cli import main
-from sweep.contract import SweepError
-from sweep.studies.reader import load_study
-from sweep.tie.experiment import check, tie, warn
-from sweep.tie.planning import forecast
+from linksweep.sweep.cli import main
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.studies.reader import load_study
+from linksweep.sweep.tie.experiment import check, tie, warn
+from linksweep.sweep.tie.planning import forecast
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 
@@ -106,7 +106,7 @@ def test_the_command_says_from_which_release(folder):
 def test_a_study_scales_from_the_same_release(folder):
     lines = (
         'title = "t"',
-        'experiment = "sweep.tie.experiment:tie"',
+        'experiment = "linksweep.sweep.tie.experiment:tie"',
         "[fixed]",
         'satellite = "dr4.ecsv"',
         'reference = "reference.ecsv"',

@@ -10,10 +10,10 @@ from click.testing import CliRunner
 from pyarrow import parquet
 
 import linksweep
-from sweep.cli import main
-from sweep.contract import SweepError
-from sweep.tie import row_group, row_groups
-from sweep.tie.link_tables import tie
+from linksweep.sweep.cli import main
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tie import row_group, row_groups
+from linksweep.sweep.tie.link_tables import tie
 from tests.sweep.outside import Outside
 from tests.tiers import slow
 

@@ -9,22 +9,22 @@ import xarray as xr
 from scipy import stats
 
 import linksweep
-from core.blocks import Objects, Rotation
-from core.constants import MAS
-from core.missions import MISSIONS
-from core.tie.clips import separation
-from core.tie.differences import differences
-from core.tie.draws import Simulation
-from core.tie.normal_sums import source_sums
-from core.tie.problem import Problem
-from core.unknowns import parse_unknowns
-from sweep.contract import SweepError
-from sweep.executing.choose import Resources
-from sweep.running.run import run_study
-from sweep.studies.reader import load_study
-from sweep.tie.components import COMPONENTS, FIELDS, spectrum
-from sweep.tie.design import design_of
-from sweep.tie.experiment import check, tie, unused, warn
+from linksweep.core.blocks import Objects, Rotation
+from linksweep.core.constants import MAS
+from linksweep.core.missions import MISSIONS
+from linksweep.core.tie.clips import separation
+from linksweep.core.tie.differences import differences
+from linksweep.core.tie.draws import Simulation
+from linksweep.core.tie.normal_sums import source_sums
+from linksweep.core.tie.problem import Problem
+from linksweep.core.unknowns import parse_unknowns
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.running.run import run_study
+from linksweep.sweep.studies.reader import load_study
+from linksweep.sweep.tie.components import COMPONENTS, FIELDS, spectrum
+from linksweep.sweep.tie.design import design_of
+from linksweep.sweep.tie.experiment import check, tie, unused, warn
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 
@@ -227,7 +227,13 @@ def made_quasars(tmp_path, n=400):
 def quasar_study(tmp_path, n=400, **changes):
     path, spins = made_quasars(tmp_path, n)
     lines = [f"{name} = {json.dumps(value)}" for name, value in changes.items()]
-    text = ['title = "quasars"', 'experiment = "sweep.tie.experiment:tie"', "[axes]", 'clip = ["none"]', "[fixed]"]
+    text = [
+        'title = "quasars"',
+        'experiment = "linksweep.sweep.tie.experiment:tie"',
+        "[axes]",
+        'clip = ["none"]',
+        "[fixed]",
+    ]
     text += [f'satellite = "{path}"', "zero_motion = true", 'unknowns = "spin"', *lines]
     (tmp_path / "quasars.toml").write_text("\n".join(text))
     study = load_study(str(tmp_path / "quasars.toml"))

@@ -9,16 +9,16 @@ from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, Table
 from astropy.time import Time
 
-from core.constants import ARCSEC, DEGREE, MAS
-from core.tie.astrometry import PAIRS, kinds
-from core.tie.motion import propagated
-from sweep.contract import SweepError
-from sweep.tie.column_names import TableOptions
-from sweep.tie.hipparcos import correlations
-from sweep.tie.link_tables import tie
-from sweep.tie.matching import match
-from sweep.tie.planning import forecast
-from sweep.tie.tables import read_table
+from linksweep.core.constants import ARCSEC, DEGREE, MAS
+from linksweep.core.tie.astrometry import PAIRS, kinds
+from linksweep.core.tie.motion import propagated
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tie.column_names import TableOptions
+from linksweep.sweep.tie.hipparcos import correlations
+from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.matching import match
+from linksweep.sweep.tie.planning import forecast
+from linksweep.sweep.tie.tables import read_table
 from tests.core.tie.made import random_correlations, stars
 
 NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
@@ -182,7 +182,7 @@ def test_columns_and_missing_epochs(tmp_path):
 def test_matching_by_name_and_by_position_with_proper_motion(tmp_path):
     made = stars(6, pm=3000.0)
     left = read_table(gaia(tmp_path / "a.ecsv", made))
-    from core.tie.motion import propagated
+    from linksweep.core.tie.motion import propagated
 
     moved = propagated(made.values, made.radial_velocity, made.epoch, made.epoch - 20.0)
     from dataclasses import replace

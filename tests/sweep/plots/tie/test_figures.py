@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 import linksweep
-from sweep.contract import SweepError
-from sweep.plots import kinds
-from sweep.plots.caption import caption
-from sweep.plots.tie.figure import draw_link, link_figures
-from sweep.plots.tie.names import readable, unknown_symbol
-from sweep.plots.tie.residuals import BANDS, _angles, _averaged
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots import kinds
+from linksweep.sweep.plots.caption import caption
+from linksweep.sweep.plots.tie.figure import draw_link, link_figures
+from linksweep.sweep.plots.tie.names import readable, unknown_symbol
+from linksweep.sweep.plots.tie.residuals import BANDS, _angles, _averaged
 
 
 @pytest.fixture(scope="module")
