@@ -65,7 +65,7 @@ def misplaced(mutant: Mutant) -> str | None:
 def copy_of_checkout(folder: Path) -> Path:
     """Return a copy in which files may be changed."""
     for name in FOLDERS:
-        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", ".*"))
+        shutil.copytree(ROOT / name, folder / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__", ".*"))
     for name in FILES:
         shutil.copy(ROOT / name, folder / name)
     # compiled once; of a changed file the hash is another, so that it is compiled again

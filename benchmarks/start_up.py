@@ -35,7 +35,13 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
             if turn % 3 == 0:
                 running.append(watch([*SWEEP, "run", "one.toml", "-o", f"{turn}.zarr"], folder).seconds)
                 finished.append(watch([*SWEEP, "run", "one.toml", "-o", f"{turn}.zarr"], folder).seconds)
-                modules = "import linksweep.sweep.running.run, linksweep.sweep.running.progress, linksweep.sweep.analysis.headline_table, linksweep.core.experiment"
+                names = (
+                    "sweep.running.run",
+                    "sweep.running.progress",
+                    "sweep.analysis.headline_table",
+                    "core.experiment",
+                )
+                modules = "import " + ", ".join(f"linksweep.{name}" for name in names)
                 importing.append(watch([sys.executable, "-c", modules], folder).seconds)
         command = f"{sys.executable} -X importtime -c '{modules}' 2>&1"
         for text in watch(["/bin/sh", "-c", command], folder).output.splitlines():

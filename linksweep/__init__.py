@@ -33,10 +33,6 @@ Example:
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from linksweep._own_packages import load_own_packages
-
-load_own_packages()
-
 if TYPE_CHECKING:
     from linksweep.sweep.analysis.crossings import find, interpolate
     from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, ratio

@@ -8,8 +8,8 @@ import pytest
 from tests.documents import ROOT
 
 MODULES = [
-    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-    for top in ("linksweep", "core", "sweep")
+    ".".join(("linksweep", *path.relative_to(ROOT / folder).with_suffix("").parts)).removesuffix(".__init__")
+    for folder, top in (("linksweep", "linksweep"), ("", "core"), ("", "sweep"))
     for path in sorted((ROOT / top).rglob("*.py"))
     if ">>> " in path.read_text()
 ]

@@ -6,7 +6,6 @@ import sys
 import pytest
 
 import linksweep
-from linksweep import sweep
 from tests.documents import ROOT, code
 
 RUN = """
@@ -36,11 +35,6 @@ def test_every_function_says_what_it_takes_gives_and_raises():
             text = getattr(linksweep, name).__doc__
             assert all(part in text for part in ("Args:", "Returns:", "Raises:", "Example:", ">>> ")), name
     assert all(name in linksweep.__doc__ for name in linksweep.__all__)
-
-
-def test_the_old_name_gives_the_same():
-    assert dir(sweep) == sorted(sweep.__all__)
-    assert all(getattr(sweep, name) is getattr(linksweep, name) for name in sweep.__all__)
 
 
 def test_importing_it_imports_nothing_large(tmp_path):
@@ -89,30 +83,23 @@ def test_a_users_script_sees_the_types(tmp_path):
 
 
 def test_files_of_the_user_with_our_names_do_no_harm(tmp_path):
-    """In the script's own process and in its workers."""
-    for name in ("core.py", "sweeps.py"):
-        (tmp_path / name).write_text("raise RuntimeError('a file of the user')")
-    (tmp_path / "sweep.py").write_text(RUN)  # what a script is likely to be called
+    """In the script's own process and in its workers; they are the user's to import, also a folder without a file."""
+    (tmp_path / "sweeps.py").write_text("raise RuntimeError('a file of the user')")
+    (tmp_path / "sweep.py").write_text(f"{RUN}    import core.helper\n")  # what a script is likely to be called
+    (tmp_path / "core").mkdir()
+    (tmp_path / "core" / "helper.py").write_text("print('helped')")
     done = python(tmp_path, "sweep.py")
-    assert (done.returncode, done.stdout) == (0, "[20, 40]\n"), done.stderr
+    assert (done.returncode, done.stdout) == (0, "[20, 40]\nhelped\n"), done.stderr
 
 
-@pytest.mark.slow
-def test_the_old_name_works_beside_a_core_of_the_user(tmp_path):
-    (tmp_path / "core.py").write_text("raise RuntimeError('a file of the user')")
-    done = python(tmp_path, "-c", "import sweep; sweep.run; from core import frames; print(frames.triad.__name__)")
-    assert (done.returncode, done.stdout) == (0, "triad\n"), done.stderr
-
-
-@pytest.mark.parametrize("script", ["import core, linksweep", "import linksweep\nfrom core import helper"])
-def test_where_both_are_wanted_one_sentence_names_the_file(tmp_path, script):
-    (tmp_path / "core.py").write_text("helper = 1")
-    done = python(tmp_path, "-c", script)
-    assert done.returncode == 1
-    last = done.stderr.splitlines()[-1]
-    assert last.startswith("ImportError: ")
-    assert str(tmp_path / "core.py") in last
-    assert last.endswith("rename it")
+def test_there_is_one_name_to_import():
+    """Nothing imports a second copy of a module by the name of its folder."""
+    for top in ("core", "sweep", "sweeps"):
+        assert not (ROOT / top / "__init__.py").exists()  # a folder of the user's with this name is found first
+        assert (ROOT / "linksweep" / top).resolve() == ROOT / top
+    code = "import sys, linksweep; from linksweep.sweep import cli; linksweep.run; linksweep.tie; print(*sys.modules)"
+    done = python(ROOT, "-c", code)
+    assert {"core", "sweep", "sweeps"}.isdisjoint(name.partition(".")[0] for name in done.stdout.split()), done.stderr
 
 
 def test_the_module_is_the_command(tmp_path):

@@ -48,5 +48,5 @@ def _document(study: object) -> dict[str, Any]:
 
 
 def _built_in() -> dict[str, Path]:
-    files = sorted(resources.files("linksweep.sweeps").iterdir(), key=str)
+    files = sorted((resources.files("linksweep") / "sweeps").iterdir(), key=str)
     return {file.name.removesuffix(".toml"): Path(str(file)) for file in files if file.name.endswith(".toml")}

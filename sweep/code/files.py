@@ -17,8 +17,8 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from types import ModuleType
 
-OURS = ("core", "sweep", "sweeps", "linksweep")
-"""Our packages, never looked for beside a user's file."""
+OURS = "linksweep"
+"""Our package, never looked for beside a user's file."""
 
 PREFIX = "linksweep_local_"
 """Begins the names of the packages that local modules are in."""
@@ -113,7 +113,7 @@ def _imported(folder: Path, name: str, content: bytes) -> Iterator[str]:
                 [*package[: len(package) - node.level + 1], node.module or ""] if node.level else [node.module or ""]
             )
             wanted = [f"{base.strip('.')}.{alias.name}".strip(".") for alias in node.names]
-        for parts in (module.split(".") for module in wanted if module.partition(".")[0] not in OURS):
+        for parts in (module.split(".") for module in wanted if module.partition(".")[0] != OURS):
             for end in range(1, len(parts) + 1):
                 stem = PurePosixPath(*parts[:end])
                 files = [f"{stem}/__init__.py", *(f"{stem}{suffix}" for suffix in SUFFIXES)]  # as Python prefers them

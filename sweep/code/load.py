@@ -259,7 +259,7 @@ def _elsewhere(reference: str) -> tuple[dict[str, str], dict[str, str]]:
 
 def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
     """Start a process of Python that finds modules where this one does, and not in the present folder if this one does
-    not: it may be a stranger's.  linksweep first, which keeps a ``sweep.py`` of the user's from being taken for ours.
+    not: it may be a stranger's.
     """
     around = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
     return subprocess.Popen([sys.executable, "-P", "-c", f"import linksweep; {code}"], env=around, **options)
@@ -284,7 +284,7 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
     """
     place = reference.rpartition(":")[0]
     declared = {f"package {name}": version_of(name) for name in experiment.packages}
-    if place.partition(".")[0] in OURS and distributions_of(place) == ():
+    if place.partition(".")[0] == OURS and distributions_of(place) == ():
         return declared
     sources = sources_of(reference, digest)
     parts = sources.parts if isinstance(sources, Live) else _parts(reference, digest or source_digest(reference))

@@ -73,7 +73,7 @@ LONGEST_FORM = 1000
 
 _BEGAN = time.time()
 _STDLIB = Path(sysconfig.get_path("stdlib")).resolve()
-_OURS = Path(__file__).resolve().parents[2]
+_OURS = Path(__file__).parents[2]  # as it is imported: linksweep/sweep is a link in a checkout
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda | ast.ClassDef
 Key = tuple[Any, ...]
@@ -93,9 +93,9 @@ def distributions_at(file: str | None, top: str) -> tuple[str, ...] | None:
     """Return the distributions that a module's file belongs to, none for Python and linksweep; None for the user's."""
     if file is None or file == "frozen":
         return () if top in sys.stdlib_module_names or top in sys.builtin_module_names else None
-    path = Path(file).resolve()
-    if top in OURS and path.is_relative_to(_OURS / top):
+    if top == OURS and Path(file).is_relative_to(_OURS):
         return ()
+    path = Path(file).resolve()
     if INSTALLED & set(path.parts) or _installed_beside(path, top):
         if version_of(top) != "not installed":
             return (top,)

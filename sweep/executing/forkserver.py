@@ -17,8 +17,8 @@ from typing import Any, TypeVar
 Made = TypeVar("Made")
 
 PRELOADED = ["linksweep", "linksweep.sweep.executing.preloaded", "linksweep.core.experiment"]
-"""What workers import: linksweep first, which keeps a ``sweep.py`` of the user's from being taken for ours; last the
-experiment that is run most: its workers begin 0.05 s sooner, those of others lose half of that."""
+"""What workers import; last the experiment that is run most: its workers begin 0.05 s sooner, those of others lose half
+of that."""
 
 KEEP_BYTES = 2**28
 """Freed memory that a worker's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them

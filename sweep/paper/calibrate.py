@@ -67,7 +67,7 @@ def as_text(report: dict[str, Any]) -> "Group":
 
 
 def _rows(name: str) -> list[dict[str, str]]:
-    text = (resources.files("linksweep.sweeps") / "published" / name).read_text(encoding="utf-8")
+    text = (resources.files("linksweep") / "sweeps" / "published" / name).read_text(encoding="utf-8")
     return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
 
 

@@ -147,8 +147,8 @@ def citations(version: str) -> tuple[str, str]:
 
 def _citation_file() -> Any:
     """Return the contents of the citation file: in the wheel it is beside the modules, in a checkout above them."""
-    installed = Path(str(files("linksweep.sweep") / CITATION_FILE))
-    path = installed if installed.is_file() else Path(__file__).parents[2] / CITATION_FILE
+    installed = Path(str(files("linksweep") / CITATION_FILE))
+    path = installed if installed.is_file() else Path(__file__).resolve().parents[2] / CITATION_FILE
     return yaml.safe_load(path.read_text(encoding="utf-8"))
 
 

@@ -26,7 +26,7 @@ datasets from before that have no such attribute.
 OUTER_DRAW, CITATION = "outer_draw", "citation"
 """Attributes: what an experiment calls draws that realisations share, and what it asks to cite, as JSON."""
 
-OF_THE_LINK = ("core.", "linksweep.sweep.tie.")
+OF_THE_LINK = ("linksweep.core.", "linksweep.sweep.tie.")
 """Modules of experiments that come with linksweep and share catalogues."""
 
 FUNCTION = "function"
@@ -107,7 +107,7 @@ def git_commit() -> str | None:
     """Return the commit of the checkout this package runs from, with '+changes' if it was edited; None outside a
     checkout, without starting git.
     """
-    folder = Path(__file__).parent.parent.parent
+    folder = Path(__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return None
 

@@ -24,7 +24,7 @@ Place = tuple[str | int, ...]
 
 def built_in_studies() -> dict[str, Path]:
     """Return the studies that ship with the package, by name."""
-    return {path.stem: path for path in sorted(Path(str(resources.files("linksweep.sweeps"))).glob("*.toml"))}
+    return {path.stem: path for path in sorted(Path(str(resources.files("linksweep") / "sweeps")).glob("*.toml"))}
 
 
 def reference_in(name_or_path: str) -> str | None:

@@ -120,7 +120,7 @@ class Study:
     @property
     def is_ours(self) -> bool:
         """Whether only code that comes with linksweep computes it."""
-        return self.experiment_reference.partition(".")[0] in ("core", "sweep") and not self.document.get("define")
+        return self.experiment_reference.partition(".")[0] == "linksweep" and not self.document.get("define")
 
     @property
     def keeps_samples(self) -> bool:

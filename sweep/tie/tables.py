@@ -17,7 +17,7 @@ from linksweep.sweep.tie import icrf
 from linksweep.sweep.tie.astrometry_reader import AstrometryReader
 from linksweep.sweep.tie.column_names import TableOptions
 
-_OWN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
+_OWN = Path(str(resources.files("linksweep") / "sweeps" / "data")).resolve()
 
 
 @dataclass(frozen=True)

@@ -74,7 +74,7 @@ print("as good")
 
 def test_a_toy_of_each_kind_takes_one_file_and_one_entry(tmp_path):
     for package in ("core", "linksweep", "sweep", "sweeps"):
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / package, tmp_path / package, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
     for folder, module, code, entry, anchor in (
         ("catalogues", "ring", RING, '"ring": Ring(),', '"file": File(),'),
         ("errors", "double", DOUBLE, '"double": Double(),', '"catalogue": Own(),'),
@@ -84,7 +84,7 @@ def test_a_toy_of_each_kind_takes_one_file_and_one_entry(tmp_path):
         registry = tmp_path / "core" / folder / "__init__.py"
         name = entry.split(": ")[1].strip("(),")
         text = registry.read_text().replace(anchor, f"{anchor}\n        {entry}")
-        registry.write_text(text.replace("\n\n", f"\n\nfrom core.{folder}.{module} import {name}\n", 1))
+        registry.write_text(text.replace("\n\n", f"\n\nfrom linksweep.core.{folder}.{module} import {name}\n", 1))
     ran = subprocess.run([sys.executable, "-c", TRIED], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ran.stdout == "as good\n", ran.stderr
 

@@ -10,7 +10,8 @@ ROOT = Path(__file__).parent.parent.parent
 NASTY = r"""
     0 -1 1 2 3.5 -0.0 1e308 -1e308 1e309 5e-324 nan inf -inf 1_000 0x10 0b1 9223372036854775808 9999999999999999999999
     true false "" "x" 'x' "\u0000" "\u202e\u2066abc" "\U0001F600" "e\u0301" "\n" "${HOME}" "../../etc/passwd"
-    "/dev/zero" "amex" "gaia" "quasars" "synthetic" "linksweep.core.experiment:link" "math:tau" ":" "no.py:x" [] [[]] [1] [1,1]
+    "/dev/zero" "amex" "gaia" "quasars" "synthetic" "linksweep.core.experiment:link" "math:tau" ":" "no.py:x"
+    [] [[]] [1] [1,1]
     [1,2,3] ["a"] [true] [nan] {} {a=1} {start=1,stop=2,step=1} {start=1,stop=1e9,step=1}
     {start=0,stop=1,num=1000000000}
     {start=1,stop=0,step=-1e-12} {start=1,stop=2,num=3,spacing="log"} {start=-1,stop=2,num=3,spacing="log"}

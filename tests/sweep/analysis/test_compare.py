@@ -724,7 +724,8 @@ def test_the_built_in_studies_that_publish_something():
 def test_a_study_that_needs_a_package_is_left_out_by_name(tmp_path):
     code = (  # in a new process: this one may have made the curves with the package
         "import sys; from pathlib import Path; sys.modules['pygaia'] = None; "
-        "from linksweep.sweep.paper.published_stores import lacks_packages; from linksweep.sweep.studies.reader import load_study; "
+        "from linksweep.sweep.paper.published_stores import lacks_packages; "
+        "from linksweep.sweep.studies.reader import load_study; "
         f"print([lacks_packages(load_study(name), Path({str(tmp_path)!r})) for name in ('grid', 'gaia-releases')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

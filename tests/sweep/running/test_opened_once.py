@@ -133,7 +133,7 @@ EVENTS = {"subprocess.Popen", "os.fork", "os.forkpty", "os.posix_spawn"}
 sys.argv = ["sweep", *sys.argv[1:]]
 try:
     import runpy
-    runpy.run_module("sweep", run_name="__main__")
+    runpy.run_module("linksweep", run_name="__main__")
 finally:
     print(json.dumps([started, [name for name in NAMES if name in sys.modules]]), file=sys.stderr)
 """

@@ -25,7 +25,7 @@ MEASURED = r"""
 import re, resource, runpy, sys
 sys.argv = ["sweep", *sys.argv[1:]]
 try:
-    runpy.run_module("sweep", run_name="__main__")
+    runpy.run_module("linksweep", run_name="__main__")
 finally:
     # of the program alone: ru_maxrss is at least that of the process that started it
     peak = re.search(r"VmHWM:\s+(\d+) kB", open("/proc/self/status").read())[1]

@@ -1,1 +1,0 @@
-"""The built-in studies, as TOML files; `sweep list` names them."""
