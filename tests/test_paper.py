@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from linksweep.core.calibration import IN_CODE
 from linksweep.core.experiment import link
+from linksweep.core.missions.calibrate import IN_CODE
 from linksweep.core.spin_variance import draw_skies, spin_variance
 from linksweep.sweep.executing.choose import Resources
 from linksweep.sweep.running.run import run_study

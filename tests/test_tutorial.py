@@ -17,9 +17,9 @@ BLOCK = re.compile(r"```(\w+|\{picture\})(?: (\S+))?\n(.*?)```", re.DOTALL)
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The folder in which the tutorial was done, what its scripts printed, and what the first `sweep fit` printed."""
+    """The folder in which the tutorial was done, what its scripts and its commands printed."""
     path = tmp_path_factory.mktemp("tutorial")
-    printed, fits = [], []
+    printed, outputs = [], []
     for language, file, text in BLOCK.findall(TUTORIAL.read_text()):
         if file:
             (path / file).write_text(text)
@@ -27,11 +27,11 @@ def folder(tmp_path_factory):
             for words in filter(None, (shlex.split(line, comments=True) for line in text.splitlines())):
                 assert words[0] == "sweep"
                 out = run(path, "-m", "linksweep", *words[1:])
-                fits += [out] if words[1] == "fit" else []
+                outputs.append((words[1:3], out))
         elif language == "python":
             (path / "script.py").write_text(text)
             printed.append(run(path, "script.py"))
-    return path, printed, fits[0]
+    return path, printed, outputs
 
 
 def run(folder, *arguments):
@@ -43,9 +43,12 @@ def run(folder, *arguments):
 def test_every_file_and_figure_is_there(folder):
     path, _, _ = folder
     assert {p.name for p in (path / "results").glob("*.zarr")} == {
-        *("first.zarr", "precise.zarr", "mission.zarr", "pi.zarr", "elsewhere.zarr"),
+        *("demo.zarr", "first.zarr", "precise.zarr", "mission.zarr", "pi.zarr", "elsewhere.zarr"),
     }
-    assert all((path / name).stat().st_size > 10_000 for name in ("first.svg", "curves.svg", "spin.png"))
+    assert all(
+        (path / name).stat().st_size > 10_000
+        for name in ("demo.svg", "demo.html", "first.svg", "curves.svg", "spin.png")
+    )
 
 
 def test_the_numbers_are_what_the_text_says(folder):
@@ -61,8 +64,14 @@ def test_the_numbers_are_what_the_text_says(folder):
     assert share.sel(side=1.0).item() == pytest.approx(3.14159 / 4, abs=4 * 0.41 / 20000**0.5)
 
 
+def test_the_text_has_the_answer_of_its_own_run(folder):
+    """The sentences of the conclusion, as the run prints them last."""
+    run = next(out for command, out in folder[2] if command == ["run", "demo.toml"])
+    assert run.endswith(re.search(r"```text\n(.*?)```", TUTORIAL.read_text(), flags=re.DOTALL)[1])
+
+
 def test_the_text_has_the_exponents_and_the_verdict_of_its_own_fit(folder):
-    *_, fit = folder
+    fit = next(out for (command, _), out in folder[2] if command == "fit")
     text = TUTORIAL.read_text().partition("sweep fit")[2]
     amex, gaia = (re.search(rf"{model} .*?(-0\.\d+) ±", fit)[1] for model in ("amex", "gaia"))
     assert f"is {float(gaia):.2f} for\nGAIA" in text

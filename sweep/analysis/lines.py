@@ -134,7 +134,10 @@ def require_done(dataset: xr.Dataset) -> None:
     """Raise SweepError unless all points of a dataset are done or excluded by the study."""
     counts = count_status(dataset["status"].values)
     if undone := unfinished_in_words(counts):
-        commands = {Status.MISSING: "`sweep run` computes what is missing", Status.FAILED: "`sweep retry` what failed"}
+        commands = {
+            Status.MISSING: "`sweep run` computes what is missing",
+            Status.FAILED: "`sweep run --retry` what failed",
+        }
         help_ = ", ".join(words for code, words in commands.items() if counts[code])
         raise SweepError(
             f"is incomplete: {undone} of {sum(counts.values()):,} points here; {help_}; or choose other points"

@@ -2,7 +2,6 @@
 
 from linksweep.sweep.cli import (  # noqa: F401 (they add their commands to the group)
     analysis,
-    demo,
     match,
     paper,
     plot,

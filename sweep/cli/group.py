@@ -18,10 +18,8 @@ atexit.register(gc.freeze)  # else Python searches all imports for garbage at th
 
 SECTIONS = {
     "Run": {
-        "demo": "Show the whole way from a study to its answer",
         "run": "Run a study into a store; print table and answer",
         "plan": "Say what a run would do, and write nothing",
-        "retry": "Compute failed points again",
         "scaling": "Measure how a study scales with workers",
     },
     "Look": {
@@ -35,19 +33,16 @@ SECTIONS = {
     },
     "Compare": {
         "compare": "Compare with published numbers and claims",
-        "calibrate": "Refit the mission curves to the paper",
     },
     "Store care": {
         "status": "Say how far a run is, and what failed",
-        "check": "Compare every file with its checksum",
-        "repair": "Set damaged files aside",
+        "check": "Compare files with checksums; set damaged aside",
         "reproduce": "Compute points again, to the bit",
         "merge": "Make one store of two of the same experiment",
     },
     "Your own": {
         "new": "Write a commented study to start from",
         "params": "List the parameters of a study or experiment",
-        "schema": "Print the JSON Schema of studies",
         "tie": "Solve for the link of two real tables",
         "forecast": "Forecast a link with new observations",
         "match": "Find the galaxies in a star catalogue",
@@ -112,7 +107,7 @@ def main() -> None:
     """Sweep Monte-Carlo simulations of a satellite's link to the extragalactic frame.
 
     \b
-    sweep demo               the whole way from a study to its answer
     sweep run quasars        the paper's Table 1, beside the published one
     sweep list               the other built-in studies
+    sweep new mine           a study of your own to start from
     """

@@ -127,6 +127,16 @@ class AskedStudy:
         study = load_trusted(self.study, self.trust, *given)
         return study, self.store or located(default_store(study.name))
 
+    def stored(self) -> "tuple[Study, Location]":
+        """Return the study of an existing store, named in its place, and the store; raises SweepError as `load`."""
+        from linksweep.sweep.running.reproduce import study_of
+        from linksweep.sweep.stores.named import store_named
+
+        if any((self.settings, self.axes, self.points, self.design, self.ranges, self.store)):
+            raise click.UsageError("--retry computes points of a store as it is: name the store, without other changes")
+        store = store_named(self.study)
+        return study_of(store, trust=self.trust), store
+
 
 def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
     """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""

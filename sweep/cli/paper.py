@@ -1,4 +1,4 @@
-"""Commands about stores or the whole paper, compare and report; and the one that fits its curves, calibrate."""
+"""Commands about stores or the whole paper: compare and report."""
 
 import logging
 import sys
@@ -11,10 +11,9 @@ import click
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, main
 from linksweep.sweep.cli.log_options import Watching, watching_options
 from linksweep.sweep.cli.options import FILE, gathered, json_option, json_or, option_with_default, stores_argument
-from linksweep.sweep.cli.output import print_comparisons, print_whole
+from linksweep.sweep.cli.output import print_comparisons
 from linksweep.sweep.cli.resource_options import resource_options
 from linksweep.sweep.cli.running import Running, run_with_progress
-from linksweep.sweep.formatting import to_json
 
 if TYPE_CHECKING:
     from linksweep.sweep.executing.choose import Resources
@@ -55,7 +54,7 @@ class AskedStores:
         """Return the stores; with --all, first run the unfinished studies: all, or those with something published."""
         if not self.everything:
             return self.stores
-        from linksweep.sweep.paper.published_stores import lacks_packages, paper_studies, store_of, unfinished
+        from linksweep.sweep.cli.published_stores import lacks_packages, paper_studies, store_of, unfinished
         from linksweep.sweep.stores.location import located
         from linksweep.sweep.stores.named import RESULTS
 
@@ -92,7 +91,7 @@ def compare(asked: AskedStores, table_format: str, as_json: bool) -> None:
     """
     table_format = json_or(table_format, as_json)
     from linksweep.sweep.analysis.compare import all_is_well
-    from linksweep.sweep.paper.published_stores import compare_stores
+    from linksweep.sweep.cli.published_stores import compare_stores
 
     asked.require_either()
     comparisons, remarks = compare_stores(asked.found(published=True))
@@ -133,21 +132,3 @@ def report(asked: AskedStores, output: Path | None) -> None:
     check_output(path)
     write_report(report_of(asked.found()), path)
     click.echo(f"wrote {path}", err=True)
-
-
-@main.command()
-@json_option
-def calibrate(as_json: bool) -> None:
-    """Refit the mission curves to the paper's tables: constants, uncertainties, residuals, and what equal weights give.
-
-    \b
-    sweep calibrate
-    sweep calibrate --json > calibration.json
-    """
-    from linksweep.sweep.paper.calibrate import as_text, calibration_report
-
-    found = calibration_report()
-    if as_json:
-        click.echo(to_json(found))
-    else:
-        print_whole(as_text(found))

@@ -1,4 +1,4 @@
-"""Commands that compute: run, plan, retry and scaling."""
+"""Commands that compute: run, plan and scaling."""
 
 import logging
 import sys
@@ -92,13 +92,14 @@ def run_with_progress(
 @options.break_lock_option
 @options.accept_code_option
 @max_failures_option
+@click.option("--retry", is_flag=True, help="STUDY is a store: compute its failed points again, and only those.")
 @click.option("--fresh", is_flag=True, help="Replace an existing store, whatever its study and code.")
 @click.option("--verify", type=click.IntRange(0), default=0, help="At the end compute so many points again.")
 @watching_options
 @options.trust_option
 @options.json_option
 @options.gathered("how", Running)
-def run(asked: options.AskedStudy, how: Running, fresh: bool, verify: int) -> None:
+def run(asked: options.AskedStudy, how: Running, retry: bool, fresh: bool, verify: int) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
 
     After an interruption the same command resumes where it stopped.
@@ -109,9 +110,12 @@ def run(asked: options.AskedStudy, how: Running, fresh: bool, verify: int) -> No
     sweep run my_study.toml --axis v_max=14:16:0.25 --workers 4 --log run.log
     sweep run sir.py:sir --design sobol:256 --range beta=0.1:0.5
     sweep run sir.py:sir --points runs.csv
+    sweep run --retry results/quasars.zarr
     """
-    study, store = asked.load()
-    failures = run_with_progress(study, store, how, fresh=fresh)
+    if retry and fresh:
+        raise click.UsageError("--retry and --fresh contradict each other")
+    study, store = asked.stored() if retry else asked.load()
+    failures = run_with_progress(study, store, how, retry=retry, fresh=fresh)
     differing = verify and print_verified(study, store, verify, how.watching.level < logging.ERROR)
     if failures or differing:
         sys.exit(EXIT_FAILED_POINTS)
@@ -140,28 +144,6 @@ def plan(asked: options.AskedStudy, workers: int | None, accept_code: bool, as_j
         click.echo(to_json(report))
     else:
         print_plan(report)
-
-
-@main.command()
-@options.store_argument
-@resource_options
-@options.break_lock_option
-@options.accept_code_option
-@max_failures_option
-@watching_options
-@options.trust_option
-@options.json_option
-@options.gathered("how", Running)
-def retry(store: "Location", trust: bool, how: Running) -> None:
-    """Compute the failed points in STORE again, and only those.
-
-    \b
-    sweep retry results/quasars.zarr
-    """
-    from linksweep.sweep.running.reproduce import study_of
-
-    if run_with_progress(study_of(store, trust=trust), store, how, retry=True):
-        sys.exit(EXIT_FAILED_POINTS)
 
 
 def _counts(_context: click.Context, _parameter: click.Parameter, value: str) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""Commands about stores as they are: show, status, check, repair, reproduce and merge."""
+"""Commands about stores as they are: show, status, check, reproduce and merge."""
 
 import json
 import sys
@@ -60,15 +60,27 @@ def status(store: "Location", as_json: bool) -> None:
 
 @main.command()
 @options.store_argument
+@click.option("--repair", is_flag=True, help="Set damaged files aside, in STORE.damaged; the next run computes again.")
+@options.break_lock_option
 @options.json_option
-def check(store: "Location", as_json: bool) -> None:
+def check(store: "Location", repair: bool, break_lock: bool, as_json: bool) -> None:
     """Read every file in STORE and compare it with its checksum; the exit code is 1 if any is damaged.
 
     \b
     sweep check results/quasars.zarr
+    sweep check results/quasars.zarr --repair
     """
     from linksweep.sweep.stores.repair import check as check_files
+    from linksweep.sweep.stores.repair import repair as repair_files
 
+    if repair and as_json:
+        raise click.UsageError("--json is for a check without --repair")
+    if break_lock and not repair:
+        raise click.UsageError("--break-lock goes with --repair: a check writes nothing")
+    if repair:
+        for sentence in repair_files(store, break_lock=break_lock) or ["every file is as it was written"]:
+            click.echo(sentence)
+        return
     report = check_files(store)
     if as_json:
         click.echo(to_json(report))
@@ -81,23 +93,8 @@ def check(store: "Location", as_json: bool) -> None:
         for remark in report.remarks:
             click.echo(f"{store} {remark}")
     if report:
-        click.echo(f"`sweep repair {store}` repairs what can be repaired", err=True)
+        click.echo(f"`sweep check {store} --repair` repairs what can be repaired", err=True)
         sys.exit(EXIT_FAILED_POINTS)
-
-
-@main.command()
-@options.store_argument
-@options.break_lock_option
-def repair(store: "Location", break_lock: bool) -> None:
-    """Set damaged files of STORE aside, in STORE.damaged, so that the next run computes again what was in them.
-
-    \b
-    sweep repair results/quasars.zarr
-    """
-    from linksweep.sweep.stores.repair import repair as repair_files
-
-    for sentence in repair_files(store, break_lock=break_lock) or ["every file is as it was written"]:
-        click.echo(sentence)
 
 
 @main.command()

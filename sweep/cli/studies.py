@@ -1,4 +1,4 @@
-"""Commands that list what there is and help to begin a study: list, params, new and schema."""
+"""Commands that list what there is and help to begin a study: list, params and new."""
 
 import json
 from contextlib import suppress
@@ -61,8 +61,9 @@ def _answer(name: str) -> list[str]:
 
 @main.command()
 @click.argument("experiment", default="linksweep.core.experiment:link")
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of studies, by which editors complete them.")
 @json_option
-def params(experiment: str, as_json: bool) -> None:
+def params(experiment: str, schema: bool, as_json: bool) -> None:
     """List the parameters of EXPERIMENT (module:attribute, file.py:attribute, or a study of it) with unit,
     default, allowed values and meaning.
 
@@ -70,6 +71,7 @@ def params(experiment: str, as_json: bool) -> None:
     sweep params
     sweep params quasars
     sweep params my_experiment.py:experiment
+    sweep params --schema > study.schema.json
     """
     from linksweep.sweep.code.load import load_experiment
     from linksweep.sweep.studies.reader import load_study
@@ -77,6 +79,11 @@ def params(experiment: str, as_json: bool) -> None:
 
     is_study = experiment.endswith(".toml") or experiment in built_in_studies()
     declared = load_study(experiment).experiment if is_study else load_experiment(experiment)
+    if schema:
+        from linksweep.sweep.studies.schema import study_schema
+
+        click.echo(json.dumps(study_schema(declared), indent=1, ensure_ascii=False))
+        return
     rows = [
         {"name": p.name, "unit": p.unit, "default": p.default, "allowed": p.allowed(), "meaning": p.meaning}
         for p in declared.parameters
@@ -122,17 +129,3 @@ def new(name: str, experiment: str) -> None:
             path.unlink()
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
     click.echo(f"wrote {path}; edit it, then: sweep plan {path}", err=True)
-
-
-@main.command()
-@click.argument("experiment", default="linksweep.core.experiment:link")
-def schema(experiment: str) -> None:
-    """Print the JSON Schema of studies of EXPERIMENT, by which editors complete and check them.
-
-    \b
-    sweep schema > study.schema.json
-    """
-    from linksweep.sweep.code.load import load_experiment
-    from linksweep.sweep.studies.schema import study_schema
-
-    click.echo(json.dumps(study_schema(load_experiment(experiment)), indent=1, ensure_ascii=False))

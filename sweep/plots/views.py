@@ -8,15 +8,14 @@ import numpy as np
 import xarray as xr
 
 from linksweep.core.arrays import Array
-from linksweep.core.calibration import IN_CODE, Model, all_skies, fit
 from linksweep.core.constants import DEGREE
 from linksweep.core.function_curve import CurveError
 from linksweep.core.missions import MISSIONS, MissionUnavailableError
 from linksweep.core.missions import accuracy_curves as mission_curves
+from linksweep.core.missions.calibrate import IN_CODE, Model, all_skies, fit, published_numbers
 from linksweep.core.scenario import scenario
 from linksweep.core.user_mission import mission_of
 from linksweep.sweep.contract import Named, SweepError, shown, suggest
-from linksweep.sweep.paper.calibrate import published_numbers
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.streams import generators
 from linksweep.sweep.running.reproduce import place_of, study_to_look_at
@@ -28,7 +27,7 @@ BRIGHTEST_MAG, FAINTEST_MAG, STEP_MAG = 9.0, 21.0, 0.1
 MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
 
 CALIBRATION_CATALOGUES = 50
-"""Catalogues for the errors of calibrated curves: a quarter of those of `sweep calibrate`; errors are known to 10 %."""
+"""Catalogues for the errors of calibrated curves, a quarter of those of the calibration; errors are known to 10 %."""
 
 
 def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:

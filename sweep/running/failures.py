@@ -197,7 +197,7 @@ def in_common(place: str, message: str) -> str:
 
 def failed_before(points: int) -> str:
     """Return how many points an earlier run could not compute, to follow how many are done; '' for none."""
-    return f", {points:,} failed (`sweep retry` tries them again)" if points else ""
+    return f", {points:,} failed (`sweep run --retry` tries them again)" if points else ""
 
 
 def short(message: str) -> str:

@@ -142,7 +142,7 @@ class TerminalProgress:
         if failures:
             SENTENCES.error(
                 f"{failed_points(failures)}; "
-                f"`sweep status {store}` names them and says why, `sweep retry {store}` tries them again, "
+                f"`sweep status {store}` names them and says why, `sweep run --retry {store}` tries them again, "
                 f"`sweep reproduce {store} --at POINT` runs one here"
             )
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 GOES_ON = (
-    "what was done is kept; the same command goes on from there, and `sweep retry` tries the failed points again; "
+    "what was done is kept; the same command goes on from there, and `sweep run --retry` tries failed points again; "
     '--max-failures 100% (in Python max_failures="100%") goes on whatever fails'
 )
 """What follows why a run was ended."""

@@ -18,7 +18,7 @@ LEDGER_THEN = "manifest"
 
 ROOT, COPY = "zarr.json", "blocks/zarr.json"
 
-REPAIR = "`sweep repair {}` repairs what can be repaired"
+REPAIR = "`sweep check {} --repair` repairs what can be repaired"
 MARKS = (b"linksweep_format", b"study_meaning", b"study_digest")
 """Words by which a document of a store can be recognised even if it is damaged."""
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from astropy import units
 
-from linksweep.core.calibration import IN_CODE, PublishedSigma, curve_of, fit, published_model
 from linksweep.core.catalogue import Catalogue
 from linksweep.core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
 from linksweep.core.design import design_matrix
@@ -16,6 +15,7 @@ from linksweep.core.errors import CatalogueErrors, NoErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, scenario, summarise
 from linksweep.core.fixed_design import fixed_designs
 from linksweep.core.link import inverse_and_condition, solve
+from linksweep.core.missions.calibrate import IN_CODE, PublishedSigma, curve_of, fit, published_model
 from linksweep.core.prepared import Draw, prepare
 from linksweep.core.projected import neglected
 from linksweep.core.shared_arrays import Prefixes

@@ -16,9 +16,9 @@ from linksweep.sweep.analysis.compare import all_is_well, compare, remarks, summ
 from linksweep.sweep.analysis.compare_tables import as_csv, as_json, notes, summary_line
 from linksweep.sweep.analysis.measured_claims import claims_of
 from linksweep.sweep.cli import main
+from linksweep.sweep.cli.published_stores import paper_studies, store_of, unfinished
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.choose import Resources
-from linksweep.sweep.paper.published_stores import paper_studies, store_of, unfinished
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.form import printed_rounding
@@ -683,9 +683,7 @@ def test_bad_input_is_exit_code_2(coins, tmp_path, monkeypatch, arguments, phras
 
 
 def test_all_runs_what_is_missing_and_only_that(tmp_path, monkeypatch, coin_study):
-    monkeypatch.setattr(
-        "linksweep.sweep.paper.published_stores.built_in_studies", lambda: {str(coin_study): coin_study}
-    )
+    monkeypatch.setattr("linksweep.sweep.cli.published_stores.built_in_studies", lambda: {str(coin_study): coin_study})
     studies, results = paper_studies(published=True), tmp_path / "results"
     assert [s.name for s in unfinished(studies, results)] == ["study"]
     run_study(studies[0], store_of(studies[0], results), SERIAL)
@@ -701,9 +699,7 @@ def test_all_runs_what_is_missing_and_only_that(tmp_path, monkeypatch, coin_stud
 
 
 def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coin_study):
-    monkeypatch.setattr(
-        "linksweep.sweep.paper.published_stores.built_in_studies", lambda: {str(coin_study): coin_study}
-    )
+    monkeypatch.setattr("linksweep.sweep.cli.published_stores.built_in_studies", lambda: {str(coin_study): coin_study})
     for _ in range(2):
         arguments = ["compare", "--all", "--results", str(tmp_path / "all"), "--pool", "serial"]
         outcome = CliRunner().invoke(main, arguments)
@@ -724,7 +720,7 @@ def test_the_built_in_studies_that_publish_something():
 def test_a_study_that_needs_a_package_is_left_out_by_name(tmp_path):
     code = (  # in a new process: this one may have made the curves with the package
         "import sys; from pathlib import Path; sys.modules['pygaia'] = None; "
-        "from linksweep.sweep.paper.published_stores import lacks_packages; "
+        "from linksweep.sweep.cli.published_stores import lacks_packages; "
         "from linksweep.sweep.studies.reader import load_study; "
         f"print([lacks_packages(load_study(name), Path({str(tmp_path)!r})) for name in ('grid', 'gaia-releases')])"
     )

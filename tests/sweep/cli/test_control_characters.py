@@ -41,9 +41,14 @@ LOOKS = [  # at a store s.zarr and its study
     *(["show", "s.zarr", "--format", form] for form in ("text", "csv", "ecsv", "json")),
     *(["status", "s.zarr"], ["status", "s.zarr", "--json"], ["check", "s.zarr"], ["compare", "s.zarr"]),
     *(["fit", "s.zarr", "--over", "x"], ["find", "s.zarr", "--where", "number > 1.5", "--over", "x"]),
-    *(["plot", "s.zarr", "-o", "s.png"], ["sensitivity", "s.zarr"], ["report", "s.zarr"], ["repair", "s.zarr"]),
+    *(
+        ["plot", "s.zarr", "-o", "s.png"],
+        ["sensitivity", "s.zarr"],
+        ["report", "s.zarr"],
+        ["check", "--repair", "s.zarr"],
+    ),
     *(["plan", "study.toml"], ["params", "study.toml"], ["merge", "s.zarr", "s.zarr", "-o", "m.zarr"]),
-    *(["reproduce", "s.zarr", "--at", "x=1,kind=@b"], ["retry", "s.zarr"], ["show", "no" + MARK]),
+    *(["reproduce", "s.zarr", "--at", "x=1,kind=@b"], ["run", "--retry", "s.zarr"], ["show", "no" + MARK]),
 ]
 
 

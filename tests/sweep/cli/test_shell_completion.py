@@ -40,7 +40,7 @@ cat options 2>/dev/null || true
 
 
 def test_commands(tmp_path):
-    assert {"run", "plan", "status", "retry"} <= set(offered(tmp_path, "sweep", ""))
+    assert {"run", "plan", "status", "check"} <= set(offered(tmp_path, "sweep", ""))
     assert "reproduce" in offered(tmp_path, "sweep", "re")
     assert "run" not in offered(tmp_path, "sweep", "st")
 

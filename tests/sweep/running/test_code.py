@@ -52,7 +52,11 @@ def test_other_code_is_refused_with_what_differs_and_nothing_is_written(kind, fo
     named = change(folder, kind)
     write_study(folder, "rate = [1.0, 2.0, 3.0]")
     before = {path: path.read_bytes() for path in (folder / "s.zarr").rglob("*") if path.is_file()}
-    for command in (("run", "s.toml", "-o", "s.zarr"), ("plan", "s.toml", "-o", "s.zarr"), ("retry", "s.zarr")):
+    for command in (
+        ("run", "s.toml", "-o", "s.zarr"),
+        ("plan", "s.toml", "-o", "s.zarr"),
+        ("run", "--retry", "s.zarr"),
+    ):
         code, out, err = sweep(*command, cwd=folder)
         assert (code, out) == (2, "")
         assert "was made by other code" in err

@@ -137,7 +137,7 @@ def test_points_under_way_are_not_waited_for(folder, sweep):
 def test_a_retry_of_a_run_that_was_ended_goes_on(folder, sweep):
     sweep("run", "f.py:never", "--axis", "x=0:59:1", "-o", "s.zarr")
     (folder / "f.py").write_text(FUNCTIONS.replace('raise ImportError(f"no package for {x}")', "return x"))
-    code, _, err = sweep("retry", "s.zarr", "--accept-code", "--pool", "serial")
+    code, _, err = sweep("run", "--retry", "s.zarr", "--accept-code", "--pool", "serial")
     assert (code, counts("s.zarr")["done"]) == (0, FIRST), err
     assert sweep("run", "f.py:never", "--axis", "x=0:59:1", "-o", "s.zarr")[0] == 0
     assert counts("s.zarr")["done"] == 60

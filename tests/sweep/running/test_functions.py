@@ -407,7 +407,7 @@ def test_a_file_that_works_again_is_retried_in_the_store_that_knew_nothing(tmp_p
     assert "3 points failed: 3 x FileNotFoundError" in err
     assert sweep(*command, cwd=tmp_path)[0] == 1
     (tmp_path / "ok").write_text("1234")
-    code, _, err = sweep("retry", "s.zarr", cwd=tmp_path)
+    code, _, err = sweep("run", "--retry", "s.zarr", cwd=tmp_path)
     assert code == 0, err
     assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [5, 6, 7]
 

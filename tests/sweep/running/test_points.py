@@ -149,9 +149,9 @@ def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(file, t
     assert "must be the number of a point, from 0 to 3" in err
     source = (tmp_path / "model.py").read_text().replace("k == 3", "k == 300")
     (tmp_path / "model.py").write_text(source)
-    code, out, err = sweep("retry", "s.zarr", "--json", cwd=tmp_path)
+    code, out, err = sweep("run", "--retry", "s.zarr", "--json", cwd=tmp_path)
     assert code == 2
-    code, out, err = sweep("retry", "s.zarr", "--json", "--accept-code", cwd=tmp_path)
+    code, out, err = sweep("run", "--retry", "s.zarr", "--json", "--accept-code", cwd=tmp_path)
     assert code == 0, err
     assert [row["y"] for row in json.loads(out)["rows"]] == [1.0, 0.75, 1.0, 14.0]
     code, out, err = sweep("find", "s.zarr", "--where", "y > 0.9", "--json", cwd=tmp_path)

@@ -74,7 +74,7 @@ def test_the_end_of_a_run_says_what_it_took_and_how_to_look_closer(study):
     assert failed == (
         "2 points failed: 2 x ZeroDivisionError: no coins left, for example at metal=gold,coins=5; "
         "`sweep status results/study.zarr` names them and says why, "
-        "`sweep retry results/study.zarr` tries them again, "
+        "`sweep run --retry results/study.zarr` tries them again, "
         "`sweep reproduce results/study.zarr --at POINT` runs one here"
     )
     assert "metal" in done.stdout

@@ -1,4 +1,4 @@
-"""`sweep retry` and `sweep reproduce`."""
+"""`sweep run --retry` and `sweep reproduce`."""
 
 import json
 from pathlib import Path
@@ -61,10 +61,10 @@ def test_a_failed_point_is_recorded_with_its_traceback_and_left_alone(broken, tm
 
 def test_retry_computes_the_failed_points_and_only_those(broken, tmp_path, sweep):
     store, mend = broken
-    code, _, err = sweep("retry", store, cwd="/")
+    code, _, err = sweep("run", "--retry", store, cwd="/")
     assert code == 1
     mend()
-    code, out, err = sweep("retry", store, cwd="/")
+    code, out, err = sweep("run", "--retry", store, cwd="/")
     assert code == 0, err
     assert "40,000 realisations to do" in err
     assert "INCOMPLETE" not in out
@@ -72,7 +72,7 @@ def test_retry_computes_the_failed_points_and_only_those(broken, tmp_path, sweep
     assert code == 0, err
     retried, whole = (xr.open_zarr(path).load().drop_attrs() for path in (store, tmp_path / "whole.zarr"))
     xr.testing.assert_identical(retried, whole)
-    code, _, err = sweep("retry", store)
+    code, _, err = sweep("run", "--retry", store)
     assert code == 0
     assert "no point" in err
 
@@ -162,7 +162,7 @@ def test_a_place_that_is_none_is_refused(broken, sweep, at, message):
 
 def test_an_experiment_that_is_gone_is_named(broken, tmp_path, sweep):
     (tmp_path / "fragile.py").unlink()
-    code, _, err = sweep("retry", broken[0])
+    code, _, err = sweep("run", "--retry", broken[0])
     assert code == 2
     assert "there is no file" in err
 

@@ -251,7 +251,7 @@ def test_points_that_failed_are_not_counted_as_done_in_a_plan(sweep, tmp_path):
     here = ("f.py:f", "-o", "s.zarr")
     study = (*here, "--axis", "a=1:10:1")
     sweep("run", *study, "-q", "--pool", "serial", cwd=tmp_path)
-    failed = "5 failed (`sweep retry` tries them again)"
+    failed = "5 failed (`sweep run --retry` tries them again)"
     _, out, _ = sweep("plan", *study, cwd=tmp_path)
     assert f"10, 5 of them done, {failed}" in " ".join(out.split())
     _, out, _ = sweep("plan", *here, "--axis", "a=1:12:1", "--json", cwd=tmp_path)

@@ -113,7 +113,11 @@ def test_a_store_that_can_only_be_read(mount, study, link_study, sweep, tmp_path
     ):
         code, _, err = sweep(*command)
         assert code == 0, (command, err)
-    for command in (("run", link_study, "-o", store), ("repair", store), ("run", link_study, "-o", disk / "new.zarr")):
+    for command in (
+        ("run", link_study, "-o", store),
+        ("check", store, "--repair"),
+        ("run", link_study, "-o", disk / "new.zarr"),
+    ):
         code, out, err = sweep(*command)
         assert (code, out) == (2, ""), command
         assert "Read-only file system" in err or "is not a directory that can be written" in err

@@ -27,7 +27,7 @@ VALUES = [10**30, 2**62, 0, -1, 1e308, nested(500), "x", "[" * 5000, None, True,
 COMMANDS = [
     *(["status", "S"], ["show", "S"], ["check", "S"], ["find", "S", "--where", "y > 1", "--over", "x"]),
     *(["merge", "S", "other.zarr", "-o", "m.zarr"], ["plan", "model.py:model", "--axis", "x=1,2,5", "-o", "S"]),
-    *(["run", "model.py:model", "--axis", "x=1,2,3", "-o", "S", "--pool", "serial"], ["repair", "S"]),
+    *(["run", "model.py:model", "--axis", "x=1,2,3", "-o", "S", "--pool", "serial"], ["check", "S", "--repair"]),
 ]
 
 

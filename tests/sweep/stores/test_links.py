@@ -11,8 +11,13 @@ from linksweep.sweep.stores.folder import Folder
 from tests.sweep.stores.test_integrity import MODEL, files_of
 
 COMMANDS = (
-    *(("show",), ("status",), ("check",), ("repair",), ("report",), ("plot", "-o", "p.png"), ("compare",)),
-    *(("retry",), ("reproduce", "--at", "k=1"), ("find", "--where", "y > 0", "--over", "k"), ("fit", "--over", "k")),
+    *(("show",), ("status",), ("check",), ("check", "--repair"), ("report",), ("plot", "-o", "p.png"), ("compare",)),
+    *(
+        ("run", "--retry"),
+        ("reproduce", "--at", "k=1"),
+        ("find", "--where", "y > 0", "--over", "k"),
+        ("fit", "--over", "k"),
+    ),
 )
 
 
@@ -56,7 +61,7 @@ def test_every_command_refuses_it_and_writes_nothing_through_it(store, tmp_path,
     make(store, name)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     for command, *more in (*COMMANDS, ("run", "-o", store, "--axis", "k=1,2,4"), ("run", "-o", store, "--fresh")):
-        what = f"{tmp_path}/model.py:model" if command == "run" else store
+        what = f"{tmp_path}/model.py:model" if command == "run" and "--retry" not in more else store
         code, out, err = sweep(command, what, *more, cwd=tmp_path)
         assert (code, out) == (2, ""), (command, out, err)
         assert f"{name} is a " in err, command

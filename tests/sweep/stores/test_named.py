@@ -30,9 +30,20 @@ def test_a_name_that_is_no_utf_8_ends_no_command_in_a_traceback(tmp_path, monkey
     store = os.fsdecode(b"s\xff.zarr")
     for command in (
         ["run", "model.py:model", "--axis", "x=1,2", "-o", store, "--pool", "serial"],
-        *(["show", store], ["status", store], ["status", store, "--json"], ["check", store], ["repair", store]),
+        *(
+            ["show", store],
+            ["status", store],
+            ["status", store, "--json"],
+            ["check", store],
+            ["check", store, "--repair"],
+        ),
         *(["report", store], ["report", store, "-o", os.fsdecode(b"r\xff.html")], ["plot", store, "-o", "p.png"]),
-        *(["fit", store, "--over", "x"], ["reproduce", store, "--at", "x=1"], ["retry", store], ["compare", store]),
+        *(
+            ["fit", store, "--over", "x"],
+            ["reproduce", store, "--at", "x=1"],
+            ["run", "--retry", store],
+            ["compare", store],
+        ),
         *(["merge", store, store, "-o", os.fsdecode(b"m\xff.zarr")], ["show", os.fsdecode(b"none\xff.zarr")]),
     ):
         done = subprocess.run([sys.executable, "-m", "linksweep", *command], capture_output=True, check=False)

@@ -96,7 +96,7 @@ def test_every_file_may_be_damaged(whole, tmp_path, change, step):
             refused = True
         assert found or not refused, file
         if report.identity or report.ledger:
-            with pytest.raises(SweepError, match=r"damaged .*`sweep repair") as told:
+            with pytest.raises(SweepError, match=r"damaged .*`sweep check .* --repair") as told:
                 run_study(study, copy, SERIAL)
             assert any(file in problem for problem in told.value.problems), file
             assert repair(copy)
@@ -205,18 +205,18 @@ def test_the_commands(tmp_path, link_study, sweep):
     quick = ("run", link_study, "-o", store, "--set", "n_sim=20", "--pool", "serial")
     assert sweep(*quick)[0] == 0
     assert sweep("check", store)[:2] == (0, "every file is as it was written\n")
-    assert sweep("repair", store)[:2] == (0, "every file is as it was written\n")
+    assert sweep("check", store, "--repair")[:2] == (0, "every file is as it was written\n")
     chunk = store / "blocks" / "sums" / "c" / "0" / "0"
     chunk.write_bytes(flip(chunk.read_bytes()))
     code, out, err = sweep("check", store)
-    assert (code, "blocks/sums/c/0/0: " in out, "sweep repair" in err) == (1, True, True)
+    assert (code, "blocks/sums/c/0/0: " in out, "--repair` repairs" in err) == (1, True, True)
     code, out, _ = sweep("check", store, "--json")
     assert (code, set(json.loads(out)["ledger"])) == (1, {"blocks/sums/c/0/0"})
     code, _, err = sweep(*quick)
     assert code == 2
     assert "blocks/sums/c/0/0 is damaged" in err
-    assert "sweep repair" in err
-    code, out, err = sweep("repair", store)
+    assert "--repair` repairs" in err
+    code, out, err = sweep("check", store, "--repair")
     assert code == 0, err
     assert "blocks/sums/c/0/0: the next `sweep run` computes again" in out
     assert sweep(*quick)[0] == 0

@@ -92,7 +92,7 @@ def test_a_flipped_bit_is_noticed(tmp_path, study):
     damaged = bytearray(chunk.read_bytes())
     damaged[len(damaged) // 2] ^= 1
     chunk.write_bytes(damaged)
-    with pytest.raises(SweepError, match=r"blocks/sums/c/0/0 is damaged .*`sweep repair"):
+    with pytest.raises(SweepError, match=r"blocks/sums/c/0/0 is damaged .*`sweep check .* --repair"):
         open_store(tmp_path / "s.zarr", study)
 
 

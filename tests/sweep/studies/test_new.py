@@ -1,4 +1,4 @@
-"""`sweep new` writes a study that is true to the experiment, and `sweep schema` says what a study may be."""
+"""`sweep new` writes a study that is true to the experiment, and `sweep params --schema` says what a study may be."""
 
 import json
 import re
@@ -111,7 +111,7 @@ def test_an_odd_experiment(tmp_path, sweep):
     (tmp_path / "all.toml").write_text(filled)
     code, _, err = sweep("plan", "all.toml", cwd=tmp_path)
     assert code == 0, err
-    code, out, err = sweep("schema", "odd.py:experiment", cwd=tmp_path)
+    code, out, err = sweep("params", "--schema", "odd.py:experiment", cwd=tmp_path)
     assert code == 0, err
     schema = json.loads(out, parse_constant=pytest.fail)
     Draft202012Validator(schema).validate(tomllib.loads((tmp_path / "all.toml").read_text()))
@@ -202,10 +202,10 @@ def test_what_plan_accepts_conforms_to_the_schema(document):
 
 def test_the_schema_is_printed(sweep):
     assert LINK_VALIDATOR.is_valid({k: v for k, v in GOOD.items() if k != "published"})
-    code, out, err = sweep("schema", COINS)
+    code, out, err = sweep("params", "--schema", COINS)
     assert (code, err) == (0, "")
     assert json.loads(out)["properties"]["fixed"]["properties"]["metal"]["enum"] == ["gold", "tin"]
-    code, out, err = sweep("schema", "no.such:thing")
+    code, out, err = sweep("params", "--schema", "no.such:thing")
     assert (code, out) == (2, "")
 
 

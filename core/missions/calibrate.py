@@ -1,19 +1,26 @@
 """Calibration of the mission curves: the constants that make the closed-form link give the paper's numbers.
 
+``python -m linksweep.core.missions.calibrate`` refits them, in ten seconds, and prints constants and residuals as JSON.
+
 The paper says which functions it fitted to the missions' accuracy (two exponentials for AMEX, one for GAIA) but prints
 no constants.  It prints the link errors sigma(omega) that follow from them, so the constants are inferred from these:
 each printed number is compared with its closed form, averaged over a fixed set of drawn catalogues.  The seeds are
 fixed, so the model is a smooth function of the constants (common random numbers).
 """
 
+import csv
+import json
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from importlib import resources
+from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import NonlinearConstraint, least_squares, minimize
 
 from linksweep.core.arrays import Array
+from linksweep.core.catalogue import N_GALAXIES
 from linksweep.core.link import Weighting
 from linksweep.core.missions import AMEX_PM, GAIA_PM, Curve, Exponentials
 from linksweep.core.spin_variance import Kind, Skies, draw_skies, spin_variance
@@ -28,12 +35,6 @@ MODEL_ERROR = 0.03
 
 With it chi2 is about one per degree of freedom for GAIA; without it the faint cells, whose rounding errors are the
 smallest, decide alone and the bright GAIA cells are off by 11 %.
-"""
-
-DIVA_V_MAG, DIVA_SIGMA_MAS_YR = 9.0, 0.25
-"""The proper-motion error of DIVA, the mission whose accuracy AMEX took over, in mas/yr; the fit does not use it.
-
-Source: the mission's published 0.15 mas and 0.25 mas/yr at V = 9; not confirmed in print.
 """
 
 LIMITS: dict[Model, dict[Kind, tuple[float, float]]] = {
@@ -210,3 +211,83 @@ def chi2_of(numbers: Sequence[PublishedSigma], sigma_mas_yr: Array, relative_err
     """Return the sum of squared log residuals in units of their errors."""
     published = np.array([number.sigma_mas_yr for number in numbers])
     return float(np.sum((np.log(sigma_mas_yr / published) / relative_error) ** 2))
+
+
+def published_numbers(model: Model) -> dict[str, PublishedSigma]:
+    """Return a model's numbers from the paper, as printed, each with a label as key: 28 for amex, 13 for gaia."""
+    numbers = {
+        f"quasars to V = {row['v_max']}": _number("quasars", int(row["n_obj"]), row["sigma_spin"])
+        for row in _rows("table1_quasars.csv")
+        if row["model"] == model and row["sigma_spin"]
+    }
+    if model == "amex":
+        for row in _rows("galaxies.csv"):
+            numbers[f"{N_GALAXIES} galaxies"] = _number("galaxies", N_GALAXIES, row["sigma_spin"])
+        for row in _rows("table2_radio_stars.csv"):
+            scale = float(row["reference_error_scale"])
+            label = f"{row['n_obj']} radio stars" + ("" if scale == 1.0 else f", VLBI errors x {scale:g}")
+            numbers[label] = _number("radio-stars", int(row["n_obj"]), row["sigma_spin"], scale)
+    return numbers
+
+
+def _rows(name: str) -> list[dict[str, str]]:
+    text = (resources.files("linksweep") / "sweeps" / "published" / name).read_text(encoding="utf-8")
+    return list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+
+
+def _number(kind: Kind, n_obj: int, printed: str, reference_error_scale: float = 1.0) -> PublishedSigma:
+    decimals = len(printed.partition(".")[2])
+    return PublishedSigma(kind, n_obj, float(printed), 0.5 * 10.0**-decimals, reference_error_scale)
+
+
+def calibration(model: Model, n_cat: int = 200) -> dict[str, Any]:
+    """Return a curve's constants, their uncertainties and all residuals, as values for JSON.
+
+    Constants are ``fitted`` freely with a ``standard_error``, ``chosen`` within `LIMITS`, ``in_code``, and
+    ``equal_weights``, fitted to the quasars alone under the hypothesis that the paper weighted all objects equally.
+    Residuals are relative: value / published - 1.  With equal weights no curve improves on a ``perfect_satellite``,
+    which measures radio stars without errors.  ``n_cat`` sets how many catalogues the closed form is averaged over.
+    """
+    numbers, skies, code = published_numbers(model), all_skies(model, n_cat), IN_CODE[model]
+    printed = list(numbers.values())
+    published = np.array([number.sigma_mas_yr for number in printed])
+    free = fit(model, printed, skies)
+    equal = fit(model, [number for number in printed if number.kind == "quasars"], skies, "equal")
+    in_code = published_model(printed, skies, code, "inverse-variance")[0]
+    sigmas = {
+        "fitted": free.sigma_mas_yr,
+        "in_code": in_code,
+        "equal_weights": published_model(printed, skies, equal.curve, "equal")[0],
+    }
+    if stars := [number for number in printed if number.kind == "radio-stars"]:
+        sigmas["perfect_satellite"] = np.full(len(printed), np.nan)
+        nothing = curve_of(model, 0.0 * free.constants)
+        is_star = np.array([number in stars for number in printed])
+        sigmas["perfect_satellite"][is_star] = published_model(stars, skies, nothing, "equal")[0]
+    columns = {
+        "fitted": free.constants,
+        "standard_error": free.standard_error,
+        "chosen": constrained(free, printed, skies),
+        "in_code": constants_of(code),
+        "equal_weights": equal.constants,
+    }
+    return {
+        "constants": {
+            name: {column: float(values[i]) for column, values in columns.items()}
+            for i, name in enumerate(CONSTANTS[model])
+        },
+        "chi2": free.chi2,
+        "dof": free.dof,
+        "in_code_chi2": chi2_of(printed, in_code, free.relative_error),
+        "in_code_distance2": free.distance(code),
+        "residuals": {
+            label: {"published": number.sigma_mas_yr}
+            | {name: float(values[i] / published[i] - 1.0) for name, values in sigmas.items() if np.isfinite(values[i])}
+            for i, (label, number) in enumerate(numbers.items())
+        },
+    }
+
+
+if __name__ == "__main__":
+    json.dump({model: calibration(model) for model in CONSTANTS}, sys.stdout, indent=1)
+    print()
