@@ -1,24 +1,26 @@
-"""Numbers with their errors, counts, NAME=VALUE, tables and JSON as text, and what text of others may not hold."""
+"""Numbers, units, tables and attributes of variables as text, and what text of others may not hold.
+
+SI prefixes make numbers easy to read: tables, figures, sentences and pages use the prefix with which numbers have few
+zeros, and pages the micro sign; stores and files for programs keep their units.
+"""
 
 import csv
 import io
 import json
-import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, is_dataclass
+from functools import lru_cache
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from math import floor, inf, isfinite, isnan, log10
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-MOST_DECIMALS = 9
-
 WIDTH = 80
 """Sentences are broken into lines of at most this many characters."""
-
 
 ESCAPED = {
     code: f"\\u{code:04x}"
@@ -33,11 +35,48 @@ LINES_ESCAPED = {code: escaped for code, escaped in ESCAPED.items() if chr(code)
 FORMULA = tuple("=+-@＝＋－＠")
 """How a cell of CSV begins that a spreadsheet would compute."""
 
-
 COMMAND: list[str] = []
 """The words of the `sweep` command that this process runs; a script of the user's runs none, whatever its own are."""
 
 _ADDRESS = re.compile(r"([a-z][a-z0-9+.-]*://)(?:[^\s?#'\"]*@)?([^\s/?#'\"]*)([^\s?#'\"]*)(?:[?#][^\s'\"]*)?", re.I)
+_TOKEN = re.compile(r"[A-Za-zµμ]+")
+_END = re.compile(r" \(|, |; |: ")
+
+LEAST, MOST = 0.1, 1000.0
+"""A number from the first to below the second needs no other prefix."""
+
+SMALL = 1e-4
+"""A smaller number with an error is written with a power of ten."""
+
+STEPS = {"n": -9, "u": -6, "m": -3, "": 0, "k": 3, "M": 6, "G": 9}
+"""Prefixes that are chosen between, and their powers of ten."""
+
+ONLY_SMALLER = ("s", "arcsec", "rad", "g")
+"""Units that take only prefixes below one: nobody writes 3000 s as 3 ks."""
+
+ONLY_LARGER = ("pc", "yr", "lyr", "AU", "bit", "byte")
+
+NEVER = ("d", "h", "min", "deg", "arcmin", "hourangle", "dex", "dB", "t", "ct", "ph", "mag")
+"""Units that take no prefix, mostly because their multiples have other names or they are logarithms."""
+
+SPELLED = {"narcsec": "nas", "uarcsec": "uas", "marcsec": "mas"}
+
+ANGLES = {"uas": -6, "mas": -3, "arcsec": 0}
+"""Angles of link results by their powers of ten: converted without astropy, whose import takes longer than everything
+else at the end of a run.
+"""
+
+DESCRIPTION = "description"
+"""The whole meaning, where ``long_name`` is only the beginning of it."""
+
+ERRORS = "errors"
+"""The attribute with the names of the variables that are one-sigma errors of a variable, each of another kind."""
+
+LOGARITHMIC_UNITS = ("mag", "dB", "dex")
+"""Units that are logarithms already: plots and interpolation use a logarithmic scale for them only if one is chosen."""
+
+TRUTH: Mapping[str, Any] = {"flag_values": [0, 1], "flag_meanings": "False True"}
+"""Attributes of truth values, some of which are missing: these are stored as floats, with NaN."""
 
 
 def without_secrets(text: str) -> str:
@@ -74,7 +113,7 @@ def with_error(value: Any, error: float) -> str:
         >>> with_error(0.66, 0.0)
         '0.66'
     """
-    if not 0.0 < error < math.inf:
+    if not 0.0 < error < inf:
         return rounded(value)
     return f"{rounded(value, error)} ± {rounded(error, error) if error > 1e-8 else format(error, '.1g')}"
 
@@ -91,14 +130,14 @@ def rounded(value: Any, error: float = 0.0) -> str:
     if isinstance(value, str | int):
         return str(value)
     if error > 0.0:
-        decimals = max(0, 1 - math.floor(math.log10(error)))
-        return f"{value:.{decimals}f}" if decimals <= MOST_DECIMALS else f"{value:.3g}"
+        decimals = max(0, 1 - floor(log10(error)))
+        return f"{value:.{decimals}f}" if decimals <= 9 else f"{value:.3g}"
     return f"{value:.0f}" if float(value).is_integer() else f"{value:.4g}"
 
 
 def fixed(value: float, digits: str, unit: str = "") -> str:
     """Return a number with its unit, in a format of Python such as '.2f'; '' where it is not finite."""
-    return f"{value:{digits}}{unit}" if math.isfinite(value) else ""
+    return f"{value:{digits}}{unit}" if isfinite(value) else ""
 
 
 def plain(value: Any) -> str:
@@ -108,12 +147,12 @@ def plain(value: Any) -> str:
 
 def is_missing(value: Any) -> bool:
     """Return whether a value is a NaN."""
-    return isinstance(value, float) and math.isnan(value)
+    return isinstance(value, float) and isnan(value)
 
 
 def finite_or(value: Any, missing: Any) -> Any:
     """Return a value, or ``missing`` in place of a float that is not finite."""
-    return missing if isinstance(value, float) and not math.isfinite(value) else value
+    return missing if isinstance(value, float) and not isfinite(value) else value
 
 
 def counted(n: int, noun: str) -> str:
@@ -210,3 +249,245 @@ def _jsonable(value: Any) -> Any:
         return [_jsonable(item) for item in value]
     value = finite_or(value, None)
     return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+class Prefixed(NamedTuple):
+    """A unit, and the factor that converts numbers in the old unit to it."""
+
+    unit: str
+    factor: float
+
+
+def prefixed(values: Any, unit: str) -> Prefixed:
+    """Return the unit, of those that differ from ``unit`` by an SI prefix, in which numbers read best.
+
+    Args:
+        values: Numbers in ``unit``, of any shape; NaN, infinity and 0 do not count.
+        unit: Any unit; it stays as it is if astropy cannot parse it or it takes no prefix.
+
+    Examples:
+        >>> prefixed([0.00054, 0.0017], "mas / yr")
+        Prefixed(unit='uas / yr', factor=1000.0)
+        >>> prefixed(0.65, "mas / yr"), prefixed(0.002, "d")
+        (Prefixed(unit='mas / yr', factor=1.0), Prefixed(unit='d', factor=1.0))
+    """
+    here = Prefixed(unit, 1.0)
+    choices = _choices(unit)
+    sizes = _sizes(values) if choices else []
+    if not sizes:
+        return here
+    return min((here, *choices), key=lambda choice: sum(_zeros(size * choice.factor) for size in sizes))
+
+
+def written(unit: str) -> str:
+    """Return a unit as people write it: no blanks around the slash, and the micro sign.
+
+    Examples:
+        >>> written("uas / yr"), written("mas yr-1"), written("users / d")
+        ('µas/yr', 'mas/yr', 'users/d')
+    """
+    text = unit.replace(" / ", "/")
+    text = re.sub(r"^(\w+) (\w+)-1$", r"\1/\2", text)
+    return _TOKEN.sub(lambda token: _with_micro_sign(token[0]), text)
+
+
+def in_ascii(unit: str) -> str:
+    """Return a unit as terminals show it: `written` without the micro sign.
+
+    Examples:
+        >>> in_ascii("uas / yr"), in_ascii("mas yr-1")
+        ('uas/yr', 'mas/yr')
+    """
+    return written(unit).replace("µ", "u")
+
+
+def with_micro_signs(sentence: str) -> str:
+    """Return a sentence of `with_unit` or `in_short` as pages show it, with the micro sign in its units.
+
+    Examples:
+        >>> with_micro_signs("0.54 uas/yr of 28 users, 3 us")
+        '0.54 µas/yr of 28 users, 3 µs'
+    """
+    return re.sub(r"(?<=\d )[A-Za-z]+(?=[/\s.,;)]|$)", lambda token: _with_micro_sign(token[0]), sentence)
+
+
+def _sizes(values: Any) -> list[float]:
+    listed: Any = values.reshape(-1).tolist() if hasattr(values, "reshape") else values
+    numbers = listed if isinstance(listed, list | tuple) else [listed]
+    return [size for number in numbers if 0.0 < (size := abs(float(number))) < inf]
+
+
+def _zeros(size: float) -> float:
+    """Return how many zeros, or digits beyond the third, a number has."""
+    return log10(LEAST / size) if size < LEAST else log10(size / MOST) + 1.0 if size >= MOST else 0.0
+
+
+@lru_cache(maxsize=256)
+def _choices(unit: str) -> tuple[Prefixed, ...]:
+    """Return the units with other prefixes; none for a unit that takes none."""
+    token = _TOKEN.match(unit)
+    if token is None or token[0] in NEVER:
+        return ()
+    name, rest = token[0], unit[token.end() :]
+    if name in ANGLES and re.fullmatch("( ?/ ?yr| yr-1)?", rest):
+        return tuple(Prefixed(n + rest, 10.0 ** (ANGLES[name] - p)) for n, p in ANGLES.items() if n != name)
+    from astropy import units
+
+    try:
+        whole = units.Unit(unit)
+        base, power = _base(name)
+        if [power for power in whole.powers if power > 0] != [1] or base in NEVER:
+            return ()
+        # Units below a microarcsecond are not widely known.
+        least = -6 if base == "arcsec" else 0 if base in ONLY_LARGER else -9
+        most = 0 if base in ONLY_SMALLER else 9
+        powers = {x: p for x, p in STEPS.items() if least <= p <= most and p != power}
+        others = [
+            (SPELLED.get(prefix + base, prefix + base) + rest, 10.0 ** (power - p)) for prefix, p in powers.items()
+        ]
+        return tuple(Prefixed(n, f) for n, f in others if abs(float(whole.to(units.Unit(n))) / f - 1.0) < 1e-9)
+    except (ValueError, TypeError, AttributeError):
+        return ()
+
+
+def _base(name: str) -> tuple[str, int]:
+    """Return a unit without its prefix, and the prefix's power of ten; raises ValueError for one not in `STEPS`."""
+    from astropy import units
+
+    unit = units.Unit(name)
+    if not isinstance(unit, units.PrefixUnit) and name not in ("mas", "uas"):
+        return name, 0
+    (base,) = unit.represents.bases
+    scale = float(unit.to(base))
+    (power,) = (p for p in STEPS.values() if abs(scale / 10.0**p - 1.0) < 1e-9)
+    return str(base), power
+
+
+def _with_micro_sign(token: str) -> str:
+    if not re.fullmatch(r"u[A-Za-z]+", token):
+        return token
+    if token not in ANGLES:
+        from astropy import units
+
+        try:
+            units.Unit(token)
+        except ValueError:
+            return token
+    return "µ" + token[1:]
+
+
+def with_unit(value: float, error: float = 0.0, unit: str = "") -> str:
+    """Return a number with its error in the unit in which it reads best, for a terminal.
+
+    Examples:
+        >>> with_unit(0.0005411, 0.0000038, "mas / yr"), with_unit(100.0)
+        ('0.5411 ± 0.0038 uas/yr', '100')
+    """
+    chosen = prefixed(value, unit)
+    if chosen.factor != 1.0:  # an integer stays one
+        value, error = value * chosen.factor, error * chosen.factor
+    if 0.0 < abs(value) < SMALL and 0.0 < error < inf:
+        power = 10.0 ** floor(log10(abs(value)))
+        text = f"({with_error(value / power, error / power)})e{floor(log10(abs(value))):+03d}"
+    else:
+        text = with_error(value, error)
+    return f"{text} {in_ascii(chosen.unit)}" if unit else text
+
+
+def in_short(value: float, error: float = 0.0, unit: str = "") -> str:
+    """Return a number as sentences show it: two digits (three if it begins with 1 or has no error), none that its error
+    makes meaningless, and commas between thousands.
+
+    Examples:
+        >>> in_short(0.0005411, 0.0000038, "mas / yr"), in_short(15533.0), in_short(2.004, 0.001), in_short(1.7112, 0.2)
+        ('0.54 uas/yr', '15,533', '2.0', '1.7')
+    """
+    chosen = prefixed(value, unit)
+    value, error = value * chosen.factor, error * chosen.factor
+    return f"{_short(value, error)} {in_ascii(chosen.unit)}" if unit else _short(value, error)
+
+
+def in_three_digits(value: float, unit: str = "") -> str:
+    """Return a number with three digits in the unit in which it reads best.
+
+    Examples:
+        >>> in_three_digits(0.00054119, "mas / yr")
+        '0.541 uas/yr'
+    """
+    chosen = prefixed(value, unit)
+    return f"{value * chosen.factor:.3g} {in_ascii(chosen.unit)}".strip()
+
+
+def _short(value: float, error: float) -> str:
+    if value == 0.0 or not isfinite(value):
+        return f"{value:g}"
+    known = 0.0 < error < inf
+    if not known and float(value).is_integer():
+        return f"{value:,.0f}"
+    size = floor(log10(abs(value)))
+    if abs(value) >= MOST * 10.0 and not known:
+        return f"{value:,.0f}" if size < 6 else f"{value:.2e}"
+    leading = abs(value) / 10.0**size
+    last = size - (1 if known and leading >= 2.0 else 2)
+    if known:
+        last = max(last, floor(log10(error)))
+    if last < -6:
+        return f"{value:.2g}"
+    rounded_value = round(value, -last) + 0.0  # and not -0.0
+    return f"{rounded_value:,.{max(0, -last)}f}" if abs(value) < 1e7 else f"{value:.2e}"
+
+
+def described(unit: str, meaning: str) -> dict[str, Any]:
+    """Return units, long_name and description of a variable, without those that would be empty.
+
+    The labels of xarray's own plots are made from the first two.
+
+    Examples:
+        >>> described("mas / yr", "RMS error of the spin, over its three components")["long_name"]
+        'RMS error of the spin'
+        >>> described("", "reference catalogue (step A)")
+        {'long_name': 'reference catalogue', 'description': 'reference catalogue (step A)'}
+    """
+    short = short_meaning(meaning)
+    attributes = {"units": unit, "long_name": short, DESCRIPTION: meaning if meaning != short else ""}
+    return {name: text for name, text in attributes.items() if text}
+
+
+def short_meaning(meaning: str) -> str:
+    """Return the first phrase of a meaning, up to a comma, a semicolon, a colon or a bracket.
+
+    Examples:
+        >>> short_meaning("chi2 of the fit; NaN without one"), short_meaning("f(a, b), of all")
+        ('chi2 of the fit', 'f(a, b)')
+    """
+    for end in _END.finditer(meaning):
+        before = meaning[: end.start()]
+        if before and before.count("(") == before.count(")"):
+            return before
+    return meaning
+
+
+def units_of(attributes: Mapping[Any, Any]) -> str:
+    """Return the unit of a variable from its attributes, '' where it has none."""
+    return str(attributes.get("units", ""))
+
+
+def is_truth(array: Any) -> bool:
+    """Return whether an array of xarray has truth values, as such or as floats with NaN where one is missing."""
+    return bool(array.dtype.kind == "b" or array.attrs.get("flag_meanings") == TRUTH["flag_meanings"])
+
+
+def meaning_beside(name: str, attributes: Mapping[Any, Any]) -> str:
+    """Return the whole meaning of a variable for a place that has its name, '' where it says no more than the name.
+
+    Examples:
+        >>> meaning_beside("flow", {"long_name": "flow"}), meaning_beside("flow", {"long_name": "flow of water"})
+        ('', 'flow of water')
+    """
+    meaning = meaning_of(attributes)
+    return "" if meaning.replace("_", " ") == name.replace("_", " ") else meaning
+
+
+def meaning_of(attributes: Mapping[Any, Any]) -> str:
+    """Return the whole meaning of a variable from its attributes, '' where they say none."""
+    return str(attributes.get(DESCRIPTION, attributes.get("long_name", "")))

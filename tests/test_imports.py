@@ -55,7 +55,7 @@ ONLY_IN = {
         *(
             "linksweep.sweep.contract.units",
             "linksweep.sweep.tables",
-            "linksweep.sweep.readable",
+            "linksweep.sweep.formatting",
             "linksweep.sweep.analysis",
             "linksweep.sweep.search",
             "linksweep.sweep.tie",

@@ -15,10 +15,9 @@ from linksweep.sweep.analysis.measured_claims import NOT_DONE, Measured, Outside
 from linksweep.sweep.analysis.quantity import errors_beside, headlines, standard_error
 from linksweep.sweep.analysis.selection import place_in_words, places_along
 from linksweep.sweep.analysis.sentences import sentences
-from linksweep.sweep.attributes import meaning_beside, units_of
 from linksweep.sweep.contract import Array, SweepError
+from linksweep.sweep.formatting import in_ascii, in_short, meaning_beside, prefixed, units_of, with_unit
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.readable import in_ascii, in_short, prefixed, with_unit
 from linksweep.sweep.studies.form import Conclusion, ConclusionValue
 
 CONCLUSION = "conclusion"

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from linksweep.sweep.readable import in_ascii
+from linksweep.sweep.formatting import in_ascii
 
 GAP = 2
 """Blanks between two columns."""

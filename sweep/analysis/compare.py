@@ -24,9 +24,8 @@ from linksweep.sweep.analysis.measured_claims import (
     unit_of,
 )
 from linksweep.sweep.analysis.quantity import OLD_ERRORS, has_old_errors, standard_error, unknown_parts
-from linksweep.sweep.attributes import units_of
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.readable import prefixed
+from linksweep.sweep.formatting import prefixed, units_of
 from linksweep.sweep.studies.form import printed_rounding
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete"]

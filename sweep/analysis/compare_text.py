@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from linksweep.sweep.analysis.compare import Comparison, in_readable_unit
 from linksweep.sweep.analysis.compare_tables import POWER, numbers_in_words, power_in_words
 from linksweep.sweep.analysis.selection import place_in_words
-from linksweep.sweep.readable import in_ascii
+from linksweep.sweep.formatting import in_ascii
 
 if TYPE_CHECKING:
     from rich.text import Text

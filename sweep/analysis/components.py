@@ -9,9 +9,8 @@ import xarray as xr
 from linksweep.sweep.analysis.long_table import own_dimensions
 from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES
 from linksweep.sweep.contract import Array
-from linksweep.sweep.formatting import WIDTH, counted
+from linksweep.sweep.formatting import WIDTH, counted, in_three_digits
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.readable import in_three_digits
 
 COVARIANCE, CORRELATION, CONDITION = "covariance", "correlation", "condition_number"
 

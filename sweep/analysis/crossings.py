@@ -14,8 +14,8 @@ from linksweep.sweep.analysis.conditions import Limit, parse_limit
 from linksweep.sweep.analysis.gaps import numbers_of
 from linksweep.sweep.analysis.lines import Lines, lines, require_done
 from linksweep.sweep.analysis.quantity import require_quantity
-from linksweep.sweep.attributes import LOGARITHMIC_UNITS, described, units_of
 from linksweep.sweep.contract import Array, SweepError, shown, small_sample_factor
+from linksweep.sweep.formatting import LOGARITHMIC_UNITS, described, units_of
 from linksweep.sweep.studies.study import POINT
 
 MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")

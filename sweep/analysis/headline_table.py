@@ -29,10 +29,17 @@ from linksweep.sweep.analysis.quantity import (
     with_values,
 )
 from linksweep.sweep.analysis.readable_units import in_readable_units
-from linksweep.sweep.attributes import units_of
-from linksweep.sweep.formatting import first_of, is_missing, plain, reading_table, rounded, with_error
+from linksweep.sweep.formatting import (
+    first_of,
+    is_missing,
+    plain,
+    prefixed,
+    reading_table,
+    rounded,
+    units_of,
+    with_error,
+)
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.readable import prefixed
 
 if TYPE_CHECKING:
     from rich.table import Table

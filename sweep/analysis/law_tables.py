@@ -10,9 +10,7 @@ from linksweep.sweep.analysis.columns import GAP, Column, fitting
 from linksweep.sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, MET_WORDS, NEVER, UP_TO
 from linksweep.sweep.analysis.long_table import axis_coordinates
 from linksweep.sweep.analysis.selection import places_along
-from linksweep.sweep.attributes import units_of
-from linksweep.sweep.formatting import fixed, plain, reading_table, to_json, with_error
-from linksweep.sweep.readable import prefixed, with_unit
+from linksweep.sweep.formatting import fixed, plain, prefixed, reading_table, to_json, units_of, with_error, with_unit
 
 if TYPE_CHECKING:
     from rich.table import Table

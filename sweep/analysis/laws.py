@@ -17,8 +17,8 @@ from linksweep.sweep.analysis.lines import Lines, lines, require_done
 from linksweep.sweep.analysis.measured_claims import claims_of
 from linksweep.sweep.analysis.quantity import error_of_sum, require_quantity
 from linksweep.sweep.analysis.selection import indices, place_in_words
-from linksweep.sweep.attributes import described
 from linksweep.sweep.contract import FEW, Array, SweepError
+from linksweep.sweep.formatting import described
 
 LEVELLING_POINTS = 4
 """The fewest points for the levelling law, which has three parameters."""

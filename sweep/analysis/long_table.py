@@ -11,8 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.analysis.gaps import gaps_of
-from linksweep.sweep.attributes import is_truth
-from linksweep.sweep.formatting import is_missing, to_csv, to_json
+from linksweep.sweep.formatting import is_missing, is_truth, to_csv, to_json
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.provenance import FUNCTION
 

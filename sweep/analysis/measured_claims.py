@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from linksweep.sweep.analysis.fits import power_law
 from linksweep.sweep.analysis.quantity import covariance_along, error_of_sum, samples_along, standard_error
 from linksweep.sweep.analysis.selection import coordinates_along, place_in_words, places_along
-from linksweep.sweep.attributes import units_of
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.formatting import units_of
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.form import Claim, Derived, Ratio, Reading, Slope
 

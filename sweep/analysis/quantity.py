@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.attributes import ERRORS
 from linksweep.sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
+from linksweep.sweep.formatting import ERRORS
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.provenance import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import POINT, POINT_TABLE

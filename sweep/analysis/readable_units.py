@@ -8,8 +8,7 @@ from typing import Any
 import xarray as xr
 
 from linksweep.sweep.analysis.quantity import BESIDE, COVARIANCE_SUFFIX, errors_beside, quantities
-from linksweep.sweep.attributes import units_of
-from linksweep.sweep.readable import prefixed
+from linksweep.sweep.formatting import prefixed, units_of
 
 
 def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:

@@ -23,8 +23,8 @@ from linksweep.sweep.analysis.sensitivity_indices import (
     morris_effects,
     saltelli_indices,
 )
-from linksweep.sweep.attributes import described, units_of
 from linksweep.sweep.contract import Array, SweepError
+from linksweep.sweep.formatting import described, units_of
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.designs import DESIGNS
 from linksweep.sweep.studies.ranges import Range

@@ -8,8 +8,7 @@ import xarray as xr
 from linksweep.sweep.analysis.columns import Column
 from linksweep.sweep.analysis.selection import places_along
 from linksweep.sweep.analysis.sensitivity import METHOD
-from linksweep.sweep.attributes import units_of
-from linksweep.sweep.formatting import plain, reading_table, to_csv, to_json, with_error
+from linksweep.sweep.formatting import plain, reading_table, to_csv, to_json, units_of, with_error
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from linksweep.sweep.analysis.gaps import ends_of, exact, numbers_of
 from linksweep.sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, unknown_parts
 from linksweep.sweep.analysis.selection import coordinates_along, place_in_words
-from linksweep.sweep.attributes import is_truth
 from linksweep.sweep.contract import Array
-from linksweep.sweep.formatting import counted
+from linksweep.sweep.formatting import counted, is_truth, with_unit
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.readable import with_unit
 from linksweep.sweep.studies.provenance import outer_draw_of
 from linksweep.sweep.studies.study import POINT
 

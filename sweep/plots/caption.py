@@ -5,11 +5,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from linksweep.sweep.analysis.answer import answers, completeness, conclusion_in_words
-from linksweep.sweep.formatting import first_of
+from linksweep.sweep.formatting import first_of, with_micro_signs
 from linksweep.sweep.plots.kinds import LINK
 from linksweep.sweep.plots.labels import plain, with_chosen_component
 from linksweep.sweep.plots.signs import PUBLISHED, drawn_variables, entries, signs_in_words
-from linksweep.sweep.readable import with_micro_signs
 
 MOST_PANELS = 6
 """The most panels that a description names."""

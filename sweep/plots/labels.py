@@ -8,9 +8,8 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.analysis.quantity import COVARIANCE_SUFFIX
-from linksweep.sweep.attributes import units_of
 from linksweep.sweep.formatting import plain as shown
-from linksweep.sweep.readable import written
+from linksweep.sweep.formatting import units_of, written
 
 GREEK = (
     *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi"),

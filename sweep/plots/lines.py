@@ -10,14 +10,13 @@ from matplotlib.transforms import ScaledTranslation
 
 from linksweep.sweep.analysis.quantity import error_bar, prediction_name, standard_error
 from linksweep.sweep.analysis.selection import places_along
-from linksweep.sweep.attributes import is_truth, units_of
+from linksweep.sweep.formatting import is_truth, units_of, with_micro_signs, with_unit
 from linksweep.sweep.plots.labels import axis_label, quantity_label, value_text
 from linksweep.sweep.plots.legends import legend
 from linksweep.sweep.plots.scales import fit_scale, is_logarithmic
 from linksweep.sweep.plots.signs import COMPUTED, ERROR_BAND, JOINED, MOVED, PREDICTED, PREDICTION_BAND, SIMULATED
 from linksweep.sweep.plots.signs import PUBLISHED as PUBLISHED_ENTRY
 from linksweep.sweep.plots.style import BAND, COLOURS, finish, series
-from linksweep.sweep.readable import with_micro_signs, with_unit
 
 NO_LINE = {"linestyle": "none"}
 PUBLISHED: Mapping[str, Any] = NO_LINE | {"marker": "o", "markersize": 8.0, "fillstyle": "none", "markeredgewidth": 0.9}

@@ -12,7 +12,7 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from linksweep.sweep.analysis.quantity import prediction_name, standard_error
-from linksweep.sweep.attributes import is_truth
+from linksweep.sweep.formatting import is_truth
 from linksweep.sweep.plots.labels import explained_label, quantity_label
 from linksweep.sweep.plots.scales import edges, fit_bar, fit_scale, is_logarithmic, number_text
 

@@ -13,8 +13,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 from numpy.typing import NDArray
 
-from linksweep.sweep.attributes import LOGARITHMIC_UNITS, TRUTH, is_truth, units_of
 from linksweep.sweep.contract import Array, SweepError, shown, suggest
+from linksweep.sweep.formatting import LOGARITHMIC_UNITS, TRUTH, is_truth, units_of
 from linksweep.sweep.studies.form import FigureForm
 
 FEW_TICKS = 8.0

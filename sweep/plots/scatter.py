@@ -10,11 +10,10 @@ from matplotlib.patches import Ellipse
 from scipy.special import chdtri
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.formatting import with_error
+from linksweep.sweep.formatting import prefixed, with_error, written
 from linksweep.sweep.plots.labels import label, symbol
 from linksweep.sweep.plots.legends import legend
 from linksweep.sweep.plots.style import COLOURS, finish
-from linksweep.sweep.readable import prefixed, written
 
 CONFIDENCES = (0.683, 0.954)
 CROSS_PT = 9.0

@@ -6,12 +6,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from linksweep.sweep.analysis.sensitivity import METHOD
-from linksweep.sweep.attributes import units_of
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.formatting import units_of, written
 from linksweep.sweep.plots.labels import label, symbol
 from linksweep.sweep.plots.legends import legend
 from linksweep.sweep.plots.style import BAND, COLOURS, finish, series
-from linksweep.sweep.readable import written
 
 WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute effect $\mu^*$", "sigma": r"$\sigma$"}
 

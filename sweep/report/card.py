@@ -9,8 +9,7 @@ import xarray as xr
 
 from linksweep.sweep.analysis.answer import answer_in_short, completeness
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.formatting import harmless
-from linksweep.sweep.readable import with_micro_signs
+from linksweep.sweep.formatting import harmless, with_micro_signs
 from linksweep.sweep.tie.text import as_format
 
 WIDTH = "46rem"

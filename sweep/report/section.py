@@ -23,8 +23,8 @@ from linksweep.sweep.analysis.readable_units import in_readable_units
 from linksweep.sweep.analysis.selection import place_in_words
 from linksweep.sweep.analysis.sensitivity import sensitivity
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.formatting import with_micro_signs, written
 from linksweep.sweep.planning.point_status import Status, count_status
-from linksweep.sweep.readable import with_micro_signs, written
 from linksweep.sweep.report.explorer import explorer
 from linksweep.sweep.report.figures import Picture, drawn, pictures
 from linksweep.sweep.studies.provenance import FUNCTION, outer_draw_of

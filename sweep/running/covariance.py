@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from linksweep.sweep.attributes import described
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output
+from linksweep.sweep.formatting import described
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.block import Block, ledger_key
 from linksweep.sweep.planning.plan import Plan

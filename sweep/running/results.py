@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from linksweep.sweep.attributes import ERRORS, TRUTH, described, short_meaning
 from linksweep.sweep.contract import Array, Output, Parameter
 from linksweep.sweep.executing.upstream import dask_arrays_only_where_imported
+from linksweep.sweep.formatting import ERRORS, TRUTH, described, short_meaning
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.functions.layout import EXACT_INT, MISSING_INT
 from linksweep.sweep.planning.accumulator import Accumulator

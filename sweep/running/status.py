@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from linksweep.sweep.attributes import units_of
 from linksweep.sweep.contract import Named, SweepError
 from linksweep.sweep.executing.execute import available_cores
+from linksweep.sweep.formatting import units_of
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import TARGET, Plan

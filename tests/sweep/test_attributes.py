@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import linksweep
-from linksweep.sweep.attributes import described, meaning_of, short_meaning
+from linksweep.sweep.formatting import described, meaning_of, short_meaning
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import load_study
 from linksweep.sweep.studies.source import built_in_studies

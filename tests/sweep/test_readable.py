@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from astropy import units
 
-from linksweep.sweep.readable import in_ascii, in_short, prefixed, with_micro_signs, with_unit, written
+from linksweep.sweep.formatting import in_ascii, in_short, prefixed, with_micro_signs, with_unit, written
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,8 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 
 from linksweep.core.arrays import Array
+from linksweep.sweep.formatting import written
 from linksweep.sweep.plots.labels import symbol
-from linksweep.sweep.readable import written
 
 MICRO_BELOW = 0.5
 """Numbers in mas that are all smaller than this are shown in micro-arcseconds."""
