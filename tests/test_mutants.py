@@ -1,57 +1,55 @@
-"""The mutation run: its texts stand in the code as it is, and the tests notice what they should."""
+"""The mutation run: its mutants are programs, and the tests notice what they should."""
 
+import ast
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants import copy_of_checkout, misplaced, mutants
+from benchmarks.mutants import copy_of_checkout, mutants, nearest_tests
+from tests.documents import ROOT
 
-ROOT = Path(__file__).parent.parent
-
-
-def is_a_test(name):
-    """Whether a file of tests, or one test of it as pytest writes it, is there."""
-    file, _, function = name.partition("::")
-    return (ROOT / file).is_file() and f"def {function.partition('[')[0]}" in (ROOT / file).read_text()
+FRAMES = "core/frames.py"
 
 
-@pytest.mark.parametrize("mutant", mutants(), ids=lambda mutant: f"{mutant['file']}: {mutant['new'][:40]}")
-def test_the_text_of_a_mutant_stands_once_in_its_file(mutant):
-    assert misplaced(mutant) is None
-    assert mutant["new"] != mutant["old"]
-    assert all(is_a_test(test) for test in mutant["test"].split())
+def run(*options):
+    command = [sys.executable, "benchmarks/mutants.py", *options]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("file", [FRAMES, "sweep/tables/reader.py"])
+def test_a_mutant_is_a_program_that_differs_in_one_place(file):
+    whole = (ROOT / file).read_bytes()
+    assert len(mutants(file)) > 20
+    for mutant in mutants(file):
+        assert mutant.old != mutant.new
+        changed = whole[: mutant.start] + mutant.new.encode() + whole[mutant.end :]
+        assert ast.dump(ast.parse(changed)) != ast.dump(ast.parse(whole)), mutant
+
+
+def test_every_file_has_tests():
+    for path in [*(ROOT / "core").rglob("*.py"), *(ROOT / "sweep").rglob("*.py")]:
+        assert nearest_tests(str(path.relative_to(ROOT))) != "."
 
 
 @pytest.mark.slow
 def test_a_copy_may_be_changed(tmp_path):
     copy = copy_of_checkout(tmp_path)
-    assert (copy / "core" / "link.py").read_bytes() == (ROOT / "core" / "link.py").read_bytes()
+    assert (copy / FRAMES).read_bytes() == (ROOT / FRAMES).read_bytes()
+    assert (copy / "linksweep" / FRAMES).resolve() == copy / FRAMES
 
 
 @pytest.mark.slow
 def test_a_sample_of_mutants_is_killed():
-    command = [sys.executable, "benchmarks/mutants.py", "--sample", "5", "--seed", "1"]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stdout + run.stderr
-    assert "5 of 5 killed" in run.stdout
+    done = run(FRAMES, "--function", "triad", "--tests", "tests/core/test_frames.py", "--sample", "5")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "5 of 5 killed" in done.stdout
 
 
 @pytest.mark.slow
-def test_it_tells_what_survives_from_what_is_killed_and_what_is_not_there(tmp_path):
-    table = tmp_path / "table.toml"
-    units = "tests/core/test_prediction.py::test_units_are_astropys"
-    parts = "tests/core/test_shared_arrays.py::test_parts_cover_the_objects"
-    rows = [("MAS / 1000.0", "MAS / 100.0", test) for test in (units, parts)] + [("no such text", "", units)]
-    table.write_text(
-        "".join(
-            f'[[mutant]]\nfile = "core/constants.py"\nold = "{old}"\nnew = "{new}"\ntest = "{test}"\n'
-            for old, new, test in rows
-        )
-    )
-    command = [sys.executable, "benchmarks/mutants.py", "--table", str(table)]
-    run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert run.returncode == 1, run.stdout + run.stderr
-    said = [line.split("  ")[0].strip() for line in run.stdout.splitlines()]
-    assert said == ["killed", "SURVIVED", "NOT FOUND", "1 of 3 killed"]
+def test_what_no_test_notices_is_named():
+    done = run(FRAMES, "--function", "triad", "--tests", "tests/test_reference.py", "--sample", "1")
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert done.stdout.startswith("SURVIVED")
+    assert f"{FRAMES}: triad: " in done.stdout
+    assert "0 of 1 killed" in done.stdout
