@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from linksweep.sweep.executing.choose import Resources
-from linksweep.sweep.running.eta import Eta
+from linksweep.sweep.running.progress import Eta
 from linksweep.sweep.running.run import Silent, run_study
 from linksweep.sweep.studies.reader import study_from_dict
 

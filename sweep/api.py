@@ -19,8 +19,7 @@ from linksweep.sweep.executing.upstream import leave_a_worker_that_runs_its_scri
 from linksweep.sweep.formatting import harmless
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.running.failures import MaxFailures, failed_points
-from linksweep.sweep.running.notebook import NotebookProgress, in_notebook
-from linksweep.sweep.running.progress import TerminalProgress
+from linksweep.sweep.running.progress import NotebookProgress, TerminalProgress, in_notebook
 from linksweep.sweep.running.run import Progress, Silent, run_study
 from linksweep.sweep.running.verify import verify as verified
 from linksweep.sweep.stores.location import Where, located

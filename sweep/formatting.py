@@ -171,6 +171,22 @@ def per_second(number: int, seconds: float, noun: str) -> str:
     return f"{speed:.2g} {noun}/s" if speed < 9.95 else f"{speed:,.0f} {noun}/s"
 
 
+def in_words(seconds: float) -> str:
+    """Return a duration with two of its units.
+
+    >>> [in_words(seconds) for seconds in (12.3, 200, 7500, 273600)]
+    ['12 s', '3 min 20 s', '2 h 05 min', '3 d 4 h']
+    """
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02} s"
+    if whole < 86400:
+        return f"{whole // 3600} h {whole % 3600 // 60:02} min"
+    return f"{whole // 86400} d {whole % 86400 // 3600} h"
+
+
 def first_of(words: Sequence[Any], most: int, separator: str = ", ") -> str:
     """Return the first of several words, and how many more there are.
 

@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from linksweep.sweep.formatting import WIDTH, counted, harmless, to_json
+from linksweep.sweep.formatting import WIDTH, counted, harmless, in_words
 
 if TYPE_CHECKING:
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.study import Study
-
-SEGMENT_COUNTS = ("points", "done", "failed", "excluded", "realisations_done", "realisations")
 
 MOST_FAILURES = 20
 """Most failed points that `sweep status` names in a terminal."""
@@ -64,7 +62,6 @@ def print_plan(report: dict[str, Any]) -> None:
 
 
 def _plan_in_words(report: dict[str, Any]) -> dict[str, str]:
-    from linksweep.sweep.running.eta import in_words
     from linksweep.sweep.running.failures import failed_before
 
     failed = failed_before(report["points_failed"])
@@ -161,12 +158,14 @@ def print_comparisons(comparisons: Any, remarks: list[str], table_format: str) -
 
 def print_status(report: dict[str, Any]) -> None:
     """Print how far a run is."""
-    from linksweep.sweep.running.axis_progress import as_lines
+    from linksweep.sweep.running.progress import axis_table
 
     for key, value in report.items():
         if key == "axes":
-            lines = as_lines(value, report["units"])
-            click.echo("\n".join(["", *lines, ""]) if lines else "", nl=bool(lines))
+            for dimension in value.values():
+                click.echo()
+                print_whole(axis_table(dimension, report["units"]))
+            click.echo(nl=bool(value))
         elif key == "units":
             continue
         elif key == "failures":
@@ -190,14 +189,3 @@ def _print_failures(failures: dict[str, str]) -> None:
         click.echo(click.wrap_text(f"{place}: {message}", WIDTH, "  ", "    "))
     if len(failures) > MOST_FAILURES:
         click.echo(f"  {len(failures) - MOST_FAILURES:,} more points: `sweep status STORE --json` has all of them")
-
-
-def status_as_json(report: dict[str, Any]) -> str:
-    """Return the whole report as JSON, with every value of every axis."""
-    axes = {
-        dimension: [
-            {"at": segment.first} | {count: getattr(segment, count) for count in SEGMENT_COUNTS} for segment in segments
-        ]
-        for dimension, segments in report["axes"].items()
-    }
-    return to_json(report | {"axes": axes})

@@ -9,7 +9,7 @@ import click
 
 from linksweep.sweep.cli import options
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, main
-from linksweep.sweep.cli.output import print_status, print_table, print_verified, status_as_json
+from linksweep.sweep.cli.output import print_status, print_table, print_verified
 from linksweep.sweep.formatting import to_json
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ def status(store: "Location", as_json: bool) -> None:
 
     report = status_report(store)
     if as_json:
-        click.echo(status_as_json(report))
+        click.echo(to_json(report))
     else:
         print_status(report)
 

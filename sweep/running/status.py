@@ -16,7 +16,7 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import TARGET, Plan
 from linksweep.sweep.planning.point_status import Status, count_status
-from linksweep.sweep.running.axis_progress import by_axis
+from linksweep.sweep.running.progress import by_axis
 from linksweep.sweep.running.run import plan_study
 from linksweep.sweep.running.writer import MAX_FAILURES_NAMED, failures_by_place
 from linksweep.sweep.stores.ledger import Ledger

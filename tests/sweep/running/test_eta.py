@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.sweep.running.eta import Eta, in_words
+from linksweep.sweep.formatting import in_words
+from linksweep.sweep.running.progress import Eta
 from tests.tiers import examples, slow
 
 START_S = 7.0

@@ -14,7 +14,7 @@ from linksweep import SweepError
 from linksweep.sweep.executing.choose import Resources
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.planning.point_status import Status, count_status
-from linksweep.sweep.running import notebook, progress
+from linksweep.sweep.running import progress
 from linksweep.sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError, failed_points
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import open_dataset
@@ -82,10 +82,10 @@ def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch
 
     monkeypatch.setattr(display, "display", lambda line, **_: shown.append(line.data) or Handle())
     for _ in range(2):  # the second time nothing is left to do
-        run_study(odd_study(), tmp_path / "s.zarr", SERIAL, notebook.NotebookProgress(odd_study()))
+        run_study(odd_study(), tmp_path / "s.zarr", SERIAL, progress.NotebookProgress(odd_study()))
         assert re.search(r"9 done, <span [^>]*>9 failed</span> of 18 points, (.*, )?ended$", shown[-1])
     assert any("ValueError: no &lt;sun&gt; at 1" in line for line in shown)
-    run_study(odd_study(1), tmp_path / "one.zarr", SERIAL, notebook.NotebookProgress(odd_study(1)))
+    run_study(odd_study(1), tmp_path / "one.zarr", SERIAL, progress.NotebookProgress(odd_study(1)))
     assert shown[-1].endswith("1/1 points, done")
 
 

@@ -11,14 +11,12 @@ from click.testing import CliRunner
 
 from linksweep.sweep.cli import main
 from linksweep.sweep.executing.task import TaskResult
-from linksweep.sweep.formatting import per_second
+from linksweep.sweep.formatting import in_words, per_second
 from linksweep.sweep.planning.block import Block
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
-from linksweep.sweep.running.eta import in_words
 from linksweep.sweep.running.failures import failed_points
 from linksweep.sweep.running.progress import SENTENCES, TerminalProgress
-from linksweep.sweep.running.run_summary import RunSummary
 from linksweep.sweep.running.writer import Taken
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
@@ -197,7 +195,7 @@ def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeyp
     assert gaps[0] >= 5
     assert gaps[-1] in (600, 601)
     assert len(spoken) < 200
-    assert told[1] == "0/6 points (0 % of the work), 1 realisations/s, about 23 h 59 min left"
+    assert told[1] == "0/6 points (0 % of the work), about 23 h 59 min left, 1 realisations/s"
 
 
 @pytest.mark.parametrize(
@@ -214,32 +212,32 @@ def test_speeds(number, seconds, words):
     assert per_second(number, seconds, "points") == words
 
 
-def test_the_account_names_the_slowest_of_many_points(coins):
-    document = coins | {"axes": {"coins": {"start": 1, "stop": 500, "step": 1}}, "fixed": {}}
-    study = study_from_dict(document)
-    account = RunSummary(study)
-    seconds = (np.random.default_rng(5).permutation(500) + 1.0) ** 2
+def summary_of(study, seconds, blocks):
+    """What is said at the end of a run whose points took so many seconds, in so many blocks each."""
+    progress = TerminalProgress(study)
+    size = PlanSize(len(seconds), len(seconds) * blocks, 0, 1.0)
+    progress.start(Survey(size, PlanSize(0, 0, 0, 0.0), size), "this process", 1)
     for point in make_grid(study).points():
         work = Work((point,), Block(0, 0, 0, 1, 1), 1.0)
-        for _ in range(2):  # two blocks a point
-            result = TaskResult(np.zeros((1, 2)), np.array([seconds[point.index] / 2]))
-            account.take([work], result, PlanSize(0, 1, 1, 1.0))
-    slowest = account.summary(100.0)[1]
+        for _ in range(blocks):
+            result = TaskResult(np.zeros((1, 2)), np.array([seconds[point.index] / blocks]))
+            taken = Taken(PlanSize(1, 1, 1, 1.0), PlanSize(0, 0, 0, 0.0), (), {})
+            progress.advance([work], result, taken)
+    return progress.summary(100.0)
+
+
+def test_the_summary_names_the_slowest_of_many_points(coins):
+    document = coins | {"axes": {"coins": {"start": 1, "stop": 500, "step": 1}}, "fixed": {}}
+    seconds = (np.random.default_rng(5).permutation(500) + 1.0) ** 2
+    lines = summary_of(study_from_dict(document), seconds, 2)
     expected = [f"coins={int(i) + 1} {in_words(seconds[i])}" for i in np.argsort(-seconds)[:3]]
-    assert slowest == f"slowest: {'; '.join(expected)}"
-    assert f"{seconds.sum():,.1f} s of work" in account.summary(100.0)[0]
+    assert lines[1] == f"slowest: {'; '.join(expected)}"
+    assert f"{seconds.sum():,.1f} s of work" in lines[0]
 
 
 def test_points_that_took_about_as_long_are_not_called_slow(coins):
     study = study_from_dict(coins | {"axes": {"coins": {"start": 1, "stop": 50, "step": 1}}, "fixed": {}})
-    account = RunSummary(study)
-    for point in make_grid(study).points():
-        account.take(
-            [Work((point,), Block(0, 0, 0, 1, 1), 1.0)],
-            TaskResult(np.zeros((1, 2)), np.array([5.0])),
-            PlanSize(1, 1, 1, 1.0),
-        )
-    assert len(account.summary(100.0)) == 1
+    assert len(summary_of(study, np.full(50, 5.0), 1)) == 1
 
 
 def test_the_end_of_a_run_tells_the_reasons_of_failures_grouped():
@@ -262,5 +260,5 @@ def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_s
     shown, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, shown
     assert "━" in shown
-    assert "realisations/s about" in re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown)
+    assert re.search(r"of the work\), about \d+ s left, \d", re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown))
     assert "wrote" in shown

@@ -12,7 +12,7 @@ from linksweep.sweep.executing.choose import Resources
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.tuning import Tuning
-from linksweep.sweep.running.axis_progress import MOST_LINES, AxisSegment, as_lines, by_axis, folded
+from linksweep.sweep.running.progress import MOST_LINES, axis_table, by_axis, folded
 from linksweep.sweep.running.run import Silent, run_study
 from linksweep.sweep.running.status import plan_report, status_report
 from linksweep.sweep.stores.store import open_dataset
@@ -51,15 +51,15 @@ def test_each_axis_counts_points_and_realisations(stopped):
     for dimension, segments in report["axes"].items():
         other = "coins" if dimension == "metal" else "metal"
         for segment in segments:
-            part = dataset.sel(segment.first)
-            assert segment.done == int((part["status"] == Status.DONE).sum())
-            assert segment.excluded == int((part["status"] == Status.EXCLUDED).sum())
-            assert segment.points == dataset.sizes[other] - segment.excluded
-            assert segment.realisations_done == int(part["n_sim_done"].sum())
-            assert segment.realisations == 20_000 * segment.points
+            part = dataset.sel(segment["at"])
+            assert segment["done"] == int((part["status"] == Status.DONE).sum())
+            assert segment["excluded"] == int((part["status"] == Status.EXCLUDED).sum())
+            assert segment["points"] == dataset.sizes[other] - segment["excluded"]
+            assert segment["realisations_done"] == int(part["n_sim_done"].sum())
+            assert segment["realisations"] == 20_000 * segment["points"]
     tin = report["axes"]["metal"][1]
-    assert 0 < tin.realisations_done < 20_000  # a point that is done in part counts in part
-    assert tin.done == 0
+    assert 0 < tin["realisations_done"] < 20_000  # a point that is done in part counts in part
+    assert tin["done"] == 0
 
 
 def test_a_run_that_goes_on_is_not_said_to_have_finished(stopped, sweep):
@@ -76,7 +76,7 @@ def test_the_ledger_is_asked_and_not_the_older_dataset(coins, tmp_path):
     assert int(open_dataset(tmp_path / "s.zarr")["n_sim_done"].sum()) == 0
     report = status_report(tmp_path / "s.zarr")
     assert report["realisations done"] == 40_000
-    assert [segment.done for segment in report["axes"]["metal"]] == [2, 0]
+    assert [segment["done"] for segment in report["axes"]["metal"]] == [2, 0]
 
 
 def test_without_the_experiment_the_dataset_is_asked(coins, tmp_path):
@@ -98,7 +98,7 @@ def test_zipped_axes_are_counted_together(coins, tmp_path):
     run_study(study_from_dict(document), tmp_path / "s.zarr", SERIAL)
     report = status_report(tmp_path / "s.zarr")
     assert list(report["axes"]) == ["coins"]
-    assert [segment.first for segment in report["axes"]["coins"]] == [
+    assert [segment["at"] for segment in report["axes"]["coins"]] == [
         {"coins": 1, "chance": 0.3},
         {"coins": 5, "chance": 0.6},
     ]
@@ -112,16 +112,17 @@ def test_one_point_has_no_axes(coins, tmp_path):
 def test_the_command_prints_a_table_and_json_has_every_value(sweep, stopped):
     code, out, err = sweep("status", stopped)
     assert code == 0, err
-    lines = out.splitlines()
-    start = lines.index("metal   points done  realisations  excluded")
-    assert lines[start : start + 7] == [
-        "metal   points done  realisations  excluded",
-        "  gold          3/3         100 %",
-        "  tin           0/2          40 %         1",
-        "coins   points done  realisations  excluded",
-        "  1             1/2          90 %",
-        "  5             1/1         100 %         1",
-        "  20            1/2          50 %",
+    lines = [line.rstrip() for line in out.splitlines()]
+    start = lines.index("metal  points done  realisations  excluded")
+    assert lines[start : start + 8] == [
+        "metal  points done  realisations  excluded",
+        "gold           3/3         100 %",
+        "tin            0/2          40 %         1",
+        "",
+        "coins  points done  realisations  excluded",
+        "1              1/2          90 %",
+        "5              1/1         100 %         1",
+        "20             1/2          50 %",
     ]
     assert "running: no" in lines
     assert any(line.startswith("last written: 20") for line in lines)
@@ -150,12 +151,8 @@ def test_folding_keeps_every_count_and_the_order(points, data):
     most = data.draw(st.integers(1, 20))
     short = folded(whole, most)
     assert len(short) <= max(most, 1)
-    assert len(whole) > most or short == whole
-    for name in ("values", "points", "done", "failed", "excluded", "realisations_done", "realisations"):
-        assert sum(getattr(s, name) for s in short) == sum(getattr(s, name) for s in whole)
-    assert [s.first["x"] for s in short] == [0, *(s.last["x"] + 1 for s in short[:-1])]
-    for segment in whole:
-        assert (segment.percent == 100) == (segment.realisations_done == segment.realisations)
+    assert len(whole) > most or short == [[row] for row in whole]
+    assert [row for group in short for row in group] == whole
 
 
 def test_a_long_axis_is_folded_where_nothing_happens():
@@ -163,11 +160,12 @@ def test_a_long_axis_is_folded_where_nothing_happens():
     status = np.array([Status.DONE] * 400 + [Status.MISSING] * 600, dtype=np.int8)
     realisations = np.array([10] * 400 + [7] + [0] * 599)
     segments = by_axis({"x": [{"x": 0.5 * i} for i in range(1000)]}, status, realisations, 10)
-    assert as_lines(segments, {"x": "mag"}) == [
-        "x [mag]                         points done  realisations",
-        "  0.0 ... 199.5 (400 values)        400/400         100 %",
-        "  200.0                                 0/1          70 %",
-        "  200.5 ... 499.5 (599 values)        0/599           0 %",
+    table = axis_table(segments["x"], {"x": "mag"})
+    assert [str(column.header) for column in table.columns] == ["x [mag]", "points done", "realisations"]
+    assert [list(map(str, column.cells)) for column in table.columns] == [
+        ["0.0 ... 199.5 (400 values)", "200.0", "200.5 ... 499.5 (599 values)"],
+        ["400/400", "0/1", "0/599"],
+        ["100 %", "70 %", "0 %"],
     ]
     mixed = by_axis(
         {"x": [{"x": i} for i in range(1000)]},
@@ -179,8 +177,8 @@ def test_a_long_axis_is_folded_where_nothing_happens():
 
 
 def test_a_hundred_percent_is_said_only_of_what_is_whole():
-    nearly = AxisSegment({"x": 1}, {"x": 1}, 1, 1, 0, 0, 0, 999_999, 1_000_000)
-    assert nearly.percent == 99
+    [nearly] = by_axis({"x": [{"x": 1}]}, np.array([Status.MISSING]), np.array([999_999]), 1_000_000)["x"]
+    assert list(map(str, axis_table([nearly], {}).columns[2].cells)) == ["99 %"]
 
 
 def test_a_plan_is_told_in_words_with_units(sweep, coins, tmp_path):
