@@ -22,9 +22,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.measured import Measured, Size, Target, watch
+from linksweep.core.catalogues import V_MAX
 from linksweep.core.experiment import cost, evaluate, link
 from linksweep.core.noise import ROWS, TILE
-from linksweep.core.quasars import V_MAX
 from linksweep.sweep.executing.forkserver import ENVIRONMENT
 
 N_OBJ = (28, 300, 1156, 15_533)

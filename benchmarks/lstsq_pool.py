@@ -15,9 +15,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from linksweep.core.catalogue import Sky
+from linksweep.core.catalogues import V_MAX, quasars
 from linksweep.core.errors import MagnitudeErrors
 from linksweep.core.missions import MISSIONS
-from linksweep.core.quasars import V_MAX, quasars
 
 N_CAT, N_SIM = 100, 100
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from benchmarks.measured import SWEEP, Measured, Size, Target, watch
 from benchmarks.start_up import ONE_POINT
-from linksweep.core.quasars import V_MAX, quasar_count
+from linksweep.core.catalogues import V_MAX, quasar_count
 
 WORKERS = 2
 UNIQUE = 4 * quasar_count(float(V_MAX[-1]), completed=False) * 10_000

@@ -1,28 +1,16 @@
-"""Reference catalogues (step A): the record, positions on the sky, and catalogues drawn from simple laws."""
+"""A reference catalogue (step A): its objects, the errors that it lists for them, and where they may stand."""
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.core.arrays import Array
-from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS
+from linksweep.core.constants import GALACTIC_AXES
 from linksweep.core.frames import position
-from linksweep.core.radio_stars import RADIO_STARS
-
-PmDistribution = Literal["uniform", "constant", "rayleigh"]
 
 SIDES = ("reference", "satellite")
-
-N_GALAXIES = 116
-"""Certain galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 and Table 1."""
-
-GALAXY_MEAN_MAG, GALAXY_SCATTER_MAG, GALAXY_FAINT_LIMIT_MAG = 12.5, 0.5, 13.5
-"""V_T of the galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 (mean 12.5); scatter and limit are
-estimates.
-"""
 
 
 @dataclass(frozen=True)
@@ -31,15 +19,6 @@ class OwnErrors:
 
     sigma: Array
     correlation: Array | None = None
-
-    def take(self, index: NDArray[np.intp] | slice) -> "OwnErrors":
-        """Return those of the objects at these indices."""
-        return OwnErrors(self.sigma[:, index], None if self.correlation is None else self.correlation[index])
-
-    def flattened(self) -> "OwnErrors":
-        """Return those of all catalogues that are drawn together, one after the other."""
-        correlation = None if self.correlation is None else self.correlation.reshape(-1, 4, 4)
-        return OwnErrors(self.sigma.reshape(4, -1), correlation)
 
 
 @dataclass(frozen=True)
@@ -66,7 +45,7 @@ class Catalogue:
 
     def take(self, index: NDArray[np.intp] | slice) -> "Catalogue":
         """Return the objects at these indices."""
-        return self._made(lambda column: column[index], lambda errors: errors.take(index))
+        return self._mapped(lambda array, axis: array[(slice(None),) * axis + (index,)])
 
     def some(self, rng: np.random.Generator, n_obj: int) -> "Catalogue":
         """Return ``n_obj`` objects at random, in their order; if there are no more, all of them without a draw."""
@@ -83,7 +62,8 @@ class Catalogue:
 
     def flattened(self) -> "Catalogue":
         """Return the objects of all catalogues that are drawn together, one after the other."""
-        return self._made(lambda column: column.reshape(-1), OwnErrors.flattened)
+        ndim = self.ra.ndim
+        return self._mapped(lambda array, axis: array.reshape(*array.shape[:axis], -1, *array.shape[axis + ndim :]))
 
     def own_errors(self, side: str) -> OwnErrors | None:
         """Return the errors that the catalogue lists for a side, "reference" or "satellite"; None if there are none."""
@@ -93,23 +73,18 @@ class Catalogue:
 
     def moved_to(self, ra: Array, dec: Array) -> "Catalogue":
         """Return the same objects, with their proper motions along the local triad, at other positions."""
-        objects = self if ra.ndim == self.ra.ndim else self.repeated(len(ra))
-        return replace(objects, ra=ra, dec=dec)
+        return replace(self if ra.ndim == self.ra.ndim else self.repeated(len(ra)), ra=ra, dec=dec)
 
-    def _made(self, column: Callable[[Array], Array], errors: Callable[[OwnErrors], OwnErrors]) -> "Catalogue":
-        """Return a catalogue with the functions applied to each column and to the errors of either side."""
-        sides = self.own_errors("satellite"), self.reference
-        own, reference = (None if side is None else errors(side) for side in sides)
-        return Catalogue(
-            ra=column(self.ra),
-            dec=column(self.dec),
-            pmra=column(self.pmra),
-            pmdec=column(self.pmdec),
-            v_mag=column(self.v_mag),
-            sigma=None if own is None else own.sigma,
-            correlation=None if own is None else own.correlation,
-            reference=reference,
-        )
+    def _mapped(self, each: Callable[[Array, int], Array]) -> "Catalogue":
+        """Return a catalogue with a function of an array and its first axis of objects applied to all arrays."""
+
+        def maybe(array: Array | None, axis: int) -> Array | None:
+            return None if array is None else each(array, axis)
+
+        ra, dec, pmra, pmdec, v_mag = (each(a, 0) for a in (self.ra, self.dec, self.pmra, self.pmdec, self.v_mag))
+        other = self.reference
+        reference = None if other is None else OwnErrors(each(other.sigma, 1), maybe(other.correlation, 0))
+        return Catalogue(ra, dec, pmra, pmdec, v_mag, maybe(self.sigma, 1), maybe(self.correlation, 0), reference)
 
 
 @dataclass(frozen=True)
@@ -153,70 +128,4 @@ class Sky:
         return position(np.moveaxis(GALACTIC_AXES.T @ galactic, -2, 0))
 
 
-def synthetic(
-    rng: np.random.Generator,
-    n_obj: int,
-    v_min: float,
-    v_max: float,
-    sky: Sky = Sky(),
-    mean_pm: float = 0.0,
-    pm_distribution: PmDistribution = "uniform",
-) -> Catalogue:
-    """Return objects with uniform magnitudes and isotropic proper motions of mean modulus ``mean_pm`` (rad/yr).
-
-    The paper has "equally distributed apparent brightnesses and proper motions" (Metz & Geffert 2004, Sect. 4.1); that
-    the modulus of a proper motion is uniform between 0 and twice its mean is our reading of it.  "rayleigh" is that of
-    two normal components, "constant" the same for all.
-    """
-    ra, dec = sky.positions(rng, n_obj)
-    v_mag = rng.uniform(v_min, v_max, n_obj)
-    uniform = rng.random(n_obj)
-    modulus = {
-        "uniform": 2.0 * uniform,
-        "constant": np.ones(n_obj),
-        "rayleigh": np.sqrt(-4.0 / np.pi * np.log1p(-uniform)),
-    }[pm_distribution] * mean_pm
-    direction = rng.uniform(0.0, 2.0 * np.pi, n_obj)
-    return Catalogue(ra, dec, modulus * np.sin(direction), modulus * np.cos(direction), v_mag)
-
-
-def galaxies(
-    rng: np.random.Generator,
-    n_obj: int,
-    faint_limit_mag: float,
-    sky: Sky = Sky(),
-    bright_limit_mag: float | None = None,
-) -> Catalogue:
-    """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint limit,
-    and at the bright one if there is any.
-    """
-    from scipy.special import ndtr, ndtri  # here: it takes a tenth of the start of every other study
-
-    ra, dec = sky.positions(rng, n_obj)
-    bright = -np.inf if bright_limit_mag is None else bright_limit_mag
-    low, high = ndtr((np.array([bright, faint_limit_mag]) - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
-    v_mag = GALAXY_MEAN_MAG + GALAXY_SCATTER_MAG * ndtri(low + (high - low) * (1.0 - rng.random(n_obj)))
-    return Catalogue(ra, dec, np.zeros_like(ra), np.zeros_like(ra), v_mag)
-
-
-def radio_stars() -> Catalogue:
-    """Return the 11 radio stars with their proper motions and VLBI errors; no position errors are given for them."""
-    stars = RADIO_STARS
-    none = np.zeros(len(stars.v_mag))
-    return Catalogue(
-        ra=stars.ra_deg * DEGREE,
-        dec=stars.dec_deg * DEGREE,
-        pmra=stars.pmra * MAS,
-        pmdec=stars.pmdec * MAS,
-        v_mag=stars.v_mag,
-        sigma=np.stack([none, none, stars.pmra_error, stars.pmdec_error]) * MAS,
-    )
-
-
-def resample(rng: np.random.Generator, catalogue: Catalogue, n_obj: int, sky: Sky | None) -> Catalogue:
-    """Return ``n_obj`` objects drawn with replacement, at their own positions or (with a ``sky``) at random ones.
-
-    Magnitude, proper motion and errors of an object stay together.
-    """
-    drawn = catalogue.take(rng.integers(0, len(catalogue), n_obj))
-    return drawn if sky is None else drawn.moved_to(*sky.positions(rng, n_obj))
+WHOLE_SKY = Sky()

@@ -5,14 +5,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from linksweep.core.arrays import Array
-from linksweep.core.checks import check
+from linksweep.core.checks import check, unused, warn
 from linksweep.core.design import ALWAYS, GLIDE, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
-from linksweep.core.outputs import OUTPUTS, SAMPLE_OUTPUTS, UNITS
-from linksweep.core.parameters import PARAMETERS, SHARED
+from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from linksweep.core.scenario import catalogue_size, has_errors, scenario, zonal_errors
 from linksweep.core.simulate import BlockSums, Streams, can_stack, simulate, simulate_stack
-from linksweep.core.unused import unused
-from linksweep.core.warn import warn
 from linksweep.sweep.contract import Experiment, Point, small_sample_factor
 
 MEANS = {"sigma_orientation": ORIENTATION, "sigma_spin": SPIN}

@@ -19,7 +19,7 @@ from linksweep.core.noise import Tile
 from linksweep.core.prepared import Setup
 from linksweep.core.shared_arrays import Prefixes, origin
 from linksweep.core.shared_sums import SharedSums
-from linksweep.core.zonal import DrawnField
+from linksweep.core.systematics import DrawnField
 
 
 @dataclass(frozen=True)

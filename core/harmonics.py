@@ -8,6 +8,9 @@ import numpy as np
 from linksweep.core.arrays import Array
 
 Kind = Literal["t", "s"]
+KINDS: tuple[Kind, Kind] = ("t", "s")
+
+HIGHEST_DEGREE = 50
 
 
 class Term(NamedTuple):

@@ -17,7 +17,7 @@ there.
 """
 
 
-KINDS = (slice(0, 2), slice(2, 4))
+OBSERVABLES = (slice(0, 2), slice(2, 4))
 """The observables that are positions, and those that are proper motions."""
 
 SMALLEST_EIGENVALUE = 1e-12
@@ -52,7 +52,7 @@ def measured(sigma: Array) -> tuple[bool, bool]:
     """Return whether positions and proper motions are measured, from combined errors (4, N): if only one kind has
     errors, the other is not measured; if neither has, both are.
     """
-    positions, motions = (bool(np.any(sigma[kind])) for kind in KINDS)
+    positions, motions = (bool(np.any(sigma[kind])) for kind in OBSERVABLES)
     return positions or not motions, motions or not positions
 
 
@@ -68,7 +68,7 @@ def combined_error(sigma_reference: Array, sigma_satellite: Array) -> Array:
     _require(np.minimum(sigma_reference, sigma_satellite) >= 0.0, "negative standard error")
     if not np.any(sigma):
         return np.full_like(sigma, MAS)
-    for kind, is_measured in zip(KINDS, measured(sigma), strict=True):
+    for kind, is_measured in zip(OBSERVABLES, measured(sigma), strict=True):
         if not is_measured:
             sigma[kind] = MAS
     _require(sigma > 0.0, "zero standard error beside non-zero ones, so an infinite weight,")

@@ -15,7 +15,7 @@ from linksweep.core.arrays import Array, Stack
 from linksweep.core.catalogue import Catalogue
 from linksweep.core.errors import ErrorModel
 from linksweep.core.shared_arrays import Prefixes
-from linksweep.core.zonal import DrawnField, Field, ZonalErrors
+from linksweep.core.systematics import DrawnField, Field, ZonalErrors
 
 ROWS = 512
 """Realisations drawn at a time."""
@@ -83,7 +83,7 @@ class Noise:
             return np.ascontiguousarray(model.standard_errors(catalogue).T)
 
         correlation = model.correlation(catalogue)
-        sigma = shared.once(("errors", model), compute, catalogue.v_mag) if model.elementwise else compute()
+        sigma = shared.once(("errors", model), compute, catalogue.v_mag) if model.is_elementwise() else compute()
         return Noise(sigma, None if correlation is None else np.asarray(np.linalg.cholesky(correlation)))
 
     def inflated(self, factor: float) -> "Noise":

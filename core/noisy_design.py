@@ -8,7 +8,7 @@ from linksweep.core.link import POLE_LIMIT, UnlikeError, hold, pole_error, solve
 from linksweep.core.noise import Tile
 from linksweep.core.normal_equations import NormalSums, Seen
 from linksweep.core.prepared import Setup
-from linksweep.core.zonal import DrawnField
+from linksweep.core.systematics import DrawnField
 
 ELEMENTS = 8192
 """Objects x realisations in one array operation, so that its arrays of 64 KiB stay near the core."""

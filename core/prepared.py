@@ -1,73 +1,18 @@
-"""One point's physics, and what all realisations of one catalogue share."""
+"""What all realisations of one catalogue share."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 
 from linksweep.core.arrays import Array, Stack
 from linksweep.core.catalogue import Catalogue
 from linksweep.core.design import ORIENTATION, SPIN
-from linksweep.core.errors import ErrorModel
 from linksweep.core.frames import along, exact_differences, stored_differences
-from linksweep.core.link import KINDS, UnlikeError, Weighting, combined_error, measured
+from linksweep.core.link import OBSERVABLES, UnlikeError, combined_error, measured
 from linksweep.core.noise import Noise
+from linksweep.core.scenario import Scenario
 from linksweep.core.shared_arrays import Prefixes
-from linksweep.core.systematics import Systematics, Vector
-from linksweep.core.zonal import ZonalErrors
-
-Arithmetic = Literal["exact", "stored"]
-Method = Literal["catalogue", "projected"]
-
-
-@dataclass(frozen=True)
-class TrueVector:
-    """A true rotation or spin: one vector for all catalogues, or one of its length in a random direction for each."""
-
-    vector: Vector
-    random_direction: bool = False
-
-    def draw(self, rng: np.random.Generator) -> Array:
-        """Return the vector of one catalogue; shape (3,)."""
-        fixed = np.array(self.vector)
-        if not self.random_direction:
-            return fixed
-        direction = rng.standard_normal(3)
-        return np.asarray(np.linalg.norm(fixed) * direction / np.linalg.norm(direction))
-
-
-@dataclass(frozen=True)
-class Scenario:
-    """One point's physics: how a catalogue is drawn, its errors, the truth (rad, rad/yr) and how the link is solved.
-
-    ``aberration`` is a glide (rad/yr) added to the satellite's proper motions; ``solve_glide`` adds it to the unknowns.
-    ``method`` says whether the errors of every object are drawn or their effect on the link.  The true errors of a side
-    are its ``error_ratio`` times those of its model, which give the weights; ``zonal`` are further errors of the
-    satellite, and ``systematics`` are errors of proper motions that are the same in all realisations.
-    """
-
-    draw_catalogue: Callable[[np.random.Generator], Catalogue]
-    reference_errors: ErrorModel
-    satellite_errors: ErrorModel
-    epsilon: TrueVector
-    omega: TrueVector
-    aberration: Vector = (0.0, 0.0, 0.0)
-    solve_glide: bool = False
-    corrections: bool = True
-    weighting: Weighting = "inverse-variance"
-    arithmetic: Arithmetic = "exact"
-    method: Method = "catalogue"
-    reference_error_ratio: float = 1.0
-    satellite_error_ratio: float = 1.0
-    zonal: ZonalErrors | None = None
-    systematics: Systematics = field(default_factory=Systematics)
-
-    @property
-    def random_directions(self) -> bool:
-        """Whether each catalogue has a truth of its own."""
-        return self.epsilon.random_direction or self.omega.random_direction
 
 
 @dataclass(frozen=True)
@@ -100,7 +45,7 @@ class Setup:
     def observables(self) -> slice:
         """The observables that are measured."""
         positions, motions = self.measured
-        return slice(KINDS[0 if positions else 1].start, KINDS[1 if motions else 0].stop)
+        return slice(OBSERVABLES[0 if positions else 1].start, OBSERVABLES[1 if motions else 0].stop)
 
     @property
     def counted(self) -> Array:
@@ -189,5 +134,5 @@ def _differences(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Array:
 
     settings = "differences", scenario.arithmetic, vectors.tobytes(), systematics
     # magnitudes only where they matter, so that objects that differ in nothing else are shared
-    v_mag = (catalogue.v_mag,) if systematics.of_magnitude else ()
+    v_mag = (catalogue.v_mag,) if systematics.need_magnitudes else ()
     return shared.once(settings, compute, catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec, *v_mag)

@@ -2,20 +2,19 @@
 before any catalogue is drawn, at the cost of a few multiplications.
 """
 
-from functools import partial
-from math import hypot
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from linksweep.core.arrays import Array
-from linksweep.core.catalogue import Catalogue
+from linksweep.core.catalogue import SIDES, Catalogue
 from linksweep.core.catalogues import CATALOGUES, CatalogueKind
 from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
-from linksweep.core.errors import ERROR_KINDS, SIDES, ErrorKind, ErrorModel, Errors
-from linksweep.core.errors.floor import FlooredErrors, floor_of
-from linksweep.core.prepared import Scenario, TrueVector
-from linksweep.core.systematics import Pattern, Systematics, Vector, parse_pattern, rms
-from linksweep.core.zonal import ZonalErrors
+from linksweep.core.errors import ErrorModel, Errors, error_kind, error_model, floor_of
+from linksweep.core.link import Weighting
+from linksweep.core.systematics import Pattern, Systematics, Vector, ZonalErrors, parse_pattern, rms
 from linksweep.sweep.contract import Point
 
 GALACTIC_GLIDE_UAS_YR = 4.0
@@ -24,25 +23,71 @@ has since measured 5.05.
 """
 
 
+@dataclass(frozen=True)
+class TrueVector:
+    """A true rotation or spin: one vector for all catalogues, or one of its length in a random direction for each."""
+
+    vector: Vector
+    random_direction: bool = False
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Return the vector of one catalogue; shape (3,)."""
+        fixed = np.array(self.vector)
+        if not self.random_direction:
+            return fixed
+        direction = rng.standard_normal(3)
+        return np.asarray(np.linalg.norm(fixed) * direction / np.linalg.norm(direction))
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One point's physics: how a catalogue is drawn, its errors, the truth (rad, rad/yr) and how the link is solved.
+
+    ``aberration`` is a glide (rad/yr) added to the satellite's proper motions; ``solve_glide`` adds it to the unknowns.
+    ``method`` says whether the errors of every object are drawn or their effect on the link.  The true errors of a side
+    are its ``error_ratio`` times those of its model, which give the weights; ``zonal`` are further errors of the
+    satellite, and ``systematics`` are errors of proper motions that are the same in all realisations.
+    """
+
+    draw_catalogue: Callable[[np.random.Generator], Catalogue]
+    reference_errors: ErrorModel
+    satellite_errors: ErrorModel
+    epsilon: TrueVector
+    omega: TrueVector
+    aberration: Vector = (0.0, 0.0, 0.0)
+    solve_glide: bool = False
+    corrections: bool = True
+    weighting: Weighting = "inverse-variance"
+    arithmetic: Literal["exact", "stored"] = "exact"
+    method: Literal["catalogue", "projected"] = "catalogue"
+    reference_error_ratio: float = 1.0
+    satellite_error_ratio: float = 1.0
+    zonal: ZonalErrors | None = None
+    systematics: Systematics = field(default_factory=Systematics)
+
+    @property
+    def random_directions(self) -> bool:
+        """Whether each catalogue has a truth of its own."""
+        return self.epsilon.random_direction or self.omega.random_direction
+
+
 def scenario(point: Point) -> Scenario:
     """Return the physics of a point (its parameters by name, in the units of `PARAMETERS`)."""
-    random = point["directions"] == "random"
+    same = ("solve_glide", "corrections", "weighting", "arithmetic", "method")
+    random, glide = point["directions"] == "random", point["glide"]
+    glide_rad = MICROARCSEC * (GALACTIC_GLIDE_UAS_YR * GALACTIC_AXES[0] if glide is None else np.array(glide))
     return Scenario(
         draw_catalogue=catalogue_kind(point).nested_draw(point),
         reference_errors=error_model(point, "reference"),
         satellite_errors=error_model(point, "satellite"),
-        epsilon=TrueVector(_radians(point["epsilon"], point["epsilon_size"]), random),
-        omega=TrueVector(_radians(point["omega"], point["omega_size"]), random),
-        aberration=_glide(point) if point["aberration"] else (0.0, 0.0, 0.0),
-        solve_glide=point["solve_glide"],
-        corrections=point["corrections"],
-        weighting=point["weighting"],
-        arithmetic=point["arithmetic"],
-        method=point["method"],
+        epsilon=TrueVector(_radians(point, "epsilon"), random),
+        omega=TrueVector(_radians(point, "omega"), random),
+        aberration=tuple(glide_rad.tolist()) if point["aberration"] else (0.0, 0.0, 0.0),
         reference_error_ratio=point["reference_error_ratio"],
         satellite_error_ratio=point["satellite_error_ratio"],
         zonal=zonal_errors(point),
         systematics=systematics(point),
+        **{name: point[name] for name in same},
     )
 
 
@@ -56,11 +101,16 @@ def zonal_errors(point: Point) -> ZonalErrors | None:
 
 def systematics(point: Point) -> Systematics:
     """Return the systematic errors of the proper motions at a point; raises ValueError for an invalid motion_field."""
+    pattern: Pattern = ()
+    if (text := point["motion_field"]) is not None:
+        pattern, size = parse_pattern(text), point["motion_field_size"]
+        scale = MAS if size is None else MAS * size / rms(pattern)
+        pattern = tuple((term, coefficient * scale) for term, coefficient in pattern)
     return Systematics(
-        omega_slope=_radians(point["omega_slope"], point["omega_slope_size"]),
+        omega_slope=_radians(point, "omega_slope"),
         magnitude_equation=(point["magnitude_equation_pmra"] * MAS, point["magnitude_equation_pmdec"] * MAS),
         v_zero=point["v_zero"],
-        pattern=_pattern(point["motion_field"], point["motion_field_size"]),
+        pattern=pattern,
     )
 
 
@@ -69,25 +119,13 @@ def catalogue_kind(point: Point) -> CatalogueKind:
     return CATALOGUES[point["catalogue"]]
 
 
-def error_kind(point: Point, side: str) -> ErrorKind:
-    """Return the kind of errors of one side, "reference" or "satellite"."""
-    return ERROR_KINDS[point["reference_errors" if side == "reference" else "satellite_errors"]]
-
-
-def error_model(point: Point, side: str) -> ErrorModel:
-    """Return the error model of one side, "reference" or "satellite"."""
-    kind = error_kind(point, side)
-    model, floor = kind.model(point, side), floor_of(point, kind, side)
-    return model if floor is None else FlooredErrors(model, floor)
-
-
 def catalogue_size(point: Point) -> int:
     """Return the number of objects of a point's catalogue."""
-    n_obj = point["n_obj"]  # first: where it is given, the kind does not matter
+    n_obj = point["n_obj"]  # first: where it is set, the kind does not matter
     return catalogue_kind(point).size(point) if n_obj is None else int(n_obj)
 
 
-def own_objects(point: Point) -> Catalogue | None:
+def listed_objects(point: Point) -> Catalogue | None:
     """Return the objects of a catalogue that lists them, None for one that is drawn from a law."""
     return catalogue_kind(point).objects(point)
 
@@ -96,46 +134,28 @@ def errors_at_limit(point: Point, side: str) -> Errors:
     """Return the errors of one side, "reference" or "satellite", for an object at the faint limit of a catalogue
     that is drawn.
     """
-    kind = error_kind(point, side)
-    errors = kind.errors_at(point, side, lambda: catalogue_kind(point).magnitudes(point)[1])
-    floor = floor_of(point, kind, side)
-    return errors if floor is None else Errors(*map(hypot, errors, floor))
+    return error_model(point, side).at(lambda: catalogue_kind(point).magnitudes(point)[1])
 
 
-def errors_of_objects(point: Point, objects: Catalogue) -> tuple[Array, Array]:
-    """Return the errors (mas, mas/yr) of the reference and the satellite for objects, shape (4, N) each."""
+def errors_of_objects(point: Point, objects: Catalogue) -> Array:
+    """Return the errors (mas, mas/yr) of the reference and the satellite for objects, shape (2, 4, N)."""
     with np.errstate(over="ignore"):  # far beyond its range a curve is infinite, which is refused later
-        reference, satellite = (error_model(point, side).standard_errors(objects) / MAS for side in SIDES)
-    return reference, satellite
+        return np.stack([error_model(point, side).standard_errors(objects) / MAS for side in SIDES])
 
 
 def has_errors(point: Point, side: str) -> bool:
     """Return whether one side has any error, so that normals are drawn for it."""
     if side == "satellite" and zonal_errors(point) is not None:
         return True
-    kind = error_kind(point, side)
-    return floor_of(point, kind, side) is not None or kind.any(point, side, partial(own_objects, point))
+    return floor_of(point, side) is not None or error_kind(point, side).any(point, side)
 
 
-def _radians(vector_mas: Vector, size_mas: float | None) -> Vector:
-    x, y, z = vector_mas
-    if size_mas is not None:
-        vector = np.array(vector_mas) * MAS
-        length = np.linalg.norm(vector)
-        vector = vector / length * size_mas if length > 0.0 else np.array([size_mas, 0.0, 0.0])
-        x, y, z = vector
-    return (float(x * MAS), float(y * MAS), float(z * MAS))
-
-
-def _pattern(text: str | None, size_mas_yr: float | None) -> Pattern:
-    if text is None:
-        return ()
-    pattern = parse_pattern(text)
-    scale = MAS if size_mas_yr is None else MAS * size_mas_yr / rms(pattern)
-    return tuple((term, coefficient * scale) for term, coefficient in pattern)
-
-
-def _glide(point: Point) -> Vector:
-    given = point["glide"]
-    x, y, z = MICROARCSEC * (GALACTIC_GLIDE_UAS_YR * GALACTIC_AXES[0] if given is None else np.array(given))
-    return (float(x), float(y), float(z))
+def _radians(point: Point, name: str) -> Vector:
+    """Return a vector of a point, of the length that its parameter NAME_size sets, if it does."""
+    size, vector = point[f"{name}_size"], np.array(point[name])
+    if size is not None:
+        scaled = vector * MAS
+        length = np.linalg.norm(scaled)
+        vector = scaled / length * size if length > 0.0 else np.array([size, 0.0, 0.0])
+    x, y, z = (vector * MAS).tolist()
+    return x, y, z

@@ -14,8 +14,9 @@ from linksweep.core.fixed_design import FixedDesign, FixedSums, OwnFixedSums, fi
 from linksweep.core.link import LinkError
 from linksweep.core.noise import ROWS, chunks, tiles
 from linksweep.core.noisy_design import FullPath, FullSums
-from linksweep.core.prepared import Draw, Scenario, prepare
+from linksweep.core.prepared import Draw, prepare
 from linksweep.core.projected import Drawn, Projected
+from linksweep.core.scenario import Scenario
 from linksweep.core.shared_arrays import Prefixes
 from linksweep.core.shared_sums import SharedSums
 from linksweep.core.stacks import stacked_catalogue

@@ -8,12 +8,21 @@ from typing import Literal
 import numpy as np
 
 from linksweep.core.arrays import Array
-from linksweep.core.catalogue import GALAXY_FAINT_LIMIT_MAG, N_GALAXIES, Catalogue, Sky, galaxies, radio_stars, resample
+from linksweep.core.catalogue import Catalogue, Sky
+from linksweep.core.catalogues import (
+    COUNT,
+    GALAXY_FAINT_LIMIT_MAG,
+    N_GALAXIES,
+    V_MAX,
+    galaxies,
+    quasars,
+    radio_stars,
+    resample,
+)
 from linksweep.core.constants import MAS
 from linksweep.core.frames import triad
 from linksweep.core.link import Weighting
 from linksweep.core.missions import Curve
-from linksweep.core.quasars import COUNT, V_MAX, quasars
 
 Kind = Literal["quasars", "galaxies", "radio-stars"]
 

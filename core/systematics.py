@@ -1,17 +1,32 @@
-"""Systematic errors of proper motions, the same in all realisations: fields that the link does not solve for."""
+"""Errors that objects share: systematic ones, the same in all realisations, and zonal ones, drawn as random fields.
 
+A zonal field is isotropic, Gaussian and drawn exactly: a sum of vector spherical harmonics, toroidal and spheroidal of
+equal power C_l ~ exp(-l (l + 1) L^2/2), the Gaussian of width L on the sphere.  So the covariance of two objects'
+errors depends on their distance alone, with the correlation sum (2 l + 1)/(4 pi) C_l d^l_11 in either direction (along
+the arc between them and across), close to exp(-distance^2/(2 L^2)) where L is small.  Cost and memory grow with the
+number of objects, not with its square.
+"""
+
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, cached_property, lru_cache
+from math import ceil
 
 import numpy as np
 
 from linksweep.core.arrays import Array
 from linksweep.core.frames import along, triad
-from linksweep.core.harmonics import Term, terms, toroidal, turned
-from linksweep.core.unknowns import HIGHEST_DEGREE
+from linksweep.core.harmonics import HIGHEST_DEGREE, KINDS, Term, terms, toroidal, turned
+from linksweep.core.link import OBSERVABLES
 
 Vector = tuple[float, float, float]
 Pattern = tuple[tuple[Term, float], ...]
+
+REACH = 5.0
+"""Degrees go up to this over the width: those beyond have exp(-12.5) of the power, which goes to those below."""
+
+BASIS = 2**20
+"""Numbers in the fields of the objects that are prepared at a time: 8 MiB."""
 
 
 @dataclass(frozen=True)
@@ -29,34 +44,32 @@ class Systematics:
     pattern: Pattern = ()
 
     def __bool__(self) -> bool:
-        return self.of_magnitude or bool(self.pattern)
+        return self.need_magnitudes or bool(self.pattern)
 
     @property
-    def of_magnitude(self) -> bool:
+    def need_magnitudes(self) -> bool:
         """Whether anything depends on magnitudes."""
         return any(self.omega_slope) or any(self.magnitude_equation)
 
     def differences(self, ra: Array, dec: Array, v_mag: Array | None = None) -> Array:
         """Return what the terms add to the differences of (pmra, pmdec) of N objects; shape (2, N), in rad/yr."""
-        found = np.zeros((2, len(ra)))
+        total = np.zeros((2, len(ra)))
         if v_mag is not None:
             p, q, _ = triad(ra, dec)
             fainter, slope = v_mag - self.v_zero, np.array(self.omega_slope)
-            found[0] += fainter * (along(slope, q) - self.magnitude_equation[0])
-            found[1] -= fainter * (along(slope, p) + self.magnitude_equation[1])
-        if self.pattern:
-            found -= pattern_field(self.pattern, ra, dec)
-        return found
+            total[0] += fainter * (along(slope, q) - self.magnitude_equation[0])
+            total[1] -= fainter * (along(slope, p) + self.magnitude_equation[1])
+        return total - pattern_field(self.pattern, ra, dec) if self.pattern else total
 
 
 def pattern_field(pattern: Pattern, ra: Array, dec: Array) -> Array:
     """Return a sum of vector spherical harmonics at positions (rad); components along east and north, (2, N)."""
     fields = toroidal(max(term.degree for term, _ in pattern), ra, dec)
-    found = np.zeros((2, len(ra)))
+    total = np.zeros((2, len(ra)))
     for term, coefficient in pattern:
         place = term.degree**2 - 1 + terms(term.kind, term.degree).index(term)
-        found += coefficient * (fields[place] if term.kind == "t" else turned(fields[place]))
-    return found
+        total += coefficient * (fields[place] if term.kind == "t" else turned(fields[place]))
+    return total
 
 
 def rms(pattern: Pattern) -> float:
@@ -71,36 +84,122 @@ def parse_pattern(text: str) -> Pattern:
 
     Raises ValueError that says what is wrong and what is known.
     """
-    found: dict[Term, float] = {}
+    pattern: dict[Term, float] = {}
     for entry in filter(None, (entry.strip() for entry in text.split(","))):
         name, equals, number = (word.strip() for word in entry.partition("="))
-        term = _term(name)
-        if term in found:
+        if (term := _terms_by_label().get(name)) is None:
+            raise ValueError(
+                f"{name!r} is no vector spherical harmonic; those are t_L_0, t_L_M_re and t_L_M_im (toroidal) and "
+                f"s_L_0, ... (spheroidal) of degrees L = 1 to {HIGHEST_DEGREE} and orders M = 1 to L, such as t_2_0 or "
+                "s_2_1_re"
+            )
+        if term in pattern:
             raise ValueError(f"{name} twice")
-        found[term] = _coefficient(name, number) if equals else 1.0
-    if not any(found.values()):
+        try:
+            pattern[term] = float(number) if equals else 1.0
+        except ValueError:
+            pattern[term] = np.nan
+        if not abs(pattern[term]) <= 1e8:
+            raise ValueError(f"{name} = {number!r}: must be a number of mas/yr, at most 1e8")
+    if not any(pattern.values()):
         raise ValueError("no harmonic with a coefficient that is not zero, such as 't_2_0=0.5,s_2_1_re'")
-    return tuple(found.items())
+    return tuple(pattern.items())
 
 
-def _term(name: str) -> Term:
-    words = name.split("_")
-    kind: str = words[0]
-    if kind in ("t", "s") and len(words) > 1 and words[1].isdecimal() and 1 <= int(words[1]) <= HIGHEST_DEGREE:
-        for term in terms("t" if kind == "t" else "s", int(words[1])):
-            if term.label == name:
-                return term
-    raise ValueError(
-        f"{name!r} is no vector spherical harmonic; those are t_L_0, t_L_M_re and t_L_M_im (toroidal) and s_L_0, ... "
-        f"(spheroidal) of degrees L = 1 to {HIGHEST_DEGREE} and orders M = 1 to L, such as t_2_0 or s_2_1_re"
-    )
+@cache
+def _terms_by_label() -> dict[str, Term]:
+    return {t.label: t for kind in KINDS for degree in range(1, HIGHEST_DEGREE + 1) for t in terms(kind, degree)}
 
 
-def _coefficient(name: str, number: str) -> float:
-    try:
-        value = float(number)
-    except ValueError:
-        value = np.nan
-    if not abs(value) <= 1e8:
-        raise ValueError(f"{name} = {number!r}: must be a number of mas/yr, at most 1e8")
-    return value
+@dataclass(frozen=True)
+class ZonalErrors:
+    """RMS of a coordinate of position (rad) and proper motion (rad/yr), and the width of the kernel (rad)."""
+
+    sigma_pos: float
+    sigma_pm: float
+    length: float
+
+    @property
+    def degree(self) -> int:
+        """The highest degree."""
+        return max(1, ceil(REACH / self.length))
+
+    @property
+    def coefficients(self) -> int:
+        """The number of coefficients of position and proper motion together."""
+        return 4 * self.degree * (self.degree + 2)
+
+    @cached_property
+    def power(self) -> Array:
+        """C_l of the degrees from 1 on for a variance of 1 in a coordinate: sum of (2 l + 1)/(4 pi) C_l is 1."""
+        degrees = np.arange(1, self.degree + 1)
+        # relative to the first degree, so that very wide kernels do not underflow
+        power = np.exp(-0.5 * (degrees * (degrees + 1) - 2) * self.length**2)
+        return np.asarray(power / np.sum((2 * degrees + 1) / (4.0 * np.pi) * power))
+
+    @cached_property
+    def scatter(self) -> Array:
+        """The standard deviation of each coefficient of one kind, in the order of `toroidal`; order 0 has the variance
+        of both parts.
+        """
+        each = [[np.sqrt(c), *[np.sqrt(0.5 * c)] * (2 * degree)] for degree, c in enumerate(self.power, start=1)]
+        return np.concatenate(each)
+
+
+@dataclass(frozen=True)
+class Field:
+    """The zonal errors of the objects of one catalogue."""
+
+    errors: ZonalErrors
+    ra: Array
+    dec: Array
+
+    def draw(self, rows: int, rng: np.random.Generator) -> "DrawnField":
+        """Return ``rows`` realisations; those of a wider kernel use the first normals of a narrower one."""
+        scatter = self.errors.scatter
+        normals = rng.standard_normal((len(scatter), 2, 2, rows))  # degree by degree: toroidal, spheroidal
+        scaled = (scatter[:, None, None, None] * normals).transpose(2, 0, 1, 3)
+        return DrawnField(self, np.ascontiguousarray(scaled).reshape(2, -1, rows))
+
+    def bases(self, part: slice) -> Iterator[tuple[slice, Array]]:
+        """Yield the harmonics of a part, a few objects at a time: their place in the part, and (2 D, 2, n)."""
+        ra, dec = self.ra[part], self.dec[part]
+        step = max(1, BASIS // self.errors.coefficients)
+        for start in range(0, len(ra), step):
+            few = slice(start, min(start + step, len(ra)))
+            fields = toroidal(self.errors.degree, ra[few], dec[few])
+            yield few, np.stack([fields, turned(fields)], axis=1).reshape(-1, 2, fields.shape[2])
+
+    def sizes(self) -> Iterator[tuple[int, slice, float]]:
+        """Yield the number, rows and RMS of the pairs of observables that have zonal errors."""
+        for k, sigma in enumerate((self.errors.sigma_pos, self.errors.sigma_pm)):
+            if sigma > 0.0:
+                yield k, OBSERVABLES[k], sigma
+
+    def variance_through(self, gain: Array) -> Array:
+        """Return the variance of each unknown from these errors; ``gain`` (N, 4, K), result (K,)."""
+        scatter = np.repeat(self.errors.scatter, 2)
+        leaks = np.zeros((2, len(scatter), gain.shape[2]))
+        for few, basis in self.bases(slice(None)):
+            for k, observables, sigma in self.sizes():
+                leaks[k] += sigma * np.tensordot(basis, gain[few, observables], axes=((2, 1), (0, 1)))
+        return np.asarray(np.square(scatter[:, None] * leaks).sum(axis=(0, 1)))
+
+
+@dataclass(frozen=True)
+class DrawnField:
+    """Realisations of a field: ``coefficients`` (2, 2 D, rows) of position and proper motion, for an RMS of 1."""
+
+    field: Field
+    coefficients: Array
+
+    def values(self, part: slice) -> Array:
+        """Return the errors of the objects of a part; shape (n, 4, rows)."""
+        rows = self.coefficients.shape[2]
+        values = np.zeros((len(self.field.ra[part]), 4, rows))
+        for few, basis in self.field.bases(part):
+            flat = basis.reshape(len(basis), -1).T
+            for k, observables, sigma in self.field.sizes():
+                drawn = (flat @ self.coefficients[k]).reshape(2, -1, rows)
+                values[few, observables] = sigma * drawn.transpose(1, 0, 2)
+        return values

@@ -20,9 +20,7 @@ from linksweep.core.blocks import (
     SpinByBin,
     of_mission,
 )
-from linksweep.core.harmonics import Kind, terms
-
-HIGHEST_DEGREE = 50
+from linksweep.core.harmonics import HIGHEST_DEGREE, KINDS, terms
 
 
 @dataclass(frozen=True)
@@ -214,8 +212,7 @@ def _harmonics(asked: Asked, rotation: str, glide: str, rows: tuple[int, ...]) -
     if not 1 <= first <= last <= HIGHEST_DEGREE:
         raise ValueError(f"unknowns {name!r}: degrees are from 1 to {HIGHEST_DEGREE}, the lower one first")
     covered = {("t", 1): rotation in asked.beside, ("s", 1): glide in asked.beside}
-    kinds: tuple[Kind, Kind] = ("t", "s")
-    parts = tuple((k, d) for d in range(first, last + 1) for k in kinds if not covered.get((k, d)))
+    parts = tuple((k, d) for d in range(first, last + 1) for k in KINDS if not covered.get((k, d)))
     if not parts:
         raise ValueError(f"unknowns {name!r}: {rotation} and {glide} are these already")
     labels = tuple(f"{asked.name}_{term.label}" for kind, degree in parts for term in terms(kind, degree))

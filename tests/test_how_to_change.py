@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.core.test_kinds import DOUBLE, FLAT, RING
 from tests.documents import ROOT
 from tests.tiers import slow
 
@@ -25,18 +24,40 @@ class Toy(NamedTuple):
     trial: str
 
 
-def entry(folder, module, name, anchor, code, trial, what):
-    edits = [
-        (f"core/{folder}/__init__.py", anchor, f'\n        "{module}": {name},'),
-        (
-            f"core/{folder}/__init__.py",
-            "MappingProxyType\n",
-            f"from core.{folder}.{module} import {name.strip('()')}\n",
-        ),
-    ]
-    return Toy(what, f"core/{folder}/{module}.py", code, edits, trial)
+def entry(what, file, text, behind, last, name, trial):
+    """A class or value ``text`` behind a line of a module of the core, and its entry in the mapping there."""
+    return Toy(what, "", "", [(file, behind, text), (file, last, f'\n        "{name}": {trial[0]},')], trial[1])
 
 
+RING = '''
+
+class Ring(CatalogueKind):
+    """Twelve objects, or n_obj of them, on a spiral."""
+
+    parameters = frozenset()
+
+    def available(self, point):
+        return 12
+
+    def magnitudes(self, point):
+        return 10.0, 10.0
+
+    def draw(self, point, rng):
+        n = self.size(point)
+        zero = np.zeros(n)
+        return Catalogue(2 * np.pi * np.arange(n) / n, np.linspace(-1.0, 1.0, n), zero, zero, zero + 10.0)
+'''
+DOUBLE = '''
+
+class Double(ErrorKind):
+    """Errors of 2 mas and 4 mas/yr."""
+
+    def uses(self, side):
+        return frozenset()
+
+    def model(self, point, side):
+        return NormalErrors(2.0, 4.0)
+'''
 LINK = """
 import numpy as np
 from linksweep.core.experiment import evaluate, link
@@ -45,6 +66,9 @@ point = link.defaults() | {"n_obj": 30, CHANGES}
 assert link.check(point) is None, link.check(point)
 sums = evaluate([point], 50, np.random.default_rng(1), np.random.default_rng(2))
 assert np.isfinite(link.summarise(sums, np.array([50.0]), np.array([1.0]))["sigma_spin"][0])
+"""
+UNUSED = """
+assert "it is for catalogue = 'quasars'" in link.unused(point)["counts"]
 """
 RUN = """
 import linksweep
@@ -105,21 +129,35 @@ def _backwards(study, _workers, _say, limits, _dashboard=False):
 
 TOYS = [
     entry(
-        *("errors", "double", "Double()", '"catalogue": Own(),', DOUBLE),
-        *(LINK.replace("CHANGES", '"satellite_errors": "double"'), "error model"),
+        *("error model", "core/errors.py", DOUBLE, "        return NO_ERRORS\n", '"catalogue": Listed(),', "double"),
+        ("Double()", LINK.replace("CHANGES", '"satellite_errors": "double"')),
     ),
     entry(
-        *("catalogues", "ring", "Ring()", '"file": File(),', RING),
-        *(LINK.replace("CHANGES", '"catalogue": "ring"'), "catalogue"),
+        *(
+            "catalogue",
+            "core/catalogues.py",
+            RING,
+            '            return f"{error} ({error.where})"\n',
+            '"file": File(),',
+            "ring",
+        ),
+        ("Ring()", LINK.replace("CHANGES", '"catalogue": "ring"') + UNUSED),
     ),
-    entry(
-        *("missions", "flat", "FLAT", '"gaia-dr5": GAIA_DR5,', FLAT),
-        *(LINK.replace("CHANGES", '"satellite_errors": "magnitude", "model": "flat"'), "mission"),
+    Toy(
+        *("mission", "", ""),
+        [
+            (
+                "core/missions/__init__.py",
+                '"gaia-dr5": _release("dr5", 120),',
+                '\n        "flat": Mission(*[LogLinear((0.0, 9.0), (2.0, 2.0))] * 2, 1.0, np.inf, "a toy"),',
+            )
+        ],
+        LINK.replace("CHANGES", '"satellite_errors": "magnitude", "model": "flat"'),
     ),
     Toy(
         *("block of unknowns", "", ""),
         [
-            ("core/unknowns.py", "HIGHEST_DEGREE = 50\n", SOUTH),
+            ("core/unknowns.py", "POSITION[0] for row in block.rows]\n", SOUTH),
             (
                 "core/unknowns.py",
                 '"parallax": lambda asked: ParallaxZeroPoint(),',
@@ -138,7 +176,7 @@ assert link.unit.values[-1] == "mas"
         *("output", "", ""),
         [
             (
-                "core/outputs.py",
+                "core/parameters.py",
                 "\nOUTPUTS = (\n",
                 '    Output("sigma_worst", _EACH, "largest RMS error of a component"),\n',
             ),

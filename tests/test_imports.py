@@ -77,13 +77,11 @@ KNOWS_THE_CORE = {
 KNOWS_THE_CONTRACT = {
     *(
         "linksweep.core.parameters",
-        "linksweep.core.outputs",
         "linksweep.core.scenario",
         "linksweep.core.checks",
         "linksweep.core.experiment",
     ),
-    *("linksweep.core.function_curve", "linksweep.core.user_mission", "linksweep.core.unused", "linksweep.core.warn"),
-    *("linksweep.core.catalogues", "linksweep.core.errors"),
+    *("linksweep.core.missions", "linksweep.core.user_mission", "linksweep.core.catalogues", "linksweep.core.errors"),
 }
 # The search is a command beside the platform.
 SEARCH_MAY_USE = {

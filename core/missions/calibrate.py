@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, least_squares, minimize
 
 from linksweep.core.arrays import Array
-from linksweep.core.catalogue import N_GALAXIES
+from linksweep.core.catalogues import N_GALAXIES
 from linksweep.core.link import Weighting
 from linksweep.core.missions import AMEX_PM, GAIA_PM, Curve, Exponentials
 from linksweep.core.spin_variance import Kind, Skies, draw_skies, spin_variance

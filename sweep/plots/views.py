@@ -9,9 +9,7 @@ import xarray as xr
 
 from linksweep.core.arrays import Array
 from linksweep.core.constants import DEGREE
-from linksweep.core.function_curve import CurveError
-from linksweep.core.missions import MISSIONS, MissionUnavailableError
-from linksweep.core.missions import accuracy_curves as mission_curves
+from linksweep.core.missions import MISSIONS, CurveError, MissionUnavailableError
 from linksweep.core.missions.calibrate import IN_CODE, Model, all_skies, fit, published_numbers
 from linksweep.core.scenario import scenario
 from linksweep.core.user_mission import mission_of
@@ -45,13 +43,13 @@ def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
         if isinstance(model, str) and name not in MISSIONS:
             raise SweepError(f"no model {shown(name)}{suggest(name, list(MISSIONS))}")
         try:
-            curves = mission_curves({name: mission_of(model)}, v)
+            sigma_pos, sigma_pm = mission_of(model).sigmas_to_limit(v)
         except (MissionUnavailableError, CurveError) as error:
             if models:
                 raise SweepError(str(error)) from error
             continue
         relative = _relative_error(name, v) if isinstance(model, str) else np.full(v.shape, np.nan)
-        rows[name] = (curves.sigma_pm_mas_yr[0], curves.sigma_pos_mas[0], relative)
+        rows[name] = (sigma_pm, sigma_pos, relative)
     pm, pos, relative = (np.array(part) for part in zip(*rows.values(), strict=True))
     meanings = {
         "sigma_pm": (pm, "mas / yr", r"$\sigma_\mu$", "error of a proper motion, per coordinate"),

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from linksweep.core.catalogue import GALAXY_FAINT_LIMIT_MAG, Sky, radio_stars, resample
+from linksweep.core.catalogue import Sky
+from linksweep.core.catalogues import GALAXY_FAINT_LIMIT_MAG, quasars, radio_stars, resample
 from linksweep.core.constants import MAS
 from linksweep.core.design import design_matrix
 from linksweep.core.errors import MagnitudeErrors
@@ -20,7 +21,6 @@ from linksweep.core.missions.calibrate import (
     published_model,
     published_numbers,
 )
-from linksweep.core.quasars import quasars
 from linksweep.core.spin_variance import draw_skies, spin_variance
 
 

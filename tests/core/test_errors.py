@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from linksweep.core.catalogue import radio_stars, synthetic
+from linksweep.core.catalogues import radio_stars, synthetic
 from linksweep.core.constants import MAS
-from linksweep.core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
+from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import link, scenario
 from linksweep.core.missions import MISSIONS, PyGaia
 from linksweep.core.noise import Noise
@@ -31,7 +31,7 @@ def with_own_errors(n_obj=50, correlated=True):
 
 
 def test_no_errors():
-    np.testing.assert_array_equal(NoErrors().standard_errors(CATALOGUE), np.zeros((4, 50)))
+    np.testing.assert_array_equal(NO_ERRORS.standard_errors(CATALOGUE), np.zeros((4, 50)))
 
 
 def test_normal_errors():
@@ -60,7 +60,7 @@ def test_catalogue_errors_are_those_of_the_objects():
         CatalogueErrors().standard_errors(CATALOGUE)
 
 
-@pytest.mark.parametrize("model", [NoErrors(), NormalErrors(1.0, 2.0), MagnitudeErrors(MISSIONS["amex"])])
+@pytest.mark.parametrize("model", [NO_ERRORS, NormalErrors(1.0, 2.0), MagnitudeErrors(MISSIONS["amex"])])
 def test_other_models_ignore_what_the_catalogue_says_of_its_errors(model):
     catalogue = with_own_errors()
     np.testing.assert_array_equal(model.standard_errors(catalogue), model.standard_errors(CATALOGUE))
@@ -69,7 +69,7 @@ def test_other_models_ignore_what_the_catalogue_says_of_its_errors(model):
 
 @pytest.mark.parametrize("correlated", [False, True])
 @pytest.mark.parametrize(
-    "model", [NoErrors(), NormalErrors(2.0, 3.0, 0.5), MagnitudeErrors(MISSIONS["gaia"], 3.0), CatalogueErrors(0.7)]
+    "model", [NO_ERRORS, NormalErrors(2.0, 3.0, 0.5), MagnitudeErrors(MISSIONS["gaia"], 3.0), CatalogueErrors(0.7)]
 )
 def test_drawn_noise_has_the_covariance_that_is_asked_for(model, correlated):
     n_obj, n_draws = 4, 40_000
@@ -108,7 +108,7 @@ def test_mission_length_and_model_reach_the_satellite():
     point = link.defaults() | {"n_obj": 50, "model": "gaia", "mission_length": 10.0, "error_scale": 2.0}
     expected = MagnitudeErrors(MISSIONS["gaia"], 10.0, 2.0)
     assert scenario(point).satellite_errors == expected
-    assert scenario(point).reference_errors == NoErrors()
+    assert scenario(point).reference_errors == NO_ERRORS
 
 
 @pytest.mark.slow
@@ -134,7 +134,7 @@ def test_simulated_errors_are_normal_around_zero(side):
 def test_correlated_errors_come_out_as_predicted(sides, weighting):
     n_sim = 4000
     own, small = CatalogueErrors(), NormalErrors(0.3, 0.3)
-    errors = {"satellite": (NoErrors(), own), "reference": (own, small), "both": (own, CatalogueErrors(0.5))}[sides]
+    errors = {"satellite": (NO_ERRORS, own), "reference": (own, small), "both": (own, CatalogueErrors(0.5))}[sides]
     catalogue = with_own_errors(3)
     point = scenario(link.defaults() | {"weighting": weighting})
     point = replace(point, draw_catalogue=lambda _: catalogue, reference_errors=errors[0], satellite_errors=errors[1])

@@ -10,15 +10,15 @@ from astropy import units
 from astropy.table import Table
 
 from linksweep.core.catalogue import Catalogue
+from linksweep.core.catalogues import quasar_count
 from linksweep.core.constants import GALACTIC_AXES, MAS
 from linksweep.core.design import GLIDE_LABELS, LABELS
+from linksweep.core.errors import error_model
 from linksweep.core.experiment import SUMS, check, cost, evaluate, link, samples, scenario, summarise
 from linksweep.core.link import LinkError
 from linksweep.core.missions import MISSIONS
-from linksweep.core.outputs import OUTPUTS
-from linksweep.core.parameters import PARAMETERS
-from linksweep.core.quasars import quasar_count
-from linksweep.core.scenario import error_model, errors_at_limit, has_errors
+from linksweep.core.parameters import OUTPUTS, PARAMETERS
+from linksweep.core.scenario import errors_at_limit, has_errors
 from linksweep.core.simulate import simulate
 from linksweep.core.user_mission import mission_from_table
 from linksweep.sweep.contract import Named

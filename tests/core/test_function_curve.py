@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linksweep.core.function_curve import CurveError, CurveOfFunction
+from linksweep.core.missions import CurveError, FunctionCurve
 
 
 class Known:
@@ -21,7 +21,7 @@ class Known:
 @pytest.mark.parametrize("shape", [(), (1,), (5,), (2, 3)])
 def test_values_in_any_shape_times_the_factor(shape):
     v_mag = np.linspace(9.0, 20.0, int(np.prod(shape, dtype=int))).reshape(shape)
-    curve = CurveOfFunction(Known(lambda v: 0.1 * v), 0.001).times(3.0)
+    curve = FunctionCurve(Known(lambda v: 0.1 * v), 0.001).times(3.0)
     np.testing.assert_allclose(curve(v_mag), 0.0003 * v_mag, rtol=1e-14)
     assert curve(v_mag).shape == shape
 
@@ -35,7 +35,7 @@ def test_the_function_gets_one_dimension_of_its_own():
         return np.ones(len(v))
 
     v_mag = np.full((2, 3), 15.0)
-    CurveOfFunction(Known(spoil))(v_mag)
+    FunctionCurve(Known(spoil))(v_mag)
     assert seen == [(6,)]
     np.testing.assert_array_equal(v_mag, 15.0)
 
@@ -64,5 +64,5 @@ def leave(v):
 )
 def test_what_is_no_curve(function, sentence):
     with pytest.raises(CurveError) as caught:
-        CurveOfFunction(Known(function))(np.arange(15.0, 20.0))
+        FunctionCurve(Known(function))(np.arange(15.0, 20.0))
     assert sentence in str(caught.value)

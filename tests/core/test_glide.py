@@ -6,14 +6,15 @@ from functools import partial
 import numpy as np
 import pytest
 
-from linksweep.core.catalogue import Sky, synthetic
+from linksweep.core.catalogue import Sky
+from linksweep.core.catalogues import synthetic
 from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from linksweep.core.design import design_matrix
-from linksweep.core.errors import NoErrors, NormalErrors
+from linksweep.core.errors import NO_ERRORS, NormalErrors
 from linksweep.core.experiment import link, scenario
 from linksweep.core.frames import position, triad
 from linksweep.core.link import LinkError, solve
-from linksweep.core.prepared import Scenario, TrueVector
+from linksweep.core.scenario import Scenario, TrueVector
 from linksweep.core.simulate import simulate
 
 GLIDE = 4.0 * MICROARCSEC * GALACTIC_AXES[0]
@@ -24,7 +25,7 @@ UNIFORM = Sky()
 def gliding(n_obj, sky=UNIFORM, **changes):
     """Error-free data whose satellite sees the glide, no orientation and no spin."""
     draw = partial(synthetic, n_obj=n_obj, v_min=5.0, v_max=15.0, sky=sky)
-    return replace(Scenario(draw, NoErrors(), NoErrors(), NONE, NONE, aberration=tuple(GLIDE)), **changes)
+    return replace(Scenario(draw, NO_ERRORS, NO_ERRORS, NONE, NONE, aberration=tuple(GLIDE)), **changes)
 
 
 def leaks(scenario, n_cat, seed=1):
@@ -126,7 +127,7 @@ def test_solving_for_the_glide_leaves_no_leak_and_finds_minus_the_satellites(sky
     np.testing.assert_allclose(found[:, 6:] * np.linalg.norm(GLIDE), np.tile(-GLIDE, (10, 1)), rtol=1e-9)
 
 
-@pytest.mark.parametrize("reference", [NoErrors(), NormalErrors(0.1, 0.1)])
+@pytest.mark.parametrize("reference", [NO_ERRORS, NormalErrors(0.1, 0.1)])
 def test_noise_does_not_change_the_leak(reference):
     sky, n_sim = Sky(contrast=0.8), 500
     fixed = gliding(400, sky)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
+from linksweep.core.checks import warn
 from linksweep.core.experiment import check, evaluate, link, samples, summarise
-from linksweep.core.warn import warn
 from linksweep.sweep.tables.file import table_file
 
 N_OBJ = 12

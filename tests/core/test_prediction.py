@@ -11,7 +11,7 @@ from astropy import units
 from linksweep.core.catalogue import Catalogue
 from linksweep.core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
 from linksweep.core.design import design_matrix
-from linksweep.core.errors import CatalogueErrors, NoErrors, NormalErrors
+from linksweep.core.errors import NO_ERRORS, CatalogueErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, scenario, summarise
 from linksweep.core.fixed_design import fixed_designs
 from linksweep.core.link import inverse_and_condition, solve
@@ -44,7 +44,7 @@ def scattered(n=30, seed=3, **columns):
 
 def setup_of(catalogue, **changes):
     names = ("satellite", "reference")
-    models = {f"{name}_errors": changes.pop(name, NoErrors()) for name in names}
+    models = {f"{name}_errors": changes.pop(name, NO_ERRORS) for name in names}
     physics = replace(scenario(point(**changes)), **models)
     return prepare(physics, Draw.of(physics, catalogue, np.random.default_rng(0)), Prefixes())
 

@@ -7,8 +7,8 @@ import pytest
 from scipy import stats
 
 from linksweep.core.catalogue import Sky
+from linksweep.core.catalogues import BRIGHTEST_MAG, COUNT, V_MAX, completeness, quasar_count, quasars
 from linksweep.core.experiment import link, scenario
-from linksweep.core.quasars import BRIGHTEST_MAG, COUNT, V_MAX, completeness, quasar_count, quasars
 
 TABLE_1 = {
     14.0: 28, 14.5: 49, 15.0: 88, 15.5: 163, 16.0: 315, 16.5: 624, 17.0: 1156, 17.5: 2056, 18.0: 3453, 18.5: 5542,

@@ -9,10 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linksweep.core.arrays import transposed_product
-from linksweep.core.errors import MagnitudeErrors, NoErrors, NormalErrors
+from linksweep.core.errors import NO_ERRORS, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, samples, scenario
-from linksweep.core.function_curve import CurveOfFunction
-from linksweep.core.missions import Mission
+from linksweep.core.missions import FunctionCurve, Mission
 from linksweep.core.noise import ROWS, TILE, Noise, chunks, tile_objects, tiles
 from linksweep.core.parameters import SHARED
 from linksweep.core.shared_sums import SharedSums
@@ -141,7 +140,7 @@ def test_objects_keep_their_errors_when_others_follow():
 
     whole = replace(many, satellite_errors=Uncertain(1.0, 1.0))
     first = replace(whole, draw_catalogue=lambda rng: many.draw_catalogue(rng).take(np.arange(50)))
-    for reference in (NoErrors(), Uncertain(0.5, 0.5)):
+    for reference in (NO_ERRORS, Uncertain(0.5, 0.5)):
         few, all_of_them = (
             simulate([replace(s, reference_errors=reference)], 30, *generators(), keep_estimates=True)[0].estimates
             for s in (first, whole)
@@ -159,7 +158,7 @@ def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
         def __call__(self, v_mag):
             return np.full(len(v_mag), 0.3 * (1.0 + 1e-12 * len(v_mag)))
 
-    curve = CurveOfFunction(Rounding())
+    curve = FunctionCurve(Rounding())
     errors = MagnitudeErrors(Mission(curve, curve, 1.0, np.inf, "a test"))
     limits = [scenario(point(catalogue="quasars", n_obj=None, v_max=v)) for v in (14.0, 15.0)]
     both = [replace(one, satellite_errors=errors) for one in limits]

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from linksweep.core.catalogue import Sky, synthetic
+from linksweep.core.catalogue import Sky
+from linksweep.core.catalogues import quasars, synthetic
 from linksweep.core.constants import MAS
 from linksweep.core.design import design_matrix
-from linksweep.core.errors import CatalogueErrors, MagnitudeErrors, NoErrors, NormalErrors
+from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.frames import exact_differences, triad
 from linksweep.core.link import LinkError, combined_error, solve
 from linksweep.core.missions import MISSIONS
 from linksweep.core.noise import ROWS, TILE
-from linksweep.core.prepared import Scenario, TrueVector
-from linksweep.core.quasars import quasars
+from linksweep.core.scenario import Scenario, TrueVector
 from linksweep.core.simulate import simulate
 from tests.tiers import slow
 
@@ -29,7 +29,7 @@ GLIDE = np.array([0.3, -0.2, 0.5]) * MAS
 def scenario(n_obj, mean_pm_mas_yr=0.0, **changes):
     draw = partial(synthetic, n_obj=n_obj, v_min=5.0, v_max=15.0, mean_pm=mean_pm_mas_yr * MAS)
     amex = MagnitudeErrors(MISSIONS["amex"])
-    return replace(Scenario(draw, NoErrors(), amex, TrueVector(tuple(EPSILON)), TrueVector(tuple(OMEGA))), **changes)
+    return replace(Scenario(draw, NO_ERRORS, amex, TrueVector(tuple(EPSILON)), TrueVector(tuple(OMEGA))), **changes)
 
 
 def run(scenario, n_sim, seed=1, catalogue_seed=2):
@@ -81,7 +81,7 @@ def both_sides(rng, n_sim, n_obj):
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize("reference_errors", [NoErrors(), NormalErrors(0.4, 0.7)])
+@pytest.mark.parametrize("reference_errors", [NO_ERRORS, NormalErrors(0.4, 0.7)])
 @pytest.mark.parametrize(("n_obj", "n_sim"), [(20, 520), (1500, 20), slow(20, 1000)])
 @pytest.mark.parametrize(("corrections", "solve_glide"), [(False, False), (True, True), slow(True, False)])
 def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, corrections, solve_glide):
@@ -103,7 +103,7 @@ def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, correc
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize("reference_errors", [CatalogueErrors(), slow(NormalErrors(0.4, 0.7)), slow(NoErrors())])
+@pytest.mark.parametrize("reference_errors", [CatalogueErrors(), slow(NormalErrors(0.4, 0.7)), slow(NO_ERRORS)])
 def test_correlated_errors_equal_the_plain_loop(weighting, reference_errors):
     n_obj, n_sim = 20, 500
     factor = np.tril(np.random.default_rng(3).uniform(0.3, 1.0, (n_obj, 4, 4)))
@@ -125,14 +125,14 @@ def test_correlated_errors_equal_the_plain_loop(weighting, reference_errors):
 @pytest.mark.parametrize("n_obj", [2, 50])
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 def test_error_free_data_return_the_truth(mean_pm_mas_yr, n_obj, weighting):
-    sums = run(scenario(n_obj, mean_pm_mas_yr, satellite_errors=NoErrors(), weighting=weighting), 3)
+    sums = run(scenario(n_obj, mean_pm_mas_yr, satellite_errors=NO_ERRORS, weighting=weighting), 3)
     assert np.all(np.abs(sums.error / 3) < 1e-6 * np.abs(TRUTH_MAS))  # epsilon^2 mu is 1e-8 of omega
     np.testing.assert_array_equal(sums.predicted_variance, 0.0)
 
 
 def test_without_corrections_the_spin_is_hundreds_of_times_worse():
     def spin_error(corrections):
-        point = scenario(300, 500.0, satellite_errors=NoErrors(), corrections=corrections)
+        point = scenario(300, 500.0, satellite_errors=NO_ERRORS, corrections=corrections)
         return np.linalg.norm([run(point, 1, catalogue_seed=k).error[3:] for k in range(10)])
 
     assert spin_error(corrections=False) > 100 * spin_error(corrections=True)
@@ -145,10 +145,10 @@ def test_corrections_do_not_matter_for_objects_without_motion():
 
 def test_stored_angles_leave_the_floor_of_double_precision():
     stored, exact = (
-        np.abs([run(scenario(100, satellite_errors=NoErrors(), arithmetic=a), 1, 1, k).error[:3] for k in range(20)])
+        np.abs([run(scenario(100, satellite_errors=NO_ERRORS, arithmetic=a), 1, 1, k).error[:3] for k in range(20)])
         for a in ("stored", "exact")
     )
-    tiny = scenario(100, satellite_errors=NoErrors(), epsilon=TrueVector(tuple(1e-3 * EPSILON)))
+    tiny = scenario(100, satellite_errors=NO_ERRORS, epsilon=TrueVector(tuple(1e-3 * EPSILON)))
     tiny = replace(tiny, omega=TrueVector(tuple(1e-3 * OMEGA)))
     floor = np.abs([run(replace(tiny, arithmetic="stored"), 1, 1, k).error[:3] for k in range(20)])
     below = np.abs([run(tiny, 1, 1, k).error[:3] for k in range(20)])
@@ -160,7 +160,7 @@ def test_stored_angles_leave_the_floor_of_double_precision():
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 @pytest.mark.parametrize(
-    ("reference_errors", "n_sim"), [(NoErrors(), 20_000), (NormalErrors(0.8, 1.2), 5000)], ids=["fixed", "noisy"]
+    ("reference_errors", "n_sim"), [(NO_ERRORS, 20_000), (NormalErrors(0.8, 1.2), 5000)], ids=["fixed", "noisy"]
 )
 @pytest.mark.parametrize("solve_glide", [False, True])
 def test_realised_errors_are_the_predicted_ones(weighting, reference_errors, n_sim, solve_glide):
@@ -198,7 +198,7 @@ def test_the_two_generators_decide_different_things():
 
 @pytest.mark.parametrize(
     ("reference_errors", "few", "many"),
-    [(NoErrors(), 2 * ROWS, 8 * ROWS), (NormalErrors(1.0, 1.0), 2 * ROWS, 4 * ROWS)],
+    [(NO_ERRORS, 2 * ROWS, 8 * ROWS), (NormalErrors(1.0, 1.0), 2 * ROWS, 4 * ROWS)],
     ids=["fixed", "noisy"],
 )
 def test_memory_does_not_grow_with_the_number_of_realisations(reference_errors, few, many):
@@ -237,7 +237,7 @@ def test_a_sky_that_does_not_determine_the_link():
 
 
 @pytest.mark.parametrize("solve_glide", [False, True])
-@pytest.mark.parametrize("reference_errors", [NoErrors(), NormalErrors(0.8, 1.2)])
+@pytest.mark.parametrize("reference_errors", [NO_ERRORS, NormalErrors(0.8, 1.2)])
 @pytest.mark.parametrize("n_sim", [1, 2000])
 def test_samples_are_the_estimates_that_are_added_up(solve_glide, reference_errors, n_sim):
     point = scenario(30, 100.0, reference_errors=reference_errors, aberration=tuple(GLIDE), solve_glide=solve_glide)
@@ -268,7 +268,7 @@ def test_fixed_and_zero_vectors_are_themselves():
 
 
 def test_random_directions_are_the_catalogues_and_the_link_finds_them():
-    point = scenario(30, satellite_errors=NoErrors())
+    point = scenario(30, satellite_errors=NO_ERRORS)
     point = replace(point, epsilon=TrueVector(tuple(EPSILON), True), omega=TrueVector(tuple(OMEGA), True))
     found = np.array(
         [sample(point, 2, np.random.default_rng(k), np.random.default_rng(j)) for j in range(5) for k in range(2)]

@@ -10,8 +10,7 @@ from scipy.special import eval_jacobi, sph_harm_y
 from linksweep.core.catalogue import Catalogue
 from linksweep.core.constants import GALACTIC_AXES, MAS
 from linksweep.core.design import design_matrix
-from linksweep.core.errors import CatalogueErrors, Errors, MagnitudeErrors
-from linksweep.core.errors.floor import FlooredErrors
+from linksweep.core.errors import CatalogueErrors, Errors, FlooredErrors, MagnitudeErrors
 from linksweep.core.experiment import cost, evaluate, link, samples, scenario, summarise
 from linksweep.core.fixed_design import fixed_designs
 from linksweep.core.frames import triad
@@ -21,8 +20,7 @@ from linksweep.core.missions import MISSIONS
 from linksweep.core.prepared import Draw, prepare
 from linksweep.core.shared_arrays import Prefixes
 from linksweep.core.simulate import simulate
-from linksweep.core.systematics import Systematics, parse_pattern, pattern_field, rms
-from linksweep.core.zonal import Field, ZonalErrors
+from linksweep.core.systematics import Field, Systematics, ZonalErrors, parse_pattern, pattern_field, rms
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict

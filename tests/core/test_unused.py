@@ -8,7 +8,6 @@ from linksweep.core.catalogues import CATALOGUES
 from linksweep.core.errors import ERROR_KINDS
 from linksweep.core.experiment import evaluate, link
 from linksweep.core.parameters import PARAMETERS
-from linksweep.core.unused import CATALOGUE_PARAMETERS, ERROR_PARAMETERS
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict
@@ -101,8 +100,7 @@ def test_every_parameter_applies_somewhere():
     declared = {p.name for p in PARAMETERS}
     of_catalogues = frozenset().union(*(kind.parameters for kind in CATALOGUES.values()))
     of_errors = frozenset().union(*(k.uses(s) for k in ERROR_KINDS.values() for s in k.sides))
-    assert of_catalogues == set(CATALOGUE_PARAMETERS) <= declared
-    assert of_errors == set(ERROR_PARAMETERS) <= declared
+    assert of_catalogues | of_errors <= declared
 
 
 def sums(point):

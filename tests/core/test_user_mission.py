@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.core.missions import MISSIONS, accuracy_curves
+from linksweep.core.missions import MISSIONS
 from linksweep.core.user_mission import mission_from_table
 from linksweep.sweep.contract import DefinitionError, SweepError
 from tests.tiers import examples
@@ -205,14 +205,13 @@ def test_anything_is_a_mission_or_told_to_be_none(table, data):
 def test_curves_of_missions_side_by_side():
     missions = {"gaia-2001": MISSIONS["gaia-2001"], "mine": mission(TABLE), "amex": MISSIONS["amex"]}
     v_mag = np.array([10.0, 15.0, 19.0, 22.0])
-    curves = accuracy_curves(missions, v_mag)
-    assert curves.name == ("gaia-2001", "mine", "amex")
+    pos, pm = np.stack([each.sigmas_to_limit(v_mag) for each in missions.values()], axis=1)
     seen = np.array([[1, 1, 1, 0], [1, 1, 0, 0], [1, 1, 1, 1]], dtype=bool)
-    np.testing.assert_array_equal(np.isfinite(curves.sigma_pm_mas_yr), seen)
-    np.testing.assert_array_equal(np.isfinite(curves.sigma_pos_mas), seen)
-    np.testing.assert_allclose(curves.sigma_pm_mas_yr[0, :3], [3e-3, 8e-3, 60e-3], rtol=1e-12)
-    np.testing.assert_allclose(curves.sigma_pos_mas[0, :3], [3e-3, 9e-3, 70e-3], rtol=1e-12)
-    assert curves.sigma_pos_mas[2, 1] == pytest.approx(0.6 * (0.139 * math.exp(0.215 * 6) + 14.2), rel=1e-12)
+    np.testing.assert_array_equal(np.isfinite(pm), seen)
+    np.testing.assert_array_equal(np.isfinite(pos), seen)
+    np.testing.assert_allclose(pm[0, :3], [3e-3, 8e-3, 60e-3], rtol=1e-12)
+    np.testing.assert_allclose(pos[0, :3], [3e-3, 9e-3, 70e-3], rtol=1e-12)
+    assert pos[2, 1] == pytest.approx(0.6 * (0.139 * math.exp(0.215 * 6) + 14.2), rel=1e-12)
 
 
 def test_a_range_and_a_floor_of_ones_own():

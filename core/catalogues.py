@@ -1,0 +1,510 @@
+"""The catalogues that a study may choose, and the laws and data they are drawn from.
+
+A new one is a subclass of `CatalogueKind` and its entry in `CATALOGUES`.
+"""
+
+import itertools
+from collections.abc import Callable, Hashable, Mapping
+from functools import lru_cache, partial
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from linksweep.core.arrays import Array
+from linksweep.core.catalogue import WHOLE_SKY, Catalogue, NestedDraw, Sky
+from linksweep.core.constants import DEGREE, MAS
+from linksweep.core.table_catalogue import Table, catalogue_from_table
+from linksweep.sweep.contract import Point, SweepError
+
+RANDOM_SKY = frozenset({"zone_of_avoidance", "sky_contrast"})
+"""Parameters of random positions."""
+
+
+class CatalogueKind:
+    """One value of the parameter `catalogue`: which parameters it uses, how many objects it has, how it is drawn.
+
+    It may read ``n_obj`` of a point and the parameters that `uses` names.
+    """
+
+    parameters: frozenset[str]
+    """Parameters that it may use, beside n_obj."""
+
+    extragalactic = True
+
+    draws_several = False
+    """Whether `draw` also takes several generators as one, whose methods return arrays with a first axis of catalogues,
+    and then returns a `Catalogue` of shape (catalogues, N), or (N,) where all are the same: this makes many small
+    catalogues faster.
+    """
+
+    def has_random_positions(self, point: Point) -> bool:
+        """Return whether positions are drawn, so that `RANDOM_SKY` matters."""
+        return True
+
+    def uses(self, point: Point) -> frozenset[str]:
+        """Return the parameters, beside n_obj, on which the catalogue of a point depends."""
+        return self.parameters if self.has_random_positions(point) else self.parameters - RANDOM_SKY
+
+    def available(self, point: Point) -> int:
+        """Return how many objects there are if a point does not set n_obj; raises ValueError or SweepError where that
+        is not known.
+        """
+        raise NotImplementedError
+
+    def magnitudes(self, point: Point) -> tuple[float, float]:
+        """Return two magnitudes between which all objects lie; NaN where they are not known."""
+        raise NotImplementedError
+
+    def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
+        """Return the catalogue that a generator gives."""
+        raise NotImplementedError
+
+    def objects(self, point: Point) -> Catalogue | None:
+        """Return the objects of a catalogue that lists them, None for one that is drawn from a law."""
+        return None
+
+    def listed(self, point: Point) -> tuple[Catalogue, Callable[[int], str]] | None:
+        """Return the objects that a user listed, and a function that names the k-th of them; None without a list."""
+        return None
+
+    def problem(self, point: Point) -> str | None:
+        """Return why there is no such catalogue, or None; it may raise as `available`."""
+        return None
+
+    def is_nested(self, point: Point) -> bool:
+        """Return whether a fainter v_max only adds objects at the end, for equal generators."""
+        return False
+
+    def size(self, point: Point) -> int:
+        """Return the number of objects of a point's catalogue."""
+        n_obj = point["n_obj"]  # first: where it is set, nothing else matters
+        return self.available(point) if n_obj is None else int(n_obj)
+
+    def nested_draw(self, point: Point) -> NestedDraw:
+        """Return the draw of a point's catalogue, with what decides which family it belongs to."""
+        nested = self.is_nested(point)
+        decides = sorted({*self.uses(point), "catalogue", "n_obj"} - ({"v_max"} if nested else set()))
+        family: Hashable = (nested, *((name, point[name]) for name in decides))
+        return NestedDraw(family, self.size(point), partial(self.draw, point), self.draws_several)
+
+    def why_not(self, point: Point) -> str | None:
+        """Return `problem` as a sentence, also where it or reading a table raises an error."""
+        try:
+            return self.problem(point)
+        except ValueError as error:
+            path = getattr(point["file"], "path", None) if "file" in self.parameters else None
+            return str(error) if path is None else f"{error} ({path})"
+        except SweepError as error:
+            return f"{error} ({error.where})"
+
+
+def _sky(point: Point) -> Sky:
+    return Sky(point["zone_of_avoidance"] * DEGREE, point["sky_contrast"])
+
+
+def _limits(point: Point, brightest: float, faintest: float) -> tuple[float, float]:
+    """Return v_min and v_max of a point, or these where it sets none."""
+    v_min, v_max = point["v_min"], point["v_max"]
+    return float(brightest if v_min is None else v_min), float(faintest if v_max is None else v_max)
+
+
+def _in_limits(brightest: float, faintest: float) -> str | None:
+    """Return why no object can lie between two limits, the brighter of which may be v_min, or None."""
+    if faintest > brightest:
+        return None
+    return f"v_max = {faintest:g} mag: must be fainter than the brightest object, v_min = {brightest:g} mag"
+
+
+def _too_few(point: Point, available: int, what: str) -> str | None:
+    """Return a sentence if a catalogue has too few objects between its limits, None if there are enough."""
+    wanted = max(2, point["n_obj"] or 0)
+    if available >= wanted:
+        return None
+    words = {"v_max": "brighter than v_max", "v_min": "fainter than v_min"}
+    limits = [f"{text} = {point[name]:g} mag" for name, text in words.items() if point[name] is not None]
+    return f"n_obj = {wanted}: only {available} {what} are {' and '.join(limits) or 'there'}"
+
+
+PmDistribution = Literal["uniform", "constant", "rayleigh"]
+
+
+def synthetic(
+    rng: np.random.Generator,
+    n_obj: int,
+    v_min: float,
+    v_max: float,
+    sky: Sky = WHOLE_SKY,
+    mean_pm: float = 0.0,
+    pm_distribution: PmDistribution = "uniform",
+) -> Catalogue:
+    """Return objects with uniform magnitudes and isotropic proper motions of mean modulus ``mean_pm`` (rad/yr).
+
+    The paper has "equally distributed apparent brightnesses and proper motions" (Metz & Geffert 2004, Sect. 4.1); that
+    the modulus of a proper motion is uniform between 0 and twice its mean is our reading of it.  "rayleigh" is that of
+    two normal components, "constant" the same for all.
+    """
+    ra, dec = sky.positions(rng, n_obj)
+    v_mag = rng.uniform(v_min, v_max, n_obj)
+    uniform = rng.random(n_obj)
+    modulus = {
+        "uniform": 2.0 * uniform,
+        "constant": np.ones(n_obj),
+        "rayleigh": np.sqrt(-4.0 / np.pi * np.log1p(-uniform)),
+    }[pm_distribution] * mean_pm
+    direction = rng.uniform(0.0, 2.0 * np.pi, n_obj)
+    return Catalogue(ra, dec, modulus * np.sin(direction), modulus * np.cos(direction), v_mag)
+
+
+class Synthetic(CatalogueKind):
+    """`"synthetic"`: uniform magnitudes, isotropic proper motions; a study must say how many objects there are."""
+
+    parameters = RANDOM_SKY | {"v_min", "v_max", "mean_pm", "pm_distribution"}
+    draws_several = True
+
+    def available(self, point: Point) -> int:
+        """Return 0: there are none unless a study says how many."""
+        return 0
+
+    def magnitudes(self, point: Point) -> tuple[float, float]:
+        """Return v_min and v_max."""
+        return _limits(point, 5.0, 15.0)
+
+    def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
+        """Return objects with random positions, magnitudes and motions."""
+        pm = (point["mean_pm"] * MAS, point["pm_distribution"])
+        return synthetic(rng, self.size(point), *self.magnitudes(point), _sky(point), *pm)
+
+    def problem(self, point: Point) -> str | None:
+        """Return a problem without a number of objects, or without room between the limits."""
+        if point["n_obj"] is None:
+            return "n_obj: a synthetic catalogue needs a number of objects"
+        return _in_limits(*self.magnitudes(point))
+
+
+V_MAX = np.arange(14.0, 20.5, 0.5)
+COUNT = np.array([28, 49, 88, 163, 315, 624, 1156, 2056, 3453, 5542, 8095, 11442, 15533])
+"""Quasars brighter than each of `V_MAX`.  Source: Metz & Geffert 2004, Table 1 (from Veron-Cetty & Veron 2001)."""
+
+BRIGHTEST_MAG = 12.8
+"""Bright end of the counts; 3C 273 has V = 12.9."""
+
+_COMPLETENESS = ((16.5, 0.57), (19.0, 0.054))
+"""Fraction of all quasars brighter than V that the catalogue holds.  Source: Metz & Geffert 2004, Sect. 5.1 (57 +- 16
+% and 5.4 +- 0.1 %, from the SDSS)."""
+
+
+@lru_cache(maxsize=1024)
+def quasar_count(v_max: float, completed: bool = False) -> int:
+    """Return how many quasars are brighter than ``v_max``: the paper's number at its half magnitudes, log-linear
+    between.
+
+    Below V = 14 the first slope is extrapolated.  ``completed`` divides by `completeness`.  Raises ValueError outside
+    12.8 <= v_max <= 20.
+    """
+    if not BRIGHTEST_MAG <= v_max <= V_MAX[-1]:
+        raise ValueError(
+            f"v_max = {v_max:g} mag is outside the quasar counts: the brightest object has V = {BRIGHTEST_MAG}, "
+            f"the counts end at V = {V_MAX[-1]:g}"
+        )
+    log_count, v_mag = np.log(COUNT), np.array([v_max])
+    slope = (log_count[1] - log_count[0]) / (V_MAX[1] - V_MAX[0])
+    bright = log_count[0] + slope * (v_mag - V_MAX[0])
+    in_catalogue = np.exp(np.where(v_mag < V_MAX[0], bright, np.interp(v_mag, V_MAX, log_count)))[0]
+    return round(float(in_catalogue / (completeness(v_max) if completed else 1.0)))
+
+
+def completeness(v_max: float) -> float:
+    """Return which fraction of the quasars brighter than ``v_max`` the paper's catalogue holds.
+
+    Log-linear through the two values of the paper, also beyond them, and at most 1: everything brighter than V = 15.9
+    is known.  At V = 20 this gives 2.1 % of 740 000 quasars; the paper speaks of about 500 000 for GAIA.
+    """
+    (bright, f_bright), (faint, f_faint) = _COMPLETENESS
+    slope = np.log(f_faint / f_bright) / (faint - bright)
+    return float(min(1.0, f_bright * np.exp(slope * (v_max - bright))))
+
+
+def quasars(
+    rng: np.random.Generator, v_max: float, sky: Sky, completed: bool = False, v_min: float = BRIGHTEST_MAG
+) -> Catalogue:
+    """Return the quasars between two limits at random positions, without proper motion, brightest bin first.
+
+    Catalogues drawn from equal generators are nested: that of a brighter ``v_max`` at a half magnitude is the beginning
+    of that of a fainter one.  Within a half-magnitude bin log N is linear in V; quasars that the extrapolation would
+    put above V = 12.8 stand at 12.8, as in the calibration of the mission curves.  Raises ValueError as `quasar_count`.
+    """
+
+    def drawn(bright: float, faint: float, low: int, high: int) -> tuple[Array, Array, Array]:
+        ra, dec = sky.positions(rng, high - low)
+        rank = high - (high - low) * rng.random(high - low)  # in (low, high]: never log 0
+        if low == 0:
+            return ra, dec, np.full_like(rank, faint)
+        return ra, dec, bright + (faint - bright) * np.log(rank / low) / np.log(high / low)
+
+    edges = [v_min, *(float(v) for v in V_MAX if v_min < v < v_max), v_max]
+    counts = [quasar_count(v, completed) for v in edges]
+    if v_min <= BRIGHTEST_MAG:
+        edges, counts = [0.0, *edges], [0, *counts]
+    limits = zip(itertools.pairwise(edges), itertools.pairwise(counts), strict=True)
+    bins = [drawn(bright, faint, low, high) for (bright, faint), (low, high) in limits]
+    ra, dec, v_mag = (np.concatenate(column, axis=-1) for column in zip(*bins, strict=True))
+    return Catalogue(ra, dec, np.zeros_like(ra), np.zeros_like(ra), v_mag)
+
+
+class Quasars(CatalogueKind):
+    """`"quasars"`: as many as the counts have between the limits."""
+
+    parameters = RANDOM_SKY | {"v_min", "v_max", "counts"}
+    draws_several = True
+
+    def available(self, point: Point) -> int:
+        """Return the count between the limits; raises ValueError outside of the counts."""
+        completed, (brightest, faintest) = point["counts"] == "completed", self.magnitudes(point)
+        brighter = quasar_count(brightest, completed) if brightest > BRIGHTEST_MAG else 0
+        return quasar_count(faintest, completed) - brighter
+
+    def magnitudes(self, point: Point) -> tuple[float, float]:
+        """Return v_min, or where the counts begin, and v_max."""
+        brightest, faintest = _limits(point, BRIGHTEST_MAG, V_MAX[-1])
+        return max(brightest, BRIGHTEST_MAG), faintest
+
+    def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
+        """Return all quasars between the limits, or n_obj of them at random."""
+        brightest, faintest = self.magnitudes(point)
+        whole = quasars(rng, faintest, _sky(point), point["counts"] == "completed", brightest)
+        return whole.some(rng, self.size(point))
+
+    def problem(self, point: Point) -> str | None:
+        """Return a problem unless there are enough quasars between limits within the counts."""
+        if point["v_min"] is not None and (problem := _in_limits(*self.magnitudes(point))):
+            return problem
+        return _too_few(point, self.available(point), "quasars")
+
+    def is_nested(self, point: Point) -> bool:
+        """Return whether the limit is one of the paper's, and all objects are taken."""
+        return point["n_obj"] is None and self.magnitudes(point)[1] in V_MAX
+
+
+N_GALAXIES = 116
+"""Certain galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 and Table 1."""
+
+GALAXY_MEAN_MAG, GALAXY_SCATTER_MAG, GALAXY_FAINT_LIMIT_MAG = 12.5, 0.5, 13.5
+"""V_T of the galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 (mean 12.5); scatter and limit are
+estimates.
+"""
+
+BRIGHTEST_GALAXY_MAG, SMALLEST_V_MAX = 9.0, 11.0
+"""No galaxy is as bright as the first: seven times the scatter above the mean."""
+
+
+def galaxies(
+    rng: np.random.Generator,
+    n_obj: int,
+    faint_limit_mag: float,
+    sky: Sky = WHOLE_SKY,
+    bright_limit_mag: float | None = None,
+) -> Catalogue:
+    """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint limit,
+    and at the bright one if there is any.
+    """
+    from scipy.special import ndtr, ndtri  # here: it takes a tenth of the start of every other study
+
+    ra, dec = sky.positions(rng, n_obj)
+    bright = -np.inf if bright_limit_mag is None else bright_limit_mag
+    low, high = ndtr((np.array([bright, faint_limit_mag]) - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
+    v_mag = GALAXY_MEAN_MAG + GALAXY_SCATTER_MAG * ndtri(low + (high - low) * (1.0 - rng.random(n_obj)))
+    return Catalogue(ra, dec, np.zeros_like(ra), np.zeros_like(ra), v_mag)
+
+
+class Galaxies(CatalogueKind):
+    """`"galaxies"`: 116 of them, whatever the limits between which their magnitudes are drawn."""
+
+    parameters = RANDOM_SKY | {"v_min", "v_max"}
+    draws_several = True
+
+    def available(self, point: Point) -> int:
+        """Return the number of certain galaxies."""
+        return N_GALAXIES
+
+    def magnitudes(self, point: Point) -> tuple[float, float]:
+        """Return v_min, or a limit that no galaxy is brighter than, and v_max."""
+        brightest, faintest = _limits(point, BRIGHTEST_GALAXY_MAG, GALAXY_FAINT_LIMIT_MAG)
+        return max(brightest, BRIGHTEST_GALAXY_MAG), faintest
+
+    def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
+        """Return galaxies with random positions and magnitudes."""
+        return galaxies(rng, self.size(point), self.magnitudes(point)[1], _sky(point), point["v_min"])
+
+    def problem(self, point: Point) -> str | None:
+        """Return a problem unless the limits leave some of the distribution of magnitudes."""
+        brightest, faintest = self.magnitudes(point)
+        if not SMALLEST_V_MAX <= faintest <= GALAXY_FAINT_LIMIT_MAG:
+            span = f"from {SMALLEST_V_MAX:g} to {GALAXY_FAINT_LIMIT_MAG} mag"
+            return f"v_max = {faintest:g} mag: the galaxies have magnitudes {span}"
+        return _in_limits(brightest, faintest)
+
+
+# name, HIP, V, ra and dec (deg), pmra (with cos dec), its error, pmdec, its error (mas/yr)
+RADIO_STARS = (
+    ("LS I +61 303", 12469, 10.75, 40.1319, 61.2293, 0.967, 0.26, -1.21, 0.32),
+    ("Algol", 14576, 2.12, 47.0422, 40.9556, 2.70, 0.07, -0.80, 0.09),
+    ("UX Ari", 16042, 6.47, 51.6473, 28.7154, 41.617, 0.186, -104.01, 0.20),
+    ("HR 1099", 16846, 5.82, 54.1971, 0.5881, -31.588, 0.33, -161.69, 0.31),
+    ("HD 283447", 19762, 10.7, 63.5538, 28.2035, 0.423, 0.291, -23.25, 0.28),
+    ("HR 5110", 66257, 4.91, 203.6990, 37.1824, 85.496, 0.131, -9.22, 0.16),
+    ("sigma2 CrB", 79607, 5.23, 243.6711, 33.8589, -267.048, 0.037, -86.66, 0.05),
+    ("Cyg X-1", 98298, 8.84, 299.5903, 35.2016, -3.787, 0.172, -6.25, 0.21),
+    ("HD 199178", 103144, 7.2, 313.4735, 44.3864, 26.595, 0.407, -1.24, 0.43),
+    ("AR Lac", 109303, 6.1, 332.1702, 45.7422, -52.08, 0.126, 47.03, 0.19),
+    ("IM Peg", 112997, 5.9, 343.2595, 16.8412, -20.587, 0.459, -27.53, 0.40),
+)
+"""The 11 radio stars that tied Hipparcos to the extragalactic frame; ICRS positions, VLBI proper motions.
+
+Source: Lestrade et al. 1999, A&A 344, 1014 (VLBI proper motions and errors); V from the Hipparcos Catalogue (ESA 1997),
+as Metz & Geffert 2004, Sect. 5.3, say they did.  Algol's row and all V are from compilations of the Hipparcos era
+and were not confirmed in print.
+"""
+
+
+def radio_stars() -> Catalogue:
+    """Return the 11 radio stars with their proper motions and VLBI errors; no position errors are given for them."""
+    v_mag, ra, dec, pmra, pmra_error, pmdec, pmdec_error = np.array([star[2:] for star in RADIO_STARS]).T
+    none = np.zeros(len(v_mag))
+    sigma = np.stack([none, none, pmra_error, pmdec_error]) * MAS
+    return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, sigma)
+
+
+def resample(rng: np.random.Generator, catalogue: Catalogue, n_obj: int, sky: Sky | None) -> Catalogue:
+    """Return ``n_obj`` objects drawn with replacement, at their own positions or (with a ``sky``) at random ones.
+
+    Magnitude, proper motion and errors of an object stay together.
+    """
+    drawn = catalogue.take(rng.integers(0, len(catalogue), n_obj))
+    return drawn if sky is None else drawn.moved_to(*sky.positions(rng, n_obj))
+
+
+class RadioStars(CatalogueKind):
+    """`"radio-stars"`: drawn from the eleven with replacement."""
+
+    parameters = RANDOM_SKY | {"positions"}
+    extragalactic = False
+    draws_several = True
+
+    def has_random_positions(self, point: Point) -> bool:
+        """Return whether positions are not those of the stars."""
+        return bool(point["positions"] != "own")
+
+    def available(self, point: Point) -> int:
+        """Return the number of stars."""
+        return len(RADIO_STARS)
+
+    def magnitudes(self, point: Point) -> tuple[float, float]:
+        """Return the brightest and the faintest of them."""
+        v_mag = [star[2] for star in RADIO_STARS]
+        return min(v_mag), max(v_mag)
+
+    def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
+        """Return some of the stars; one may occur more than once."""
+        return resample(rng, radio_stars(), self.size(point), _sky(point) if self.has_random_positions(point) else None)
+
+    def objects(self, point: Point) -> Catalogue:
+        """Return the stars, which have errors of their own."""
+        return radio_stars()
+
+    def problem(self, point: Point) -> str | None:
+        """Return a problem if there are limits: all stars are drawn from, whatever their magnitudes."""
+        limits = [name for name in ("v_max", "v_min") if point[name] is not None]
+        drawn = f"the radio stars have no limiting magnitude, all {self.available(point)} are drawn from"
+        return f"{limits[0]}: {drawn}" if limits else None
+
+
+Names = tuple[tuple[str, str], ...]
+Key = tuple[Table, Names, Names, bool | None]
+
+
+class File(CatalogueKind):
+    """`"file"`: the rows of a user's table between the limits, or n_obj of them at random."""
+
+    parameters = RANDOM_SKY | {"file", "columns", "units", "pmra_cos_dec", "positions", "v_min", "v_max"}
+    draws_several = True
+
+    def has_random_positions(self, point: Point) -> bool:
+        """Return whether the rows are moved to other positions."""
+        return bool(point["positions"] == "isotropic")
+
+    def available(self, point: Point) -> int:
+        """Return the number of rows between the limits."""
+        return len(self.objects(point))
+
+    def magnitudes(self, point: Point) -> tuple[float, float]:
+        """Return the magnitudes of the brightest and the faintest row, NaN for a table without magnitudes."""
+        v_mag = self.objects(point).v_mag
+        return float(np.min(v_mag)), float(np.max(v_mag))
+
+    def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
+        """Return the rows, at their own positions or at random ones."""
+        n_obj = self.size(point)
+        drawn = self.objects(point).some(rng, n_obj)
+        return drawn.moved_to(*_sky(point).positions(rng, n_obj)) if self.has_random_positions(point) else drawn
+
+    def objects(self, point: Point) -> Catalogue:
+        """Return the rows between the limits."""
+        return _between(_key(point), point["v_min"], point["v_max"])[0]
+
+    def listed(self, point: Point) -> tuple[Catalogue, Callable[[int], str]]:
+        """Return the rows between the limits; they are named by their place in the table, label and magnitude."""
+        objects, rows = _between(_key(point), point["v_min"], point["v_max"])
+
+        def name(k: int) -> str:
+            label, v_mag = point["file"].label(int(rows[k])), objects.v_mag[k]
+            known = [label] * bool(label) + [f"V = {v_mag:.4g}"] * bool(np.isfinite(v_mag))
+            return f"row {rows[k] + 1}" + (f" ({', '.join(known)})" if known else "")
+
+        return objects, name
+
+    def problem(self, point: Point) -> str | None:
+        """Return a problem unless the table is given, readable, and has enough rows; limits need magnitudes."""
+        if point["file"] is None:
+            return "file: catalogue = 'file' needs a file, and other catalogues have none"
+        limits = [name for name in ("v_min", "v_max") if point[name] is not None]
+        if limits and np.any(np.isnan(_whole(_key(point)).v_mag)):
+            return f"{limits[-1]} needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
+        return _too_few(point, self.available(point), "objects of the file")
+
+
+def _key(point: Point) -> Key:
+    return point["file"], point["columns"], point["units"], point["pmra_cos_dec"]
+
+
+@lru_cache(maxsize=4)
+def _whole(key: Key) -> Catalogue:
+    """Return all objects of a table, made once in a process; a table is identified by its content."""
+    table, columns, units, pmra_cos_dec = key
+    return catalogue_from_table(table, dict(columns), pmra_cos_dec, dict(units))
+
+
+@lru_cache(maxsize=4)
+def _between(key: Key, v_min: float | None, v_max: float | None) -> tuple[Catalogue, NDArray[np.intp]]:
+    """Return the objects between two limits, and their rows."""
+    whole = _whole(key)
+    kept = np.full(len(whole), True)
+    if v_min is not None:
+        kept &= whole.v_mag >= v_min
+    if v_max is not None:
+        kept &= whole.v_mag <= v_max
+    rows = np.flatnonzero(kept)
+    return (whole if kept.all() else whole.take(rows)), rows
+
+
+CATALOGUES: Mapping[str, CatalogueKind] = MappingProxyType(
+    {
+        "synthetic": Synthetic(),
+        "quasars": Quasars(),
+        "galaxies": Galaxies(),
+        "radio-stars": RadioStars(),
+        "file": File(),
+    }
+)
+"""The catalogues by the name that a study gives them."""
