@@ -218,8 +218,8 @@ def test_a_curve_of_more_than_the_magnitude_is_refused(here, sweep, returned):
 
 
 def test_a_function_of_a_module(here):
-    found = Imports().function("linksweep.core.quasars:completeness", Path())
-    assert (found.reference, found.name) == ("linksweep.core.quasars:completeness", "completeness")
+    found = Imports().function("linksweep.core.catalogues:completeness", Path())
+    assert (found.reference, found.name) == ("linksweep.core.catalogues:completeness", "completeness")
     assert found(19.0) == pytest.approx(0.054)
 
 
