@@ -8,7 +8,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.progress import Eta
 from linksweep.sweep.running.run import Silent, run_study
 from linksweep.sweep.studies.reader import study_from_dict

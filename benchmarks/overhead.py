@@ -31,7 +31,7 @@ import sys, tempfile, time
 from pathlib import Path
 from benchmarks.trivial import FUNCTION, study
 from linksweep.sweep.studies.reader import study_from_dict
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import Silent, run_study
 
 class Clock(Silent):

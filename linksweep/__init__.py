@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from linksweep.sweep.analysis.sensitivity import sensitivity
     from linksweep.sweep.api import answer, open, plot, run  # noqa: A004
     from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
-    from linksweep.sweep.executing.execute import Limits
+    from linksweep.sweep.executing.pools import Limits
     from linksweep.sweep.functions.declared import experiment
     from linksweep.sweep.studies.reader import load_study
     from linksweep.sweep.studies.study import Study
@@ -78,7 +78,7 @@ _MODULES = {
     "linksweep.sweep.analysis.sensitivity": ("sensitivity",),
     "linksweep.sweep.api": ("answer", "open", "plot", "run"),
     "linksweep.sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),
-    "linksweep.sweep.executing.execute": ("Limits",),
+    "linksweep.sweep.executing.pools": ("Limits",),
     "linksweep.sweep.functions.declared": ("experiment",),
     "linksweep.sweep.studies.reader": ("load_study",),
     "linksweep.sweep.studies.study": ("Study",),

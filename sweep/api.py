@@ -12,10 +12,8 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.contract import Experiment, SweepError, shown
-from linksweep.sweep.executing.choose import Resources
-from linksweep.sweep.executing.execute import NO_LIMITS, Limits
-from linksweep.sweep.executing.pools import PoolName
-from linksweep.sweep.executing.upstream import leave_a_worker_that_runs_its_script
+from linksweep.sweep.executing.forkserver import leave_a_worker_that_runs_its_script
+from linksweep.sweep.executing.pools import NO_LIMITS, Limits, PoolName, Resources
 from linksweep.sweep.formatting import harmless
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.running.failures import MaxFailures, failed_points

@@ -163,8 +163,7 @@ def test_the_commands_about_clusters_run(tmp_path, sweep):
 @pytest.mark.slow
 def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
     """The files make job scripts; a real SLURM runs one like the first in test_slurm."""
-    from linksweep.sweep.executing.clusterfile import cluster_class, read_cluster_file
-    from linksweep.sweep.executing.local_cluster import own_cluster
+    from linksweep.sweep.executing.clusters import cluster_class, own_cluster, read_cluster_file
 
     (tmp_path / "slurm.toml").write_text(code("clusters.md", "toml")[1])
     (tmp_path / "pbs.yaml").write_text(code("clusters.md", "yaml")[0])

@@ -106,25 +106,18 @@ DOTS = GridFigure(lambda dataset, variable: True, dots)
 """
 BACKWARDS = """
 from contextlib import contextmanager
-from linksweep.sweep.executing.execute import Place, make_task
-from linksweep.sweep.executing.worker import run_task
+from linksweep.sweep.executing.task import Place
+from linksweep.sweep.executing.worker import compute
 
 
 @contextmanager
-def backwards(study, limits):
-    def run(take):
-        while batches := take(3):
-            for works in reversed(batches):
-                yield works, run_task(make_task(study, works, limits))
+def backwards(reference, workers, say, limits, dashboard):
+    def execute(take):
+        while jobs := take(3):
+            for job in reversed(jobs):
+                yield job, compute(job.task(limits, 0.0))
 
-    yield Place("this process, the last task first", 1), run
-"""
-OPENER = """
-
-def _backwards(study, _workers, _say, limits, _dashboard=False):
-    from linksweep.sweep.executing.backwards import backwards
-
-    return backwards(study, limits)
+    yield Place("this process, the last job first", 1), execute
 """
 
 TOYS = [
@@ -207,12 +200,13 @@ assert any("dots" in getattr(option.type, "choices", ()) for option in plot.para
     Toy(
         *("pool of this machine", "sweep/executing/backwards.py", BACKWARDS),
         [
-            ("sweep/executing/pools.py", "    return serial(study, limits)\n", OPENER),
             ("sweep/executing/pools.py", 'PoolName = Literal["processes", "threads", "serial"', ', "backwards"'),
             (
                 "sweep/executing/pools.py",
                 "has_workers=False),",
-                '\n    "backwards": Pool("backwards", _backwards, has_workers=False),',
+                '\n    "backwards": Pool("backwards", OPENER, has_workers=False),'.replace(
+                    "OPENER", '"linksweep.sweep.executing.backwards:backwards"'
+                ),
             ),
         ],
         RUN

@@ -11,7 +11,7 @@ import xarray as xr
 from linksweep.core.experiment import link
 from linksweep.core.missions.calibrate import IN_CODE
 from linksweep.core.spin_variance import draw_skies, spin_variance
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import load_study
 

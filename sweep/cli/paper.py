@@ -16,7 +16,7 @@ from linksweep.sweep.cli.resource_options import resource_options
 from linksweep.sweep.cli.running import Running, run_with_progress
 
 if TYPE_CHECKING:
-    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.executing.pools import Resources
     from linksweep.sweep.stores.location import Location
 
 all_option = click.option(
@@ -40,7 +40,7 @@ class AskedStores:
 
     def require_either(self) -> None:
         """Raise click.UsageError unless there are either stores or --all, and for options of --all without it."""
-        from linksweep.sweep.executing.choose import Resources
+        from linksweep.sweep.executing.pools import Resources
 
         if self.everything == bool(self.stores):
             raise click.UsageError("name stores, or give --all")

@@ -9,8 +9,7 @@ from linksweep.sweep.cli.options import gathered
 from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
 
 if TYPE_CHECKING:
-    from linksweep.sweep.executing.choose import Resources
-    from linksweep.sweep.executing.pools import PoolName
+    from linksweep.sweep.executing.pools import PoolName, Resources
 
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 
@@ -45,8 +44,7 @@ def _resources(
     dashboard: bool,
 ) -> "Resources":
     """Return what to run on; raises click.UsageError for options that contradict each other."""
-    from linksweep.sweep.executing.choose import Resources
-    from linksweep.sweep.executing.execute import Limits
+    from linksweep.sweep.executing.pools import Limits, Resources
 
     if scheduler is not None and cluster is not None:
         raise click.UsageError("--scheduler and --cluster are two places; name one")

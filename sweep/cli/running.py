@@ -19,7 +19,7 @@ from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
 from linksweep.sweep.formatting import to_json
 
 if TYPE_CHECKING:
-    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.executing.pools import Resources
     from linksweep.sweep.running.failures import MaxFailures
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.study import Study

@@ -46,11 +46,8 @@ def a_signal_ends_the_command() -> Iterator[None]:
 
 def end_stopped(number: int) -> NoReturn:
     """End the process with the exit code of a signal; workers that still compute are not waited for."""
-    from linksweep.sweep.executing.upstream import skip_end_of_clusters
-
     _stopped_by.append(number)
     _kill_children()
-    skip_end_of_clusters()
     without_clean_up = threading.Timer(LAST_SECOND, os._exit, (128 + number,))
     without_clean_up.daemon = True
     without_clean_up.start()

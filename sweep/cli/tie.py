@@ -10,6 +10,7 @@ import click
 
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, main
 from linksweep.sweep.cli.options import FILE, json_option, option_with_default
+from linksweep.sweep.cli.resource_options import resource_options
 from linksweep.sweep.cli.tie_options import numbers, table_options
 
 if TYPE_CHECKING:
@@ -53,8 +54,7 @@ figures_option = click.option(
     default="reference-satellite",
     help="Sign of everything that is printed and stored.",
 )
-@click.option("--workers", type=click.IntRange(1, 4096), help="Local workers, for millions of quasars in Parquet.")
-@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler for them, e.g. tcp://host:8786.")
+@resource_options
 @click.option(
     "--no-sources",
     is_flag=True,

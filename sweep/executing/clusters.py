@@ -1,61 +1,126 @@
-"""Makes the Dask clusters that a run may use: of this machine, one that runs elsewhere, one that a file describes."""
+"""The Dask clusters that a run may use: of this machine, one that a file describes, one that runs elsewhere."""
 
 import asyncio
+import importlib
 import importlib.metadata
+import inspect
+import logging
+import math
+import os
+import sys
+import tempfile
+import tomllib
 import warnings
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from distributed import Client
-from distributed.comm.addressing import get_address_host_port
-from distributed.comm.core import connect
+import dask
+from distributed import Client, LocalCluster, SpecCluster, Worker, rpc
 from distributed.security import Security
-from distributed.utils import LoopRunner
 from threadpoolctl import threadpool_limits
+from tornado.ioloop import PeriodicCallback
 
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.clusterfile import cluster_class, read_cluster_file
-from linksweep.sweep.executing.dask_executor import DaskExecutor
-from linksweep.sweep.executing.dask_workers import DaskWorkers
-from linksweep.sweep.executing.execute import NO_LIMITS, Executor, Limits, Place, Say
-from linksweep.sweep.executing.local_cluster import LOOPBACK, local_cluster, own_cluster, without_logs
-from linksweep.sweep.studies.study import Study
+from linksweep.sweep.contract import SweepError, shown, suggest
+from linksweep.sweep.executing.dask_driver import DaskDriver, DaskWorkers
+from linksweep.sweep.executing.forkserver import (
+    ENVIRONMENT,
+    SAFE_PATH,
+    leave_a_worker_that_runs_its_script,
+    only_scripts_with_a_file_run,
+    signals_blocked,
+    start_method,
+)
+from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
+from linksweep.sweep.executing.task import Executor, Opened, Place, Say
 
 CONNECT_TIMEOUT_S = 10
 
 ADAPT_WITHIN = "500ms"
 """An adaptive cluster has as many workers as the tasks in flight would keep busy for this time; tasks are short."""
 
+PATIENCE_S = 0.5
+"""Seconds that workers get to finish when a run is stopped."""
+
+REPLACE_EVERY_S = 5
+"""Seconds between two looks whether a cluster has lost workers."""
+
+STARTS = 5
+"""How often worker processes are started that end before they are ready: something may have killed them."""
+
+LOOPBACK = "127.0.0.1"
+
+OWN_CLUSTER = {
+    "distributed.admin.low-level-log-length": 10,  # messages kept in memory, with all that they carried
+    "distributed.scheduler.allowed-failures": 0,  # we do a dead worker's task again, in a child process
+    "distributed.worker.http.routes": [],  # everybody on this machine could open them
+    **{f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ENVIRONMENT.items()},
+}
+
+NOT_WATCHED = {
+    "distributed.worker.profile.enabled": False,  # looks at all threads a hundred times a second
+    "distributed.admin.tick.interval": "1s",  # of measuring how late event loops are; by default 20 ms, in each process
+    "distributed.admin.system-monitor.interval": "2s",
+    "distributed.scheduler.http.routes": [],
+}
+"""Settings without a dashboard, which alone shows these measurements: they take a hundredth of a run's time."""
+
+GUARD = (
+    "a script that computes in worker processes must call linksweep under `if __name__ == '__main__':`, because each "
+    "of them begins by running the script too; or use pool='threads'"
+)
+
 
 @contextmanager
-def local_workers(
-    study: Study, workers: int, say: Say, limits: Limits = NO_LIMITS, dashboard: bool = False, method: str | None = None
+def on_processes(
+    reference: str, workers: int, say: Say, limits: Limits = NO_LIMITS, dashboard: bool = False
 ) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor on a Dask cluster on this machine.  With a ``method`` of multiprocessing its workers are
-    processes of one thread each; without one they are threads of this process, and with limits each task runs in a
-    child process.
-    """
-    options: dict[str, Any] = {"n_workers": 1, "threads_per_worker": workers, "processes": False, "memory_limit": None}
-    noun = "thread" if workers == 1 else "threads"
-    if method is not None:
-        options = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
-        if limits.memory is not None:
-            options["memory_limit"] = limits.memory
-        noun = "worker process" if workers == 1 else "worker processes"
-    words = f"{workers} local {noun}"
-    with threadpool_limits(1), local_cluster(options, dashboard, method) as cluster, cluster.get_client() as client:
-        place = Place(words, workers, _dashboard(client) if dashboard else "")
-        yield place, _executor(client, study, words, say, limits, guarded=method is None and bool(limits))
+    """Give an executor on worker processes of one thread each."""
+    options: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
+    if limits.memory is not None:
+        options["memory_limit"] = limits.memory
+    noun = "worker process" if workers == 1 else "worker processes"
+    with _on_this_machine(reference, f"{workers} local {noun}", options, say, limits, dashboard) as opened:
+        yield opened
 
 
 @contextmanager
-def dask_from_file(study: Study, path: Path, say: Say, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Executor]]:
+def threads(
+    reference: str, workers: int, say: Say, limits: Limits = NO_LIMITS, dashboard: bool = False
+) -> Iterator[tuple[Place, Executor]]:
+    """Give an executor on threads of this process; with limits each task runs in a child process."""
+    options = {"n_workers": 1, "threads_per_worker": workers, "processes": False, "memory_limit": None}
+    words = f"{workers} local {'thread' if workers == 1 else 'threads'}"
+    with _on_this_machine(reference, words, options, say, limits, dashboard) as opened:
+        yield opened
+
+
+@contextmanager
+def _on_this_machine(
+    reference: str, words: str, options: dict[str, Any], say: Say, limits: Limits, dashboard: bool
+) -> Iterator[tuple[Place, Executor]]:
+    guarded = not options["processes"] and bool(limits)
+    with threadpool_limits(1), local_cluster(options, dashboard) as cluster, cluster.get_client() as client:
+        place = Place(words, options["n_workers"] * options["threads_per_worker"], _link(client) if dashboard else "")
+        yield place, _driver(client, words, reference, say, limits, guarded)
+
+
+def elsewhere(reference: str, resources: Resources, say: Say) -> Opened:
+    """Return a context manager that gives an executor on the scheduler or on the cluster that these name."""
+    return _described(reference, resources, say) if resources.scheduler is None else _at(reference, resources, say)
+
+
+@contextmanager
+def _described(reference: str, resources: Resources, say: Say) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on the cluster that a file describes; raises SweepError for anything wrong in the file."""
-    file = read_cluster_file(path)
+    assert resources.cluster is not None
+    file = read_cluster_file(resources.cluster)
     kind = cluster_class(file)
-    words = f"the {file.class_name.rpartition('.')[2]} of {path}"
+    words = f"the {file.class_name.rpartition('.')[2]} of {file.path}"
     with ExitStack() as stack:
         try:
             cluster = stack.enter_context(own_cluster(kind, file.options))
@@ -70,22 +135,50 @@ def dask_from_file(study: Study, path: Path, say: Say, limits: Limits = NO_LIMIT
             cause: BaseException = error
             while cause.__cause__ is not None:
                 cause = cause.__cause__
-            raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", str(path)) from error
-        executor = _executor(client, study, words, say, limits)
-        yield _place(client, words, executor.threads), executor
+            raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", str(file.path)) from error
+        driver = _driver(client, words, reference, say, resources.limits)
+        yield _place(client, words), driver
 
 
 @contextmanager
-def dask_scheduler(
-    study: Study, address: str, security: Security | None, say: Say, limits: Limits = NO_LIMITS
-) -> Iterator[tuple[Place, Executor]]:
+def _at(reference: str, resources: Resources, say: Say) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on a Dask scheduler that runs elsewhere; raises SweepError where none answers or its workers
     would compute other numbers than this process.
     """
-    with client_at(address, security) as client:
-        words = f"the Dask scheduler at {address}"
-        executor = _executor(client, study, words, say, limits)
-        yield _place(client, words, executor.threads), executor
+    assert resources.scheduler is not None
+    security = tls(*resources.tls) if resources.tls else None
+    with client_at(resources.scheduler, security) as client:
+        words = f"the Dask scheduler at {resources.scheduler}"
+        driver = _driver(client, words, reference, say, resources.limits)
+        yield _place(client, words), driver
+
+
+def _driver(client: Client, words: str, reference: str, say: Say, limits: Limits, guarded: bool = False) -> DaskDriver:
+    workers = DaskWorkers(client, words, reference, say, limits.memory)
+    workers.prepare()
+    return DaskDriver(workers, limits, guarded)
+
+
+def _place(client: Client, words: str) -> Place:
+    """Return the place of a client whose workers are there, with the dashboard if the scheduler can show one: this
+    needs bokeh.
+    """
+    try:
+        client.run_on_scheduler(importlib.metadata.version, "bokeh")
+        link = _link(client)
+    except Exception:  # a missing package there, or a scheduler that runs nothing for clients
+        link = ""
+    return Place(words, dashboard=link, threads=max(1, sum(client.nthreads().values())))
+
+
+def _link(client: Client) -> str:
+    """Return the address of a client's dashboard, empty if there is none.
+
+    The link to a scheduler within this process has the machine's outer address, on which nothing listens.
+    """
+    protocol, _, rest = str(client.scheduler_info()["address"]).partition("://")
+    link = client.dashboard_link or ""
+    return link.replace(f"//{rest.partition('/')[0]}:", f"//{LOOPBACK}:") if protocol == "inproc" else link
 
 
 @contextmanager
@@ -96,14 +189,13 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
         raise SweepError(
             f"no certificates for {address!r}: give --tls-ca, --tls-cert and --tls-key, or configure Dask with them"
         )
-    try:
-        get_address_host_port(address)
-    except (ValueError, TypeError) as error:
-        message = f"no Dask scheduler has the address {address!r}; expected tcp://HOST:PORT or tls://HOST:PORT"
-        raise SweepError(message) from error
+    protocol, _, rest = address.partition("://")
+    if protocol not in ("tcp", "tls") or not rest.rpartition(":")[0] or not rest.rpartition(":")[2].isdecimal():
+        raise SweepError(f"no Dask scheduler has the address {address!r}; expected tcp://HOST:PORT or tls://HOST:PORT")
     with without_logs(), ExitStack() as stack:
         try:
-            kind = LoopRunner().run_sync(_server_at, address, options)
+            with ThreadPoolExecutor(1) as pool:  # a notebook has an event loop in this thread
+                kind = pool.submit(lambda: asyncio.run(_kind_of_server(address, options))).result()
             if kind in ("Worker", "Nanny"):
                 raise SweepError(f"{address!r} is the address of a Dask {kind.lower()}, not of a scheduler")
             with warnings.catch_warnings():
@@ -116,22 +208,14 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
         yield stack.enter_context(client)
 
 
-async def _server_at(address: str, options: dict[str, Any]) -> str:
+async def _kind_of_server(address: str, options: dict[str, Any]) -> str:
     """Return what kind of Dask server answers; raises OSError or TimeoutError.
 
     A client would wait for ever for the handshake of a server that says nothing, such as a scheduler that is stopped.
     """
-
-    async def ask() -> str:
-        server = await connect(address, timeout=CONNECT_TIMEOUT_S, **options)
-        try:
-            await server.write({"op": "identity", "reply": True})
-            return str((await server.read())["type"])
-        finally:
-            server.abort()
-
     try:
-        return await asyncio.wait_for(ask(), CONNECT_TIMEOUT_S)
+        async with rpc(address, timeout=CONNECT_TIMEOUT_S, connection_args=options) as server:
+            return str((await asyncio.wait_for(server.identity(), CONNECT_TIMEOUT_S))["type"])
     except (OSError, TimeoutError):
         raise
     except Exception as error:  # whatever Dask makes of the words of another kind of server
@@ -150,32 +234,242 @@ def tls(ca: Path, cert: Path, key: Path) -> Security:
     return security
 
 
-def _executor(
-    client: Client, study: Study, words: str, say: Say, limits: Limits, guarded: bool = False
-) -> DaskExecutor:
-    workers = DaskWorkers(client, words, study.experiment_reference, say)
-    workers.prepare()
-    return DaskExecutor(study, workers, say, limits, guarded)
-
-
-def _place(client: Client, words: str, threads: int) -> Place:
-    """Return the place of a client whose workers are there, with the dashboard if the scheduler can show one: this
-    needs bokeh.
+class NoWorkersError(SweepError, SystemExit):
+    """Worker processes cannot be started.  A script that does not catch this ends with the message and no traceback:
+    none of the lines in it would be the one to change.
     """
+
+    def __init__(self, reason: object, unguarded: bool) -> None:
+        why = (
+            f"{reason} Note that {GUARD}"
+            if unguarded
+            else f"some ended before they were ready, {STARTS} times ({str(reason).rstrip('.')}). Something may kill "
+            "them, or this machine lacks memory; what was finished is kept, the same command goes on from there"
+        )
+        super().__init__(f"worker processes cannot be started: {why}")
+        self.code = f"error: {self}"
+
+
+@contextmanager
+def local_cluster(options: Mapping[str, Any], dashboard: bool = False) -> Iterator[Any]:
+    """Start a Dask cluster on this machine as `own_cluster` does; raises NoWorkersError.
+
+    Its scheduler is in this process, where a ``dashboard`` takes a second to import bokeh.  Without one nothing is
+    profiled (`NOT_WATCHED`): profiling can make Python before 3.11.9 hang (gh-106883).
+    """
+    leave_a_worker_that_runs_its_script()
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set({} if dashboard else NOT_WATCHED))
+        whole = {**options, "scheduler_kwargs": {"dashboard": dashboard}}
+        for number in range(1, STARTS + 1):
+            try:
+                cluster = stack.enter_context(own_cluster(LocalCluster, whole))
+                break
+            except RuntimeError as error:  # Dask's own traceback has sixty lines
+                script = Path(getattr(sys.modules["__main__"], "__file__", None) or "")
+                unguarded = script.suffix == ".py" and script.is_file()
+                unguarded = unguarded and "__main__" not in script.read_text(errors="replace")
+                if number == STARTS or unguarded:
+                    raise NoWorkersError(error, unguarded) from None
+        yield cluster
+
+
+class _Worker(Worker):
+    """A worker in this process without Dask's pages about it: they need bokeh, and everybody on this machine could open
+    them.
+    """
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **{**options, "dashboard": False})
+
+
+@contextmanager
+def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
+    """Start a cluster that belongs to this run and ends with it; worker processes on this machine are started as
+    `start_method` says.
+
+    What listens asks for a key that is made for this run, because who reaches a scheduler or a worker without one can
+    run code in it.  Options that name a ``protocol`` or a ``security`` are left as they are.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(without_logs())
+        scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True))
+        stack.enter_context(dask.config.set({**OWN_CLUSTER, "temporary-directory": scratch}))
+        here = f"{LOOPBACK}:0"
+        defaults: dict[str, Any] = {}
+        if issubclass(kind, LocalCluster):
+            defaults = {"dashboard_address": here, "silence_logs": False}
+            if options.get("processes", True):
+                stack.enter_context(only_scripts_with_a_file_run())
+                method = stack.enter_context(start_method())
+                stack.enter_context(dask.config.set({"distributed.worker.multiprocessing-method": method}))
+                defaults["env"] = {SAFE_PATH: os.environ.get(SAFE_PATH, "")}  # the process they are forked from has it
+                defaults["security"] = True
+            else:  # without an address on all of them: such workers have no host
+                defaults |= {"worker_class": _Worker, "worker_dashboard_address": here}
+        elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
+            defaults = {"scheduler_options": {"dashboard_address": here} | dict(options.get("scheduler_options", {}))}
+            options = {key: value for key, value in options.items() if key != "scheduler_options"}
+            defaults["security"] = True
+        if "protocol" in options:
+            defaults.pop("security", None)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Creating scratch directories is taking")  # even our own, if it is busy
+            warnings.filterwarnings("ignore", "Using a temporary security object")  # in the folder that jobs start in
+            make: Callable[[], Any] = partial(kind, **{**defaults, **options})
+            made = signals_blocked(make, lambda made: made.close())
+            cluster = stack.enter_context(made)
+        stack.enter_context(_prompt_end(cluster))
+        stack.enter_context(_lost_workers_replaced(cluster))
+        yield cluster
+
+
+@contextmanager
+def _prompt_end(cluster: Any) -> Iterator[None]:
+    """Do not wait for blocks under way where an exception ends the run: nobody will take their results."""
+
+    async def close_workers() -> None:
+        await asyncio.gather(*(worker.close(timeout=PATIENCE_S) for worker in cluster.workers.values()))
+
     try:
-        client.run_on_scheduler(importlib.metadata.version, "bokeh")
-    except Exception:  # a missing package there, or a scheduler that runs nothing for clients
-        link = ""
-    else:
-        link = _dashboard(client)
-    return Place(words, dashboard=link, threads=threads)
+        yield
+    except BaseException:
+        if isinstance(cluster, LocalCluster):
+            with suppress(TimeoutError):
+                cluster.sync(close_workers)
+        raise
 
 
-def _dashboard(client: Client) -> str:
-    """Return the address of a client's dashboard, empty if there is none.
+@contextmanager
+def _lost_workers_replaced(cluster: Any) -> Iterator[None]:
+    """Let a cluster replace the workers that it has lost, such as batch jobs that have ended.
 
-    The link to a scheduler within this process has the machine's outer address, on which nothing listens.
+    dask-jobqueue#691: a cluster forgets them, and starts others only when its size is set, here to what it is.
     """
-    protocol, _, rest = str(client.scheduler_info()["address"]).partition("://")
-    link = client.dashboard_link or ""
-    return link.replace(f"//{rest.partition('/')[0]}:", f"//{LOOPBACK}:") if protocol == "inproc" else link
+    if not isinstance(cluster, SpecCluster) or cluster.loop is None:
+        yield
+        return
+    replacing = PeriodicCallback(lambda: cluster.scale(len(cluster.plan)), REPLACE_EVERY_S * 1000)
+    loop = cluster.loop
+    loop.add_callback(replacing.start)
+    try:
+        yield
+    finally:
+        loop.add_callback(replacing.stop)
+
+
+@contextmanager
+def without_logs() -> Iterator[None]:
+    """Keep Dask's log off standard error in this block, since we say in a sentence what it says at length; other
+    handlers of its loggers are left alone.
+    """
+    removed = [
+        (logger, handler)
+        for name, logger in list(logging.root.manager.loggerDict.items())
+        if name.partition(".")[0] in ("distributed", "tornado", "bokeh") and isinstance(logger, logging.Logger)
+        for handler in logger.handlers
+        if type(handler) is logging.StreamHandler
+    ]
+    nothing = logging.NullHandler()  # without a handler Python would print to standard error after all
+    for logger, handler in removed:
+        logger.removeHandler(handler)
+        logger.addHandler(nothing)
+    try:
+        yield
+    finally:
+        for logger, handler in removed:
+            logger.removeHandler(nothing)
+            logger.addHandler(handler)
+
+
+KEYS = ("class", "options", "scale", "adapt")
+BOUNDS = ("minimum", "maximum", "minimum_jobs", "maximum_jobs")
+ADAPT_KEYS = (*BOUNDS, "interval", "wait_count", "target_duration")
+
+
+@dataclass(frozen=True)
+class ClusterFile:
+    """What a file says of a cluster: the arguments of its class and of its `scale` or `adapt`, and the file itself."""
+
+    path: Path
+    class_name: str
+    options: Mapping[str, Any]
+    scale: Mapping[str, Any] | None
+    adapt: Mapping[str, Any] | None
+
+
+def read_cluster_file(path: Path) -> ClusterFile:
+    """Return what a TOML or YAML file says about a cluster; raises SweepError with everything that is wrong in it."""
+    document = _parse(path)
+    problems = [f"unknown key {shown(key)}{suggest(str(key), KEYS)}" for key in document if key not in KEYS]
+    name, options = document.get("class"), document.get("options", {})
+    if not isinstance(name, str) or not all(part.isidentifier() for part in name.split(".")) or "." not in name:
+        problems.append(
+            f"class = {shown(name)}: must be the import path of a cluster's class, e.g. 'dask_jobqueue.SLURMCluster'"
+        )
+    if not isinstance(options, dict) or not all(isinstance(key, str) for key in options):
+        problems.append(f"options = {shown(options)}: must be a table of the keyword arguments of the class")
+    scale, adapt = document.get("scale"), document.get("adapt")
+    if (scale is None) == (adapt is None):
+        problems.append("write either scale = WORKERS or adapt = { minimum = WORKERS, maximum = WORKERS }")
+    if type(scale) is int:
+        scale = {"n": scale}
+    if scale is not None and not (isinstance(scale, dict) and scale and all(_is_count(v, 1) for v in scale.values())):
+        problems.append(f"scale = {shown(document['scale'])}: must be a number of workers, or {{ jobs = NUMBER }}")
+    if adapt is not None:
+        problems += _problems_of_adapt(adapt)
+    if problems:
+        raise SweepError(problems, str(path))
+    return ClusterFile(path, str(name), options, scale, adapt)
+
+
+def _problems_of_adapt(adapt: object) -> list[str]:
+    if not isinstance(adapt, dict) or not adapt:
+        return [f"adapt = {shown(adapt)}: must be a table, {{ minimum = WORKERS, maximum = WORKERS }}"]
+    problems = [f"unknown key adapt.{key}{suggest(str(key), ADAPT_KEYS)}" for key in adapt if key not in ADAPT_KEYS]
+    bounds = {key: value for key, value in adapt.items() if key in BOUNDS}
+    for key, value in bounds.items():
+        if not _is_count(value, least := int(key.startswith("maximum"))):
+            problems.append(f"adapt.{key} = {shown(value)}: must be a number of workers of at least {least}")
+    if not any(key.startswith("maximum") for key in bounds):
+        problems.append("adapt: must say a maximum; without one the cluster would grow with the work")
+    for low, high in () if problems else (BOUNDS[:2], BOUNDS[2:]):
+        if bounds.get(low, 0) > bounds.get(high, math.inf):
+            problems.append(f"adapt.{low} = {bounds[low]}: must be at most adapt.{high} = {bounds[high]}")
+    return problems
+
+
+def cluster_class(file: ClusterFile) -> Any:
+    """Return the class that a cluster file names; raises SweepError where there is none or it is no Dask cluster."""
+    module, _, attribute = file.class_name.rpartition(".")
+    try:
+        kind = getattr(importlib.import_module(module), attribute)
+    except Exception as error:  # whatever a module raises while it is imported
+        missing = isinstance(error, ModuleNotFoundError) and error.name == "dask_jobqueue"
+        hint = "; pip install 'linksweep[jobqueue]'" if missing else ""
+        name = "" if isinstance(error, ModuleNotFoundError | AttributeError) else f"{type(error).__name__}: "
+        raise SweepError(f"class = {file.class_name!r}: {name}{error}{hint}", str(file.path)) from error
+    if not isinstance(kind, type) or not all(hasattr(kind, name) for name in ("scale", "adapt", "close")):
+        raise SweepError(f"class = {file.class_name!r}: is no class of a Dask cluster", str(file.path))
+    return kind
+
+
+def _is_count(value: object, least: int) -> bool:
+    return type(value) is int and value >= least
+
+
+def _parse(path: Path) -> Mapping[Any, Any]:
+    import yaml
+
+    try:
+        text = path.read_text(encoding="utf-8")
+        document = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else tomllib.loads(text)
+    except (OSError, UnicodeDecodeError) as error:
+        raise SweepError(f"cannot be read: {error}", str(path)) from error
+    except tomllib.TOMLDecodeError as error:
+        raise SweepError(f"not valid TOML: {error}", str(path)) from error
+    except yaml.YAMLError as error:
+        raise SweepError(f"not valid YAML: {' '.join(str(error).split())}", str(path)) from error
+    if not isinstance(document, dict):
+        raise SweepError("must be a table with the keys class, options, and scale or adapt", str(path))
+    return document

@@ -1,59 +1,119 @@
-"""The pools that a study can run on, on this machine.  A new one needs an entry in `POOLS` and a name in `PoolName`."""
+"""What a run may compute on: the pools of this machine, a Dask scheduler or a cluster that a file describes; limits.
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Literal, NamedTuple
+A new pool needs an entry in `POOLS` and a name in `PoolName`.
+"""
 
-from linksweep.sweep.executing.uncollected import uncollected
+import gc
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
 
-if TYPE_CHECKING:
-    from linksweep.sweep.executing.execute import Executor, Limits, Opened, Place, Say
-    from linksweep.sweep.studies.study import Study
+from linksweep.sweep.contract.errors import SweepError, shown, suggest
 
 PoolName = Literal["processes", "threads", "serial"]
 
-OpenPool = Callable[["Study", int, "Say", "Limits", bool], "Opened"]
-"""Opens a pool for a study with so many workers, with Dask's dashboard where it is asked for and there can be one."""
-
 
 class Pool(NamedTuple):
-    """A pool in words, how it is opened, and whether it has workers."""
+    """A pool in words, the function that opens it as ``module:name``, and whether it has workers."""
 
     words: str
-    open: OpenPool
+    opener: str
     has_workers: bool = True
 
+    def open(self, *arguments: Any) -> Any:
+        """Return a context manager that gives the place and the executor of an experiment with this reference.
 
-@contextmanager
-def _processes(
-    study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool
-) -> "Iterator[tuple[Place, Executor]]":
-    from linksweep.sweep.executing.forkserver import start_method
-
-    with ExitStack() as stack:
-        with uncollected():
-            method = stack.enter_context(start_method())  # its server imports Dask while this process does
-            from linksweep.sweep.executing.clusters import local_workers
-
-            opened = stack.enter_context(local_workers(study, workers, say, limits, dashboard, method))
-        yield opened
-
-
-def _threads(study: "Study", workers: int, say: "Say", limits: "Limits", dashboard: bool) -> "Opened":
-    from linksweep.sweep.executing.clusters import local_workers
-
-    return local_workers(study, workers, say, limits, dashboard)
-
-
-def _serial(study: "Study", _workers: int, _say: "Say", limits: "Limits", _dashboard: bool) -> "Opened":
-    from linksweep.sweep.executing.execute import serial
-
-    return serial(study, limits)
+        The arguments are the reference, the number of workers, what says sentences, the limits, and whether Dask's
+        dashboard is wished for.
+        """
+        module, _, name = self.opener.partition(":")
+        return getattr(import_module(module), name)(*arguments)
 
 
 POOLS: Mapping[PoolName, Pool] = {
-    "processes": Pool("worker processes", _processes),
-    "threads": Pool("threads of this process", _threads),
-    "serial": Pool("this process alone", _serial, has_workers=False),
+    "processes": Pool("worker processes", "linksweep.sweep.executing.executor:processes"),
+    "threads": Pool("threads of this process", "linksweep.sweep.executing.clusters:threads"),
+    "serial": Pool("this process alone", "linksweep.sweep.executing.executor:serial", has_workers=False),
 }
 DEFAULT_POOL: PoolName = "processes"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The time and memory that one block may take.
+
+    Args:
+        time_s: seconds; None is no limit.
+        memory: bytes in its process; None is no limit.
+    """
+
+    time_s: float | None = None
+    memory: int | None = None
+
+    def __bool__(self) -> bool:
+        return self.time_s is not None or self.memory is not None
+
+
+NO_LIMITS = Limits()
+
+
+@dataclass(frozen=True)
+class Resources:
+    """What to run on; never part of a study, because it cannot change a number.
+
+    ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.  With ``dashboard`` local
+    workers have the dashboard of Dask, which needs bokeh.
+    """
+
+    workers: int | None = None
+    pool: PoolName | None = None
+    scheduler: str | None = None
+    tls: tuple[Path, Path, Path] | None = None
+    cluster: Path | None = None
+    limits: Limits = NO_LIMITS
+    dashboard: bool = False
+
+    def __post_init__(self) -> None:
+        """Raise SweepError for a pool that is not known, and for a dashboard where there can be none."""
+        if self.pool is not None and self.pool not in POOLS:
+            raise SweepError(f"no pool {shown(self.pool)}{suggest(self.pool, list(POOLS))}")
+        if not self.dashboard:
+            return
+        if self.scheduler is not None or self.cluster is not None:
+            raise SweepError("a dashboard is made for local workers; a scheduler and a cluster have their own")
+        if not POOLS[self.pool or DEFAULT_POOL].has_workers:
+            raise SweepError(f"pool {shown(self.pool)} has no workers and no dashboard")
+        if find_spec("bokeh") is None:
+            raise SweepError("a dashboard needs bokeh: `pip install 'linksweep[report]'`")
+
+    @property
+    def none_requested(self) -> bool:
+        """Whether the user has left the choice of where to run to linksweep."""
+        return self == Resources()
+
+
+ANY_RESOURCES = Resources()
+
+
+def available_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Collect no garbage in this block: modules are none, and importing Dask, pandas and xarray takes a tenth less
+    time where Python does not search for it after every few hundred new objects.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

@@ -1,18 +1,24 @@
-"""What goes to a worker and what comes back: a task, its sums and its failures."""
+"""What goes to a worker and what comes back: blocks of a study or a call of a function; results and failures."""
 
 import traceback
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, Protocol, TypeVar
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import NotFiniteError, ResultError
-from linksweep.sweep.executing.captured import Captured
+from linksweep.sweep.code.load import source_digest
+from linksweep.sweep.contract import NotFiniteError, ResultError, SweepError
+from linksweep.sweep.executing.pools import NO_LIMITS, Limits
+from linksweep.sweep.executing.process import Captured
+from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.functions.results import Flat
 from linksweep.sweep.planning.block import Block
+from linksweep.sweep.planning.plan import Work
+from linksweep.sweep.studies.study import Study
 
 MAX_MESSAGE, MAX_TRACEBACK = 1_000, 20_000
 """Characters that are kept of what an experiment says when it fails."""
@@ -68,6 +74,135 @@ class Failure:
         object.__setattr__(self, "traceback", _printable(self.traceback, MAX_TRACEBACK))
 
 
+@dataclass(frozen=True)
+class Call:
+    """A function and its arguments, which a worker with the code of an experiment is to compute; as a job, itself."""
+
+    experiment_reference: str
+    number: int
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    time_limit_s: float | None = None
+    source_digest: str | None = None
+    cost = 1.0
+
+    def __len__(self) -> int:
+        return 1
+
+    def task(self, limits: Limits, _enough_s: float) -> "Call":
+        """Return what a worker gets."""
+        return replace(self, time_limit_s=limits.time_s)
+
+    def alone(self) -> "list[Call]":
+        """Return the call: it has no parts."""
+        return [self]
+
+    def given_up(self, _result: Any) -> dict[bytes, "Failure"]:
+        """Return nothing: a call stands for itself."""
+        return {}
+
+    def without(self, _given_up: object) -> "tuple[Call, list[Any]]":
+        """Return the call."""
+        return self, []
+
+    def failed(self, reason: "Failure") -> Any:
+        """Raise SweepError: nothing goes on without the result of a call."""
+        raise SweepError(f"{reason.message}, perhaps for lack of memory")
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A job: blocks of a study that go to a worker in one task."""
+
+    study: Study
+    works: list[Work]
+
+    def __len__(self) -> int:
+        return sum(len(work.points) for work in self.works)
+
+    @property
+    def cost(self) -> float:
+        """What the blocks cost, in the unit of `Work.cost`."""
+        return sum(work.cost for work in self.works)
+
+    def task(self, limits: Limits = NO_LIMITS, enough_s: float = 0.0) -> "Task":
+        """Return what a worker gets; after ``enough_s`` seconds it is to return what it has."""
+        experiment, sampling, reference = self.study.experiment, self.study.sampling, self.study.experiment_reference
+        defaults = experiment.defaults()
+        units = tuple(
+            PointBlock(
+                tuple({k: v for k, v in point.parameters.items() if v != defaults[k]} for point in work.points),
+                work.points[0].stream,
+                work.block,
+            )
+            for work in self.works
+        )
+        digest = source_digest(reference)
+        repeatable = isinstance(experiment, FunctionExperiment) and experiment.repeatable
+        return Task(reference, sampling.seed, units, sampling.keep_samples, limits.time_s, digest, enough_s, repeatable)
+
+    def alone(self) -> "list[Batch]":
+        """Return each block by itself."""
+        return [Batch(self.study, [work]) for work in self.works]
+
+    def given_up(self, result: "TaskResult") -> dict[bytes, "Failure"]:
+        """Return the points, by digest, that ended their process or took too long, by a result of this work."""
+        points = [point for work in self.works for point in work.points]
+        lost = {row: why for row, why in result.failures.items() if why.kind in ("killed", "time limit")}
+        return {points[row].digest: why for row, why in lost.items()}
+
+    def without(self, given_up: Mapping[bytes, "Failure"]) -> "tuple[Batch | None, list[tuple[Batch, TaskResult]]]":
+        """Return the work without the points that are given up, and these with their failures: each of their blocks
+        would cost as much again.
+        """
+        rest, failures = [], []
+        for work in self.works:
+            left = tuple(point for point in work.points if point.digest not in given_up)
+            for point in work.points:
+                if (reason := given_up.get(point.digest)) is not None:
+                    one = Batch(self.study, [work._replace(points=(point,), cost=work.cost / len(work.points))])
+                    failures.append((one, one.failed(reason)))
+            if left:
+                rest.append(work._replace(points=left, cost=work.cost * len(left) / len(work.points)))
+        return (Batch(self.study, rest) if rest else None), failures
+
+    def failed(self, reason: "Failure") -> "TaskResult":
+        """Return the result of work that failed."""
+        return failed(len(self), self.study.experiment.sums_width, reason)
+
+
+AnyJob = TypeVar("AnyJob", Batch, Call)
+"""What an executor computes in one piece."""
+
+Say = Callable[[str], None]
+
+
+class Executor(Protocol):
+    """Computes jobs.
+
+    ``take`` returns at most so many jobs that can begin now; once a result has been taken, there may be more.  Each job
+    comes back with its result, in any order.  A result has no rows for the last blocks if they were not started.
+    """
+
+    def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
+        """Compute everything that ``take`` gives."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a run is, in words: how many workers if that is known, the Dask dashboard if there is one, and how many
+    ``threads`` there are as it begins.
+    """
+
+    words: str
+    workers: int | None = None
+    dashboard: str = ""
+    threads: int = 1
+
+
+Opened = AbstractContextManager[tuple[Place, Executor]]
+
+
 @dataclass
 class TaskResult:
     """Sums of a task, (rows, width), one row for each point of each unit in their order, and the seconds that each
@@ -118,13 +253,17 @@ def failed(rows: int, width: int, reason: Failure | None = None) -> TaskResult:
 def joined(results: Sequence[TaskResult]) -> TaskResult:
     """Return the result of a task from those of its parts, in their order."""
     starts = np.cumsum([0, *(len(result.sums) for result in results)]).tolist()
+
+    def by_row(parts: Iterator[dict[int, Any]]) -> dict[int, Any]:
+        return {first + row: value for first, part in zip(starts, parts, strict=False) for row, value in part.items()}
+
     return TaskResult(
         np.concatenate([result.sums for result in results]),
         np.concatenate([result.seconds for result in results]),
-        {first + row: why for first, r in zip(starts, results, strict=False) for row, why in r.failures.items()},
-        {first + row: kept for first, r in zip(starts, results, strict=False) for row, kept in r.samples.items()},
-        {first + row: said for first, r in zip(starts, results, strict=False) for row, said in r.said.items()},
-        {first + row: value for first, r in zip(starts, results, strict=False) for row, value in r.values.items()},
+        by_row(result.failures for result in results),
+        by_row(result.samples for result in results),
+        by_row(result.said for result in results),
+        by_row(result.values for result in results),
         cold=any(result.cold for result in results[:1]),
         refused=next((result.refused for result in results if result.refused), ""),
     )

@@ -5,20 +5,34 @@ import time
 import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import repeat
+from itertools import chain, groupby, repeat
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.code.load import load_experiment
-from linksweep.sweep.contract import Experiment, GeneratorPair, Point, check_finite, checked
-from linksweep.sweep.executing.called_again import how_it_differs
-from linksweep.sweep.executing.captured import Captured, captured, undisturbed
-from linksweep.sweep.executing.deadlines import Deadlines, TimeLimitError
-from linksweep.sweep.executing.own_process import is_interruption
-from linksweep.sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, failure_of, joined, too_long
-from linksweep.sweep.executing.together import alike, catalogues_together, points_together, takes_several
+from linksweep.sweep.contract import Experiment, GeneratorPair, Point, SweepError, check_finite, checked
+from linksweep.sweep.executing.function_calls import how_it_differs, points_together
+from linksweep.sweep.executing.process import (
+    Captured,
+    Deadlines,
+    TimeLimitError,
+    captured,
+    is_interruption,
+    undisturbed,
+)
+from linksweep.sweep.executing.task import (
+    Call,
+    Failure,
+    PointBlock,
+    Task,
+    TaskResult,
+    failed,
+    failure_of,
+    joined,
+    too_long,
+)
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.functions.results import Flat
 from linksweep.sweep.planning.streams import block_generators, generators_of
@@ -26,12 +40,27 @@ from linksweep.sweep.planning.streams import block_generators, generators_of
 ENOUGH_S = 2.0
 """Seconds after which a task returns what it has, so that its results do not wait for those of slower points."""
 
+MOST_CATALOGUES = 256
+"""Most catalogues in one call."""
 
 IMPORTS_S = 30.0
 """A first call in a process that takes longer is slow by itself; a shorter one may be so for what it imports."""
 
 _called: set[tuple[str, str | None, int]] = set()
 """The experiments that were called in this process, by reference, digest and thread."""
+
+
+def compute(task: Task | Call, deadlines: Deadlines | None = None) -> Any:
+    """Return the result of a task; of a call its value and None, or None and what it raised."""
+    if isinstance(task, Task):
+        return run_task(task, deadlines)
+    try:
+        with (deadlines or Deadlines()).within(task.time_limit_s):
+            return task.function(*task.arguments), None
+    except TimeLimitError:
+        return None, SweepError(f"a piece of the work took longer than the time limit of {task.time_limit_s:g} s")
+    except Exception as error:  # raised again by the client
+        return None, error
 
 
 def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
@@ -193,3 +222,53 @@ def run_block(
             flat = [array.reshape(len(points), n_sim, -1) for array in realisations.values()]
             samples.append(np.concatenate(flat, axis=2))
     return total, np.concatenate(samples, axis=1) if samples else np.empty((len(points), 0, experiment.samples_width))
+
+
+def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
+    """Yield units in groups: those of small catalogues of one point with equally many realisations, and those between
+    them, whose blocks have only one catalogue.
+    """
+    for small, group in groupby(units, lambda u: (u.stream, u.block.n_sim, u.points) if u.block.n_cat > 1 else None):
+        if small is None:
+            yield tuple(group)
+        else:
+            whole = tuple(group)
+            most = max(1, MOST_CATALOGUES // max(unit.block.n_cat for unit in whole))
+            yield from (whole[first : first + most] for first in range(0, len(whole), most))
+
+
+def takes_several(experiment: Experiment, task: Task) -> bool:
+    """Return whether catalogues may be evaluated in one call: no realisation is kept, no block has a time limit."""
+    return experiment.evaluate_catalogues is not None and not task.keep_samples and task.time_limit_s is None
+
+
+def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBlock, ...]) -> TaskResult | None:
+    """Return the sums of blocks of one point whose catalogues are evaluated in one call.
+
+    None where they are large, and where the call raises: one by one the blocks show which is to blame.
+    """
+    n_cat = [unit.block.n_cat for unit in units]
+    if experiment.evaluate_catalogues is None or n_cat[0] == 1:
+        return None
+    points = [experiment.defaults() | point for point in units[0].points]
+    shapes = {name: (sum(n_cat), len(points), *shape) for name, shape in experiment.sums.items()}
+    begun = time.perf_counter()
+    try:
+        blocks = block_generators(task.seed, [(unit.stream, unit.block) for unit in units])
+        with undisturbed(task.seed_of(units[0])):
+            drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, list(chain.from_iterable(blocks)))
+        sums = checked("evaluate_catalogues", drawn, "sum", shapes)
+        check_finite(sums, experiment.nan_sums)
+    except BaseException as error:
+        if is_interruption(error):
+            raise
+        return None
+    flat = iter(np.concatenate([array.reshape(sum(n_cat), len(points), -1) for array in sums.values()], axis=2))
+    result = failed(len(units) * len(points), experiment.sums_width)
+    for number, catalogues in enumerate(n_cat):
+        total = np.zeros((len(points), experiment.sums_width))
+        for _ in range(catalogues):
+            total += next(flat)  # in the order in which `run_block` adds them
+        result.sums[number * len(points) : (number + 1) * len(points)] = total
+    result.seconds[:] = (time.perf_counter() - begun) / len(result.seconds)
+    return result

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.execute import Executor, Results
+from linksweep.sweep.executing.executor import Run
 from linksweep.sweep.executing.task import Failure, TaskResult
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.functions.layout import differences, with_head
@@ -23,7 +22,7 @@ Done = tuple[list[Work], TaskResult]
 def first_results(
     study: Study,
     pending: Pending,
-    run: Executor,
+    run: Run,
     workers: int,
     failing: FailureCount,
     tell: Callable[[list[Work], TaskResult, Taken], None],
@@ -74,18 +73,6 @@ def first_results(
     if not values:
         return study, done
     return replace(study, experiment=experiment.with_layout(values[min(values)].layout.floats)), done
-
-
-def refusing(run: Executor) -> Executor:
-    """Return an executor that raises SweepError where a worker refuses the results of an experiment."""
-
-    def accepted(results: Results) -> Results:
-        for works, result in results:
-            if result.refused:
-                raise SweepError(f"{result.refused}.")
-            yield works, result
-
-    return lambda take: accepted(run(take))
 
 
 def as_rows(experiment: FunctionExperiment, works: Sequence[Work], result: TaskResult) -> TaskResult:

@@ -9,7 +9,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Output, Parameter
-from linksweep.sweep.executing.upstream import dask_arrays_only_where_imported
 from linksweep.sweep.formatting import ERRORS, TRUTH, described, short_meaning
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.functions.layout import EXACT_INT, MISSING_INT
@@ -18,6 +17,7 @@ from linksweep.sweep.planning.block import ledger_key
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.stores.snapshot import dask_arrays_only_where_imported
 from linksweep.sweep.studies.form import printed_rounding
 from linksweep.sweep.studies.study import POINT
 

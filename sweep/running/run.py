@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import ANY_RESOURCES, Resources, choose_executor
-from linksweep.sweep.executing.execute import Executor, Place
-from linksweep.sweep.executing.task import TaskResult
+from linksweep.sweep.executing.executor import Run, choose_executor, of_study
+from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources
+from linksweep.sweep.executing.task import Place, TaskResult
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import Accumulator
@@ -18,7 +18,7 @@ from linksweep.sweep.planning.plan import Plan, Survey, Work
 from linksweep.sweep.planning.tuning import TUNED, Tuning
 from linksweep.sweep.planning.work_queue import Pending
 from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
-from linksweep.sweep.running.first_result import Done, as_rows, first_results, refusing
+from linksweep.sweep.running.first_result import Done, as_rows, first_results
 from linksweep.sweep.running.subset import part_of_larger
 from linksweep.sweep.running.writer import Taken, Writer
 from linksweep.sweep.stores.code import check_code, record_code
@@ -123,8 +123,8 @@ def run_study(
         accumulator = _accumulator(plan, opened, again)
         pending = accumulator.survey.pending
         where = choose_executor(study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say)
-        place, run = stack.enter_context(where)
-        run = refusing(run)
+        place, execute = stack.enter_context(where)
+        run = of_study(study, execute)
         progress.start(accumulator.survey, place.words, place.workers)
         total = accumulator.survey.total.points
         failing = FailureCount(study, total, total - accumulator.survey.pending.points, most=max_failures)
@@ -145,7 +145,7 @@ def _computed(
     writer: Writer,
     first: Sequence[Done],
     place: Place,
-    run: Executor,
+    run: Run,
     progress: Progress,
     failing: FailureCount,
 ) -> "tuple[xr.Dataset, dict[str, str]]":

@@ -13,9 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_factor
-from linksweep.sweep.executing.choose import Resources
-from linksweep.sweep.executing.execute import available_cores
-from linksweep.sweep.executing.pools import DEFAULT_POOL, PoolName
+from linksweep.sweep.executing.pools import DEFAULT_POOL, PoolName, Resources, available_cores
 from linksweep.sweep.formatting import described
 from linksweep.sweep.planning.plan import Survey
 from linksweep.sweep.running.run import Silent, run_study

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Named, SweepError
-from linksweep.sweep.executing.execute import available_cores
+from linksweep.sweep.executing.pools import available_cores
 from linksweep.sweep.formatting import units_of
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid

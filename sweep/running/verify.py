@@ -10,8 +10,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from linksweep.sweep.contract import Array
-from linksweep.sweep.executing.execute import make_task
-from linksweep.sweep.executing.isolated import Children
+from linksweep.sweep.executing.children import Children
+from linksweep.sweep.executing.task import Batch
 from linksweep.sweep.executing.versions import identity
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.planning.accumulator import Accumulator
@@ -104,7 +104,7 @@ def _computed(study: Study, works: Sequence[Work], children: Children) -> Array 
     rows: list[Array] = []
     while len(rows) < len(works):
         left = list(works[len(rows) :])
-        result = children.run(make_task(study, left))
+        result = children.run(Batch(study, left).task())
         if isinstance(study.experiment, FunctionExperiment):
             result = as_rows(study.experiment, left[: len(result.seconds)], result)
         if result.failures or result.refused:

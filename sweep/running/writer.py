@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.pools import uncollected
 from linksweep.sweep.executing.task import Failure, TaskResult, failure_of
-from linksweep.sweep.executing.uncollected import uncollected
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.block import Block, ledger_key

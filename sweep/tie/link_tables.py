@@ -1,12 +1,14 @@
 """`tie`: the link of two tables as a labelled dataset."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.ordered_map import ordered_map
+from linksweep.sweep.executing.executor import mapped
+from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.tie.dataset import as_dataset
 from linksweep.sweep.tie.options import Options
 from linksweep.sweep.tie.row_groups import set_up_row_groups, why_whole
@@ -43,6 +45,9 @@ def tie(
     seed: int = 0,
     workers: int | None = None,
     scheduler: str | None = None,
+    cluster: str | Path | None = None,
+    limits: Limits = NO_LIMITS,
+    resources: Resources | None = None,
     per_source: bool = True,
     accept_misfit: bool = False,
     **options: Any,
@@ -63,6 +68,9 @@ def tie(
         seed: the seed of the bootstrap.
         workers: the number of local worker processes, for millions of quasars in Parquet; none by default.
         scheduler: the address of a Dask scheduler whose workers are used; they read the same file.
+        cluster: a file that describes a Dask cluster to start and use instead.
+        limits: the time and memory that one row group may take on a worker.
+        resources: all of these as one.
         per_source: whether the dataset has the values of single sources and rows; without them the memory for a
             Parquet table of millions of quasars hardly grows with their number.
         accept_misfit: whether a link is given although chi2 is more than 1000 times its expectation.
@@ -92,15 +100,18 @@ def tie(
         raise SweepError(f"no option {', '.join(unknown)}; there are {', '.join(sorted(known))}")
     asked = Options(unknowns=unknowns, **options)
     kinds = [name.strip() for name in errors.split(",")] if isinstance(errors, str) else list(errors)
+    on = resources or Resources(
+        workers, None, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits
+    )
     if (why := why_whole(satellite, reference, asked)) is None:
-        with ordered_map(workers, scheduler, EXPERIMENT) as run:
+        with mapped(EXPERIMENT, on, logging.getLogger("linksweep").warning) as run:
             setup, table = set_up_row_groups(satellite, asked, run, per_source)
             link = solve_link(setup, clip, kinds, resamples, seed, table, per_source)
             return _accepted(link, as_dataset(link, asked, per_source), accept_misfit)
-    if workers is not None or scheduler is not None:
+    if not on.none_requested:
         raise SweepError(
             f"workers are for tables that are read by row groups, and these are solved at once in this process: {why}; "
-            "leave --workers and --scheduler out"
+            "leave --workers, --scheduler and the like out"
         )
     link = solve_link(set_up(satellite, reference, asked), clip, kinds, resamples, seed)
     return _accepted(link, as_dataset(link, asked, per_source), accept_misfit)

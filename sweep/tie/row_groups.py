@@ -25,7 +25,7 @@ from linksweep.core.tie.sources import Heaviest
 from linksweep.core.tie.sums import NormalSums
 from linksweep.core.unknowns import Unknowns
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.ordered_map import Map
+from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.tables.parquet import is_parquet, row_groups
 from linksweep.sweep.tie import row_group
 from linksweep.sweep.tie.column_names import columns_needed

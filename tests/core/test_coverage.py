@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from linksweep.core.missions.calibrate import IN_CODE, all_skies, constants_of, fit, published_model, published_numbers
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.in_memory import results_of

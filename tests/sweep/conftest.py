@@ -11,7 +11,7 @@ from uuid import uuid4
 import pytest
 import xarray as xr
 
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import load_study
 from tests.conftest import LINK_STUDY

@@ -18,7 +18,7 @@ from linksweep.sweep.analysis.measured_claims import claims_of
 from linksweep.sweep.cli import main
 from linksweep.sweep.cli.published_stores import paper_studies, store_of, unfinished
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.form import printed_rounding

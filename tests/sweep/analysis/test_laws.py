@@ -20,7 +20,7 @@ from linksweep.sweep.analysis.quantity import main_quantity, quantities, require
 from linksweep.sweep.analysis.selection import between, select
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import study_from_dict

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.executing.task import MAX_MESSAGE
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import open_dataset

@@ -7,12 +7,10 @@ import xarray as xr
 from distributed import KilledWorker
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing import dask_executor
-from linksweep.sweep.executing.choose import Resources
-from linksweep.sweep.executing.dask_workers import DaskWorkers
-from linksweep.sweep.executing.execute import NO_LIMITS
-from linksweep.sweep.executing.pools import POOLS
-from linksweep.sweep.executing.worker_plugin import run_on_worker
+from linksweep.sweep.executing import dask_driver
+from linksweep.sweep.executing.dask_driver import DaskWorkers
+from linksweep.sweep.executing.dask_worker import run_on_worker
+from linksweep.sweep.executing.pools import NO_LIMITS, POOLS, Resources
 from linksweep.sweep.running.run import Silent, run_study
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import existing_store
@@ -44,7 +42,7 @@ def whole(study, tmp_path):
 
 @pytest.fixture(autouse=True)
 def no_pauses(monkeypatch):
-    monkeypatch.setattr(dask_executor, "FIRST_PAUSE_S", 1e-3)
+    monkeypatch.setattr(dask_driver, "FIRST_PAUSE_S", 1e-3)
 
 
 FAILURES_LEFT = {0: 0}
@@ -59,7 +57,7 @@ def failing(*arguments, **options):
 
 
 def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_executor, "run_on_worker", failing)
+    monkeypatch.setattr(dask_driver, "run_on_worker", failing)
     monkeypatch.setitem(FAILURES_LEFT, 0, 4)
     sentences = Sentences()
     dataset, failures = run_study(study, tmp_path / "s.zarr", THREADS, sentences)
@@ -71,7 +69,7 @@ def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch):
 
 
 def test_one_that_stays_stops_the_run_and_blames_no_point(study, whole, tmp_path, monkeypatch):
-    monkeypatch.setattr(dask_executor, "run_on_worker", failing)
+    monkeypatch.setattr(dask_driver, "run_on_worker", failing)
     monkeypatch.setitem(FAILURES_LEFT, 0, 10**6)
     with pytest.raises(SweepError, match=r"failed 6 times outside of the experiment, last with UnboundLocalError"):
         run_study(study, tmp_path / "s.zarr", THREADS)
@@ -85,7 +83,7 @@ def test_one_that_stays_stops_the_run_and_blames_no_point(study, whole, tmp_path
 @pytest.fixture
 def one_by_one(monkeypatch):
     """Fetch each result by itself, as where several cannot be fetched together."""
-    monkeypatch.setattr(dask_executor, "MOST_FETCHED", 1)
+    monkeypatch.setattr(dask_driver, "MOST_FETCHED", 1)
 
 
 @pytest.mark.usefixtures("one_by_one")
@@ -124,7 +122,7 @@ def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch):
 @pytest.mark.parametrize("pool", ["threads", slow("processes")])
 def test_the_address_of_the_dashboard_opens(study, pool):
     pytest.importorskip("bokeh")
-    with POOLS[pool].open(study, 1, print, NO_LIMITS, True) as (place, _):
+    with POOLS[pool].open(study.experiment_reference, 1, print, NO_LIMITS, True) as (place, _):
         assert place.dashboard.startswith("http://127.0.0.1:")
         with urlopen(place.dashboard) as page:
             assert page.status == 200

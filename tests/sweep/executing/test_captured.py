@@ -8,7 +8,7 @@ from threading import Barrier
 
 import pytest
 
-from linksweep.sweep.executing.captured import captured, undisturbed
+from linksweep.sweep.executing.process import captured, undisturbed
 from tests.patience import PATIENCE_S
 from tests.sweep.user import write_experiment, write_study
 from tests.tiers import slow

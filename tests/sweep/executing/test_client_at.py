@@ -8,8 +8,8 @@ import pytest
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing import clusters
-from linksweep.sweep.executing.clusters import client_at, dask_scheduler
-from linksweep.sweep.executing.local_cluster import local_cluster
+from linksweep.sweep.executing.clusters import client_at, elsewhere, local_cluster
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.studies.reader import study_from_dict
 
 
@@ -52,8 +52,8 @@ def test_what_is_no_address(address):
 
 
 def test_every_thread_of_a_scheduler_gets_one_of_the_first_points(coins):
-    with (
-        local_cluster({"n_workers": 2, "threads_per_worker": 1, "processes": True}) as cluster,
-        dask_scheduler(study_from_dict(coins), cluster.scheduler_address, cluster.security, print) as (place, _),
-    ):
-        assert place.threads == 2
+    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
+    with local_cluster(options) as cluster:
+        resources = Resources(scheduler=cluster.scheduler_address)
+        with elsewhere(study_from_dict(coins).experiment_reference, resources, print) as (place, _):
+            assert place.threads == 2

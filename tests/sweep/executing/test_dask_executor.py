@@ -11,13 +11,13 @@ import pytest
 from distributed.comm import CommClosedError
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing import dask_workers
-from linksweep.sweep.executing.dask_executor import MOST_FETCHED, MOST_SENT, DaskExecutor
-from linksweep.sweep.executing.dask_workers import MAX_ATTEMPTS, DaskWorkers
-from linksweep.sweep.executing.execute import NO_LIMITS
+from linksweep.sweep.executing import dask_driver
+from linksweep.sweep.executing.dask_driver import MAX_ATTEMPTS, MOST_FETCHED, MOST_SENT, DaskDriver, DaskWorkers
+from linksweep.sweep.executing.dask_worker import Answer
+from linksweep.sweep.executing.executor import of_study
+from linksweep.sweep.executing.pools import NO_LIMITS
 from linksweep.sweep.executing.task import failed
 from linksweep.sweep.executing.versions import identity
-from linksweep.sweep.executing.worker_plugin import Answer
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.planning.plan import Plan
@@ -110,8 +110,7 @@ def run(monkeypatch, loop):
         pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
         workers = DaskWorkers(client, "a client", study.experiment_reference, print)
         workers.prepare()
-        executor = DaskExecutor(study, workers, print, NO_LIMITS, guarded=False)
-        return [len(works) for works, _ in executor(pending.take)]
+        return [len(works) for works, _ in of_study(study, DaskDriver(workers, NO_LIMITS))(pending.take)]
 
     return with_client
 
@@ -153,7 +152,7 @@ def test_nothing_but_workers_that_go_stops_it(run):
 @pytest.mark.slow
 def test_results_are_fetched_where_the_client_stands_still_for_longer_than_it_is_looked_after(monkeypatch):
     """Dask had ended what was to be fetched before it began, and the client could fetch nothing from then on."""
-    monkeypatch.setattr(dask_workers, "LOOK_EVERY_S", 0.02)
+    monkeypatch.setattr(dask_driver, "LOOK_EVERY_S", 0.02)
     monkeypatch.setattr(DaskWorkers, "look", lambda self: None)  # it takes the same client
     done = threading.Event()
     with distributed.Client(n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None) as client:

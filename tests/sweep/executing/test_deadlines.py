@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import pytest
 
-from linksweep.sweep.executing.deadlines import Deadlines, TimeLimitError
+from linksweep.sweep.executing.process import Deadlines, TimeLimitError
 from tests.patience import PATIENCE_S
 from tests.tiers import examples
 

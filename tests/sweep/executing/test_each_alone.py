@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError, experiment
-from linksweep.sweep.executing.together import dependence
+from linksweep.sweep.executing.function_calls import dependence
 from linksweep.sweep.functions.adapter import experiment_of
 from linksweep.sweep.planning.point_status import Status
 from tests.tiers import examples

@@ -36,8 +36,7 @@ def started_to_write(store: Path, process):
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
     """The study that all tests here run, and its results in the serial reference."""
-    from linksweep.sweep.executing.choose import Resources
-    from linksweep.sweep.executing.execute import NO_LIMITS
+    from linksweep.sweep.executing.pools import NO_LIMITS, Resources
     from linksweep.sweep.running.run import run_study
     from linksweep.sweep.studies.reader import load_study
     from tests.conftest import LINK_STUDY

@@ -14,12 +14,12 @@ import pytest
 import xarray as xr
 from distributed import LocalCluster
 
+from linksweep.sweep.executing.clusters import own_cluster
+from linksweep.sweep.executing.dask_worker import TaskPlugin
 from linksweep.sweep.executing.forkserver import ENVIRONMENT, PRELOADED, SAFE_PATH, signals_blocked, start_method
-from linksweep.sweep.executing.local_cluster import own_cluster
-from linksweep.sweep.executing.worker_plugin import TaskPlugin
 from tests.patience import PATIENCE_S
 from tests.sweep.executing.test_faults import started_to_write
-from tests.sweep.outside import below, command_of, workers_below
+from tests.sweep.outside import below, command_of, wait_until, workers_below
 
 ONE = {"n_workers": 1, "threads_per_worker": 1, "processes": True}
 
@@ -74,7 +74,8 @@ def test_two_clusters_share_what_they_are_forked_from():
 def test_a_server_of_the_users_own_is_left_alone():
     forkserver.ensure_running()
     try:
-        own = servers_below(os.getpid())
+        # For some microseconds a process that starts has no command line.
+        own = wait_until(lambda: servers_below(os.getpid()), "the user's server")
         with own_cluster(LocalCluster, ONE) as cluster:
             [worker] = cluster.workers.values()
             assert "spawn_main" in command_of(worker.pid)

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from linksweep import run
-from linksweep.sweep.executing import isolated
+from linksweep.sweep.executing import children
 from tests.patience import PATIENCE_S
 from tests.sweep.outside import below, command_of, wait_until
 from tests.tiers import slow
@@ -123,7 +123,7 @@ def test_a_function_that_cannot_be_pickled_is_computed_in_a_child(tmp_path):
 
 
 def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr(isolated, "NOT_TO_BE_FORKED", ("sys",))
+    monkeypatch.setattr(children, "NOT_TO_BE_FORKED", ("sys",))
 
     def f(x: float):
         if x == 1.0:

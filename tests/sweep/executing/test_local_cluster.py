@@ -12,9 +12,9 @@ import pytest
 from distributed import LocalCluster
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing import choose
-from linksweep.sweep.executing.choose import Resources
-from linksweep.sweep.executing.local_cluster import NoWorkersError, local_cluster, own_cluster
+from linksweep.sweep.executing import pools
+from linksweep.sweep.executing.clusters import NoWorkersError, local_cluster, own_cluster
+from linksweep.sweep.executing.pools import Resources
 from tests.patience import PATIENCE_S
 from tests.sweep.outside import workers_below
 from tests.tiers import slow
@@ -104,7 +104,7 @@ def test_a_start_that_fails_is_tried_again_a_few_times(failures, starts, monkeyp
             raise RuntimeError("Nanny failed to start.")
         yield "a cluster"
 
-    monkeypatch.setattr("linksweep.sweep.executing.local_cluster.own_cluster", own_cluster)
+    monkeypatch.setattr("linksweep.sweep.executing.clusters.own_cluster", own_cluster)
     expected = nullcontext() if failures < starts else pytest.raises(NoWorkersError, match="may kill them")
     with expected, local_cluster({}) as cluster:
         assert cluster == "a cluster"
@@ -158,7 +158,7 @@ def test_a_dashboard_without_local_workers_is_refused(wished, expected):
 
 
 def test_one_without_bokeh_is_refused(monkeypatch):
-    monkeypatch.setattr(choose, "find_spec", lambda name: None)
+    monkeypatch.setattr(pools, "find_spec", lambda name: None)
     with pytest.raises(SweepError, match=r"needs bokeh: `pip install 'linksweep\[report\]'`"):
         Resources(dashboard=True)
     assert Resources(workers=2).dashboard is False

@@ -7,10 +7,8 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from linksweep.sweep.executing import execute, worker
-from linksweep.sweep.executing.choose import ANY_RESOURCES, Resources
-from linksweep.sweep.executing.execute import Limits
-from linksweep.sweep.executing.pools import POOLS
+from linksweep.sweep.executing import executor, worker
+from linksweep.sweep.executing.pools import ANY_RESOURCES, POOLS, Limits, Resources
 from linksweep.sweep.running.run import Silent, run_study
 from linksweep.sweep.stores.opened import OpenStore
 from linksweep.sweep.studies.reader import study_from_dict
@@ -69,7 +67,7 @@ def test_a_task_that_takes_too_long_hands_back_what_it_has(coins, tmp_path, monk
     study = study_from_dict(coins)
     whole, _ = run_study(study, tmp_path / "whole.zarr", Resources(pool="serial"))
     monkeypatch.setattr(worker, "ENOUGH_S", -1.0)
-    monkeypatch.setattr("linksweep.sweep.executing.isolated.ENOUGH_S", -1.0)
+    monkeypatch.setattr("linksweep.sweep.executing.children.ENOUGH_S", -1.0)
     watcher = Watcher()
     dataset, failures = run_study(study, tmp_path / "s.zarr", resources, watcher)
     assert not failures
@@ -82,8 +80,8 @@ def test_work_that_turns_out_long_moves_to_worker_processes(coins, tmp_path, mon
     watcher = Watcher()
     whole, _ = run_study(study, tmp_path / "whole.zarr", ANY_RESOURCES, watcher)
     assert watcher.said == []  # short work stays in this process
-    monkeypatch.setattr(execute, "WORKERS_START_S", -1.0)
-    monkeypatch.setattr(execute, "JUDGED_S", -1.0)
+    monkeypatch.setattr(executor, "WORKERS_START_S", -1.0)
+    monkeypatch.setattr(executor, "JUDGED_S", -1.0)
     dataset, failures = run_study(study, tmp_path / "s.zarr", ANY_RESOURCES, watcher)
     assert not failures
     assert any("the rest is done on" in text and "local worker process" in text for text in watcher.said)

@@ -13,10 +13,9 @@ import tempfile
 
 import pytest
 
-from linksweep.sweep.executing.execute import NO_LIMITS
-from linksweep.sweep.executing.local_cluster import local_cluster
-from linksweep.sweep.executing.ordered_map import ordered_map
-from linksweep.sweep.executing.pools import POOLS
+from linksweep.sweep.executing.clusters import local_cluster
+from linksweep.sweep.executing.executor import mapped
+from linksweep.sweep.executing.pools import NO_LIMITS, POOLS, Resources
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
 from tests.sweep.outside import below, listening, unix_sockets, wait_until
@@ -144,7 +143,7 @@ def temporary(monkeypatch):
 
 @pytest.mark.parametrize("pool", ["processes", slow("threads")])
 def test_a_pool_lets_nobody_in(study, temporary, pool):
-    with POOLS[pool].open(study, 2, print, NO_LIMITS, False):
+    with POOLS[pool].open(study.experiment_reference, 2, print, NO_LIMITS, False):
         ports, got = what_others_get([temporary])
     assert ports
     assert not got
@@ -152,8 +151,8 @@ def test_a_pool_lets_nobody_in(study, temporary, pool):
 
 @pytest.mark.slow
 def test_pieces_of_tables_are_worked_on_where_nobody_else_gets_in(temporary):
-    with ordered_map(2, None, "linksweep.core.experiment:link") as mapped:
-        assert list(mapped(pow, [(2, 3)])) == [8]
+    with mapped("linksweep.core.experiment:link", Resources(workers=2), print) as run:
+        assert list(run(pow, [(2, 3)])) == [8]
         ports, got = what_others_get([temporary])
     assert ports
     assert not got
@@ -187,6 +186,6 @@ def test_a_cluster_of_a_file_runs_nothing_for_others(tmp_path, start_sweep, text
 @pytest.mark.parametrize("pool", ["processes", "threads"])
 def test_a_dashboard_runs_nothing_for_others(study, temporary, pool):
     pytest.importorskip("bokeh")
-    with POOLS[pool].open(study, 1, print, NO_LIMITS, True):
+    with POOLS[pool].open(study.experiment_reference, 1, print, NO_LIMITS, True):
         _, got = what_others_get([temporary])
     assert {one.split()[0] for one in got} == {"page"}

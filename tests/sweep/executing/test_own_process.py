@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from linksweep import run
-from linksweep.sweep.executing.own_process import forks_ended
+from linksweep.sweep.executing.process import captured, undisturbed
 from linksweep.sweep.interrupt import RunInterruptedError
 from tests.tiers import slow
 
@@ -71,7 +71,7 @@ def test_in_the_main_thread_it_is_the_user_s(tmp_path):
 )
 def test_a_forked_child_that_leaves_the_block_ends(ending, code, tmp_path):
     mark = tmp_path / "went on"
-    with forks_ended():
+    with captured(), undisturbed(0):
         if not (child := os.fork()):
             ending()
     if not child:

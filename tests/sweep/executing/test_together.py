@@ -7,8 +7,7 @@ import pytest
 
 from linksweep.sweep.code.load import keep
 from linksweep.sweep.executing.task import PointBlock, Task
-from linksweep.sweep.executing.together import MOST_CATALOGUES, alike
-from linksweep.sweep.executing.worker import run_task
+from linksweep.sweep.executing.worker import MOST_CATALOGUES, alike, run_task
 from linksweep.sweep.planning.block import Block
 from tests.sweep.coins import experiment, toss
 

@@ -4,9 +4,7 @@ import gc
 
 import pytest
 
-from linksweep.sweep.executing.execute import NO_LIMITS
-from linksweep.sweep.executing.pools import POOLS
-from linksweep.sweep.executing.uncollected import uncollected
+from linksweep.sweep.executing.pools import NO_LIMITS, POOLS, uncollected
 from linksweep.sweep.studies.reader import load_study
 
 
@@ -35,9 +33,9 @@ def test_a_user_who_collects_none_is_not_overruled():
 
 def test_garbage_is_collected_while_workers_compute_and_where_none_can_start(link_study, monkeypatch):
     study = load_study(str(link_study))
-    with POOLS["processes"].open(study, 1, print, NO_LIMITS, False) as (place, _):
+    with POOLS["processes"].open(study.experiment_reference, 1, print, NO_LIMITS, False) as (place, _):
         assert (place.workers, gc.isenabled()) == (1, True)
     monkeypatch.setattr("linksweep.sweep.executing.clusters.local_cluster", None)
-    with pytest.raises(TypeError), POOLS["processes"].open(study, 1, print, NO_LIMITS, False):
+    with pytest.raises(TypeError), POOLS["processes"].open(study.experiment_reference, 1, print, NO_LIMITS, False):
         pass
     assert gc.isenabled()

@@ -19,7 +19,7 @@ from linksweep.sweep.analysis.quantity import standard_error
 from linksweep.sweep.analysis.selection import select
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.plots import scales, style
 from linksweep.sweep.plots.caption import caption, description

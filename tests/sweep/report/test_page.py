@@ -19,7 +19,7 @@ import linksweep
 from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.report.explorer import explorer
 from linksweep.sweep.report.figures import SAMPLES, drawn, pictures

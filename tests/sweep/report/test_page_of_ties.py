@@ -11,7 +11,7 @@ import linksweep
 from linksweep.core.constants import MAS
 from linksweep.core.tie.motion import propagated
 from linksweep.sweep.cli import main
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.report.page import report_of
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import load_study

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.reproduce import reproduce
 from linksweep.sweep.stores.opened import OpenStore
 from linksweep.sweep.stores.store import open_dataset

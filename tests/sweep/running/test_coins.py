@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.planning.plan import Plan
@@ -132,7 +132,9 @@ def test_a_finished_study_is_not_computed_again(coins, tmp_path, monkeypatch):
 
 def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
     """A grid of any size makes no large graph: batches are drawn only a few tasks ahead of the results."""
-    from linksweep.sweep.executing import clusters, dask_executor
+    from linksweep.sweep.executing import dask_driver
+    from linksweep.sweep.executing.executor import of_study
+    from linksweep.sweep.executing.pools import NO_LIMITS, POOLS
 
     study = study_from_dict(coins | {"sampling": {"n_sim": 5, "n_cat": 8}})
     monkeypatch.setattr("linksweep.sweep.planning.plan.TARGET", 1.0)  # one catalogue a block
@@ -146,10 +148,10 @@ def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
         drawn += len(tasks)
         return tasks
 
-    with clusters.local_workers(study, 2, print) as (_, executor):
-        ahead = [drawn - received for received, _ in enumerate(executor(take))]
+    with POOLS["threads"].open(study.experiment_reference, 2, print, NO_LIMITS, False) as (_, execute):
+        ahead = [drawn - received for received, _ in enumerate(of_study(study, execute)(take))]
     assert len(ahead) == 6 * 8
-    assert max(ahead) <= 2 * dask_executor.TASKS_IN_FLIGHT
+    assert max(ahead) <= 2 * dask_driver.TASKS_IN_FLIGHT
 
 
 @pytest.mark.parametrize("pool", ["threads", slow("processes")])

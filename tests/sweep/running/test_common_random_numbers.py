@@ -8,7 +8,7 @@ import xarray as xr
 from astropy import units as u
 
 from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.running.covariance import squared
 from linksweep.sweep.running.run import run_study

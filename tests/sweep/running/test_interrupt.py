@@ -14,7 +14,7 @@ import pytest
 import xarray as xr
 
 from linksweep.sweep import interrupt
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.interrupt import LOST_S, RunInterruptedError, watched
 from linksweep.sweep.planning.tuning import Tuning
 from linksweep.sweep.running.run import run_study

@@ -8,8 +8,8 @@ from collections import Counter
 import pytest
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing import choose
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing import executor
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.running import status
@@ -107,8 +107,8 @@ def test_a_point_that_is_reproduced_comes_from_one_opening(tmp_path, study, coun
 
 def test_where_nothing_is_left_no_workers_start(tmp_path, study, monkeypatch):
     whole, _ = run_study(study, tmp_path / "s.zarr", SERIAL)
-    none = {name: pool._replace(open=None) for name, pool in choose.POOLS.items()}
-    monkeypatch.setattr(choose, "POOLS", none)
+    none = {name: pool._replace(opener=None) for name, pool in executor.POOLS.items()}
+    monkeypatch.setattr(executor, "POOLS", none)
     for resources in (Resources(workers=2), Resources(scheduler="tcp://nowhere:1")):
         again, failures = run_study(study, tmp_path / "s.zarr", resources)
         assert not failures

@@ -6,7 +6,7 @@ import xarray as xr
 
 import linksweep
 from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import study_from_dict

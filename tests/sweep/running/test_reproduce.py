@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from linksweep.sweep.executing import worker
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.planning.tuning import Tuning
 from linksweep.sweep.running.run import run_study

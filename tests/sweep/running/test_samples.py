@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from linksweep.sweep.contract import Output, SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.tuning import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import Store

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.tuning import Tuning

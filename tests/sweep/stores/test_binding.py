@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.tuning import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores import folder, ledger_arrays
@@ -129,7 +129,7 @@ def test_samples_of_another_block_are_found(tmp_path, monkeypatch):
 COPIES = 100
 RUN = """
 import sys
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.planning.tuning import Tuning
 from linksweep.sweep.studies.reader import study_from_dict

@@ -10,7 +10,7 @@ import xarray as xr
 
 import linksweep
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.running.status import status_report
 from linksweep.sweep.stores import chunk_names, snapshot

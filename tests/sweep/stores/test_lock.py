@@ -240,7 +240,7 @@ def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, 
 
 
 def test_plain_readers_do_not_see_the_lock(tmp_path, coins):
-    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.executing.pools import Resources
     from linksweep.sweep.running.run import run_study
     from linksweep.sweep.studies.reader import study_from_dict
 

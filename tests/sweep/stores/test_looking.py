@@ -9,7 +9,7 @@ import pytest
 
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.reproduce import reproduce, study_of
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.running.status import status_report

@@ -163,7 +163,7 @@ def test_a_store_that_changes_all_the_time_is_not_read_for_ever(tmp_path, coins,
 
 def test_no_codec_of_a_store_can_run_anything(tmp_path, coins):
     """No pickle in any file: every document names only codecs that hold plain numbers and text."""
-    from linksweep.sweep.executing.choose import Resources
+    from linksweep.sweep.executing.pools import Resources
     from linksweep.sweep.running.run import run_study
 
     run_study(study_from_dict(coins), tmp_path / "s.zarr", Resources(pool="serial"))

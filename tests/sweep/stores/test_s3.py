@@ -13,7 +13,7 @@ import xarray as xr
 from zarr.storage import ObjectStore
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.tuning import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores import bucket as bucket_module

@@ -11,7 +11,7 @@ import xarray as xr
 
 import linksweep
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores import snapshot
 from linksweep.sweep.stores.create import find_store

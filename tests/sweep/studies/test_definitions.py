@@ -11,7 +11,7 @@ import pytest
 
 from linksweep.sweep.code.load import Imports
 from linksweep.sweep.contract import Named, SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.running.reproduce import reproduce
 from linksweep.sweep.running.run import run_study

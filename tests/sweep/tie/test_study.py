@@ -19,7 +19,7 @@ from linksweep.core.tie.normal_sums import source_sums
 from linksweep.core.tie.problem import Problem
 from linksweep.core.unknowns import parse_unknowns
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.choose import Resources
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import load_study
 from linksweep.sweep.tie.components import COMPONENTS, FIELDS, spectrum

@@ -1,32 +1,35 @@
-"""Blocks that are computed in one call: points of a vectorised function, small catalogues of one point."""
+"""Calls plain functions for many points at once, and again: what they return must depend on the point alone."""
 
 import time
-from collections.abc import Iterator, Sequence
-from itertools import chain, groupby
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Experiment, Point, check_finite, checked, shown
-from linksweep.sweep.executing.called_again import how_it_differs
-from linksweep.sweep.executing.captured import captured, undisturbed
-from linksweep.sweep.executing.deadlines import Deadlines
-from linksweep.sweep.executing.own_process import is_interruption
-from linksweep.sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed
+from linksweep.sweep.contract import Point, shown
+from linksweep.sweep.executing.process import Deadlines, TimeLimitError, captured, is_interruption, undisturbed
+from linksweep.sweep.executing.task import Failure, Task, TaskResult, failed
 from linksweep.sweep.functions.adapter import FunctionExperiment
-from linksweep.sweep.functions.layout import Layout
+from linksweep.sweep.functions.layout import Layout, differences
 from linksweep.sweep.functions.results import Flat
-from linksweep.sweep.planning.streams import block_generators
-
-MOST_CATALOGUES = 256
-"""Most catalogues in one call."""
 
 CHECKED = 3
 """Points of a process's first call of a vectorised function for more than these that are also computed alone."""
 
 _DEPENDENCE: dict[tuple[str, str | None], str] = {}
 """How points of vectorised functions depend on those beside them, by the reference and the digest of the function."""
+
+LONGEST_S = 1.0
+"""Seconds of a first call after which there is no second one."""
+
+WHAT_TO_DO = (
+    "A function that draws random numbers takes them from its argument rng; one whose results need not be the same "
+    "declares @experiment(deterministic=False)"
+)
+
+_agreed: set[tuple[str, str | None]] = set()
+"""The functions that returned the same twice in this process, by reference and digest."""
 
 
 def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadlines) -> TaskResult | None:
@@ -54,13 +57,13 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
             if is_interruption(error):
                 raise
             return None
-        told, seconds = said.taken(), time.perf_counter() - begun
+        taken, seconds = said.taken(), time.perf_counter() - begun
         refused = how_it_differs(experiment, task, values, seconds, deadlines)
     result = failed(len(points), experiment.sums_width, Failure("exception", wrong) if wrong else None)
     if not wrong:
         result.values.update(enumerate(values))
-    if told is not None:
-        result.said[0] = told
+    if taken is not None:
+        result.said[0] = taken
     result.seconds[:] = seconds / len(points)
     result.refused = refused
     return result
@@ -120,51 +123,47 @@ def _shown(value: NDArray[Any], differ: NDArray[np.bool_]) -> str:
     return "another text" if value.dtype.kind == "V" else str(first)
 
 
-def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
-    """Yield units in groups: those of small catalogues of one point with equally many realisations, and those between
-    them, whose blocks have only one catalogue.
+def how_it_differs(
+    experiment: FunctionExperiment, task: Task, first: Sequence[Flat], seconds: float, deadlines: Deadlines
+) -> str:
+    """Return a sentence if a second call at the points of a task gives other results than the ``first``, which took so
+    many ``seconds``; '' if it gives the same, and where there is no second one.
     """
-    for small, group in groupby(units, lambda u: (u.stream, u.block.n_sim, u.points) if u.block.n_cat > 1 else None):
-        if small is None:
-            yield tuple(group)
-        else:
-            whole = tuple(group)
-            most = max(1, MOST_CATALOGUES // max(unit.block.n_cat for unit in whole))
-            yield from (whole[first : first + most] for first in range(0, len(whole), most))
-
-
-def takes_several(experiment: Experiment, task: Task) -> bool:
-    """Return whether catalogues may be evaluated in one call: no realisation is kept, no block has a time limit."""
-    return experiment.evaluate_catalogues is not None and not task.keep_samples and task.time_limit_s is None
-
-
-def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBlock, ...]) -> TaskResult | None:
-    """Return the sums of blocks of one point whose catalogues are evaluated in one call.
-
-    None where they are large, and where the call raises: one by one the blocks show which is to blame.
-    """
-    n_cat = [unit.block.n_cat for unit in units]
-    if experiment.evaluate_catalogues is None or n_cat[0] == 1:
-        return None
-    points = [experiment.defaults() | point for point in units[0].points]
-    shapes = {name: (sum(n_cat), len(points), *shape) for name, shape in experiment.sums.items()}
-    begun = time.perf_counter()
+    who = task.experiment_reference, task.source_digest
+    if not task.repeatable or who in _agreed or seconds > LONGEST_S:
+        return ""
+    points = [experiment.defaults() | unit.points[0] for unit in task.units]
     try:
-        blocks = block_generators(task.seed, [(unit.stream, unit.block) for unit in units])
-        with undisturbed(task.seed_of(units[0])):
-            drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, list(chain.from_iterable(blocks)))
-        sums = checked("evaluate_catalogues", drawn, "sum", shapes)
-        check_finite(sums, experiment.nan_sums)
+        limit = None if task.time_limit_s is None else task.time_limit_s * len(points)
+        # Other random numbers than at first, if it takes those of the process.
+        with undisturbed(task.seed_of(task.units[0]) ^ 1), deadlines.within(limit):
+            second = experiment.many(points) if experiment.vectorised else experiment.block(points, 1, iter(()))
+        differing = (found for one, other in zip(first, second, strict=True) if (found := _difference(one, other)))
+        found = next(differing, "")
+    except TimeLimitError:
+        return ""
     except BaseException as error:
         if is_interruption(error):
             raise
-        return None
-    flat = iter(np.concatenate([array.reshape(sum(n_cat), len(points), -1) for array in sums.values()], axis=2))
-    result = failed(len(units) * len(points), experiment.sums_width)
-    for number, catalogues in enumerate(n_cat):
-        total = np.zeros((len(points), experiment.sums_width))
-        for _ in range(catalogues):
-            total += next(flat)  # in the order in which `run_block` adds them
-        result.sums[number * len(points) : (number + 1) * len(points)] = total
-    result.seconds[:] = (time.perf_counter() - begun) / len(result.seconds)
-    return result
+        found = f"and then raises {type(error).__name__}"
+    if not found:
+        _agreed.add(who)
+        return ""
+    return f"{experiment.name}: called twice {_at(points)}, it returns a result {found}. {WHAT_TO_DO}"
+
+
+def _difference(first: Flat, second: Flat) -> str:
+    """Return how two results differ, '' where they do not: their order does not matter, and NaN is NaN."""
+    if (wrong := differences(first.layout, second.layout)) or differences(second.layout, first.layout):
+        return f"and then another one: {'; '.join(wrong) or 'of another type'}"
+    one, other = (flat.layout.values(np.frombuffer(flat.row, dtype="<f8")[None]) for flat in (first, second))
+    for name, value in one.items():
+        if not np.array_equal(value, other[name], equal_nan=value.dtype.kind in "fM"):
+            return f"and then one with another {name!r}"
+    return ""
+
+
+def _at(points: Sequence[Point]) -> str:
+    if len(points) > 1:
+        return f"for the same {len(points):,} points"
+    return f"at {', '.join(f'{name} = {shown(value)}' for name, value in points[0].items()) or 'its only point'}"

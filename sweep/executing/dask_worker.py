@@ -1,4 +1,7 @@
-"""What linksweep brings to a Dask worker: one thread for linear algebra, time limits, the function that runs a task."""
+"""What linksweep brings to a Dask worker: one thread for linear algebra, time limits, the function that runs a task.
+
+The process that workers are forked from imports this module.
+"""
 
 import os
 import signal
@@ -10,11 +13,11 @@ from threadpoolctl import threadpool_limits
 
 from linksweep.sweep.code.files import LocalFiles
 from linksweep.sweep.code.load import Live, provide
-from linksweep.sweep.executing.deadlines import Deadlines
-from linksweep.sweep.executing.isolated import run_guarded
-from linksweep.sweep.executing.task import Task, TaskResult
+from linksweep.sweep.executing.children import Children
+from linksweep.sweep.executing.process import Deadlines
+from linksweep.sweep.executing.task import Call, Task
 from linksweep.sweep.executing.versions import Identity, differences, identity
-from linksweep.sweep.executing.worker import run_task
+from linksweep.sweep.executing.worker import compute
 
 PLUGIN = "linksweep"
 
@@ -64,24 +67,22 @@ class Answer:
     worker: str
     deciding: list[str]
     others: list[str]
-    result: TaskResult | None
+    result: Any = None
 
 
-def run_on_worker(task: Task, expected: Identity, guarded: bool, memory_limit: int | None) -> Answer:
+def run_on_worker(task: Task | Call, expected: Identity, guarded: bool, memory_limit: int | None) -> Answer:
     """Run a task on the worker that this is called on, if it computes the same numbers as the client.
 
-    With ``guarded`` the task runs in a child process of at most ``memory_limit`` bytes (None: the worker's own limit).
+    With ``guarded`` blocks run in a child process of at most ``memory_limit`` bytes (None: no limit).
     """
     worker = get_worker()
-    found = identity(task.experiment_reference, task.source_digest)
-    deciding = differences(expected.deciding, found.deciding)
-    others = differences(expected.others, found.others)
+    here = identity(task.experiment_reference, task.source_digest)
+    deciding, others = differences(expected.deciding, here.deciding), differences(expected.others, here.others)
     if deciding:
-        return Answer(worker.address, deciding, others, None)
-    if guarded:
-        result = run_guarded(task, expected, memory_limit or worker.memory_manager.memory_limit)
-    else:
-        plugin = worker.plugins[PLUGIN]
-        assert isinstance(plugin, TaskPlugin)
-        result = run_task(task, plugin.deadlines)
-    return Answer(worker.address, deciding, others, result)
+        return Answer(worker.address, deciding, others)
+    if guarded and isinstance(task, Task):
+        with Children(expected, memory_limit) as children:
+            return Answer(worker.address, deciding, others, children.run(task))
+    plugin = worker.plugins[PLUGIN]
+    assert isinstance(plugin, TaskPlugin)
+    return Answer(worker.address, deciding, others, compute(task, plugin.deadlines))

@@ -17,12 +17,10 @@ from typing import IO, Any
 
 from linksweep.sweep.code.load import load_experiment, new_process, provide, sendable
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.deadlines import Deadlines
-from linksweep.sweep.executing.own_process import ignored
+from linksweep.sweep.executing.process import Deadlines, ignored
 from linksweep.sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, joined, too_long
-from linksweep.sweep.executing.together import takes_several
 from linksweep.sweep.executing.versions import Identity, differences, identity
-from linksweep.sweep.executing.worker import ENOUGH_S, run_units
+from linksweep.sweep.executing.worker import ENOUGH_S, run_units, takes_several
 
 TRIES = 2
 """How often a block may end its child, when it is known which block it was."""
@@ -46,20 +44,9 @@ NOT_TO_BE_FORKED = ("jax", "torch", "tensorflow", "cupy")
 """Libraries with threads or devices of their own, for which a fork of a process that used them may wait for ever."""
 
 
-def run_guarded(task: Task, expected: Identity, memory_limit: int | None) -> TaskResult:
-    """Compute a task as `run_task` does, in a child process that a block may end or overfill (``memory_limit``, bytes).
-
-    As with `run_task`, the last blocks have no result where the task takes longer than `ENOUGH_S`.
-
-    Raises SweepError where the child cannot start or is not as ``expected``.
-    """
-    with Children(expected, memory_limit) as children:
-        return children.run(task)
-
-
 class Children:
-    """Computes tasks in a child process, which lives on for the next task unless a block ends it; then another one
-    takes its place.
+    """Computes tasks in a child process, which lives on for the next task unless a block ends it or takes more memory
+    than ``memory_limit`` (bytes); then another one takes its place.
 
     With ``forked`` it is a copy of this process where there can be one, which starts in milliseconds and has every
     function that this one has; else a new process, which imports or unpickles what it needs.
@@ -67,7 +54,7 @@ class Children:
 
     def __init__(self, expected: Identity, memory_limit: int | None = None, *, forked: bool = False) -> None:
         self._expected, self._memory_limit, self._forked = expected, memory_limit, forked
-        self._child: _Forked | _New | None = None
+        self._child: _Child | None = None
 
     def __enter__(self) -> "Children":
         return self
@@ -81,7 +68,10 @@ class Children:
             child.end(patience_s)
 
     def run(self, task: Task) -> TaskResult:
-        """Compute a task as `run_guarded` does."""
+        """Compute a task as `run_task` does: the last blocks have no result where it takes longer than `ENOUGH_S`.
+
+        Raises SweepError where the child cannot start or is not as expected.
+        """
         parts = [_Part(unit) for unit in task.units]
         width = load_experiment(task.experiment_reference, digest=task.source_digest).sums_width
         enough = time.monotonic() + max(ENOUGH_S, task.enough_s)
@@ -98,33 +88,28 @@ class Children:
                 continue
             if len(guilty.unit.points) > 1:  # which of those that share the draw is to blame?
                 place = parts.index(guilty)
-                alone = (replace(guilty.unit, points=(own,)) for own in guilty.unit.points)
+                alone = (replace(guilty.unit, points=(point,)) for point in guilty.unit.points)
                 parts[place : place + 1] = [_Part(unit, whole=False) for unit in alone]
                 continue
             guilty.deaths += 1
             if death.kind == "time limit" or guilty.deaths >= TRIES:
-                for part in pending:
+                for part in pending:  # nor are the other blocks of this point tried
                     same_point = (part.unit.stream, part.unit.points) == (guilty.unit.stream, guilty.unit.points)
                     if part.result is None and same_point:
                         part.result = failed(1, width, death)
-        results: list[TaskResult] = []
-        for part in parts:
-            if part.result is None:
-                break
-            results.append(part.result)
-        return joined(results)
+        first = next((place for place, part in enumerate(parts) if part.result is None), len(parts))
+        return joined([part.result for part in parts[:first] if part.result is not None])
 
     def _attempt(self, task: Task, parts: "Sequence[_Part]", one_by_one: bool, enough: float) -> Failure | None:
         """Fill in the results of these parts, in order.  Return None once the child has done all or it is later than
         ``enough``, or why the child has ended.
         """
         todo = replace(task, units=tuple(part.unit for part in parts))
-        try:
-            self._child = self._child or (
-                _Forked() if self._forked and _may_be_forked() else _New(todo, self._expected)
-            )
-        except OSError as error:
-            raise SweepError(f"a child process could not start: {error}") from error
+        if self._child is None:
+            try:
+                self._child = _Child(todo, self._expected, self._forked and _may_be_forked())
+            except OSError as error:
+                raise SweepError(f"a child process could not start: {error}") from error
         child, waiting = self._child, iter(parts)
         try:
             child.channel.send((todo, one_by_one, enough - time.monotonic()))
@@ -139,7 +124,7 @@ class Children:
             self._end(0.0)
             raise
 
-    def _received(self, child: "_Forked | _New") -> Any:
+    def _received(self, child: "_Child") -> Any:
         """Return the next answer of a child; end the child where it overfills its memory.
 
         Raises EOFError where it has ended; what it has started may keep its files open.
@@ -149,7 +134,7 @@ class Children:
                 raise EOFError
             if self._memory_limit and child.memory() > MEMORY_SHARE * self._memory_limit:
                 child.overfull = True
-                child.kill()
+                child.process.kill()
         return child.channel.recv()
 
 
@@ -165,10 +150,10 @@ class _Part:
 
 def _fill_in(waiting: "Iterator[_Part]", result: TaskResult) -> None:
     """Give a result to the parts that it is of; where these are several, the first one has all of it."""
-    rows, given = len(result.seconds), result
+    rows, empty = len(result.seconds), failed(0, result.sums.shape[1])
     while rows > 0:
         part = next(waiting)
-        part.result, given = given, failed(0, result.sums.shape[1])
+        part.result, result = result, empty
         rows -= len(part.unit.points)
 
 
@@ -181,107 +166,31 @@ def _may_be_forked() -> bool:
 
 
 class _Child:
-    """A process that computes tasks, and the ``channel`` to it."""
+    """A process that computes tasks, and the ``channel`` to it: a copy of this one (``forked``), or a new one.
 
-    pid: int
-    overfull = False
+    Raises SweepError where a new one does not start, and where it is not as ``expected``.
+    """
 
-    def __init__(self) -> None:
-        self.channel, self._theirs = multiprocessing.Pipe()
+    def __init__(self, task: Task, expected: Identity, forked: bool) -> None:
+        self.channel, theirs = multiprocessing.Pipe()
         self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
+        self.overfull = False
+        self.process: Any
+        if forked:
+            arguments = self.channel, theirs, self._words
+            self.process = multiprocessing.get_context("fork").Process(target=_compute_forked, args=arguments)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # of threads: see `_may_be_forked`
+                self.process.start()
+        else:
+            start = f"from linksweep.sweep.executing.children import compute; compute({theirs.fileno()})"
+            files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
+            self.process = new_process(start, **files, pass_fds=[theirs.fileno()])
+        theirs.close()
+        if not forked:
+            self._prepare(task, expected)
 
-    def memory(self) -> float:
-        """Return the bytes of memory that the process takes."""
-        import psutil
-
-        with suppress(psutil.NoSuchProcess):
-            return float(psutil.Process(self.pid).memory_info().rss)
-        return 0.0
-
-    def kill(self) -> None:
-        """End the process at once."""
-        raise NotImplementedError
-
-    def code(self, patience_s: float) -> int | None:
-        """Return the exit code, None where the process has not ended by then."""
-        raise NotImplementedError
-
-    def end(self, patience_s: float) -> None:
-        """End the process; let it take so many seconds for its own clean-up."""
-        if patience_s:
-            with suppress(OSError):
-                self.channel.send(None)
-        if not patience_s or self.code(patience_s) is None:
-            self.kill()
-            self.code(END_S)
-        self.channel.close()
-        self._words.close()
-
-    def last_words(self) -> str:
-        """Return the end of what the process wrote where Python writes before it is ended by a signal."""
-        size = self._words.seek(0, os.SEEK_END)
-        self._words.seek(max(0, size - LAST_WORDS))
-        return self._words.read().decode(errors="replace").strip()
-
-    def death(self, task: Task, memory_limit: int | None) -> Failure:
-        """Return the failure for which a process that does not answer any more stands, and end it if need be."""
-        code = self.code(END_S)
-        words = self.last_words()
-        self.end(0.0)
-        if self.overfull and memory_limit:
-            return Failure("killed", f"needs more than the memory limit of {memory_limit / 1e9:.3g} GB", words)
-        if code is None:
-            return Failure("killed", "closed the files of its process, among them the one for its results", words)
-        if code >= 0:
-            return Failure("killed", f"ended its process with exit code {code}", words)
-        if task.time_limit_s is not None and code == -signal.SIGALRM:
-            return too_long(task, words)
-        name = signal.Signals(-code).name
-        reason = ", perhaps because the machine had no memory left" if name == "SIGKILL" else ""
-        return Failure("killed", f"ended its process with {name}{reason}", words)
-
-
-class _Forked(_Child):
-    """A copy of this process."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._process = multiprocessing.get_context("fork").Process(target=self._compute)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of threads: see `_may_be_forked`
-            self._process.start()
-        self._theirs.close()
-        assert self._process.pid is not None, "it has started"
-        self.pid = self._process.pid
-
-    def _compute(self) -> None:
-        self.channel.close()
-        signal.set_wakeup_fd(-1)  # that of an event loop of the parent
-        signal.signal(signal.SIGTERM, signal.SIG_DFL)
-        parent = multiprocessing.parent_process()
-        assert parent is not None, "this is a child"
-        _end_with(parent.sentinel)
-        _serve(self._theirs, self._words)
-
-    def kill(self) -> None:
-        self._process.kill()
-
-    def code(self, patience_s: float) -> int | None:
-        self._process.join(patience_s)
-        return self._process.exitcode
-
-
-class _New(_Child):
-    """A new process; raises SweepError where it does not start, and where it is not as ``expected``."""
-
-    def __init__(self, task: Task, expected: Identity) -> None:
-        super().__init__()
-        number = self._theirs.fileno()
-        files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
-        start = f"from linksweep.sweep.executing.isolated import child; child({number})"
-        self._process = new_process(start, **files, pass_fds=[number])
-        self._theirs.close()
-        self.pid = self._process.pid
+    def _prepare(self, task: Task, expected: Identity) -> None:
         try:
             self.channel.send((sendable(task.experiment_reference, task.source_digest), task))
             answer = self.channel.recv()
@@ -290,28 +199,81 @@ class _New(_Child):
             if differ := differences(expected.deciding, answer.deciding):
                 raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
         except (EOFError, OSError) as error:
-            code, words = self.code(END_S), self.last_words()
+            code, words = self.code(END_S), self._last_words()
             self.end(0.0)
             raise SweepError(f"a child process could not start (exit code {code}): {words}") from error
         except BaseException:
             self.end(0.0)
             raise
 
-    def kill(self) -> None:
-        self._process.kill()
+    def memory(self) -> float:
+        """Return the bytes of memory that the process takes."""
+        import psutil
+
+        with suppress(psutil.NoSuchProcess):
+            return float(psutil.Process(self.process.pid).memory_info().rss)
+        return 0.0
 
     def code(self, patience_s: float) -> int | None:
-        with suppress(subprocess.TimeoutExpired):
-            return self._process.wait(patience_s)
-        return None
+        """Return the exit code, None where the process has not ended by then."""
+        if isinstance(self.process, subprocess.Popen):
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(patience_s)
+            return self.process.returncode
+        self.process.join(patience_s)
+        code: int | None = self.process.exitcode
+        return code
 
     def end(self, patience_s: float) -> None:
-        super().end(patience_s)
-        assert self._process.stdin is not None, "it ends with this one"
-        self._process.stdin.close()
+        """End the process; let it take so many seconds for its own clean-up."""
+        if patience_s:
+            with suppress(OSError):
+                self.channel.send(None)
+        if not patience_s or self.code(patience_s) is None:
+            self.process.kill()
+            self.code(END_S)
+        self.channel.close()
+        self._words.close()
+        if isinstance(self.process, subprocess.Popen) and self.process.stdin is not None:
+            self.process.stdin.close()
+
+    def _last_words(self) -> str:
+        """Return the end of what the process wrote where Python writes before it is ended by a signal."""
+        size = self._words.seek(0, os.SEEK_END)
+        self._words.seek(max(0, size - LAST_WORDS))
+        return self._words.read().decode(errors="replace").strip()
+
+    def death(self, task: Task, memory_limit: int | None) -> Failure:
+        """Return the failure for which a process that does not answer any more stands, and end it if need be."""
+        code = self.code(END_S)
+        words = self._last_words()
+        self.end(0.0)
+        if code is not None and task.time_limit_s is not None and code == -signal.SIGALRM and not self.overfull:
+            return too_long(task, words)
+        if self.overfull and memory_limit:
+            reason = f"needs more than the memory limit of {memory_limit / 1e9:.3g} GB"
+        elif code is None:
+            reason = "closed the files of its process, among them the one for its results"
+        elif code >= 0:
+            reason = f"ended its process with exit code {code}"
+        else:
+            reason = f"ended its process with {(name := signal.Signals(-code).name)}"
+            reason += ", perhaps because the machine had no memory left" if name == "SIGKILL" else ""
+        return Failure("killed", reason, words)
 
 
-def child(number: int) -> None:
+def _compute_forked(parents: Connection, channel: Connection, words: IO[bytes]) -> None:
+    """Run as a copy of the parent."""
+    parents.close()
+    signal.set_wakeup_fd(-1)  # that of an event loop of the parent
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "this is a child"
+    _end_with(parent.sentinel)
+    _serve(channel, words)
+
+
+def compute(number: int) -> None:
     """Run as a new child whose channel has this file descriptor."""
     _end_with(0)
     channel = Connection(number)
@@ -346,27 +308,28 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
         os.dup2(2, 1)  # what is printed outside of Python must not get among the results
     faulthandler.enable(words, all_threads=False)  # prints where the code was when the process ends
     faulthandler.register(signal.SIGALRM, words, all_threads=False, chain=True)
+    deadlines = Deadlines()
     with threadpool_limits(1), suppress(EOFError):
         while (message := channel.recv()) is not None:
-            _answer(channel, *message)
+            for results in _results(deadlines, *message):
+                channel.send(results)
+            channel.send(None)
 
 
-def _answer(channel: Connection, task: Task, one_by_one: bool, enough_s: float) -> None:
-    """Send the results of a task: several at once, or with ``one_by_one`` each unit as soon as it is done."""
+def _results(deadlines: Deadlines, task: Task, one_by_one: bool, enough_s: float) -> Iterator[list[TaskResult]]:
+    """Yield the results of a task: several at once, or with ``one_by_one`` each unit as soon as it is done."""
     enough, sent = time.monotonic() + enough_s, time.monotonic()
     experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
     split = one_by_one and (experiment.vectorised or takes_several(experiment, task))
-    deadlines, ready = Deadlines(), list[TaskResult]()
-    for part in [replace(task, units=(unit,)) for unit in task.units] if split else [task]:
-        for result in run_units(part, deadlines):
-            ready.append(result)
-            now = time.monotonic()
-            if one_by_one or now > min(enough, sent + SEND_EVERY_S):
-                channel.send(ready)
-                ready, sent = [], now
-            if now > enough:
-                break
-        if time.monotonic() > enough:
+    tasks = [replace(task, units=(unit,)) for unit in task.units] if split else [task]
+    ready: list[TaskResult] = []
+    for result in (result for part in tasks for result in run_units(part, deadlines)):
+        ready.append(result)
+        now = time.monotonic()
+        if one_by_one or now > min(enough, sent + SEND_EVERY_S):
+            yield ready
+            ready, sent = [], now
+        if now > enough:
             break
-    channel.send(ready)
-    channel.send(None)
+    if ready:
+        yield ready

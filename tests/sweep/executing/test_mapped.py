@@ -1,0 +1,122 @@
+"""A function over many pieces, as `tie` has them: the driver of runs, results in the order of the pieces."""
+
+import os
+import signal
+import time
+
+import pytest
+from distributed import Client
+from distributed.comm import CommClosedError
+
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing import versions
+from linksweep.sweep.executing.clusters import local_cluster
+from linksweep.sweep.executing.executor import mapped
+from linksweep.sweep.executing.pools import Limits, Resources
+from tests.patience import PATIENCE_S
+
+EXPERIMENT = "linksweep.core.experiment:link"
+ONE = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with local_cluster(ONE) as cluster:
+        yield cluster
+
+
+def doubled(cluster, pieces=5):
+    with mapped(EXPERIMENT, Resources(scheduler=cluster.scheduler_address), print) as run:
+        return list(run(pow, [(2, n) for n in range(pieces)]))
+
+
+def slept(seconds):
+    time.sleep(seconds)
+    return seconds
+
+
+@pytest.mark.parametrize("resources", [Resources(), Resources(pool="threads", workers=3)], ids=["here", "threads"])
+def test_results_come_in_the_order_of_the_pieces(resources):
+    seconds = [0.2, 0.0, 0.1, 0.0, 0.0]
+    with mapped(EXPERIMENT, resources, print) as run:
+        assert list(run(slept, [(one,) for one in seconds])) == seconds
+        assert list(run(pow, [])) == []
+
+
+def test_what_a_piece_raises_is_raised_and_not_tried_again(cluster):
+    with mapped(EXPERIMENT, Resources(scheduler=cluster.scheduler_address), print) as run:
+        with pytest.raises(ZeroDivisionError):
+            list(run(divmod, [(1, 1), (1, 0)]))
+        assert list(run(divmod, [(7, 2)])) == [(3, 1)]
+
+
+def died_once(path, number):
+    if number == 3 and not path.exists():
+        path.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@pytest.mark.slow
+def test_the_piece_of_a_worker_that_dies_is_computed_by_another(tmp_path):
+    said = []
+    with mapped(EXPERIMENT, Resources(workers=2), said.append) as run:
+        assert list(run(died_once, [(tmp_path / "died", n) for n in range(8)])) == list(range(8))
+    assert any("a worker died" in text for text in said)
+
+
+@pytest.mark.slow
+def test_limits_hold_for_pieces():
+    limits = Limits(time_s=0.5)
+    with (
+        pytest.raises(SweepError, match=r"longer than the time limit of 0\.5 s"),
+        mapped(EXPERIMENT, Resources(workers=1, limits=limits), print) as run,
+    ):
+        list(run(busy, [(60.0,)]))
+    with (
+        pytest.raises(SweepError, match="need worker processes"),
+        mapped(EXPERIMENT, Resources(pool="threads", limits=limits), print),
+    ):
+        pass
+
+
+def busy(seconds):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        pass
+
+
+def test_a_worker_that_goes_while_it_is_asked_is_not_missed(cluster, monkeypatch):
+    """It answers with what Dask says of a connection that is closed."""
+    gone = {"tcp://127.0.0.1:9": CommClosedError("closed")}
+    monkeypatch.setattr(Client, "run", lambda *given, real=Client.run, **options: real(*given, **options) | gone)
+    assert doubled(cluster) == [1, 2, 4, 8, 16]
+
+
+def let_versions_be_others():
+    versions.version_of = lambda name: "0.1"
+
+
+def test_one_that_joins_later_is_compared_too(monkeypatch):
+    with local_cluster(ONE) as cluster:
+
+        def run(client, *arguments, real=Client.run, **options):
+            answers = real(client, *arguments, **options)
+            cluster.scale(2)
+            client.wait_for_workers(2, PATIENCE_S)
+            (joined,) = client.nthreads().keys() - answers.keys()
+            real(client, let_versions_be_others, workers=[joined])
+            return answers
+
+        monkeypatch.setattr(Client, "run", run)
+        with pytest.raises(SweepError, match=r"tcp://.*: numpy is .* here, 0\.1 there"):
+            doubled(cluster, 20)
+
+
+def test_a_scheduler_that_goes_is_told():
+    with local_cluster(ONE) as own, mapped(EXPERIMENT, Resources(scheduler=own.scheduler_address), print) as run:
+        results = run(time.sleep, [(0.0,), *[(1.0,)] * 5])
+        next(results)
+        own.close()
+        with pytest.raises(SweepError, match=r"the connection to the Dask scheduler at .* is lost"):
+            list(results)
