@@ -10,10 +10,11 @@ import importlib
 import importlib.abc
 import importlib.machinery
 import importlib.util
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path, PurePosixPath
 from types import ModuleType
 
@@ -24,6 +25,8 @@ PREFIX = "linksweep_local_"
 """Begins the names of the packages that local modules are in."""
 
 SUFFIXES = (".py", *importlib.machinery.EXTENSION_SUFFIXES)
+
+_packages: dict[str, "LocalFiles"] = {}
 
 
 @dataclass(frozen=True)
@@ -36,8 +39,7 @@ class LocalFiles:
     @cached_property
     def digest(self) -> str:
         """The digest of all contents."""
-        each = {name: hashlib.sha256(content).hexdigest() for name, content in self.contents.items()}
-        return hashlib.sha256(repr(sorted(each.items())).encode()).hexdigest()[:12]
+        return hashlib.sha256(repr(sorted(self.contents.items())).encode()).hexdigest()[:12]
 
     @cached_property
     def package(self) -> str:
@@ -51,42 +53,38 @@ class LocalFiles:
         around = {name.rsplit(".", n)[0] for name in found for n in range(1, name.count(".") + 1)}
         return dict.fromkeys(around - found.keys(), "") | found
 
+    def place(self, file: str) -> str:
+        """Return the absolute path of one of the files."""
+        return str(Path(self.path).parent / file)
+
     def name_of(self, filename: str) -> str | None:
         """Return the relative path of a file, None for one that is not among them."""
-        return next((name for name in self.contents if filename == str(Path(self.path).parent / name)), None)
+        return next((name for name in self.contents if filename == self.place(name)), None)
 
     def module(self) -> ModuleType:
         """Return the module of the file, executed once; raises whatever it raises."""
-        if self.package not in _packages:
-            _packages[self.package] = self
-            if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-                sys.meta_path.insert(0, _Finder())
+        _packages.setdefault(self.package, self)
+        if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+            sys.meta_path.insert(0, _Finder())
         return importlib.import_module(f"{self.package}.{Path(self.path).stem}")
 
     def tree(self, file: str) -> ast.Module:
         """Return the syntax tree of a file in which imports of local modules name their package."""
-        tree = _Localised(self, file).visit(ast.parse(self.contents[file], str(Path(self.path).parent / file)))
-        assert isinstance(tree, ast.Module)
-        return ast.fix_missing_locations(tree)
-
-
-_packages: dict[str, LocalFiles] = {}
+        return _tree(self.package, file)
 
 
 def read_files(path: Path) -> LocalFiles:
     """Return a file with all modules of its folder that it imports, directly or through others, wherever the import
     statements are; raises OSError where the file cannot be read.
     """
-    folder, main = path.parent, path.name
-    contents = {main: path.read_bytes()}
-    todo = [main]
-    while todo:
-        name = todo.pop()
-        for found in _imported(folder, name, contents[name]):
+    contents = {path.name: path.read_bytes()}
+    todo = [path.name]
+    for name in todo:  # which grows meanwhile
+        for found in _imported(path.parent, name, contents[name]):
             if found not in contents:
-                contents[found] = (folder / found).read_bytes()
+                contents[found] = (path.parent / found).read_bytes()
                 todo.append(found)
-    return LocalFiles(str(path), {main: contents.pop(main), **dict(sorted(contents.items()))})
+    return LocalFiles(str(path), contents)
 
 
 def local_files_of(module: str) -> LocalFiles | None:
@@ -94,26 +92,26 @@ def local_files_of(module: str) -> LocalFiles | None:
     return _packages.get(module.partition(".")[0])
 
 
+def without_package(text: str) -> str:
+    """Return a text without the packages of local modules."""
+    return re.sub(rf"{PREFIX}[0-9a-f]+\.", "", text)
+
+
 def _imported(folder: Path, name: str, content: bytes) -> Iterator[str]:
     """Yield the files of a folder that the import statements of one of them name."""
-    if not name.endswith(".py"):
-        return
     try:
-        nodes = list(ast.walk(ast.parse(content)))
+        nodes = list(ast.walk(ast.parse(content))) if name.endswith(".py") else []
     except (SyntaxError, ValueError, RecursionError):  # reported when the file is executed
         return
-    own = _dotted(name).split(".")
-    package = own if name.endswith("__init__.py") else own[:-1]
+    package = PurePosixPath(name).parent.parts
     for node in nodes:
-        wanted: list[str] = []
+        modules: list[str] = []
         if isinstance(node, ast.Import):
-            wanted = [alias.name for alias in node.names]
+            modules = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            base = ".".join(
-                [*package[: len(package) - node.level + 1], node.module or ""] if node.level else [node.module or ""]
-            )
-            wanted = [f"{base.strip('.')}.{alias.name}".strip(".") for alias in node.names]
-        for parts in (module.split(".") for module in wanted if module.partition(".")[0] != OURS):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            modules = [".".join([*base, *filter(None, [node.module]), alias.name]) for alias in node.names]
+        for parts in (module.split(".") for module in modules if module.partition(".")[0] != OURS):
             for end in range(1, len(parts) + 1):
                 stem = PurePosixPath(*parts[:end])
                 files = [f"{stem}/__init__.py", *(f"{stem}{suffix}" for suffix in SUFFIXES)]  # as Python prefers them
@@ -123,6 +121,14 @@ def _imported(folder: Path, name: str, content: bytes) -> Iterator[str]:
 def _dotted(file: str) -> str:
     stem = file.removesuffix(next(suffix for suffix in SUFFIXES if file.endswith(suffix)))
     return stem.removesuffix("/__init__").replace("/", ".")
+
+
+@lru_cache(maxsize=256)
+def _tree(package: str, file: str) -> ast.Module:
+    files = _packages[package]
+    tree = ast.parse(files.contents[file], files.place(file))
+    _Localised(files, file).visit(tree)
+    return ast.fix_missing_locations(tree)
 
 
 class _Localised(ast.NodeTransformer):
@@ -161,19 +167,19 @@ class _Finder(importlib.abc.MetaPathFinder):
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
         package, _, name = fullname.partition(".")
-        if (files := _packages.get(package)) is None:
-            return None
-        file = files.modules.get(name) if name else ""
-        if file is None:
+        files = _packages.get(package)
+        file = None if files is None else files.modules.get(name) if name else ""
+        if files is None or file is None:
             return None
         if not file:
             return importlib.machinery.ModuleSpec(fullname, None, is_package=True)
-        place = str(Path(files.path).parent / file)
         if not file.endswith(".py"):
-            return importlib.util.spec_from_file_location(fullname, place)
+            return importlib.util.spec_from_file_location(fullname, files.place(file))
         inside: list[str] | None = [] if file.endswith("__init__.py") else None
         loader = _Loader(files, file)
-        return importlib.util.spec_from_file_location(fullname, place, loader=loader, submodule_search_locations=inside)
+        return importlib.util.spec_from_file_location(
+            fullname, files.place(file), loader=loader, submodule_search_locations=inside
+        )
 
 
 class _Loader(importlib.abc.SourceLoader):
@@ -183,7 +189,7 @@ class _Loader(importlib.abc.SourceLoader):
         self._files, self._file = files, file
 
     def get_filename(self, fullname: str) -> str:
-        return str(Path(self._files.path).parent / self._file)
+        return self._files.place(self._file)
 
     def get_data(self, path: str) -> bytes:
         return self._files.contents[self._file]

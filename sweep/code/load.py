@@ -15,16 +15,16 @@ import re
 import subprocess
 import sys
 import traceback
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from types import ModuleType
-from typing import IO, Any, Protocol
+from typing import Any
 from weakref import WeakKeyDictionary
 
-from linksweep.sweep.code.files import OURS, LocalFiles, read_files
-from linksweep.sweep.code.reach import Reach, distributions_at, distributions_of, version_of, without_package
+from linksweep.sweep.code.files import OURS, LocalFiles, read_files, without_package
+from linksweep.sweep.code.reach import Reach, distributions_at, distributions_of, version_of
 from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.functions.adapter import experiment_of, is_plain_function
 from linksweep.sweep.functions.declared import ATTRIBUTE
@@ -53,27 +53,24 @@ DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "pac
 class Live:
     """A function or experiment as a session has it, with its ``parts``: see `code_of`."""
 
-    def __init__(self, found: Callable[..., Any] | Experiment) -> None:
-        self.found, reach = found, _reach(found)
-        self.parts, self.modules, self.taken, self.paths = reach.parts, reach.modules, reach.taken, tuple(sys.path)
-        self.acting = [name for name in reach.acting if name != "__main__"]
-        self.digest = _digest(self.parts)
-        self.name = found.name if isinstance(found, Experiment) else name_of(found)
-        self.path = _importable(found) or f"{SESSION}:{self.name}-{self.digest}"
+    def __init__(self, value: Callable[..., Any] | Experiment) -> None:
+        self.value, self.reach = value, _reach(value)
+        self.parts, self.digest = self.reach.parts, _digest(self.reach.parts)
+        self.name = value.name if isinstance(value, Experiment) else name_of(value)
+        self.path = _importable(value) or f"{SESSION}:{self.name}-{self.digest}"
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return the state with the function pickled; raises SweepError where that is not possible."""
+    @cached_property
+    def pickled(self) -> bytes:
+        """The function with what it reaches in this session; raises SweepError where it cannot be pickled."""
         import cloudpickle
 
-        modules = (
-            {one.__name__ for one in self.modules} - {"__main__"} - set(cloudpickle.list_registry_pickle_by_value())
-        )
-        here = [sys.modules[name] for name in modules if name in sys.modules]
-        payload = io.BytesIO()
+        modules = {one.__name__ for one in self.reach.modules.values()} & sys.modules.keys() - {"__main__"}
+        here = [sys.modules[name] for name in modules - set(cloudpickle.list_registry_pickle_by_value())]
+        file = io.BytesIO()
         try:
             for module in here:  # workers may not have them, or not as they are in this session
                 cloudpickle.register_pickle_by_value(module)
-            by_value(payload, self.taken).dump(self.found)
+            _by_value(file, self.reach).dump(self.value)
         except Exception as error:  # whatever keeps an object from being pickled
             raise SweepError(
                 f"the function {self.name} cannot be sent to workers "
@@ -82,28 +79,33 @@ class Live:
         finally:
             for module in here:
                 cloudpickle.unregister_pickle_by_value(module)
-        return {**vars(self), "found": payload.getvalue(), "modules": [], "taken": {}}
+        return file.getvalue()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state with the function pickled once; raises SweepError as `pickled`."""
+        acting = [name for name in self.reach.acting if name != "__main__"]
+        same = {name: vars(self)[name] for name in ("parts", "digest", "name", "path")}
+        return {**same, "pickled": self.pickled, "paths": sys.path, "acting": acting}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore the state, and the function from its bytes."""
         vars(self).update(state)
-        sys.path += [path for path in self.paths if path not in sys.path]  # what it imports when it is called
-        for name in self.acting:
+        sys.path += [path for path in state["paths"] if path not in sys.path]  # what it imports when it is called
+        for name in state["acting"]:
             importlib.import_module(name)
-        self.found = pickle.loads(state["found"])
+        self.value = pickle.loads(self.pickled)
 
 
-def by_value(file: IO[bytes], taken: Mapping[str, Collection[str]]) -> pickle.Pickler:
-    """Return a pickler of functions as they are: with the attributes of modules that are ``taken``, without caches."""
+def _by_value(file: io.BytesIO, reach: Reach) -> pickle.Pickler:
+    """Return a pickler of functions as they are: with the attributes of modules that they take, without caches."""
     import cloudpickle
 
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
         def reducer_override(self, value: Any) -> Any:
-            name = getattr(value, "__name__", None)
-            if isinstance(value, ModuleType) and name in cloudpickle.list_registry_pickle_by_value():
+            if isinstance(value, ModuleType) and value.__name__ in cloudpickle.list_registry_pickle_by_value():
                 # cloudpickle fails where a function in a module refers to the module
-                state = {one: vars(value)[one] for one in taken.get(value.__name__, ()) if one in vars(value)}
-                return ModuleType, (name,), state
+                taken = reach.taken.get(value.__name__, set()) & vars(value).keys()
+                return ModuleType, (value.__name__,), {name: vars(value)[name] for name in taken}
             if isinstance(value, WeakKeyDictionary):
                 return WeakKeyDictionary, ()
             if isinstance(value, type(_function)) and distributions_of(value.__module__) is None:
@@ -134,30 +136,31 @@ class SourceFunction:
         return _function(self)(*arguments)
 
 
-class Code(Protocol):
-    """How a study loads the code that it names; where that may not be, these raise SweepError."""
+@lru_cache(maxsize=16)
+def _function(wanted: SourceFunction) -> Callable[..., Any]:
+    found = _find(wanted.reference)
+    if not callable(found) or _digest(_reach(found).parts) != wanted.digest:
+        raise SweepError(f"{wanted.reference}: its code is not that with which the study was read")
+    function: Callable[..., Any] = found
+    return function
+
+
+class Code:
+    """Loads the code that a study names, where ``check`` raises no SweepError for its reference: from its files as they
+    are now (``afresh``), or as this session has it.
+    """
+
+    def __init__(self, check: Callable[[str], None] = lambda reference: None, afresh: bool = True) -> None:
+        self.check, self.afresh = check, afresh
 
     def experiment(self, reference: str, folder: Path) -> Experiment:
-        """Return the experiment at a reference."""
-        ...
-
-    def function(self, reference: str, folder: Path) -> SourceFunction:
-        """Return the function at a reference."""
-        ...
-
-
-@dataclass(frozen=True)
-class Imports:
-    """Loads the code that a study names: from its files as they are now (``afresh``), or as this session has it."""
-
-    afresh: bool = True
-
-    def experiment(self, reference: str, folder: Path) -> Experiment:
-        """Return an experiment; raises SweepError as `load_experiment`."""
+        """Return the experiment at a reference; raises SweepError as `load_experiment`."""
+        self.check(reference)
         return load_experiment(reference, folder, afresh=self.afresh)
 
     def function(self, reference: str, folder: Path) -> SourceFunction:
-        """Return a function; raises SweepError as `load_experiment`."""
+        """Return the function at a reference; raises SweepError as `load_experiment`."""
+        self.check(reference)
         absolute = absolute_reference(reference, folder)
         found = _find(absolute, afresh=self.afresh)
         if not callable(found):
@@ -196,23 +199,20 @@ def keep(function: Callable[..., Any] | Experiment) -> str:
     return live.path
 
 
-def provide(code: "LocalFiles | Live") -> None:
+def provide(code: LocalFiles | Live) -> None:
     """Let this process load what another one has sent."""
     _provided[code.path, code.digest] = code
 
 
-def sources_of(reference: str, digest: str | None = None) -> "LocalFiles | Live | None":
+def sources_of(reference: str, digest: str | None = None) -> LocalFiles | Live | None:
     """Return what another process needs to load a loaded reference; None where that is a module."""
     place = reference.rpartition(":")[0]
-    known = [
-        _live.get(reference),
-        _read.get(place),
-        *(_provided.get((key, digest or "")) for key in (reference, place)),
-    ]
+    sent = [_provided.get((key, digest or "")) for key in (reference, place)]
+    known = [_live.get(reference), _read.get(place), *sent]
     return next((one for one in known if one is not None and digest in (None, one.digest)), None)
 
 
-def sendable(reference: str, digest: str | None = None) -> "LocalFiles | Live | None":
+def sendable(reference: str, digest: str | None = None) -> LocalFiles | Live | None:
     """Return what to send to a process that is to load a loaded reference; None where it can only import it itself.
 
     Raises SweepError for a function of this session that cannot be pickled, or would be another where it is imported.
@@ -221,10 +221,13 @@ def sendable(reference: str, digest: str | None = None) -> "LocalFiles | Live | 
     if not isinstance(sources, Live):
         return sources
     try:
-        pickle.dumps(sources)
+        sources.pickled  # noqa: B018 (what can fail is done here, once)
     except SweepError as error:
-        differing = _differences_elsewhere(reference, sources.parts)
-        if reference.startswith(f"{SESSION}:") or differing:
+        there = {} if sources.path.startswith(f"{SESSION}:") else dict(_elsewhere(reference)[0])
+        there = {name: text for name, text in there.items() if name not in unsteady(reference)}
+        here = {name: sources.parts.get(name, "") for name in there}
+        if not there or here != there:
+            differing = code_differences(here, there, "here", "where it is imported")
             raise SweepError([*error.problems, *differing], error.where) from error
         return None
     return sources
@@ -240,21 +243,13 @@ def unsteady(reference: str) -> frozenset[str]:
     return found
 
 
-def _differences_elsewhere(reference: str, parts: Mapping[str, str]) -> list[str]:
-    if reference.startswith(f"{SESSION}:"):
-        return []
-    there = {name: text for name, text in _elsewhere(reference)[0].items() if name not in unsteady(reference)}
-    return code_differences({name: parts.get(name, "") for name in there}, there, "here", "where it is imported")
-
-
 @cache
-def _elsewhere(reference: str) -> tuple[dict[str, str], dict[str, str]]:
-    """Return the parts of what a reference names as two new processes have them, none for one of this session."""
+def _elsewhere(reference: str) -> list[dict[str, str]]:
+    """Return the parts of what a reference names as two new processes have them."""
     code = f"import json; from linksweep.sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
     files: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     some = [new_process(code, **files) for _ in range(2)]
-    one, other = (json.loads((process.communicate()[0].splitlines() or [b"{}"])[-1]) for process in some)
-    return one, other
+    return [json.loads((process.communicate()[0].splitlines() or [b"{}"])[-1]) for process in some]
 
 
 def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
@@ -282,36 +277,33 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
 
     Experiments that come with linksweep are identified by their own version alone.
     """
-    place = reference.rpartition(":")[0]
     declared = {f"package {name}": version_of(name) for name in experiment.packages}
+    place = reference.rpartition(":")[0]
     if place.partition(".")[0] == OURS and distributions_of(place) == ():
         return declared
-    sources = sources_of(reference, digest)
-    parts = sources.parts if isinstance(sources, Live) else _parts(reference, digest or source_digest(reference))
-    defaults = {p.name: json.dumps(p.written_default(), default=str) for p in experiment.parameters}
-    return {**parts, **{f"default of {name}": text for name, text in defaults.items()}, **declared}
+    defaults = {f"default of {p.name}": json.dumps(p.written_default(), default=str) for p in experiment.parameters}
+    return {**parts_of(reference, digest), **defaults, **declared}
 
 
 def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
     """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
     phrases = []
-    for name in sorted({*old, *new}):
+    for name in sorted(name for name in {*old, *new} if old.get(name) != new.get(name)):
         before, after = old.get(name), new.get(name)
-        place = f" ({_places[name]})" if name in _places else ""
-        if before == after:
-            continue
+        place = f"{name} ({_places[name]})" if name in _places else name
         if before is None or after is None:
-            phrases.append(f"{name}{place} is only {was if after is None else now}")
+            phrases.append(f"{place} is only {was if after is None else now}")
         elif name.startswith(("function ", "class ", "module ", "file ")) or DIGEST.fullmatch(before + after):
-            phrases.append(f"{name}{place} has changed")
+            phrases.append(f"{place} has changed")
         else:
-            phrases.append(f"{name}{place} is {before} {was}, {after} {now}")
+            phrases.append(f"{place} is {before} {was}, {after} {now}")
     return phrases
 
 
-def parts_of(reference: str) -> Mapping[str, str]:
-    """Return the parts of what a reference names, as `Reach` has them."""
-    return _parts(reference, source_digest(reference))
+def parts_of(reference: str, digest: str | None = None) -> Mapping[str, str]:
+    """Return the parts of what a loaded reference names, as `Reach` has them."""
+    sources = sources_of(reference, digest)
+    return sources.parts if isinstance(sources, Live) else _parts(reference, digest or source_digest(reference))
 
 
 @lru_cache(maxsize=64)  # the attributes of modules count as they are when a run starts
@@ -319,22 +311,21 @@ def _parts(reference: str, digest: str | None) -> Mapping[str, str]:
     return _reach(_find(reference, digest=digest)).parts
 
 
-def _reach(found: Any) -> Reach:
+def _reach(value: Any) -> Reach:
     """Return what a function or an experiment reaches; warn once of what has no canonical form."""
-    roots = {"result": found}
-    if isinstance(found, Experiment):
-        roots = {one.name: getattr(found, one.name) for one in fields(found) if one.name not in DESCRIBING}
-        roots |= {f"define of {p.name}": p.define for p in found.parameters if p.define is not None}
+    roots = {"result": value}
+    if isinstance(value, Experiment):
+        roots = {one.name: getattr(value, one.name) for one in fields(value) if one.name not in DESCRIBING}
+        roots |= {f"define of {p.name}": p.define for p in value.parameters if p.define is not None}
     reach = Reach(roots)
     _places.update(reach.places)
     for name, kind in reach.unnoticed.items():
         if name not in _warned:
             _warned.add(name)
             log.warning("changes of %s, a %s, are not noticed", name, kind)
-    folder = Path(getattr(sys.modules.get(found.__module__), "__file__", None) or "x").parent
-    for name in getattr(getattr(found, ATTRIBUTE, None), "reads", ()):
-        file = folder / name
-        content = file.read_bytes() if file.is_file() else b""
+    folder = Path(getattr(sys.modules.get(value.__module__), "__file__", None) or "x").parent
+    for name in getattr(getattr(value, ATTRIBUTE, None), "reads", ()):
+        content = (folder / name).read_bytes() if (folder / name).is_file() else b""
         reach.parts[f"file {name}"] = hashlib.sha256(content).hexdigest()[:12] if content else "not there"
     return reach
 
@@ -352,26 +343,17 @@ def _digest(parts: Mapping[str, str]) -> str:
     return hashlib.sha256(repr(sorted(parts.items())).encode()).hexdigest()[:12]
 
 
-@lru_cache(maxsize=16)
-def _function(wanted: SourceFunction) -> Callable[..., Any]:
-    found = _find(wanted.reference)
-    if not callable(found) or _digest(_reach(found).parts) != wanted.digest:
-        raise SweepError(f"{wanted.reference}: its code is not that with which the study was read")
-    function: Callable[..., Any] = found
-    return function
-
-
 def _find(reference: str, folder: Path | None = None, digest: str | None = None, afresh: bool = False) -> Any:
     """Return the object that a reference names, None where its module has no such attribute."""
-    place, colon, attribute = reference.rpartition(":")
-    if not colon or not place or not attribute:
+    place, _, attribute = reference.rpartition(":")
+    if not place or not attribute:
         raise SweepError(f"{shown(reference)}: write module:attribute or file.py:attribute")
     if afresh and place != SESSION:
         _live.pop(reference, None)
         _parts.cache_clear()
     live = _provided.get((reference, digest or ""), _live.get(reference))
     if isinstance(live, Live) and digest in (None, live.digest):
-        return live.found
+        return live.value
     if place == SESSION:
         raise SweepError(
             f"the function {shown(attribute.rpartition('-')[0])} was defined in a script or notebook, not in a module; "
@@ -379,7 +361,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
         )
     try:
         is_file = place.endswith(".py")
-        module = _module_of_file(place, folder, digest, afresh) if is_file else importlib.import_module(place)
+        module = _files(place, folder, digest, afresh).module() if is_file else importlib.import_module(place)
         return getattr(module, attribute, None)
     except SweepError as error:
         if not error.where:
@@ -392,7 +374,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
         raise SweepError(f"{shown(reference)}: cannot be imported: {message}{hint}") from error
 
 
-def _module_of_file(place: str, folder: Path | None, digest: str | None, afresh: bool) -> ModuleType:
+def _files(place: str, folder: Path | None, digest: str | None, afresh: bool) -> LocalFiles:
     path = ((folder or Path.cwd()) / place).resolve()
     files = _provided.get((str(path), digest or ""), _read.get(str(path)))
     if not isinstance(files, LocalFiles) or afresh or digest not in (None, files.digest):
@@ -402,7 +384,7 @@ def _module_of_file(place: str, folder: Path | None, digest: str | None, afresh:
             raise SweepError(f"there is no file {shown(str(path))}") from None
         except OSError as error:
             raise SweepError(f"{path} cannot be read: {error.strerror or error}") from error
-    return files.module()
+    return files
 
 
 def _importable(function: Callable[..., Any] | Experiment) -> str | None:
@@ -420,16 +402,11 @@ def _importable(function: Callable[..., Any] | Experiment) -> str | None:
 def _how_to_find(error: BaseException, place: str, attribute: str) -> str:
     """Return a hint on how to name a function of a package that is not installed, '' for other errors."""
     if isinstance(error, ImportError) and "attempted relative import" in str(error):
-        names = [Path(place).stem]
-        folder = Path(place).absolute().parent
+        names, folder = [Path(place).stem], Path(place).absolute().parent
         while (folder / "__init__.py").is_file():
-            names.insert(0, folder.name)
-            folder = folder.parent
-        if len(names) == 1:
-            return ""
-        return (
-            f"; a file of a package is named by its module: PYTHONPATH={folder} sweep run {'.'.join(names)}:{attribute}"
-        )
+            names, folder = [folder.name, *names], folder.parent
+        how = f"PYTHONPATH={folder} sweep run {'.'.join(names)}:{attribute}"
+        return f"; a file of a package is named by its module: {how}" if len(names) > 1 else ""
     missing = error.name if isinstance(error, ModuleNotFoundError) else None
     if missing and f"{place}.".startswith(f"{missing}.") and Path(*place.split(".")).with_suffix(".py").is_file():
         return f"; it is not installed: PYTHONPATH={Path.cwd()} finds it here"
@@ -441,14 +418,8 @@ def _line_of(error: BaseException) -> str:
     if isinstance(error, SyntaxError) and error.filename:
         return f" ({error.filename}, line {error.lineno})"
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).is_absolute()]
-    own = [
-        f for f in frames if distributions_at(f.filename, Path(f.filename).stem) is None and not _is_ours(f.filename)
-    ]
-    return f" ({own[-1].filename}, line {own[-1].lineno})" if own else ""
-
-
-def _is_ours(file: str) -> bool:
-    return Path(file).is_relative_to(Path(__file__).parents[1])
+    theirs = [frame for frame in frames if distributions_at(frame.filename, Path(frame.filename).stem) is None]
+    return f" ({theirs[-1].filename}, line {theirs[-1].lineno})" if theirs else ""
 
 
 def _is_no(wanted: str, reference: str, found: object) -> SweepError:

@@ -3,12 +3,12 @@
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 from threadpoolctl import threadpool_info
 
-from linksweep.sweep.code.load import code_of, load_experiment
+from linksweep.sweep.code.load import code_of, load_experiment, source_digest
 from linksweep.sweep.code.reach import version_of
 from linksweep.sweep.contract import SweepError
 
@@ -26,6 +26,11 @@ class Identity:
 
 def identity(reference: str, digest: str | None = None) -> Identity:
     """Return the versions by which this process would compute an experiment; raises SweepError as `load_experiment`."""
+    return _identity(reference, digest or source_digest(reference))
+
+
+@lru_cache(maxsize=64)  # workers compare it with every task
+def _identity(reference: str, digest: str | None) -> Identity:
     experiment = load_experiment(reference, digest=digest)
     deciding = {name: version_of(name) for name in DECIDING}
     deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
@@ -47,12 +52,8 @@ def _kernels() -> str:
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
     """Return a phrase for everything that differs."""
-    names = list(here) + [name for name in there if name not in here]
-    return [
-        f"{name} is {here.get(name, 'unknown')} here, {there.get(name, 'unknown')} there"
-        for name in names
-        if here.get(name) != there.get(name)
-    ]
+    pairs = {name: (here.get(name, "unknown"), there.get(name, "unknown")) for name in {**here, **there}}
+    return [f"{name} is {one} here, {other} there" for name, (one, other) in pairs.items() if one != other]
 
 
 def require_same(expected: Mapping[str, str], found: Mapping[str, Any]) -> None:

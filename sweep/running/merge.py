@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.code.load import Imports, SourceFunction, code_differences
+from linksweep.sweep.code.load import Code, SourceFunction, code_differences
 from linksweep.sweep.contract import Array, Named, SweepError, Value
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.functions.layout import Layout
@@ -185,7 +185,7 @@ class _Known(Recorded):
 
     def function(self, reference: str, folder: Path) -> SourceFunction:
         """Return a function."""
-        return Imports().function(reference, folder)
+        return Code().function(reference, folder)
 
 
 _GRID = ("axes", "points", "grid", "exclude", "published", "claim")

@@ -21,7 +21,7 @@ from linksweep.sweep.planning.streams import generators_of
 from linksweep.sweep.planning.work_queue import Pending
 from linksweep.sweep.running.first_result import as_rows
 from linksweep.sweep.running.results import assemble
-from linksweep.sweep.running.trust import Asking, OursAlone
+from linksweep.sweep.running.trust import asking, ours_alone
 from linksweep.sweep.stores.code import differences_of_code
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.opened import OpenStore
@@ -59,7 +59,7 @@ def study_of(store: Where, *, trust: bool = False) -> Study:
 
 def _study_of(store: OpenStore, trust: bool) -> Study:
     where = str(store.location)
-    return study_of_attributes(store.attributes, where, Asking(store.location, store.attributes, trust))
+    return study_of_attributes(store.attributes, where, asking(store.location, store.attributes, trust))
 
 
 def study_to_look_at(store: Where) -> Study:
@@ -67,7 +67,7 @@ def study_to_look_at(store: Where) -> Study:
 
     Raises SweepError for another experiment, and where the study names functions in files.
     """
-    return study_of_attributes(OpenStore(store).attributes, str(store), OursAlone())
+    return study_of_attributes(OpenStore(store).attributes, str(store), ours_alone())
 
 
 def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:

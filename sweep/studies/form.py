@@ -7,6 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from linksweep.sweep.studies.source import DEFAULT_EXPERIMENT
+
 Seed = Annotated[int, Field(ge=0, lt=2**64)]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Tolerance = Annotated[float, Field(gt=0.0, lt=1.0)]
@@ -195,7 +197,7 @@ class Form(Section):
 
     title: Text
     question: Text | None = None
-    experiment: str = "linksweep.core.experiment:link"
+    experiment: str = DEFAULT_EXPERIMENT
     axes: dict[str, Any] = Field(default_factory=dict)
     fixed: dict[str, Any] = Field(default_factory=dict)
     define: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)

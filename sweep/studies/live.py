@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from linksweep.sweep.code.load import Imports, keep
+from linksweep.sweep.code.load import Code, keep
 from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.contract.units import is_quantity
 from linksweep.sweep.functions.adapter import is_plain_function
 from linksweep.sweep.functions.signature import name_of
 from linksweep.sweep.studies.points import columns_of
 from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.source import DEFAULT_EXPERIMENT
 from linksweep.sweep.studies.study import Study
 from linksweep.sweep.tables.file import content_digest
 
@@ -50,11 +51,11 @@ def live_study(document: Mapping[str, Any]) -> Study:
         for key, value in document.items()
         if key != "experiment"
     }
-    given = document.get("experiment", "linksweep.core.experiment:link")
+    given = document.get("experiment", DEFAULT_EXPERIMENT)
     plain["experiment"] = given if isinstance(given, str) else reference_of(given)
     name = plain["experiment"].rpartition(":")[2] if isinstance(given, str) else _name_of(given)
     plain.setdefault("title", name)
-    code = Imports(afresh=isinstance(given, str))
+    code = Code(afresh=isinstance(given, str))
     text = json.dumps(plain, sort_keys=True, default=_digest)
     return study_from_dict(plain, f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}", name, code)
 

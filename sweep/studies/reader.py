@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from linksweep.sweep.code.load import Code, Imports, absolute_reference
+from linksweep.sweep.code.load import Code, absolute_reference
 from linksweep.sweep.contract import Experiment, SweepError, Value
 from linksweep.sweep.studies.claims import ClaimContext, check_figure, checked_claim, checked_conclusion
 from linksweep.sweep.studies.definitions import defined_values
@@ -63,7 +63,7 @@ def load_study(
         text = read_text(path)
         document = parsed(text, path)
     overrides = override(document, settings, axes, points, design, ranges)
-    return _Reader(document, text, path, function or str(path), overrides, Imports()).study()
+    return _Reader(document, text, path, function or str(path), overrides, Code()).study()
 
 
 def study_from_dict(
@@ -73,7 +73,7 @@ def study_from_dict(
     ``where``, as `load_study`.
     """
     path = Path.cwd() / f"{name}.toml"
-    return _Reader(dict(document), "", path, where or str(path), Overrides(), code or Imports()).study()
+    return _Reader(dict(document), "", path, where or str(path), Overrides(), code or Code()).study()
 
 
 def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -> Study:

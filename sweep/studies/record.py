@@ -2,11 +2,11 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from linksweep.sweep.code.load import SourceFunction
+from linksweep.sweep.code.load import Code, SourceFunction
 from linksweep.sweep.contract import Experiment, Named, Output, Parameter, SweepError, shown
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.functions.record import experiment_of_record, layout_of_record
@@ -18,11 +18,12 @@ RECORD = "experiment_record"
 """The attribute of a store that holds the record, as JSON."""
 
 
-@dataclass(frozen=True)
-class Recorded:
+class Recorded(Code):
     """The code of a study that a store holds, to be looked at: its recorded experiment, and no way to load any."""
 
-    recorded: Experiment
+    def __init__(self, experiment: Experiment) -> None:
+        super().__init__()
+        self.recorded = experiment
 
     def experiment(self, reference: str, folder: Path) -> Experiment:
         """Return the recorded experiment, whatever is named."""

@@ -8,6 +8,9 @@ from typing import Any
 
 from linksweep.sweep.contract import SweepError, shown, suggest
 
+DEFAULT_EXPERIMENT = "linksweep.core.experiment:link"
+"""The experiment of a study that names none; any store may name it, as it comes with linksweep."""
+
 MAX_FILE_BYTES = 1_000_000
 
 DEEPEST = 100

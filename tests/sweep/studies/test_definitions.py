@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from linksweep.sweep.code.load import Imports
+from linksweep.sweep.code.load import Code
 from linksweep.sweep.contract import Named, SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.grid import Grid
@@ -172,7 +172,7 @@ def test_a_store_is_reproduced_from_itself_and_continued(here, monkeypatch):
     monkeypatch.chdir(here / "elsewhere")
     for place in ("model=small,v_max=15", "model=coded,v_max=16", "model=gaia,v_max=16"):
         assert reproduce(here / "s.zarr", place).differences == {}
-    again = study_of_attributes(OpenStore(here / "s.zarr").attributes, "s.zarr", Imports())
+    again = study_of_attributes(OpenStore(here / "s.zarr").attributes, "s.zarr", Code())
     assert digests(again) == known
 
 
@@ -196,14 +196,14 @@ def test_workers_compute_what_this_process_does(here):
 def test_a_function_is_that_with_which_the_study_was_read_or_fails(here):
     reference = f"{here / 'curves.py'}:motions"
     (here / "curves.py").write_text(CURVES.replace("0.02", "0.07"))  # no other test has loaded this one
-    known = Imports().function(reference, Path())
+    known = Code().function(reference, Path())
     as_read = known(np.array([15.0]))
     (here / "curves.py").write_text(CURVES.replace("0.02", "0.03"))
     assert known(np.array([15.0])) == as_read
     there = f"import pickle; pickle.loads({pickle.dumps(known)!r})([15.0])"
     done = subprocess.run([sys.executable, "-c", there], capture_output=True, text=True, check=False)
     assert "its code is not that with which the study was read" in done.stderr
-    assert Imports().function(reference, Path())(np.array([15.0])) == pytest.approx([0.04])
+    assert Code().function(reference, Path())(np.array([15.0])) == pytest.approx([0.04])
 
 
 @pytest.mark.parametrize("returned", ["0.1 * v.mean() + 0 * v", "0.1 * v / v.max()", "0.01 * v * next(CALLS)"])
@@ -218,7 +218,7 @@ def test_a_curve_of_more_than_the_magnitude_is_refused(here, sweep, returned):
 
 
 def test_a_function_of_a_module(here):
-    found = Imports().function("linksweep.core.catalogues:completeness", Path())
+    found = Code().function("linksweep.core.catalogues:completeness", Path())
     assert (found.reference, found.name) == ("linksweep.core.catalogues:completeness", "completeness")
     assert found(19.0) == pytest.approx(0.054)
 
