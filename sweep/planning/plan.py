@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 from linksweep.sweep.contract import SweepError, Value
 from linksweep.sweep.planning.block import Block
+from linksweep.sweep.planning.checked_grid import PointCache
 from linksweep.sweep.planning.grid import Grid, GridPoint
-from linksweep.sweep.planning.point_cache import PointCache
 from linksweep.sweep.studies.study import Study
 
 TARGET = 2**24
