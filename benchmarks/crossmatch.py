@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 
 from linksweep.core.catalogue import Sky
 from linksweep.core.constants import ARCSEC, DEGREE, GALACTIC_AXES, MAS
+from linksweep.core.crossmatch import Positions, at_epoch
 from linksweep.core.frames import position
-from linksweep.core.sky_pairs import Positions, at_epoch
 
 Array = NDArray[np.float64]
 

@@ -83,7 +83,7 @@ parquet.write_table(pa.table(columns), sys.argv[2], row_group_size=group)
 
 _RADIO_STARS = """
 import json, time
-from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.link import tie
 files = "{satellite}", "{reference}"
 tie(*files, "orientation,spin", errors="formal")  # imports
 begun = time.process_time()

@@ -19,7 +19,7 @@ from linksweep.core.scenario import (
     systematics,
     zonal_errors,
 )
-from linksweep.sweep.contract import Point, SweepError
+from linksweep.sweep.contract import Point
 
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
 """Errors in mas and mas/yr between which the link is computed: outside, weights overflow or an error is not a small
@@ -182,17 +182,16 @@ def _not_measured(point: Point) -> str | None:
 def _epochs(point: Point) -> str | None:
     """Say that the rows of a file are of different epochs, which the simulation ignores."""
     table = point["file"]
-    if table is None or EPOCH not in table.names():
+    if table is None or not (read := table.columns({}, {}, ())).has(EPOCH):
         return None
-    try:
-        epochs = table.numbers(EPOCH, "yr")
-    except SweepError:  # not all rows have one
+    epochs = read.epochs()
+    if read.problems:  # not all rows have one
         return None
     if np.ptp(epochs) <= SAME_EPOCH_YR:
         return None
     return (
-        f"file: {EPOCH} is between {epochs.min():.10g} and {epochs.max():.10g}, and the simulation takes all rows as "
-        "of one epoch; `sweep tie` links rows of different epochs"
+        f"file: {read.label(EPOCH)} is between {epochs.min():.10g} and {epochs.max():.10g}, and the simulation takes "
+        "all rows as of one epoch; `sweep tie` links rows of different epochs"
     )
 
 

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from linksweep.sweep.functions.declared import experiment
     from linksweep.sweep.studies.reader import load_study
     from linksweep.sweep.studies.study import Study
-    from linksweep.sweep.tie.link_tables import tie
-    from linksweep.sweep.tie.planning import forecast
+    from linksweep.sweep.tie.forecast import forecast
+    from linksweep.sweep.tie.link import tie
 
     __version__: str
 
@@ -82,8 +82,8 @@ _MODULES = {
     "linksweep.sweep.functions.declared": ("experiment",),
     "linksweep.sweep.studies.reader": ("load_study",),
     "linksweep.sweep.studies.study": ("Study",),
-    "linksweep.sweep.tie.link_tables": ("tie",),
-    "linksweep.sweep.tie.planning": ("forecast",),
+    "linksweep.sweep.tie.link": ("tie",),
+    "linksweep.sweep.tie.forecast": ("forecast",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

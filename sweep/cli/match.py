@@ -112,10 +112,8 @@ def match(
         --radius pgc=15 --radius uzc=3 --error pgc=5 --error uzc=1 \\
         -o galaxies.ecsv --table galaxies.dat --figure galaxies.png
     """
-    from linksweep.sweep.search.match import find_galaxies
-    from linksweep.sweep.search.options import plan_search
-    from linksweep.sweep.search.outputs import Outputs
-    from linksweep.sweep.search.summary import summarise, summary_text
+    from linksweep.sweep.search.outputs import Outputs, find_galaxies, summarise, summary_text
+    from linksweep.sweep.search.search import plan_search
 
     search = plan_search(stars, galaxies, supplement, **search_options)
     outputs = Outputs(output, table, figure)

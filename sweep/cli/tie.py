@@ -91,8 +91,8 @@ def tie(
 
     With chi2 above 1000 times its expectation the exit code is 1, and nothing is written.
     """
-    from linksweep.sweep.tie.link_tables import MisfitError
-    from linksweep.sweep.tie.link_tables import tie as solve
+    from linksweep.sweep.tie.link import MisfitError
+    from linksweep.sweep.tie.link import tie as solve
     from linksweep.sweep.tie.options import parse_bins
 
     _check_targets(output, figures)
@@ -147,7 +147,7 @@ def forecast(
     \b
     sweep forecast gaia.fits vlbi.ecsv --add 2026,2030 --choose 5 --for spin
     """
-    from linksweep.sweep.tie.planning import forecast as plan
+    from linksweep.sweep.tie.forecast import forecast as plan
 
     _check_targets(output, figures)
     result = plan(

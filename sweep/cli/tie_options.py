@@ -73,7 +73,7 @@ def _tables(
     jitter: Sequence[str],
 ) -> dict[str, Any]:
     """Return the options of the tables as `sweep.tie.options.Options` has them."""
-    from linksweep.sweep.tie.column_names import TableOptions
+    from linksweep.sweep.tie.options import TableOptions
 
     further = dict(_named("--mission", "NAME=TABLE", item) for item in missions)
     if len(further) < len(missions):

@@ -102,12 +102,13 @@ def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
     return sky.assign(v_mag=("object", catalogue.v_mag, MAGNITUDE))
 
 
-def catalogue_of_table(path: Path, columns: tuple[str, str] = ("ra", "dec")) -> xr.Dataset:
+def catalogue_of_table(path: Path) -> xr.Dataset:
     """Return the positions in a table as ra, dec (deg); raises SweepError if there are none."""
-    table = table_file(path)
-    ra, dec = (table.numbers(name, "deg") for name in columns)
-    if np.any(np.abs(dec) > 90.0):
-        raise SweepError(f"column {columns[1]!r} has {dec[np.abs(dec) > 90.0][0]:g}, beyond 90 deg", str(path))
+    read = table_file(path).columns({}, {}, ())
+    if all([read.require("ra"), read.require("dec")]):
+        ra, dec = read.quantity("ra"), read.quantity("dec")
+        read.check(np.abs(dec) > 90.0, "a dec beyond 90 deg", dec)
+    read.finish()
     return _sky(ra, dec, f"{path.name}: {len(ra)} objects")
 
 

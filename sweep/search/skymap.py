@@ -10,7 +10,6 @@ from linksweep.core.arrays import Array
 from linksweep.core.constants import DEGREE
 from linksweep.core.frames import galactic
 from linksweep.sweep.plots.sky import GALACTIC, add_sky, on_map
-from linksweep.sweep.search.result import Result, match_columns
 
 STYLES = {
     "certain": ("o", "#0072B2"),
@@ -22,15 +21,6 @@ STYLES = {
 BACKGROUND = "#b0b0b0"
 MAX_BACKGROUND = 30_000
 """More background points would fill the map: of a larger number a random share is drawn, and the legend gives it."""
-
-
-def sky_map_of(result: Result) -> Figure:
-    """Return the all-sky map of a search."""
-    columns = match_columns(result)
-    chosen = {name: columns["class"] == name for name in STYLES}
-    classes = {name: (columns["ra"][mine], columns["dec"][mine]) for name, mine in chosen.items()}
-    ra, dec = (np.concatenate([table.numbers[key] for table in result.galaxies]) for key in ("ra", "dec"))
-    return sky_map(classes, (ra, dec))
 
 
 def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array, Array]) -> Figure:

@@ -1,4 +1,4 @@
-"""Star and galaxy tables from files: Gaia's column names and units, and one error that lists all that is wrong."""
+"""Star and galaxy tables from files, in Gaia's names and units, and one error that lists all that is wrong."""
 
 import re
 from collections.abc import Mapping
@@ -10,19 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.core.arrays import Array, Indices
-from linksweep.core.constants import DEGREE
-from linksweep.core.table_catalogue import ALONG_RA
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.search.columns import NAME, TYC, ColumnReader
+from linksweep.sweep.tables.columns import Columns, unit_of
 from linksweep.sweep.tables.reader import read_table
 
+MOTIONS = ("pmra", "pmdec", "pmra_error", "pmdec_error")
 MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
 """The columns of magnitudes, best first."""
 
+NUMBERS = ("ra", "dec", "ra_error", "dec_error", *MOTIONS, "ref_epoch", *MAGNITUDES)
+TYC = ("TYC1", "TYC2", "TYC3")
+QUANTITIES = (*NUMBERS, *TYC, "TYC", "PGC", "source_id", "name")
+WITH_UNITS = tuple(quantity for quantity in NUMBERS if unit_of(quantity))
+
 TYC_LIMITS = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
 """Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3."""
-
-EPOCHS = (1700.0, 2300.0)
 
 _TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASCII)
 
@@ -43,11 +45,10 @@ class Reading:
 
 @dataclass(frozen=True)
 class SkyTable:
-    """A table of N objects: columns in the units of `UNITS`, each of shape (N,).
+    """A table of N objects: columns of `NUMBERS` that it has in deg, mas, mas/yr, yr and mag, each of shape (N,).
 
-    ``numbers`` has the columns of `UNITS` that the table has; NaN is a missing magnitude or proper motion; nothing
-    else may be missing.  ``tyc`` is (N, 3), ``pgc`` 0 where there is none, ``source_id`` Gaia's identifier, ``names``
-    are those of galaxies, '' where there is none.
+    NaN is a missing magnitude or proper motion; nothing else may be missing.  ``tyc`` is (N, 3), ``pgc`` 0 where there
+    is none, ``source_id`` Gaia's identifier, ``names`` are those of galaxies, '' where there is none.
     """
 
     path: Path
@@ -67,136 +68,97 @@ def table_name(path: Path) -> str:
     return path.name.split(".")[0]
 
 
-def read_stars(path: Path, reading: Reading | None = None) -> SkyTable:
-    """Return a star table: ra, dec and their errors, any proper motions and their epoch, magnitudes, identifiers.
+def read_sky_table(path: Path, reading: Reading, stars: bool) -> SkyTable:
+    """Return a table of stars, or of galaxies: ra, dec and their errors; of stars also proper motions and their epoch,
+    magnitudes and identifiers, of galaxies PGC numbers and names.
 
-    Raises SweepError with all problems: missing or unusable columns and units, rows without a value or with an
-    impossible one, repeated identifiers.
+    Proper motions of galaxies are not read: galaxies do not move, and measured motions are noise.  Raises SweepError
+    with all problems: missing or unusable columns and units, rows without a value or with an impossible one, repeated
+    identifiers.
     """
-    return _read(path, reading or Reading(), stars=True)
-
-
-def read_galaxies(path: Path, reading: Reading | None = None) -> SkyTable:
-    """Return a galaxy table: ra, dec, their errors and PGC numbers; raises SweepError as `read_stars`.
-
-    Proper motions are not read: galaxies do not move, and measured motions are noise.
-    """
-    return _read(path, reading or Reading(), stars=False)
-
-
-def _read(path: Path, reading: Reading, stars: bool) -> SkyTable:
-    table = read_table(path)
-    reader = ColumnReader(table, reading.columns, reading.units)
-    if len(table) == 0:
+    read = Columns(read_table(path), str(path), reading.columns, reading.units, QUANTITIES)
+    if not len(read):
         raise SweepError("has no rows", str(path))
-    numbers = _positions(reader, reading)
+    numbers = _positions(read, reading.error_arcsec)
     tyc = source_id = names = None
-    pgc: Indices = np.zeros(len(table), dtype=np.int64)
+    pgc: Indices = np.zeros(len(read), dtype=np.int64)
     if stars:
-        _add_motions(numbers, reader, reading)
-        for key in MAGNITUDES:
-            if reader.has(key) and (magnitude := reader.number(key, may_miss=True)) is not None:
-                numbers[key] = magnitude
-        tyc = _tyc(reader)
-        source_id = reader.integer("source_id") if reader.has("source_id") else None
+        numbers |= _motions(read, reading)
+        numbers |= {key: read.quantity(key, "allowed") for key in MAGNITUDES if read.has(key)}
+        tyc = _tyc(read)
+        source_id = read.integers("source_id") if read.has("source_id") else None
     else:
-        if reader.has("PGC") and (found := reader.integer("PGC", may_miss=True)) is not None:
-            reader.check(found < 0, "a negative PGC number", found)
-            pgc = found
-        names = reader.text(NAME) if reader.has(NAME) else None
-    if reader.problems:
-        raise SweepError(reader.problems, str(path))
+        if read.has("PGC"):
+            pgc = read.integers("PGC", may_miss=True)
+            read.check(pgc < 0, "a negative PGC number", pgc)
+        names = read.text(str(read.name("name")), missing="") if read.has("name") else None
+    read.finish()
     return SkyTable(path, table_name(path), numbers, tyc, pgc, source_id, names)
 
 
-def _positions(reader: ColumnReader, reading: Reading) -> dict[str, Array]:
-    numbers: dict[str, Array] = {}
-    for key in ("ra", "dec"):
-        if reader.require(key) and (values := reader.number(key)) is not None:
-            numbers[key] = values
-    if "ra" in numbers:
-        reader.check((numbers["ra"] < 0.0) | (numbers["ra"] > 360.0), "an ra outside 0..360 deg", numbers["ra"])
-    if "dec" in numbers:
-        swapped = "; are ra and dec swapped?" if np.all(np.abs(numbers.get("ra", 360.0)) <= 90.0) else ""
-        reader.check(np.abs(numbers["dec"]) > 90.0, f"a dec outside -90..90 deg{swapped}", numbers["dec"])
-    keys = ("ra_error", "dec_error")
-    if reading.error_arcsec is not None:
-        return {**numbers, **{key: np.full(len(reader.table), 1000.0 * reading.error_arcsec) for key in keys}}
-    for key in keys:
-        there = reader.require(key, "; or give its error in arcsec with --error")
-        if there and (values := reader.number(key)) is not None:
-            reader.check(values <= 0.0, f"a {reader.label(key)} that is not above 0", values)
-            numbers[key] = _with_cos_dec(reader, key, values, numbers)
+def _positions(read: Columns, error_arcsec: float | None) -> dict[str, Array]:
+    numbers = {key: read.quantity(key) for key in ("ra", "dec") if read.require(key)}
+    if len(numbers) == 2:
+        ra, dec = numbers["ra"], numbers["dec"]
+        read.check((ra < 0.0) | (ra > 360.0), "an ra outside 0..360 deg", ra)
+        swapped = "; are ra and dec swapped?" if np.all(np.abs(ra) <= 90.0) else ""
+        read.check(np.abs(dec) > 90.0, "a dec outside -90..90 deg", dec, swapped)
+    for key in ("ra_error", "dec_error"):
+        if error_arcsec is not None:
+            numbers[key] = np.full(len(read), 1000.0 * error_arcsec)
+        elif read.require(key, "; or give its error in arcsec with --error"):
+            numbers[key] = read.quantity(key)
+            read.check(numbers[key] <= 0.0, f"a {read.label(key)} that is not above 0", numbers[key])
     return numbers
 
 
-def _with_cos_dec(reader: ColumnReader, key: str, values: Array, numbers: Mapping[str, Array]) -> Array:
-    """Return the values of a column, times cos(dec) if it is along ra and in units of time, which lack it."""
-    if key not in ALONG_RA or not reader.in_time(key) or "dec" not in numbers:
-        return values
-    return np.asarray(values * np.cos(numbers["dec"] * DEGREE))
-
-
-def _add_motions(numbers: dict[str, Array], reader: ColumnReader, reading: Reading) -> None:
-    """Add the proper motions, NaN in rows that lack one of them, and the epoch of the positions."""
-    has_motions = reader.has("pmra") or reader.has("pmdec")
-    if has_motions:
-        values = {key: reader.number(key, may_miss=True) for key in ("pmra", "pmdec") if reader.require(key)}
-        errors = {
-            key: reader.number(key, may_miss=True)
-            for key in ("pmra_error", "pmdec_error")
-            if reader.has(key) or key in reader.columns
-        }
-        missing = np.zeros(len(reader.table), dtype=bool)
-        for column in values.values():
-            if column is not None:
-                missing |= np.isnan(column)
-        for key, column in (values | errors).items():
-            if column is not None:
-                if key in errors:
-                    reader.check(column < 0.0, f"a negative {reader.label(key)}", column)
-                    reader.check(np.isnan(column) & ~missing, f"no {reader.label(key)}")
-                numbers[key] = np.where(missing, np.nan, _with_cos_dec(reader, key, column, numbers))
-        if reading.missing_pm == "error":
-            reader.check(missing, "no proper motion (--missing-pm zero takes it as zero)")
+def _motions(read: Columns, reading: Reading) -> dict[str, Array]:
+    """Return the proper motions, NaN in rows that lack one of them, and the epoch of the positions."""
+    numbers: dict[str, Array] = {}
+    known = len(read.problems)
+    has_motions = read.has("pmra") or read.has("pmdec")
+    if has_motions and all([read.require("pmra"), read.require("pmdec")]):
+        numbers = {key: read.quantity(key, "allowed") for key in MOTIONS if read.has(key)}
+        missing = np.isnan(numbers["pmra"]) | np.isnan(numbers["pmdec"])
+        for key, values in numbers.items():
+            read.check(np.isinf(values), f"an infinite {read.label(key)}")
+            if key.endswith("_error"):
+                read.check(values < 0.0, f"a negative {read.label(key)}", values)
+                read.check(np.isnan(values) & ~missing, f"no {read.label(key)}")
+            numbers[key] = np.where(missing, np.nan, values)
+        if reading.missing_pm == "error" and len(read.problems) == known:
+            read.check(missing, "no proper motion (--missing-pm zero takes it as zero)")
     if reading.ref_epoch is not None:
-        numbers["ref_epoch"] = np.full(len(reader.table), reading.ref_epoch)
-    elif reader.has("ref_epoch"):
-        if (epoch := reader.number("ref_epoch")) is not None:
-            low, high = EPOCHS
-            outside = (epoch < low) | (epoch > high)
-            reader.check(outside, f"a ref_epoch that is no Julian year ({low:g}..{high:g})", epoch)
-            numbers["ref_epoch"] = epoch
+        numbers["ref_epoch"] = np.full(len(read), reading.ref_epoch)
+    elif read.has("ref_epoch"):
+        numbers["ref_epoch"] = read.epochs()
     elif has_motions:
-        reader.require("ref_epoch", "; proper motions need the epoch of the positions, e.g. --ref-epoch NAME=2000")
+        read.require("ref_epoch", "; proper motions need the epoch of the positions, e.g. --ref-epoch NAME=2000")
+    return numbers
 
 
-def _tyc(reader: ColumnReader) -> Indices | None:
+def _tyc(read: Columns) -> Indices | None:
+    """Return the Tycho identifiers from three columns or one of text, None for a table without them."""
     import pandas as pd
 
-    parts = [key for key in TYC if reader.has(key)]
-    if parts:
-        columns = [reader.integer(key) for key in TYC if reader.require(key)]
-    elif reader.has("TYC") and (texts := reader.text("TYC")) is not None:
-        found = [_TYC_TEXT.fullmatch(text) for text in texts]
-        bad = np.array([match is None for match in found])
-        reader.check(bad, f"a {reader.label('TYC')} that is no Tycho identifier like '1-13-1'")
-        if bad.any():
-            return None
-        columns = list(np.array([match.groups() for match in found if match], dtype=np.int64).T)
+    known = len(read.problems)
+    if any(read.has(key) for key in TYC):
+        columns = [read.integers(key) for key in TYC if read.require(key)]
+    elif read.has("TYC"):
+        matches = [_TYC_TEXT.fullmatch(text) for text in read.text(str(read.name("TYC")), missing="")]
+        bad = np.array([one is None for one in matches])
+        read.check(bad, f"a {read.label('TYC')} that is no Tycho identifier like '1-13-1'")
+        columns = list(np.array([one.groups() for one in matches if one], dtype=np.int64).reshape(-1, 3).T)
     else:
         return None
-    good = [column for column in columns if column is not None]
-    if len(good) < len(TYC):
+    if len(read.problems) > known:
         return None
-    tyc = np.stack(good, axis=1)
-    n_problems = len(reader.problems)
-    for key, column in zip(TYC, good, strict=True):
+    tyc = np.stack(columns, axis=1)
+    for key, column in zip(TYC, columns, strict=True):
         limit = TYC_LIMITS[key]
-        reader.check((column < 1) | (column > limit), f"a {reader.label(key)} outside 1..{limit}")
-    if len(reader.problems) == n_problems:
-        again = pd.Index(tyc_code(tyc)).duplicated()
-        reader.check(again, "the Tycho identifier of an earlier row")
+        read.check((column < 1) | (column > limit), f"a {read.label(key)} outside 1..{limit}")
+    if len(read.problems) == known:
+        read.check(pd.Index(tyc_code(tyc)).duplicated(), "the Tycho identifier of an earlier row")
     return tyc
 
 

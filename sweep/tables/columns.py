@@ -1,110 +1,407 @@
-"""Columns of a table as numbers in a wanted unit: units of files, sexagesimal angles, and right ascensions in hours."""
+"""The one reader of star tables: columns by quantity, under the names of archives, in known units, and what is wrong.
+
+Catalogues in files, `sweep tie`, `sweep forecast` and `sweep match` read their tables with it.
+"""
 
 import re
+import warnings
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array
+from linksweep.sweep.contract import Array, SweepError, suggest
+from linksweep.sweep.tables.delimited import MISSING
+
+Flags = NDArray[np.bool_]
+
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "ra": ("ra", "RAdeg", "RArad", "ra_icrs", "_RA"),
+    "dec": ("dec", "DEdeg", "DErad", "dec_icrs", "DE_ICRS", "_DE"),
+    "parallax": ("parallax", "plx"),
+    "pmra": ("pmra", "pm_ra_cosdec", "pm_ra"),
+    "pmdec": ("pmdec", "pm_dec", "pmDE"),
+    "ref_epoch": ("ref_epoch", "epoch", "pos_epoch", "mjd"),
+    "radial_velocity": ("radial_velocity", "dr2_radial_velocity", "rv"),
+    "v_mag": ("v_mag", "phot_g_mean_mag", "vt_mag"),
+    "name": (
+        *("name", "objname", "object", "designation", "main_id", "source_name", "iers", "id", "source_id"),
+        *("hip", "tyc"),
+    ),
+}
+"""Column names of quantities, best first, in any case.  _RA and _DE are last because VizieR computes them for an epoch
+of its own.
+"""
+
+ERROR_NAMES = ("{}_error", "{}_err", "e_{}", "sigma_{}", "{}_sigma")
+
+PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
+_AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
+CORRELATIONS: Mapping[str, str] = {
+    f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr": f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor"
+    for i in range(5)
+    for j in range(i + 1, 5)
+}
+"""The ten correlations as the Gaia archive calls them, in its order, and as VizieR does."""
+
+ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")
+EPOCHS = (1700.0, 2300.0)
+"""The smallest and the largest epoch that is allowed, Julian years."""
 
 ROWS_NAMED = 5
-
 HOURS = 24.0
 """A column of right ascensions without a unit, all within -24 to 24, may be in hours (or radians) as well."""
+
+MJD_FROM, JD_FROM, JD_OF_MJD = 15000.0, 2.3e6, 2400000.5
+"""Epochs above the first are modified Julian dates, and those above the second Julian dates."""
 
 SEXAGESIMAL = {"deg": False, "d:m:s": False, "hourangle": True, "h": True, "h:m:s": True}
 """Units of angles that are text, and whether these are hours."""
 
+_SIDES = ("reference_", "satellite_")
 _NAMED_TIME = re.compile(
     r"^_?ra(h|hr|hrs|hours?|m|s)$|^_?(ra|alpha)\w*[\W_](h|hr|hrs|hours?|hms|m|min|s|sec)\W*$", re.I
 )
 _NAMED_RADIANS = re.compile(r"[\W_]rad\W*$|^(ra|de|dec)rad$", re.I)
 _ANGLE = re.compile(
-    r"\s*([+\-\u2212]?)\s*(\d{1,3})\s*[:hd°\s]\s*(\d{1,2})(?:\s*[:m'′\s]\s*(\d{1,2}(?:\.\d*)?)\s*(?:s|\"|″)?)?"
-    r"(\.\d*)?\s*m?\s*",
+    r"\s*([+\-\u2212]?)\s*(\d{1,3})\s*([:hd°\s])\s*(\d{1,2})"
+    r"(?:\s*[:m'′\s]\s*(\d{1,2}(?:\.\d*)?)\s*(?:s|\"|″)?|(\.\d*))?\s*m?\s*",
     re.I,
 )
 
 
-def column_values(table: Any, name: str, unit: str, stated: str | None = None, right_ascension: bool = False) -> Array:
-    """Return a column of an astropy Table as float64 in ``unit``, NaN where it is missing; shape (N,).
+def first_found(wanted: Iterable[str], names: Collection[str]) -> str | None:
+    """Return the column of the first wanted name that is found, ignoring case if need be; None if there is none."""
+    in_any_case = {name.casefold(): name for name in reversed(list(names))}
+    found = (name if name in names else in_any_case.get(name.casefold()) for name in wanted)
+    return next((name for name in found if name is not None), None)
 
-    Values are converted from the unit in the file, or from the ``stated`` one if the file gives none; without either
-    they are taken to be in ``unit``.  In a column along ``right_ascension`` a unit of time stands for an angle,
-    15 arcsec a second.  An angle, ``unit`` "deg", may be text like '12 34 56.7' or '12:34:56.7', in hours if it is a
-    right ascension.
-    Raises ValueError that names the column, and rows (from 1) and values, for an unknown column, one that does not hold
-    numbers, a unit of another kind or one that contradicts ``stated``, and a right ascension without a unit that may be
-    in hours.
+
+def column_of(quantity: str, names: Collection[str], columns: Mapping[str, str] | None = None) -> str | None:
+    """Return the column among ``names`` that holds a quantity, or its error (``ra_error``); None if there is none.
+
+    ``columns`` are the names that a user gave, by quantity.
     """
-    if name not in table.colnames:
-        raise ValueError(f"no column {name!r}; there are {', '.join(table.colnames)}")
-    column = table[name]
-    kind = getattr(getattr(column, "dtype", None), "kind", "V")  # times and sky coordinates have no dtype
-    if column.ndim != 1 or kind not in "fiuUSO":
-        raise ValueError(f"column {name!r} does not hold numbers")
-    wanted = _unit_of(table, name, stated)
-    missing = missing_values(column)
-    if kind in "USO":
-        if unit != "deg":
-            raise ValueError(f"column {name!r} does not hold numbers: row 1 has {str(column[0])!r}")
-        return _sexagesimal(column, missing, name, wanted, right_ascension)
-    values = np.asarray(np.ma.getdata(getattr(column, "value", column))).astype(np.float64)
-    values[missing] = np.nan
-    if wanted is None:
-        _check_without_unit(name, values, unit, right_ascension)
-        return values
-    factor = _factor(wanted, unit, right_ascension)
-    if factor is None:
-        raise ValueError(f"column {name!r} is in {wanted}, not convertible to {unit}")
-    return values if factor == 1.0 else values * factor
+    columns = columns or {}
+    if quantity in columns:
+        return columns[quantity]
+    stem = quantity.removesuffix("_error")
+    if stem != quantity and not quantity.startswith(_SIDES):
+        stems = dict.fromkeys([column_of(stem, names, columns) or stem, stem])
+        return first_found([form.format(one) for one in stems for form in ERROR_NAMES], names)
+    aliases = (quantity, CORRELATIONS[quantity]) if quantity in CORRELATIONS else NAMES.get(quantity, (quantity,))
+    return first_found(aliases, names)
 
 
-def in_time(table: Any, name: str, stated: str | None = None) -> bool:
-    """Return whether a column is in units of time or hour angle, and so does not include the factor cos(dec)."""
-    from astropy.units import hourangle
-
-    unit = _unit_of(table, name, stated)
-    if unit is None:
-        return False
-    return hourangle in getattr(unit, "bases", ()) or any(
-        _factor(unit, wanted, False) is None and _factor(unit, wanted, True) is not None
-        for wanted in ("deg", "deg / yr")
-    )
+def unit_of(quantity: str) -> str:
+    """Return the unit in which a quantity is read, which is also that of a column without one; '' for pure numbers."""
+    plain = _plain(quantity)
+    stem = plain.removesuffix("_error")
+    if stem not in PARAMETERS:
+        return {"ref_epoch": "yr", "radial_velocity": "km / s"}.get(stem, "mag" if stem.endswith("_mag") else "")
+    if plain in ("ra", "dec"):
+        return "deg"
+    return "mas / yr" if stem.startswith("pm") else "mas"
 
 
-def rows_listed(bad: NDArray[np.bool_], values: Any = None) -> str:
+def _plain(quantity: str) -> str:
+    """Return a quantity without the side that has it for its own, as ra_error of reference_ra_error."""
+    return quantity.removeprefix(_SIDES[0]).removeprefix(_SIDES[1])
+
+
+def rows_listed(bad: Flags, values: Any = None) -> str:
     """Return the first rows (from 1) where ``bad`` holds, with their values: '3 (95.2), 7 (91) and 2 more'."""
     rows = np.flatnonzero(bad)
-    shown = [str(row + 1) if values is None else f"{row + 1} ({values[row]})" for row in rows[:ROWS_NAMED]]
+    some = rows[:ROWS_NAMED]
+    if values is None:
+        shown = [str(row + 1) for row in some]
+    else:
+        texts = (f"{one:.10g}" if isinstance(one, float) else str(one) for one in (values[row] for row in some))
+        shown = [f"{row + 1} ({text})" for row, text in zip(some, texts, strict=True)]
     return ", ".join(shown) + (f" and {len(rows) - ROWS_NAMED} more" if len(rows) > ROWS_NAMED else "")
 
 
-def _unit_of(table: Any, name: str, stated: str | None) -> Any:
-    from astropy.units import Unit
+class Columns:
+    """Columns of an astropy Table by quantity; ``problems`` is one list of all that is wrong with them.
 
-    unit = table[name].unit
-    own = None if unit is None or str(unit) == "" else Unit(unit, parse_strict="silent")
-    if stated is None:
-        return own
-    try:
-        said = Unit(stated)
-    except (ValueError, TypeError) as error:
-        raise ValueError(
-            f"units: {stated!r} for column {name!r} is no unit that astropy knows, like 'mas / yr'"
-        ) from error
-    if own is not None and own != said:
-        raise ValueError(f"column {name!r} is in {own} as its file says, but units say {stated}")
-    return said
+    Args:
+        table: the table, as `sweep.tables.reader.read_table` returns it.
+        where: its file, for errors.
+        columns: names of columns by quantity, where they differ from `NAMES`.
+        units: units of quantities whose columns have none in the file.
+        known: the quantities that these may name.
+    """
+
+    def __init__(
+        self,
+        table: Any,
+        where: str = "",
+        columns: Mapping[str, str] | None = None,
+        units: Mapping[str, str] | None = None,
+        known: Collection[str] = (),
+    ) -> None:
+        self.table, self.where, self.columns, self.units = table, where, columns or {}, units or {}
+        self.names: list[str] = list(table.colnames)
+        self.problems: list[str] = []
+        self._cos_dec: Array | None = None
+        for what, pairs in (("columns", self.columns), ("units", self.units)):
+            for quantity, value in pairs.items():
+                if quantity not in known or (what == "units" and not unit_of(quantity)):
+                    self.problems.append(f"{what}: {quantity} is no quantity{suggest(quantity, list(known))}")
+                elif what == "columns" and value not in self.names:
+                    self.problems.append(f"columns: no column {value!r} for {quantity}{suggest(value, self.names)}")
+                elif what == "units" and not self.has(quantity):
+                    self.problems.append(f"units: no column of {quantity}, in {value!r}")
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def finish(self) -> None:
+        """Raise SweepError if there are problems."""
+        if self.problems:
+            raise SweepError(list(dict.fromkeys(self.problems)), self.where)
+
+    def name(self, quantity: str) -> str | None:
+        """Return the name of the column of a quantity; None if the table has none."""
+        return column_of(quantity, self.names, self.columns)
+
+    def has(self, *quantities: str) -> bool:
+        """Return whether the table has the columns of all these quantities."""
+        return all(self.name(quantity) in self.names for quantity in quantities)
+
+    def require(self, quantity: str, hint: str = "") -> bool:
+        """Return whether the table has the column of a quantity, and record a problem if it does not."""
+        if not self.has(quantity) and quantity not in self.columns:  # a column of the map has been reported
+            self.problems.append(f"no column {quantity!r}{suggest(quantity, self.names)}{hint}")
+        return self.has(quantity)
+
+    def label(self, quantity: str) -> str:
+        """Return a quantity for messages, with the name of its column if the two differ."""
+        name = self.name(quantity)
+        return quantity if name in (quantity, None) else f"{quantity} (column {name!r})"
+
+    def check(self, bad: Flags, what: str, values: Any = None, hint: str = "") -> None:
+        """Record what is wrong with the rows where ``bad`` is true; their ``values`` are shown."""
+        if bad.any():
+            self.problems.append(f"{what} in row {rows_listed(bad, values)}{hint}")
+
+    def kind(self, name: str) -> str:
+        """Return NumPy's letter for the kind of a column's values, "V" if it is not one value per row."""
+        column = self.table[name]  # times and places on the sky have no dtype
+        return str(getattr(getattr(column, "dtype", None), "kind", "V")) if np.ndim(column) == 1 else "V"
+
+    def quantity(self, quantity: str, missing: str = "refused", scale: float = 1.0) -> Array:
+        """Return a quantity as float64 in its unit (`unit_of`) times ``scale``, NaN where it is missing; shape (N,).
+
+        Values are converted from the unit in the file, or from that of ``units`` if the file gives none; without either
+        they are in `unit_of`, or in radians if the name of the column says so.  Angles may be text like '12 34 56.7' or
+        '12:34:56.7', in hours if it is a right ascension.  Along right ascension a second of time is 15 arcsec, and
+        errors and motions in units of time get the factor cos(dec) that they lack.  The column must be there.  NaN
+        everywhere, and a problem, for one that cannot be read; rows that are not finite are a problem unless they are
+        "allowed" to be ``missing``.
+        """
+        name = str(self.name(quantity))
+        known = len(self.problems)
+        try:
+            values = self._converted(name, quantity) * scale
+        except ValueError as error:
+            self.problems.append(str(error))
+            return np.full(len(self), np.nan)
+        if _plain(quantity) in ALONG_RA[1:] and self.in_time(quantity):
+            values = values * self.cos_dec
+        if missing == "refused" and len(self.problems) == known:
+            self.check(np.isnan(values), f"no {self.label(quantity)}")
+            self.check(np.isinf(values), f"an infinite {self.label(quantity)}")
+        return values
+
+    @property
+    def cos_dec(self) -> Array:
+        """The cosine of the declination of each row, shape (N,)."""
+        if self._cos_dec is None:
+            if not self.has("dec"):
+                return np.ones(len(self))
+            self._cos_dec = np.cos(self.quantity("dec", "allowed") * (np.pi / 180.0))
+        return self._cos_dec
+
+    def in_time(self, quantity: str) -> bool:
+        """Return whether a column of numbers is in units of time or hour angle, and so does not include cos(dec)."""
+        from astropy.units import hourangle
+
+        name = str(self.name(quantity))
+        unit = self.unit(quantity) if self.kind(name) in "fiu" else None
+        if unit is None:
+            return False
+        return hourangle in getattr(unit, "bases", ()) or any(
+            _factor(unit, wanted, False) is None and _factor(unit, wanted, True) is not None
+            for wanted in ("deg", "deg / yr")
+        )
+
+    def numbers(self, name: str) -> Array:
+        """Return a column by its own name as float64 without its unit, NaN where it is missing."""
+        column = self.table[name]
+        if self.kind(name) not in "fiu":
+            self.problems.append(self._no_numbers(name))
+            return np.full(len(self), np.nan)
+        values = np.array(np.ma.getdata(getattr(column, "value", column)), dtype=np.float64)
+        values[_missing(column)] = np.nan
+        return values
+
+    def epochs(self) -> Array:
+        """Return the epochs (years, MJD, JD, dates or times) as Julian years, NaN where they are missing; rows with
+        none, or with what is no epoch, are a problem.
+        """
+        name = str(self.name("ref_epoch"))
+        known = len(self.problems)
+        years = self._julian_years(name)
+        if len(self.problems) == known:
+            self.check(np.isnan(years), f"no epoch (column {name!r})")
+            wrong = f"an epoch (column {name!r}) that is no Julian year, MJD or JD from {EPOCHS[0]:g} to {EPOCHS[1]:g}"
+            self.check((years < EPOCHS[0]) | (years > EPOCHS[1]), wrong)
+        return years
+
+    def integers(self, quantity: str, may_miss: bool = False) -> NDArray[np.int64]:
+        """Return a column of integers, 0 where it is missing."""
+        name = str(self.name(quantity))
+        column = self.table[name]
+        if self.kind(name) not in "iuf":
+            self.problems.append(self._no_numbers(name))
+            return np.zeros(len(self), dtype=np.int64)
+        missing = _missing(column)
+        values = np.where(missing, 0, np.ma.getdata(getattr(column, "value", column)))
+        if values.dtype.kind == "f":
+            broken = ~(np.abs(values) < 2.0**53) | (values != np.floor(values))
+            self.check(broken, f"a {self.label(quantity)} that is no integer")
+            values = np.where(broken, 0.0, values)
+        if not may_miss:
+            self.check(missing, f"no {self.label(quantity)}")
+        return values.astype(np.int64)
+
+    def text(self, name: str, missing: str | None = None) -> NDArray[np.str_]:
+        """Return a column by its own name as text, whole numbers as integers; ``missing`` stands where there is none,
+        by default what NumPy writes there.
+        """
+        column = self.table[name]
+        gone = _missing(column)
+        if self.kind(name) in "iu" and not gone.any():
+            return np.asarray(column).astype(np.str_)  # fast for millions of source_id
+        texts = [" ".join(_written(value).split()) for value in column]
+        return np.array(texts if missing is None else np.where(gone, missing, texts).tolist(), dtype=np.str_)
+
+    def _no_numbers(self, name: str) -> str:
+        clause = ""
+        if self.kind(name) in "USO" and len(self):
+            texts = self.text(name).tolist()
+            row = next((row for row, text in enumerate(texts) if text not in MISSING and not _is_number(text)), 0)
+            clause = f": row {row + 1} has the text {texts[row]!r}"
+        return f"column {name!r} does not hold numbers{clause}"
+
+    def unit(self, quantity: str) -> Any:
+        """Return the unit of a column, as its file or as ``units`` say; None for none, ValueError if they differ."""
+        from astropy.units import Unit
+
+        name = str(self.name(quantity))
+        unit, stated = self.table[name].unit, self.units.get(quantity)
+        own = None if unit is None or str(unit) == "" else Unit(unit, parse_strict="silent")
+        if stated is None:
+            return own
+        try:
+            said = Unit(stated)
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"units: {quantity} in {stated!r}, which is no unit like 'mas / yr'") from error
+        if own is not None and own != said:
+            raise ValueError(f"units: {quantity} in {stated}, but column {name!r} is in {own} as its file says")
+        return said
+
+    def _converted(self, name: str, quantity: str) -> Array:
+        """Return a column in the unit of its quantity; raises ValueError for one that cannot be read."""
+        wanted, along_ra = unit_of(quantity), _plain(quantity) in ALONG_RA
+        if self.kind(name) not in "fiuUSO" or (self.kind(name) in "USO" and wanted != "deg"):
+            raise ValueError(self._no_numbers(name))
+        unit = self.unit(quantity)
+        if self.kind(name) in "USO":
+            return self._sexagesimal(name, unit, along_ra)
+        values = self.numbers(name)
+        if unit is None:
+            size = float(np.max(np.abs(values), where=~np.isnan(values), initial=0.0))
+            if wanted == "deg" and _NAMED_RADIANS.search(name) and size <= 2.0 * np.pi:
+                return np.degrees(values)
+            if quantity == "ra" and np.isfinite(values).any():
+                _check_hours(name, values, size)
+            return values
+        factor = _factor(unit, wanted, along_ra)
+        if factor is None:
+            raise ValueError(f"column {name!r} is in {unit}, not convertible to {wanted}")
+        return values if factor == 1.0 else values * factor
+
+    def _sexagesimal(self, name: str, unit: Any, right_ascension: bool) -> Array:
+        form = "" if unit is None else str(unit).strip('"').replace(" ", ":")  # VizieR writes quotes around it
+        if form not in ("", *SEXAGESIMAL):
+            raise ValueError(f"column {name!r} is text and in {unit}; an angle as text is in {', '.join(SEXAGESIMAL)}")
+        hours = SEXAGESIMAL.get(form, right_ascension)
+        column = self.table[name]
+        texts = [_written(item) for item in column]
+        values, bad = np.full(len(texts), np.nan), np.zeros(len(texts), dtype=bool)
+        for row in np.flatnonzero(~_missing(column)):
+            if texts[row].strip():
+                angle = _angle(texts[row], hours, right_ascension)
+                bad[row] = angle is None
+                values[row] = np.nan if angle is None else angle
+        if bad.any():
+            example = "12 34 56.7 or 12:34:56.7" if hours else "-12 34 56.7 or -12:34:56.7"
+            rows = rows_listed(bad, [repr(text) for text in texts])
+            too_many = hours and not form and any(_ANGLE.fullmatch(texts[row]) for row in np.flatnonzero(bad))
+            hint = "; is it in degrees? Say it: units ra = deg" if too_many else ""
+            raise ValueError(f"column {name!r} is text that is no angle like {example} in row {rows}{hint}")
+        return values
+
+    def _julian_years(self, name: str) -> Array:
+        from astropy.time import Time
+
+        column = self.table[name]
+        if isinstance(column, Time):
+            return np.asarray(np.ma.filled(np.ma.asarray(column.jyear), np.nan), dtype=np.float64)
+        if self.kind(name) in "USO":
+            texts, years = self.text(name), np.full(len(self), np.nan)
+            for row in np.flatnonzero(~_missing(column) & ~np.isin(texts, ("", "--", "None"))):
+                try:
+                    with warnings.catch_warnings():  # astropy warns of years whose leap seconds are not known
+                        warnings.simplefilter("ignore")
+                        years[row] = Time(texts[row].removesuffix("Z")).jyear
+                except ValueError:
+                    said = f"row {row + 1} has {str(texts[row])!r}"
+                    self.problems.append(f"column {name!r} is text that is no date like 2015-06-01 or J2015.5: {said}")
+                    break
+            return years
+        values, unit = self.numbers(name), str(column.unit)
+        values = np.where(values > JD_FROM, values - JD_OF_MJD, values)
+        if unit == "d" or (np.nanmin(values, initial=np.inf) > MJD_FROM and unit not in ("yr", "a")):
+            values = 2000.0 + (values - 51544.5) / 365.25
+        return values
 
 
-def missing_values(column: Any) -> NDArray[np.bool_]:
+def _missing(column: Any) -> Flags:
     """Return where a column is masked or NaN; shape (N,)."""
     missing = np.broadcast_to(np.asarray(getattr(column, "mask", False), dtype=bool), (len(column),)).copy()
     if column.dtype.kind == "f":
         missing |= np.isnan(np.ma.getdata(getattr(column, "value", column)))
     return missing
+
+
+def _written(value: Any) -> str:
+    """Return a value as text; whole numbers are the same whether they were stored as integers or not."""
+    if isinstance(value, bytes):
+        return value.decode("utf-8", "replace")
+    if isinstance(value, (float, np.floating)) and float(value).is_integer() and abs(float(value)) < 2.0**53:
+        return str(int(value))
+    return str(value)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return not np.isnan(float(text))
+    except ValueError:
+        return False
 
 
 def _factor(unit: Any, wanted: str, right_ascension: bool) -> float | None:
@@ -119,62 +416,30 @@ def _factor(unit: Any, wanted: str, right_ascension: bool) -> float | None:
     return None
 
 
-def _check_without_unit(name: str, values: Array, unit: str, right_ascension: bool) -> None:
-    """Raise ValueError where an angle without a unit may well be in a unit other than degrees."""
-    if unit != "deg" or not np.any(np.isfinite(values)):
-        return
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    key = "ra" if right_ascension else "dec"
-    if right_ascension and max(-low, high) <= HOURS:
-        doubt = f"lies within {low:g} to {high:g}: hours, degrees or radians?"
-    elif right_ascension and _NAMED_TIME.match(name) and not re.search(r"h|H", name[2:]):
+def _check_hours(name: str, values: Array, size: float) -> None:
+    """Raise ValueError where right ascensions without a unit may well be in another one than degrees."""
+    if size <= HOURS:
+        doubt = f"lies within {np.nanmin(values):g} to {np.nanmax(values):g}: hours, degrees or radians?"
+    elif _NAMED_TIME.match(name) and not re.search(r"h|H", name[2:]):
         doubt = "has a name that suggests units of time"
-    elif _NAMED_RADIANS.search(name) and max(-low, high) <= 2.0 * np.pi:
-        doubt = "has a name that suggests radians"
     else:
         return
     raise ValueError(
-        f'column {name!r} has no unit and {doubt}  Say it: units = {{ {key} = "deg" }}, or '
-        f'"{"hourangle" if right_ascension else "rad"}" (with `sweep match`: --unit {key}=deg)'
+        f'column {name!r} has no unit and {doubt}  Say it: units = {{ ra = "deg" }} in a study, --unit ra=deg with a '
+        'command, or "hourangle"'
     )
 
 
-def _sexagesimal(column: Any, missing: NDArray[np.bool_], name: str, unit: Any, right_ascension: bool) -> Array:
-    text = "" if unit is None else str(unit).strip('"').replace(" ", ":")  # VizieR writes quotes around it
-    if text not in ("", *SEXAGESIMAL):
-        raise ValueError(f"column {name!r} is text and in {unit}; an angle as text is in {', '.join(SEXAGESIMAL)}")
-    hours = SEXAGESIMAL.get(text, right_ascension)
-    values = np.full(len(column), np.nan)
-    bad = np.zeros(len(column), dtype=bool)
-    texts = [item.decode("ascii", "replace") if isinstance(item, bytes) else str(item) for item in column]
-    for row, (item, gone) in enumerate(zip(texts, missing.tolist(), strict=True)):
-        if gone or not item.strip():
-            continue
-        match = _ANGLE.fullmatch(item)
-        angle = None if match is None else _angle(match, item, hours, right_ascension)
-        bad[row] = angle is None
-        values[row] = np.nan if angle is None else angle
-    if bad.any():
-        example = "12 34 56.7 or 12:34:56.7" if hours else "-12 34 56.7 or -12:34:56.7"
-        quoted = [repr(item) for item in texts]
-        sentence = f"column {name!r} is text that is no angle like {example} in row {rows_listed(bad, quoted)}"
-        too_many = hours and not text and any(map(_ANGLE.fullmatch, np.array(texts)[bad]))
-        raise ValueError(sentence + ("; is it in degrees? Say it: units ra = deg" if too_many else ""))
-    return values
-
-
-def _angle(match: "re.Match[str]", text: str, hours: bool, right_ascension: bool) -> float | None:
-    """Return the degrees of a sexagesimal angle, None where its minutes, seconds or hours are too many."""
-    sign, first, minutes, seconds, fraction = match.groups()
-    if fraction and seconds is not None:
+def _angle(text: str, hours: bool, right_ascension: bool) -> float | None:
+    """Return the degrees of a sexagesimal angle, None for other text and for too many minutes, seconds or hours."""
+    match = _ANGLE.fullmatch(text)
+    if match is None:
         return None
-    marked = re.search("[hd°]", text, re.I)
-    if marked:
-        hours = marked[0] in "hH"
-    if hours and not right_ascension:
-        return None
+    sign, first, mark, minutes, seconds, fraction = match.groups()
+    if mark in "hHdD°":
+        hours = mark in "hH"
     whole, part, rest = float(first), float(minutes + (fraction or "")), float(seconds or 0.0)
-    if part >= 60.0 or rest > 60.0 or (hours and whole >= HOURS):
+    if (hours and (not right_ascension or whole >= HOURS)) or part >= 60.0 or rest > 60.0:
         return None
     angle = (whole + part / 60.0 + rest / 3600.0) * (15.0 if hours else 1.0)
     return -angle if sign in ("-", "\u2212") and sign else angle

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -10,14 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from linksweep.sweep.contract import Array, Named, SweepError
-from linksweep.sweep.tables.cds import readme_of
-from linksweep.sweep.tables.columns import column_values, in_time, rows_listed
-from linksweep.sweep.tables.names import first_found
-from linksweep.sweep.tables.reader import read_table
-
-NAMES = ("name", "main_id", "object", "source_name", "iers", "designation", "id", "source_id", "hip", "tyc")
-"""Columns that name a row, in upper or lower case, best first."""
+from linksweep.sweep.contract import Named, SweepError
+from linksweep.sweep.tables.columns import Columns, column_of
+from linksweep.sweep.tables.reader import read_table, readme_of
 
 
 @dataclass(frozen=True)
@@ -27,32 +23,15 @@ class TableFile:
     path: str
     digest: str
 
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the columns."""
-        return tuple(_load(self).colnames)
+    def columns(self, columns: Mapping[str, str], units: Mapping[str, str], known: Collection[str]) -> Columns:
+        """Return a reader of the columns; the arguments are those of `Columns`."""
+        return Columns(_load(self), self.path, columns, units, known)
 
     def label(self, row: int) -> str:
-        """Return the name of a row, counted from 0, from the first column of `NAMES`; empty where it has none."""
+        """Return the name of a row, counted from 0, from its column of names; empty where it has none."""
         table = _load(self)
-        name = first_found(NAMES, table.colnames)
+        name = column_of("name", table.colnames)
         return "" if name is None or np.ma.is_masked(table[name][row]) else str(table[name][row]).strip()
-
-    def numbers(self, name: str, unit: str, stated: str | None = None, right_ascension: bool = False) -> Array:
-        """Return a column as float64 in ``unit`` as `column_values` does.
-
-        Raises SweepError as `column_values`, and for missing values, whose rows (counted from 1) it names.
-        """
-        try:
-            values = column_values(_load(self), name, unit, stated, right_ascension)
-        except ValueError as error:
-            raise SweepError(str(error), self.path) from error
-        if not np.all(good := np.isfinite(values)):
-            raise SweepError(f"column {name!r} has no finite value in row {rows_listed(~good)}", self.path)
-        return values
-
-    def in_time(self, name: str, stated: str | None = None) -> bool:
-        """Return whether a column is in units of time, and so does not include the factor cos(dec)."""
-        return in_time(_load(self), name, stated)
 
 
 def table_file(path: Path) -> TableFile:

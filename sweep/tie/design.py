@@ -7,18 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from linksweep.core.arrays import Array, Indices
+from linksweep.core.arrays import Array
 from linksweep.core.constants import MAS
 from linksweep.core.tie.clips import Clip, parse_clip
 from linksweep.core.tie.forecast import Goal, choose, released, scaled_from, scaling_notes, with_new_rows
 from linksweep.core.tie.normal_sums import source_sums
 from linksweep.core.tie.problem import Problem
 from linksweep.sweep.contract import Point, SweepError
-from linksweep.sweep.tie.column_names import TableOptions
-from linksweep.sweep.tie.options import Options, parse_bins
+from linksweep.sweep.tie.options import Options, TableOptions, parse_bins
 from linksweep.sweep.tie.parameters import PARAMETERS, TABLE
-from linksweep.sweep.tie.reference_rows import ALL
-from linksweep.sweep.tie.setup import ZERO_MOTION, Setup, set_up
+from linksweep.sweep.tie.setup import ALL, ZERO_MOTION, Setup, set_up
 from linksweep.sweep.tie.solution import Link, solve_link
 
 ERRORS = ("scaled", "formal", "jackknife")
@@ -66,7 +64,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
         problem = replace(problem, satellite=without[0], rows=without[1])
         setup = replace(setup, problem=problem)
     matched = np.unique(problem.source)
-    solved = solve_link(_taken(setup, matched), str(clip), ERRORS) if len(matched) else None
+    solved = solve_link(setup.only(matched), str(clip), ERRORS) if len(matched) else None
     notes = [] if solved is None else [*solved.notes]
     if (release := point["release"]) != TABLE:
         named = None if point["from_release"] == TABLE else point["from_release"]
@@ -141,12 +139,7 @@ def _within(setup: Setup, point: Mapping[str, Any]) -> Setup:
     kept = (magnitude >= (-np.inf if low is None else low)) & (magnitude <= (np.inf if high is None else high))
     if not np.any(kept):
         raise SweepError(f"no source has a {column} within the limits g_min and g_max")
-    return _taken(setup, np.flatnonzero(kept))
-
-
-def _taken(setup: Setup, sources: Indices) -> Setup:
-    problem = setup.problem.only(sources)
-    return replace(setup, problem=problem, sources=setup.sources[sources], names=setup.names[sources])
+    return setup.only(np.flatnonzero(kept))
 
 
 def _with_chosen(problem: Problem, point: Mapping[str, Any]) -> Problem:

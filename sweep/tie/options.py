@@ -1,4 +1,4 @@
-"""The options of a link of tables."""
+"""The options of a link of tables: how each table is read, and what is solved for."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,10 +11,33 @@ from linksweep.core.tie.elimination import Weights
 from linksweep.core.unknowns import require_mission_name
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import split_assignment
-from linksweep.sweep.tie.column_names import TableOptions, require_epoch
+from linksweep.sweep.tables.columns import EPOCHS
 
+Positions = Literal["single-epoch", "mean"]
+Zeros = Literal["error", "missing", "exact"]
 Sign = Literal["reference-satellite", "satellite-reference"]
 SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference": -1.0}
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """How a table is read.
+
+    ``columns`` gives the table's names of quantities, ``units`` the units of quantities whose columns have none.
+    ``epoch`` (Julian year) is for a table without a column of epochs.  ``extragalactic``: positions are mean ones of
+    quasars, which neither move nor have parallaxes, and hold at any epoch.
+    ``positions`` says whether positions without parallax and motion are of a single epoch, displaced by the parallax,
+    or mean ones; by default as the table's metadata say, else of a single epoch.  Those without an epoch are mean.
+    ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``: whether pmra is mu_alpha*.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    epoch: float | None = None
+    extragalactic: bool = False
+    positions: Positions | None = None
+    zero_errors: Zeros = "error"
+    pmra_cos_dec: bool = True
 
 
 @dataclass(frozen=True)
@@ -48,15 +71,17 @@ class Options:
 
     def check(self) -> None:
         """Raise SweepError for values that are not allowed."""
-        if self.sign not in SIGNS:
-            raise SweepError(f"sign {self.sign!r}: must be {' or '.join(SIGNS)}")
-        if self.weights not in get_args(Weights):
-            raise SweepError(f"weights {self.weights!r}: must be covariance, variance or equal")
-        require_epoch(self.epoch, "epoch of the orientation")
+        for name, choices in (("sign", tuple(SIGNS)), ("weights", get_args(Weights))):
+            if (value := getattr(self, name)) not in choices:
+                raise SweepError(f"{name} {value!r}: must be {' or '.join(choices)}")
         if not np.isfinite(self.aberration) or self.aberration < 0.0:
             raise SweepError(f"aberration {self.aberration:g} uas/yr: must be finite and not negative")
-        for options in (self.satellite_options, self.reference_options, *self.mission_options.values()):
-            require_epoch(options.epoch, "epoch of a table")
+        of_tables = (self.satellite_options, self.reference_options, *self.mission_options.values())
+        epochs = [(self.epoch, "the orientation"), *((table.epoch, "a table") for table in of_tables)]
+        for epoch, whose in epochs:
+            if epoch is not None and not EPOCHS[0] <= epoch <= EPOCHS[1]:
+                limits = f"must be a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}"
+                raise SweepError(f"epoch of {whose} {epoch:.10g}: {limits}")
         if self.degree is not None and self.degree < 1:
             raise SweepError(f"degree {self.degree}: must be at least 1")
         for name in self.missions:
@@ -67,16 +92,16 @@ class Options:
         if unknown := sorted(set(self.mission_options) - set(self.missions)):
             raise SweepError(f"options of {', '.join(unknown)}: no such mission")
 
-    def jitter_of(self, mission: str | None) -> dict[str, tuple[float, float]]:
+    def jitter_in(self, mission: str | None) -> dict[str, tuple[float, float]]:
         """Return the jitter by kind of row of the reference, or of a mission: ``hipparcos:position``."""
-        found = {}
+        chosen = {}
         for key, size in self.jitter.items():
             table, colon, kind = key.rpartition(":")
             if (table if colon else None) == mission:
-                found[kind] = size
+                chosen[kind] = size
             elif colon and table not in self.missions:
                 raise SweepError(f"jitter of {key!r}: no mission {table!r}")
-        return found
+        return chosen
 
 
 def parse_bins(text: str) -> tuple[str, list[float]]:

@@ -5,12 +5,12 @@ groups, so that any workers give the same bits; and for each source whether it i
 examines all sources.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial, reduce
+from functools import lru_cache, partial, reduce
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,23 +18,27 @@ from linksweep.core.arrays import Array, Flags, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry
 from linksweep.core.tie.clips import Sources, separation
-from linksweep.core.tie.normal_sums import source_counts, source_discrepancies
+from linksweep.core.tie.normal_sums import group_sums, source_counts, source_discrepancies
 from linksweep.core.tie.problem import Problem
 from linksweep.core.tie.solution import Solution, solve
-from linksweep.core.tie.sources import Heaviest
+from linksweep.core.tie.sources import DIVISIONS, Heaviest, heaviest, sky_cells
 from linksweep.core.tie.sums import NormalSums
 from linksweep.core.unknowns import Unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import Map
-from linksweep.sweep.tables.parquet import is_parquet, row_groups
-from linksweep.sweep.tie import row_group
-from linksweep.sweep.tie.column_names import columns_needed
+from linksweep.sweep.tables.reader import is_parquet, read_row_group, row_groups
 from linksweep.sweep.tie.matching import Match
-from linksweep.sweep.tie.options import Options
-from linksweep.sweep.tie.row_group import RowGroup
-from linksweep.sweep.tie.setup import ZERO_MOTION, Setup, default_epoch, zero_motion
-from linksweep.sweep.tie.tables import AstrometricTable
-from linksweep.sweep.tie.unknowns_of import unknowns_of
+from linksweep.sweep.tie.options import SIGNS, Options
+from linksweep.sweep.tie.setup import (
+    ZERO_MOTION,
+    Setup,
+    default_epoch,
+    known_spin,
+    unknowns_for,
+    with_jitter,
+    zero_motion,
+)
+from linksweep.sweep.tie.tables import AstrometricTable, astrometric_table, columns_needed, digest_of
 
 FROM_ROWS = 100_000
 """Smaller tables are solved as a whole."""
@@ -59,6 +63,81 @@ def why_whole(satellite: str | Path, reference: str | Path, options: Options) ->
 
 
 @dataclass(frozen=True)
+class RowGroup:
+    """The rows of a table from ``first`` on, and the options; ``unknowns`` are empty until they are known."""
+
+    path: Path
+    digest: str
+    number: int
+    first: int
+    columns: tuple[str, ...]
+    options: Options
+    epoch: float = np.nan
+    unknowns: Unknowns = field(default_factory=lambda: Unknowns(()))
+
+    def problem(self) -> Problem:
+        """Return the problem of the rows; raises SweepError for wrong ones, with their numbers in the row group."""
+        own = self.read().astrometry
+        spin = self.options.known_spin
+        known = None if spin is None else known_spin(spin, own, SIGNS[self.options.sign])
+        source, weights = np.arange(len(own)), self.options.weights
+        rows = with_jitter(zero_motion(len(own)), self.options.jitter_in(None))
+        return Problem(own, rows, source, self.unknowns, self.epoch, weights, known)
+
+    def read(self) -> AstrometricTable:
+        """Read the rows."""
+        if digest_once(self.path) != self.digest:
+            raise SweepError("is not the same file on every worker, or was changed", str(self.path))
+        table = read_row_group(self.path, self.number, self.columns)
+        where = f"{self.path}, the {len(table)} rows from row {self.first + 1} on"
+        rows = astrometric_table(table, where, self.digest, self.options.satellite_options)
+        if not np.all(np.isfinite(rows.astrometry.values[:2])):
+            raise SweepError("sources without a position", where)
+        return rows
+
+
+digest_once = lru_cache(maxsize=8)(digest_of)
+"""Return the SHA-256 of a file, which a process reads only once."""
+
+
+class Scanned(NamedTuple):
+    """What a first look at a row group finds: one value in each bin, under the name of the column of bins; the epochs
+    and how many sources have each; the positions of the sources (2, n), rad, if they are wanted; and notes.
+    """
+
+    sample: dict[str, Array]
+    epochs: Array
+    counts: Indices
+    places: Array | None
+    notes: Sequence[str]
+
+
+def look_through(group: RowGroup, per_source: bool) -> Scanned:
+    """Return what a first look finds, with the positions of the sources if ``per_source``."""
+    table = group.read()
+    own = table.astrometry
+    columns: dict[str, Array] = {}
+    if group.options.bins is not None and group.options.bins[0] in own.columns:
+        name, edges = group.options.bins
+        bin_of = np.searchsorted(edges, own.columns[name], side="right")
+        columns[name] = own.columns[name][np.unique(bin_of, return_index=True)[1]]
+    epochs, counts = np.unique(own.epoch[np.isfinite(own.epoch)], return_counts=True)
+    places = own.values[:2] if per_source else None
+    return Scanned(columns, epochs, counts, places, table.notes)
+
+
+def computed(group: RowGroup, function: Callable[..., Any], *arguments: Any) -> Any:
+    """Apply a function to the problem of a row group."""
+    return function(group.problem(), *arguments)
+
+
+def _cell_sums(problem: Problem, factors: Array | Flags | None) -> NormalSums:
+    """Return the sums of all cells of the sky, with the weight of each source times its factor."""
+    ra, dec = problem.satellite.values[:2]
+    return group_sums(problem, sky_cells(ra, dec, DIVISIONS), 2 * DIVISIONS**2, factors)
+
+
+@dataclass(frozen=True)
 class RowGroupTable:
     """The sources of a table that is read by row groups, with the interface of `SourceTable`."""
 
@@ -76,7 +155,8 @@ class RowGroupTable:
             limits = pairwise([*(group.first for group in self.groups), self.n_sources])
             divided = (factors[low:high] for low, high in limits)
             parts: list[Any] = [None if np.all(part == 1.0) else part for part in divided]
-            sums = reduce(NormalSums.plus, self.run(row_group.cell_sums, zip(self.groups, parts, strict=True)))
+            pieces = ((group, _cell_sums, part) for group, part in zip(self.groups, parts, strict=True))
+            sums = reduce(NormalSums.plus, self.run(computed, pieces))
             self._last[:] = [(factors.copy(), sums.taken(sums.count > 0))]
         return self._last[0][1]
 
@@ -96,19 +176,27 @@ class RowGroupTable:
 
     def heaviest(self, number: int) -> Heaviest:
         """Return the sources with the largest weights, and their sums."""
-        found: Heaviest = reduce(partial(row_group.heavier, number), self._each(row_group.heaviest, number))
-        return found
+
+        def heavier(one: Heaviest, other: Heaviest) -> Heaviest:
+            sizes = np.concatenate([one.sizes, other.sizes])
+            order = np.argsort(-sizes, kind="stable")[:number]  # of equal ones the first
+            places = np.concatenate([one.places, other.places])
+            return Heaviest(sizes[order], places[order], one.sums.followed_by(other.sums).taken(order))
+
+        each = zip(self.groups, self._each(heaviest, number), strict=True)
+        most: Heaviest = reduce(heavier, (one._replace(places=group.first + one.places) for group, one in each))
+        return most
 
     def _filled(self, function: Any, *arguments: Any, rows: int | None = None, kind: Any = np.float64) -> Any:
         """Return the values of a function of a problem for each source, collected in one array."""
-        found = np.empty(self.n_sources if rows is None else (rows, self.n_sources), dtype=kind)
-        pieces = self._each(row_group.computed, function, *arguments)
-        for group, part in zip(self.groups, map(np.asarray, pieces), strict=True):
-            found[..., group.first : group.first + part.shape[-1]] = part
-        return found
+        filled = np.empty(self.n_sources if rows is None else (rows, self.n_sources), dtype=kind)
+        for group, part in zip(self.groups, map(np.asarray, self._each(function, *arguments)), strict=True):
+            filled[..., group.first : group.first + part.shape[-1]] = part
+        return filled
 
     def _each(self, function: Any, *arguments: Any) -> Iterator[Any]:
-        return self.run(function, ((group, *arguments) for group in self.groups))
+        """Yield a function of the problem of each row group."""
+        return self.run(computed, ((group, function, *arguments) for group in self.groups))
 
 
 def set_up_row_groups(
@@ -124,7 +212,7 @@ def set_up_row_groups(
     if not isinstance(options.known_spin, (str, Path)):
         further = () if options.bins is None else (options.bins[0],)
         names = columns_needed(names, options.satellite_options, further)
-    digest = row_group.digest_once(path)
+    digest = digest_once(path)
     firsts = np.concatenate([[0], np.cumsum(sizes)])
     plain = replace(options, missions={}, mission_options={})
     groups = tuple(
@@ -134,19 +222,20 @@ def set_up_row_groups(
     )
     n = sum(sizes)
     values = np.zeros((5, n)) if per_source else np.broadcast_to(np.nan, (5, n))  # takes no memory
-    samples, of_epochs = [], []
+    looks: list[Scanned] = []
     noted: dict[str, int] = {}
-    for group, one in zip(groups, run(row_group.look_through, ((group, per_source) for group in groups)), strict=True):
+    for group, one in zip(groups, run(look_through, ((group, per_source) for group in groups)), strict=True):
         if one.places is not None:
             values[:2, group.first : group.first + one.places.shape[1]] = one.places
-        samples.append(one.sample)
-        of_epochs.append((one.epochs, one.counts))
+        looks.append(one._replace(places=None))
         for note in one.notes:
             noted.setdefault(note, group.first)
-    epoch = _median_epoch(of_epochs) if options.epoch is None else options.epoch
-    notes = _listed(path.name, noted)
+    epoch = _median_epoch(looks) if options.epoch is None else options.epoch
+    notes = [f"{path.name}, from row {first + 1} on: {note}" for note, first in noted.items()]
+    if (more := len(notes) - MOST_NOTES) > 0:
+        notes[MOST_NOTES:] = [f"{path.name}: {more} more such notes"]
     try:
-        unknowns = _unknowns(replace(groups[0], epoch=epoch), samples, notes)
+        unknowns = _unknowns(replace(groups[0], epoch=epoch), looks, notes)
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
     groups = tuple(replace(group, epoch=epoch, unknowns=unknowns) for group in groups)
@@ -161,33 +250,26 @@ def set_up_row_groups(
     return Setup(left, right, matched, problem, source, called, tuple(notes)), RowGroupTable(groups, n, run)
 
 
-def _listed(name: str, noted: Mapping[str, int]) -> list[str]:
-    """Return the first notes of row groups, each with the first row of the first group that has it."""
-    notes = [f"{name}, from row {first + 1} on: {note}" for note, first in noted.items()]
-    more = len(notes) - MOST_NOTES
-    return notes if more <= 0 else [*notes[:MOST_NOTES], f"{name}: {more} more such notes"]
-
-
-def _median_epoch(found: Sequence[tuple[Array, Indices]]) -> float:
+def _median_epoch(looks: Sequence[Scanned]) -> float:
     """Return `default_epoch` of all epochs, from the different ones and how often each occurs."""
-    epochs, place = np.unique(np.concatenate([epochs for epochs, _ in found]), return_inverse=True)
-    last = np.cumsum(np.bincount(place, np.concatenate([counts for _, counts in found]), len(epochs)))
+    epochs, place = np.unique(np.concatenate([one.epochs for one in looks]), return_inverse=True)
+    last = np.cumsum(np.bincount(place, np.concatenate([one.counts for one in looks]), len(epochs)))
     if not len(epochs):
         return default_epoch(epochs)
     middle = [(last[-1] - 1) // 2, last[-1] // 2]  # the middle one twice, or the two around the middle
     return default_epoch(epochs[np.searchsorted(last, middle, side="right")])
 
 
-def _unknowns(group: RowGroup, samples: list[dict[str, Array]], notes: list[str]) -> Unknowns:
+def _unknowns(group: RowGroup, looks: Sequence[Scanned], notes: list[str]) -> Unknowns:
     """Return the unknowns of the whole table: the first rows say which are determined, all rows which bins are used."""
     own = group.read().astrometry
     few = own.taken(slice(0, min(len(own), 1000)))
     if group.options.bins is not None:
         name = group.options.bins[0]
-        columns = {name: np.concatenate([one[name] for one in samples])} if name in own.columns else {}
+        columns = {name: np.concatenate([one.sample[name] for one in looks])} if name in own.columns else {}
         few = replace(few, columns=columns)
     rows = zero_motion(len(few))
     try:
-        return unknowns_of(group.options, few, rows, np.arange(len(few)), group.epoch, notes)
+        return unknowns_for(group.options, few, rows, np.arange(len(few)), group.epoch, notes)
     except LinkError as error:
         raise LinkError(f"of the first rows: {error}") from error

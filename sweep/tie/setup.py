@@ -1,4 +1,4 @@
-"""The problem that follows from two or more tables and the options."""
+"""The problem that follows from two or more tables and the options: matched rows, what is done to them, unknowns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -9,22 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.core.arrays import Array, Indices
-from linksweep.core.constants import DEGREE
-from linksweep.core.tie.astrometry import Astrometry, joined, kinds, named_rows
+from linksweep.core.blocks import Rotation, SpinByBin
+from linksweep.core.constants import GALACTIC_AXES, MAS
+from linksweep.core.frames import triad
+from linksweep.core.link import LinkError
+from linksweep.core.tie.astrometry import KINDS, PAIRS, Astrometry, joined, kinds, named_rows
 from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.sources import SourceTable
+from linksweep.core.unknowns import Unknowns, parse_unknowns
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tie.column_names import TableOptions
-from linksweep.sweep.tie.matching import Match, match, separations
-from linksweep.sweep.tie.options import SIGNS, Options
-from linksweep.sweep.tie.reference_rows import ICRF3_EPOCH, aberrated, known_spin, with_jitter
+from linksweep.sweep.tables.reader import read_table as read_file
+from linksweep.sweep.tie.matching import Match, far_rows, match, match_notes
+from linksweep.sweep.tie.options import SIGNS, Options, TableOptions
 from linksweep.sweep.tie.tables import AstrometricTable, read_table
-from linksweep.sweep.tie.unknowns_of import unknowns_of
 
-FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
-"""Separations from the source of the same name above which a row is noted, and is refused."""
+ICRF3_EPOCH = 2015.0
 
-SAME_EPOCH_YR = 0.005
-"""Rows of a source within two days may be the same measurement."""
+ALL = "all"
+"""Stands for every kind of row that has no jitter of its own."""
 
 ZERO_MOTION = "zero-motion"
 """Stands for a reference whose sources do not move: quasars, for which only the satellite's table is needed."""
@@ -47,15 +49,10 @@ class Setup:
     notes: tuple[str, ...] = ()
     missions: Mapping[str, AstrometricTable] = field(default_factory=dict)
 
-
-@dataclass(frozen=True)
-class _Part:
-    """A table of rows with its match, the number of its frame, and its rows as they enter the problem."""
-
-    table: AstrometricTable
-    matched: Match
-    rows: Astrometry
-    notes: Sequence[str] = ()
+    def only(self, sources: Indices) -> "Setup":
+        """Return the setup of some of the matched sources and their rows."""
+        problem = self.problem.only(sources)
+        return replace(self, problem=problem, sources=self.sources[sources], names=self.names[sources])
 
 
 def set_up(satellite: str | Path, reference: str | Path, options: Options, all_sources: bool = False) -> Setup:
@@ -65,92 +62,63 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     """
     options.check()
     left = read_table(Path(satellite), options.satellite_options)
+    n = len(left.astrometry)
     if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
         raise SweepError(
             f"each source needs a position, and there is no ra and dec in {named_rows(without)}", left.path
         )
-    parts = [_reference(left, reference, options)]
-    parts += [_mission(left, name, number, options) for number, name in enumerate(options.missions, 1)]
-    matched = np.concatenate([part.matched.source for part in parts])
-    sources = np.arange(len(left.astrometry)) if all_sources else np.unique(matched)
-    place = np.full(len(left.astrometry), -1)
-    place[sources] = np.arange(len(sources))
-    names = _names(left, parts[0], sources)
-    own = replace(_taken(left.astrometry, sources), names=names)
-    rows = parts[0].rows if len(parts) == 1 else joined(*(part.rows for part in parts))
-    source = place[matched]
-    epoch = default_epoch(own.epoch) if options.epoch is None else options.epoch
     notes = left.named_notes()
-    for part in parts:
-        notes += [*part.table.named_notes(), *_unmatched(part), *part.notes]
+    tables, matches, parts = [], [], []
+    for frame, name in enumerate((None, *options.missions)):
+        if name is None and str(reference) == ZERO_MOTION:
+            table = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
+            matched = Match(np.arange(n), np.arange(n), "the satellite's sources", np.zeros(0, dtype=np.int64))
+        else:
+            how = options.reference_options if name is None else options.mission_options.get(name, TableOptions())
+            table = read_table(Path(reference if name is None else options.missions[name]), how)
+            matched = match(left, table, options.by)
+            far = far_rows(left, table, matched)
+        rows = with_jitter(_taken(table.astrometry, matched.rows), options.jitter_in(name))
+        if table.path != ZERO_MOTION:
+            notes += [*table.named_notes(), *match_notes(table, matched, rows), *far]
+        if name is not None:
+            rows = replace(rows, frame=np.full(len(rows), frame))
+        elif options.aberration:
+            rows = _aberrated(rows, left.astrometry.epoch[matched.source], options.aberration)
+        tables.append(table)
+        matches.append(matched)
+        parts.append(rows)
+    sources = np.arange(n) if all_sources else np.unique(np.concatenate([matched.source for matched in matches]))
+    place = np.full(n, -1)
+    place[sources] = np.arange(len(sources))
+    source = place[np.concatenate([matched.source for matched in matches])]
+    names = _names(left, tables[0], matches[0])[sources]
+    own = replace(_taken(left.astrometry, sources), names=names)
+    rows = parts[0] if len(parts) == 1 else joined(*parts)
+    epoch = default_epoch(own.epoch) if options.epoch is None else options.epoch
     notes += _resting(own, rows, source)
     try:
-        unknowns = unknowns_of(options, own, rows, source, epoch, notes)
+        unknowns = unknowns_for(options, own, rows, source, epoch, notes)
         known = None if options.known_spin is None else known_spin(options.known_spin, own, SIGNS[options.sign])
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
     problem = Problem(own, rows, source, unknowns, epoch, options.weights, known)
-    missions = {name: part.table for name, part in zip(options.missions, parts[1:], strict=True)}
-    return Setup(left, parts[0].table, parts[0].matched, problem, sources, names, tuple(dict.fromkeys(notes)), missions)
+    missions = dict(zip(options.missions, tables[1:], strict=True))
+    return Setup(left, tables[0], matches[0], problem, sources, names, tuple(dict.fromkeys(notes)), missions)
 
 
-def _reference(left: AstrometricTable, reference: str | Path, options: Options) -> _Part:
-    if str(reference) == ZERO_MOTION:
-        n = len(left.astrometry)
-        matched = Match(np.arange(n), np.arange(n), "the satellite's sources", np.zeros(0, dtype=np.int64))
-        right = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
-        part = _Part(right, matched, with_jitter(right.astrometry, options.jitter_of(None)))
-    else:
-        part = _matched(left, read_table(Path(reference), options.reference_options), options, None)
-    if options.aberration:
-        epoch = left.astrometry.epoch[part.matched.source]
-        part = replace(part, rows=aberrated(part.rows, epoch, options.aberration))
-    return part
+def _taken(table: Astrometry, rows: Indices) -> Astrometry:
+    return table if np.array_equal(rows, np.arange(len(table))) else table.taken(rows)
 
 
-def _mission(left: AstrometricTable, name: str, number: int, options: Options) -> _Part:
-    table = read_table(Path(options.missions[name]), options.mission_options.get(name, TableOptions()))
-    part = _matched(left, table, options, name)
-    return replace(part, rows=replace(part.rows, frame=np.full(len(part.rows), number)))
-
-
-def _matched(left: AstrometricTable, table: AstrometricTable, options: Options, mission: str | None) -> _Part:
-    matched = match(left, table, options.by)
-    notes = _far(left, table, matched)
-    rows = with_jitter(_taken(table.astrometry, matched.rows), options.jitter_of(mission))
-    return _Part(table, matched, rows, notes)
-
-
-def _far(left: AstrometricTable, table: AstrometricTable, matched: Match) -> list[str]:
-    """Return a note on rows far from their sources; raises SweepError if they cannot be the same objects."""
-    apart = separations(left, table, matched) / DEGREE
-    for limit, refused in ((FARTHEST_DEG, True), (FAR_DEG, False)):
-        far = np.flatnonzero(apart > limit)
-        if len(far):
-            worst = far[np.argmax(apart[far])]
-            size = f"{apart[worst]:.3g} deg" if refused else f"{apart[worst] * 3600.0:.3g} arcsec"
-            row = named_rows(matched.rows[far])
-            whose = "their source" if matched.by.startswith("position") else "the source of the same name"
-            found = f"{row} of {Path(table.path).name}: up to {size} from {whose}"
-            elsewhere = _elsewhere(left, table, matched, far)
-            if refused:
-                question = "are the names right, the epochs, and the units of the positions?"
-                raise SweepError(f"{found}; {elsewhere or question}")
-            return [f"{found}; {elsewhere}" if elsewhere else found]
-    return []
-
-
-def _elsewhere(left: AstrometricTable, table: AstrometricTable, matched: Match, far: Indices) -> str:
-    """Return a clause that names the other sources at whose positions rows are that are far from their own."""
-    rows = matched.rows[far]
-    try:
-        found = match(left, replace(table, astrometry=table.astrometry.taken(rows)), f"position:{FAR_DEG * 3600.0:g}")
-    except SweepError:  # none of them is near any source
-        return ""
-    names = next(iter(left.names.values())) if left.names else np.arange(1, len(left.astrometry) + 1)
-    own, other = names[matched.source[far[found.rows]]], names[found.source]
-    pairs = dict.fromkeys(f"{a} is where {b} is" for a, b in zip(own, other, strict=True) if a != b)
-    return f"{', '.join(list(pairs)[:3])}: are names exchanged?" if pairs else ""
+def _names(left: AstrometricTable, reference: AstrometricTable, matched: Match) -> NDArray[np.str_]:
+    """Return the names of all sources: the satellite's first column of names, else the reference's, else numbers."""
+    if left.names:
+        return next(iter(left.names.values()))
+    names = np.arange(1, len(left.astrometry) + 1).astype(np.str_).astype(object)
+    if reference.names:
+        names[matched.source] = next(iter(reference.names.values()))[matched.rows]
+    return names.astype(np.str_)
 
 
 def _resting(own: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
@@ -158,54 +126,11 @@ def _resting(own: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
     if rows.apparent is None or not np.any(seen := rows.apparent & (kinds(rows) == "single epoch")):
         return []
     size = np.where(own.present[2:], (own.values[2:] / np.where(own.present[2:], own.errors[2:], 1.0)) ** 2, np.nan)
-    of = np.unique(source[seen])
-    if len(of) < 5 or not np.nanmean(size[:, of]) < 4.0:
+    observed = np.unique(source[seen])
+    if len(observed) < 5 or not np.nanmean(size[:, observed]) < 4.0:
         return []
     said = "positions of a single epoch are displaced by parallaxes, and these sources have none, nor motions"
     return [f"{said}: if they are quasars, say --extragalactic reference"]
-
-
-def _taken(table: Astrometry, rows: Indices) -> Astrometry:
-    return table if np.array_equal(rows, np.arange(len(table))) else table.taken(rows)
-
-
-def _unmatched(part: _Part) -> list[str]:
-    n, total, name = len(part.matched.unmatched), len(part.table.astrometry), Path(part.table.path).name
-    found = [f"{n} of {total} rows of {name} match no source"] if n else []
-    if len(part.matched.ambiguous):
-        rows = named_rows(part.matched.ambiguous)
-        found.append(f"{rows} of {name}: several sources are within the radius; the nearest is taken")
-    exact, nearly = _repeated(part)
-    if len(exact):
-        found.append(f"{named_rows(exact)} of {name}: the same numbers as another row of the source; all are used")
-    if len(nearly):
-        twice = "one measurement that is there twice counts twice"
-        found.append(f"{named_rows(nearly)} of {name}: nearly the numbers of another row of the source; {twice}")
-    several = np.bincount(part.matched.source)[part.matched.source] > 1
-    epochs = part.rows.epoch[part.rows.present[0]]
-    if np.any(several & part.rows.present[0]) and len(epochs) > 2 and np.all(epochs == epochs[0]):
-        found.append(f"{name}: all positions have the epoch {epochs[0]:g}, although sources have several: is it right?")
-    return found
-
-
-def _repeated(part: _Part) -> tuple[Indices, Indices]:
-    """Return the numbers of the table's rows that repeat another row of the same source and epoch: exactly, and nearly,
-    which is within a fraction of the errors, or with the same errors.
-    """
-    source, rows = part.matched.source, part.rows
-    order = np.lexsort((rows.epoch, rows.present.T @ (1 << np.arange(5)), source))
-    one, other = order[:-1], order[1:]
-    present, first, second = rows.present[:, one], rows.errors[:, one], rows.errors[:, other]
-    same = (source[one] == source[other]) & np.all(present == rows.present[:, other], axis=0) & present.any(axis=0)
-    years = np.nan_to_num(np.abs(rows.epoch[one] - rows.epoch[other]))
-    apart = rows.values[:, one] - rows.values[:, other]
-    apart[0] *= np.cos(rows.values[1, one])
-    with np.errstate(invalid="ignore", divide="ignore"):
-        most = np.where(present & (apart != 0.0), np.abs(apart) / np.maximum(first, second), 0.0).max(axis=0)
-    alike = np.all(~present | np.isclose(first, second, rtol=0.01, atol=0.0), axis=0)
-    exact = same & (most == 0.0) & (years == 0.0) & np.all(~present | (first == second), axis=0)
-    nearly = same & ~exact & (years < SAME_EPOCH_YR) & ((most < 0.3) | (alike & (most < 2.0)))
-    return np.sort(part.matched.rows[other[exact]]), np.sort(part.matched.rows[other[nearly]])
 
 
 def zero_motion(n: int) -> Astrometry:
@@ -214,18 +139,163 @@ def zero_motion(n: int) -> Astrometry:
     return Astrometry(zeros, zeros, np.broadcast_to(np.nan, n))
 
 
-def _names(left: AstrometricTable, reference: _Part, sources: Indices) -> NDArray[np.str_]:
-    """Return the names of the sources: the satellite's first column of names, else the reference's, else numbers."""
-    if left.names:
-        return next(iter(left.names.values()))[sources]
-    named: dict[int, str] = {}
-    if reference.table.names:
-        column, found = next(iter(reference.table.names.values())), reference.matched
-        named = dict(zip(found.source.tolist(), column[found.rows].tolist(), strict=True))
-    return np.array([named.get(s, str(s + 1)) for s in sources.tolist()])
-
-
 def default_epoch(epochs: Array) -> float:
     """Return the median epoch of the sources (Julian year), or that of ICRF3 if none has an epoch."""
     known = epochs[np.isfinite(epochs)]
     return float(np.median(known)) if len(known) else ICRF3_EPOCH
+
+
+# ---- what is done to the rows of a reference before the solution
+
+
+def with_jitter(rows: Astrometry, jitter: Mapping[str, tuple[float, float]]) -> Astrometry:
+    """Return rows with (mas, mas/yr) added in quadrature to the errors of each kind, or of "all"; covariances do not
+    change.
+
+    Raises SweepError for sizes that are negative or not finite, unknown kinds, and kinds of which there is no row.
+    """
+    if not jitter:
+        return rows
+    known = [*KINDS.values(), "single epoch", ALL]
+    if unknown := sorted(set(jitter) - set(known)):
+        raise SweepError(f"jitter: no kind of row {', '.join(unknown)}; kinds are {', '.join(known)}")
+    kind_of_row = kinds(rows)
+    if absent := sorted(set(jitter) - {ALL, *kind_of_row.tolist()}):
+        there = ", ".join(np.unique(kind_of_row))
+        raise SweepError(f"jitter: no row is of the kind {', '.join(absent)}; there are {there}")
+    added = np.zeros_like(rows.errors)
+    for kind, (position, motion) in jitter.items():
+        if not (0.0 <= position < np.inf and 0.0 <= motion < np.inf):
+            raise SweepError(f"jitter of {kind}: {position:g}, {motion:g}: must be finite and not negative")
+        at = kind_of_row == kind if kind != ALL else ~np.isin(kind_of_row, list(jitter))  # a named kind has its own
+        added[:, at] = MAS * np.array([position, position, position, motion, motion])[:, None]
+    errors = np.hypot(rows.errors, added)
+    correlations = rows.correlations
+    if correlations is not None:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shrunk = np.where(errors > 0.0, rows.errors / errors, 1.0)
+        correlations = np.array([c * shrunk[i] * shrunk[j] for c, (i, j) in zip(correlations, PAIRS, strict=True)])
+    return replace(rows, errors=errors, correlations=correlations)
+
+
+def _aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astrometry:
+    """Return positions without an epoch carried from 2015.0 to another by the Galactic aberration (uas/yr).
+
+    Sources appear to move towards the Galactic centre.  Source: Charlot et al. 2020, A&A 644, A159.  Raises SweepError
+    if there are no such positions.
+    """
+    if not np.any(rows.present[0] & np.isnan(rows.epoch) & np.isfinite(to_epoch)):
+        raise SweepError(
+            "aberration carries positions without an epoch from 2015.0 to that of their source, and no row of the "
+            "reference is such a position"
+        )
+    p, q, _ = triad(rows.values[0], rows.values[1])
+    years = np.where(np.isfinite(rows.epoch) | ~np.isfinite(to_epoch), 0.0, to_epoch - ICRF3_EPOCH)
+    glide = GALACTIC_AXES[0] * aberration * MAS / 1000.0
+    values = rows.values.copy()
+    values[0] += years * (glide @ p) / np.cos(rows.values[1])
+    values[1] += years * (glide @ q)
+    return replace(rows, values=values)
+
+
+def known_spin(spin: Sequence[float] | str | Path, own: Astrometry, sign: float) -> tuple[Unknowns, Array]:
+    """Return the block and the values (rad/yr) of a spin that is known: a vector, or a table by bins of a column.
+
+    A table has columns COLUMN_min and COLUMN_max of the satellite's magnitude (or other) COLUMN, or mag_min and
+    mag_max for phot_g_mean_mag, and omega_x, omega_y, omega_z in mas/yr or their unit.  Raises SweepError for anything
+    else, and for sources outside its bins.
+    """
+    if not isinstance(spin, (str, Path)):
+        vector = np.asarray(spin, dtype=np.float64)
+        if vector.shape != (3,) or not np.all(np.isfinite(vector)):
+            raise SweepError(f"known spin {spin!r}: give three numbers in mas/yr, or the path of a table")
+        return Unknowns((Rotation(),)), sign * vector * MAS
+    from astropy import units
+
+    table = read_file(Path(spin))
+    lows = [name for name in table.colnames if name.endswith("_min")]
+    if len(lows) != 1 or (high := lows[0][:-4] + "_max") not in table.colnames:
+        raise SweepError("a table of spins has one column COLUMN_min and one COLUMN_max", str(spin))
+    if missing := [f"omega_{axis}" for axis in "xyz" if f"omega_{axis}" not in table.colnames]:
+        raise SweepError(f"no column {', '.join(missing)}", str(spin))
+    table.sort(lows[0])
+    low_edges, high_edges = (np.asarray(table[name], dtype=np.float64) for name in (lows[0], high))
+    column = {"mag": "phot_g_mean_mag", "G": "phot_g_mean_mag"}.get(lows[0][:-4], lows[0][:-4])
+    if column not in own.columns:
+        raise SweepError(f"the satellite has no column {column!r} of numbers for the known spin", str(spin))
+    if np.any(low_edges[1:] != high_edges[:-1]) or np.any(high_edges <= low_edges):
+        raise SweepError(f"the bins of {lows[0]} and {high} do not follow one another", str(spin))
+    values = own.columns[column]
+    outside = ~((values >= low_edges[0]) & (values < high_edges[-1]))
+    if np.any(outside):
+        raise SweepError(f"{np.count_nonzero(outside)} matched sources have a {column} outside its bins", str(spin))
+    components = (table[f"omega_{axis}"] for axis in "xyz")
+    in_unit = [np.asarray(c, dtype=np.float64) * units.Unit(c.unit or "mas/yr").to("mas/yr") for c in components]
+    vectors = np.stack(in_unit, axis=1)
+    edges, used = tuple(low_edges[1:].tolist()), tuple(range(len(low_edges)))
+    block = SpinByBin(column=column, edges=edges, used=used)
+    return Unknowns((block,)), sign * vectors.ravel() * MAS
+
+
+# ---- unknowns
+
+
+def unknowns_for(
+    options: Options, own: Astrometry, rows: Astrometry, source: Indices, epoch: float, notes: list[str]
+) -> Unknowns:
+    """Return the unknowns of the options; if none are named, those of orientation and spin that the rows determine.
+
+    A note is added if these are not both.  Raises ValueError for unknowns that do not exist.
+    """
+    missions = list(options.missions)
+    named = [name.strip() for name in (options.unknowns or "").split(",") if name.strip()]
+    of_missions = [name for name in named if name.partition(":")[0] in missions]
+    text = ",".join(name for name in named if name not in of_missions)
+    if options.unknowns is None or (not text and of_missions):
+        of_reference = np.arange(len(rows)) if rows.frame is None else np.flatnonzero(rows.frame == 0)
+        text = _determined(own, rows.taken(of_reference), source[of_reference], epoch)
+        if text != "orientation,spin":
+            notes.append(f"of orientation and spin the tables determine only the {text}")
+    if options.degree is not None:
+        text = _with_harmonics(text, options.degree)
+    text = ",".join([text, *of_missions])
+    for mission in missions:
+        if not any(name.startswith(f"{mission}:") for name in of_missions):
+            text += "," + _determined(own, rows, source, epoch, text, mission, missions)
+    return parse_unknowns(text, options.bins, own.columns, options.corrections, missions)
+
+
+def _with_harmonics(text: str, degree: int) -> str:
+    """Return unknowns with glide and harmonics up to a degree beside each rotation."""
+    names = [name.strip() for name in text.split(",")]
+    for rotation, glide, harmonics in (
+        ("orientation", "position_glide", "vsh_position"),
+        ("spin", "glide", "vsh_motion"),
+    ):
+        if rotation in names:
+            names += [glide] if glide not in names else []
+            names += [f"{harmonics}:2-{degree}"] if degree > 1 else []
+    return ",".join(names)
+
+
+def _determined(
+    own: Astrometry,
+    rows: Astrometry,
+    source: Indices,
+    epoch: float,
+    beside: str = "",
+    mission: str = "",
+    missions: list[str] | None = None,
+) -> str:
+    """Return those of orientation and spin, of the satellite or a mission, that rows determine together with others."""
+    for blocks in (("orientation", "spin"), ("orientation",), ("spin",)):
+        text = ",".join(f"{mission}:{block}" if mission else block for block in blocks)
+        unknowns = parse_unknowns(f"{beside},{text}", missions=missions or ())
+        table = SourceTable(Problem(own, rows, source, unknowns, epoch))
+        try:
+            table.solve(np.ones(len(own)))
+        except LinkError:
+            continue
+        return text
+    frame = f"the frame of {mission}" if mission else "the satellite's frame"
+    raise LinkError(f"the tables determine neither the orientation nor the spin of {frame}")

@@ -1,23 +1,49 @@
-"""Astrometric tables from files: Gaia archive, Hipparcos-2, ICRF text, VLBI rows and others with such columns."""
+"""Astrometric tables from files, in rad and rad/yr: Gaia archive, Hipparcos-2, ICRF, VLBI rows and any such columns."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.tie.astrometry import Astrometry
+from linksweep.core.arrays import Array, Flags
+from linksweep.core.blocks import PARAMETERS
+from linksweep.core.constants import DEGREE, MAS
+from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
+from linksweep.core.tie.mistakes import LARGER, LARGEST, PLAUSIBLE, SMALLER
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tables import reader
-from linksweep.sweep.tie import icrf
-from linksweep.sweep.tie.astrometry_reader import AstrometryReader
-from linksweep.sweep.tie.column_names import TableOptions
+from linksweep.sweep.tables.columns import CORRELATIONS, Columns, column_of, first_found
+from linksweep.sweep.tables.reader import read_table as read_file
+from linksweep.sweep.tie.options import Positions, TableOptions
 
-_OWN = Path(str(resources.files("linksweep") / "sweeps" / "data")).resolve()
+SOURCE_NAMES = ("name", "star", "source", "source_id", "designation", "psr_name", "hip", "iers_name", "icrf_name")
+"""Columns that name a source, in upper or lower case, best first; other columns of text come after them."""
+
+QUANTITIES = (
+    *(*PARAMETERS, "ref_epoch", "radial_velocity"),
+    *(*(f"{name}_error" for name in PARAMETERS), *CORRELATIONS, "name"),
+)
+"""The quantities that ``columns`` and ``units`` may name."""
+
+HIPPARCOS_EPOCH = 1991.25
+
+FASTEST_KM_S = 5000.0
+"""No star is faster: larger radial velocities are redshifts, or stand for missing ones."""
+
+COARSE = 0.1
+"""Positions that are rounded by more than this fraction of their errors are too coarse."""
+
+TYPICAL = (0.005, 300.0)
+"""Errors after a mistake in their unit is corrected, mas or mas/yr."""
+
+EARLIEST, LATEST = 1970.0, 2060.0
+"""Epochs of positions with errors below 10 mas."""
+
+_BUILT_IN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
 
 
 @dataclass(frozen=True)
@@ -41,33 +67,243 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     A table whose metadata say ``extragalactic: true`` needs no epoch: its positions hold at any.  Raises
     SweepError with all that is wrong and the rows (counted from 1).
     """
-    options = options or TableOptions()
-    path = _built_in(path) or path
-    if not path.is_file():
-        raise SweepError("is a folder, not a table" if path.is_dir() else "no such file", str(path))
-    digest = digest_of(path)
-    if path.suffix.lower() in (".txt", ".dat") and icrf.is_icrf(path):
-        astrometry, names = icrf.read_icrf(path)
-        return AstrometricTable(str(path), digest, astrometry, names)
-    found = astrometric_table(reader.read_table(path), str(path), digest, options)
-    return replace(found, notes=()) if path.resolve().parent == _OWN else found  # ours are as they were published
-
-
-def astrometric_table(table: Any, where: str, digest: str, options: TableOptions) -> AstrometricTable:
-    """Return what an astropy Table holds; raises SweepError as `read_table`."""
-    found = AstrometryReader(table, where, options)
-    astrometry, names = found.astrometry()
-    return AstrometricTable(where, digest, astrometry, names, found.notes)
-
-
-def _built_in(path: Path) -> Path | None:
-    """Return the file of a built-in table, if ``path`` is its name and no such file exists."""
-    if path.suffix or len(path.parts) != 1 or path.exists():
-        return None
-    return next((file for file in sorted(_OWN.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), None)
+    if not path.suffix and len(path.parts) == 1 and not path.exists():
+        named = (file for file in sorted(_BUILT_IN.glob("*.ecsv*")) if file.name.split(".")[0] == path.name)
+        path = next(named, path)
+    if path.is_dir():
+        raise SweepError("is a folder, not a table", str(path))
+    table = read_file(path)
+    read = astrometric_table(table, str(path), digest_of(path), options or TableOptions())
+    return replace(read, notes=()) if path.resolve().parent == _BUILT_IN else read  # ours are as they were published
 
 
 def digest_of(path: Path) -> str:
     """Return the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def columns_needed(names: Sequence[str], options: TableOptions, further: Collection[str] = ()) -> list[str]:
+    """Return the columns of a table that hold a quantity, not names, or are among ``further``, in their order."""
+    used = {column_of(quantity, names, options.columns) for quantity in QUANTITIES if quantity != "name"}
+    return [name for name in names if name in used or name in further]
+
+
+def astrometric_table(table: Any, where: str, digest: str, options: TableOptions) -> AstrometricTable:
+    """Return what an astropy Table holds; raises SweepError as `read_table`."""
+    read = Columns(table, where, options.columns, options.units, QUANTITIES)
+    read.finish()
+    if not len(read):
+        raise SweepError("has no rows", where)
+    notes: list[str] = []
+    values, errors = np.full((2, 5, len(read)), np.nan)
+    for row, name in zip(values, PARAMETERS, strict=True):
+        if read.has(name):
+            row[:] = _in_radians(read, name, options)
+            read.check(np.isinf(row), f"an infinite {name}")
+    for row, value, name in zip(errors, values, PARAMETERS, strict=True):
+        if read.has(f"{name}_error"):
+            row[:] = _errors(read, name, options, notes)
+        elif np.any(np.isfinite(value)):
+            notes.append(f"no errors of {name}, which counts as not measured")
+    read.finish()
+    _note_lost(read, np.isfinite(values) & ~np.isfinite(errors), notes)
+    _note_unlikely(values, errors, notes)
+    _check_positions(read, values, errors)
+    present = np.isfinite(values) & np.isfinite(errors)
+    correlations = _correlations(read, present)
+    if correlations is None and np.any(np.all(present, axis=0)):
+        notes.append("no correlations of the five parameters: they count as 0")
+    epoch = _epochs(read, options)
+    exact = errors[0] < 10.0 * MAS
+    if np.any(exact & ((epoch < EARLIEST) | (epoch > LATEST))):
+        span = f"{np.nanmin(epoch[exact]):g} to {np.nanmax(epoch[exact]):g}"
+        notes.append(f"epochs from {span}, when no position had errors below 10 mas: are they right?")
+    positions = options.positions or table.meta.get("positions", "single-epoch")
+    if positions not in get_args(Positions):
+        read.problems.append(f"positions {positions!r}: must be {' or '.join(get_args(Positions))}")
+    astrometry = Astrometry(
+        values=values,
+        errors=errors,
+        epoch=epoch,
+        correlations=correlations,
+        radial_velocity=_radial_velocity(read, notes),
+        columns={name: read.numbers(name) for name in read.names if read.kind(name) in "fiu"},
+        apparent=(positions == "single-epoch") & np.isfinite(epoch),
+    )
+    try:
+        kinds(astrometry)
+    except ValueError as error:
+        read.problems.append(str(error))
+    read.finish()
+    return AstrometricTable(where, digest, astrometry, _names(read), notes)
+
+
+def _in_radians(read: Columns, quantity: str, options: TableOptions) -> Array:
+    """Return a quantity in rad or rad/yr, pmra and its error with cos(dec) also where the options say they lack it."""
+    values = read.quantity(quantity, "allowed", DEGREE if quantity in ("ra", "dec") else MAS)
+    lacks = quantity.startswith("pmra") and not options.pmra_cos_dec and not read.in_time(quantity)
+    return values * read.cos_dec if lacks else values
+
+
+def _errors(read: Columns, parameter: str, options: TableOptions, notes: list[str]) -> Array:
+    quantity = f"{parameter}_error"
+    name, column = read.name(quantity), read.name(parameter)
+    if column in read.names and read.table[name].unit is None and quantity not in read.units:
+        unit, of_value = "mas/yr" if parameter.startswith("pm") else "mas", read.table[column].unit
+        if parameter in ("ra", "dec"):
+            if read.kind(column) in "USO":
+                taken = f"{name!r} has no unit and is taken as {unit}; else say --unit {quantity}="
+                notes.append(f"{column!r} is sexagesimal; {taken}{'s' if parameter == 'ra' else 'arcsec'}")
+        elif of_value is not None and of_value.is_equivalent(unit) and not np.isclose(of_value.to(unit), 1.0):
+            say = f"say --unit {quantity}={of_value} (or {unit})"
+            read.problems.append(f"column {column!r} is in {of_value}, and {name!r} has no unit; {say}")
+    errors = _in_radians(read, quantity, options)
+    read.check(errors < 0.0, f"a negative {name}")
+    if options.zero_errors == "error":
+        read.check(errors == 0.0, f"a {name} of 0 (say --zero-errors missing, or exact)")
+    return np.where(errors == 0.0, np.nan, errors) if options.zero_errors == "missing" else errors
+
+
+def _note_lost(read: Columns, lost: Flags, notes: list[str]) -> None:
+    """Note values (5, N) that have no error, and so decide the kind of their rows."""
+    alike: dict[bytes, list[int]] = {}
+    for i in np.flatnonzero(lost.any(axis=1)).tolist():
+        alike.setdefault(lost[i].tobytes(), []).append(i)
+    for places in alike.values():
+        rows, names = np.flatnonzero(lost[places[0]]), ", ".join(PARAMETERS[i] for i in places)
+        if read.has(f"{PARAMETERS[places[0]]}_error"):
+            notes.append(f"{len(rows)} rows have no error of {names}, which is not used: {named_rows(rows)}")
+
+
+def _note_unlikely(values: Array, errors: Array, notes: list[str]) -> None:
+    """Note numbers of a size that no star and no instrument has, with the likely mistake in their unit."""
+    for name, value, error in zip(PARAMETERS, values, errors, strict=True):
+        unit = "mas/yr" if name.startswith("pm") else "mas"
+        most = np.inf if name in ("ra", "dec") else LARGEST[unit]
+        if len(beyond := np.flatnonzero((np.abs(value) > most * MAS) & (np.abs(value) > 5.0 * error))):
+            what = f"{name} beyond {most:g} {unit}, which no star has"
+            notes.append(f"{what}: is its unit right? {named_rows(beyond)}")
+        known = error[np.isfinite(error) & (error > 0.0)] / MAS
+        if len(known) and not PLAUSIBLE[0] <= (median := float(np.median(known))) <= PLAUSIBLE[1]:
+            units = (SMALLER if median < PLAUSIBLE[0] else LARGER).items()
+            likely = [said for factor, said in units if TYPICAL[0] <= median * factor <= TYPICAL[1]]
+            cause = f" The likely cause: {', or '.join(likely)}." if likely else ""
+            what = f"errors of {name} of {median:.2g} {unit}, which no instrument has."
+            notes.append(f"{what}{cause} Say --unit {name}_error=UNIT")
+
+
+def _check_positions(read: Columns, values: Array, errors: Array) -> None:
+    for name, row, error in zip(PARAMETERS[:2], values, errors, strict=False):
+        if not read.has(name):
+            if not np.any(np.isfinite(values[2:])):
+                read.require(name)
+        elif read.kind(column := str(read.name(name))) == "f" and read.table[column].dtype.itemsize < 8:
+            size = np.abs(row) * (np.cos(values[1]) if name == "ra" else 1.0)
+            what = f"positions in single precision (column {column!r}), too coarse for their errors,"
+            read.check(size * 2.0**-24 > COARSE * error, what)
+        read.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
+    read.check(np.abs(values[1]) > 0.5 * np.pi * (1.0 + 1e-12), "a dec outside -90..90 deg")
+    read.check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
+
+
+def _correlations(read: Columns, present: Flags) -> Array | None:
+    """Return the correlations (10, N), 0 unless both parameters are ``present`` (5, N); None without columns."""
+    if _is_hipparcos(read) and (elements := _hipparcos_elements(read)) is not None:
+        return hipparcos_correlations(elements)
+    names = [read.name(name) for name in CORRELATIONS]
+    if not any(names):
+        return None
+    correlations = np.array([np.zeros(len(read)) if name is None else read.numbers(name) for name in names])
+    absent = []
+    for row, key, name, (i, j) in zip(correlations, CORRELATIONS, names, PAIRS, strict=True):
+        both = present[i] & present[j]
+        if name is None and np.any(both):
+            absent.append(key)
+        if name is not None and np.any(np.isfinite(row)):  # a blank column counts as none
+            read.check(both & ~np.isfinite(row), f"no {name} (write 0 for none)")
+        row[~(both & np.isfinite(row))] = 0.0
+    zero = f"; there is no column {', '.join(absent)}, which counts as 0:" if absent else ""
+    read.check(~positive_definite(correlations), f"correlations that are impossible (not positive definite){zero}")
+    return correlations
+
+
+def _epochs(read: Columns, options: TableOptions) -> Array:
+    """Return the Julian years of the rows, NaN for positions that hold at any."""
+    if options.extragalactic:
+        if options.epoch is not None:
+            read.problems.append("positions of quasars hold at any epoch: give no epoch, or not --extragalactic")
+        return np.full(len(read), np.nan)
+    if options.epoch is None and read.has("ref_epoch"):
+        return read.epochs()
+    epoch = options.epoch
+    if epoch is None and read.table.meta.get("extragalactic") is not True:
+        if _is_hipparcos(read):
+            epoch = HIPPARCOS_EPOCH
+        elif read.has("ra"):
+            read.problems.append(
+                "no column ref_epoch; give the epochs of the positions in one, or one epoch for all with "
+                "--satellite-epoch or --reference-epoch; positions of quasars hold at any epoch: say "
+                "--extragalactic satellite or --extragalactic reference"
+            )
+    return np.full(len(read), np.nan if epoch is None else epoch)
+
+
+def _radial_velocity(read: Columns, notes: list[str]) -> Array | None:
+    if not read.has("radial_velocity"):
+        return None
+    velocity = read.quantity("radial_velocity", "allowed")
+    fast = np.abs(velocity) > FASTEST_KM_S
+    if np.any(fast):
+        what = f"{read.name('radial_velocity')} beyond {FASTEST_KM_S:g} km/s, which no star has, is not used"
+        notes.append(f"{what}: {named_rows(np.flatnonzero(fast))}")
+    return np.where(fast, np.nan, velocity)
+
+
+def _names(read: Columns) -> dict[str, NDArray[np.str_]]:
+    """Return the columns of names, best first, and after them all other text."""
+    wanted = [read.columns["name"]] if "name" in read.columns else SOURCE_NAMES
+    place = {name: len(wanted) for name in read.names if read.kind(name) in "US"}
+    for k, key in reversed(list(enumerate(wanted))):
+        if (name := first_found([key], read.names)) is not None:
+            place[name] = k
+    return {name: read.text(name) for name in sorted(place, key=lambda name: place[name])}
+
+
+def _is_hipparcos(read: Columns) -> bool:
+    """Return whether a table has the column RArad, by which Hipparcos-2 is recognised."""
+    return any(name.casefold() == "rarad" for name in read.names)
+
+
+def _hipparcos_elements(read: Columns) -> Array | None:
+    """Return U1..U15 of Hipparcos-2 from fifteen columns, one column of arrays or one of text; None without them."""
+    for stem in ("UW", "U"):
+        if all(f"{stem}{k}" in read.names for k in range(1, 16)):
+            return np.array([read.numbers(f"{stem}{k}") for k in range(1, 16)])
+    if "UW" not in read.names:
+        return None
+    column = np.asarray(read.table["UW"])
+    if column.ndim == 2:
+        return np.asarray(column, dtype=np.float64).T
+    texts = map(str, column)
+    try:  # fifteen numbers of six characters, which may touch
+        rows = [t.split() if len(t.split()) == 15 else [t[i : i + 6] for i in range(0, 90, 6)] for t in texts]
+        return np.array(rows, dtype=np.float64).T
+    except ValueError:
+        read.problems.append("column 'UW' does not hold fifteen numbers")
+        return None
+
+
+def hipparcos_correlations(elements: Array) -> Array:
+    """Return the ten correlations (10, N) from the elements U1..U15 (15, N): C is (U'U)^-1 up to a factor.
+
+    U is stored column by column.  Source: Michalik et al. 2014, A&A 571, A85, appendix B.
+    """
+    upper = np.zeros((elements.shape[1], 5, 5))
+    places = ((row, column) for column in range(5) for row in range(column + 1))
+    for (row, column), element in zip(places, elements, strict=True):
+        upper[:, row, column] = element
+    half = np.linalg.inv(upper)
+    covariance = half @ half.swapaxes(1, 2)
+    sigma = np.sqrt(np.einsum("nii->ni", covariance))
+    return np.array([covariance[:, i, j] / (sigma[:, i] * sigma[:, j]) for i, j in PAIRS])

@@ -9,31 +9,30 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linksweep.core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
-from linksweep.core.crossmatch import Matches, cross_match
-from linksweep.core.frames import galactic
-from linksweep.core.galaxy_classes import (
+from linksweep.core.crossmatch import (
     CERTAIN,
     CROWDED,
     OFFSET,
     RIVAL,
     SUPPLEMENT,
     UNCERTAIN,
+    GalaxyCatalogue,
+    Matches,
+    Positions,
     Rules,
+    at_epoch,
     chance_pairs,
     classify,
-    second_epoch_pm_error,
-)
-from linksweep.core.galaxy_merge import GalaxyCatalogue, merge_galaxies
-from linksweep.core.sky_pairs import (
-    Positions,
-    at_epoch,
     count_near,
+    cross_match,
     displacement,
+    merge_galaxies,
     one_to_one,
     pairs_within,
     sky_tree,
     uniform_pairs,
 )
+from linksweep.core.frames import galactic
 from tests.tiers import examples
 
 
@@ -438,16 +437,6 @@ def test_no_match_is_no_error():
     matches = cross_match(positions([10.0], [0.0]), np.zeros(1, dtype=bool), [catalogue(positions([50.0], [0.0]), 5.0)])
     assert len(matches) == 0
     assert matches.found_in.shape == (0, 1)
-
-
-def test_second_epoch_error_of_the_paper():
-    """117 and 127 mas, 20 yr and a perfect second epoch: about 6 mas/yr."""
-    assert second_epoch_pm_error(117.0, 0.0, 20.0) == pytest.approx(5.85)
-    assert second_epoch_pm_error(127.0, 0.0, 20.0) == pytest.approx(6.35)
-    assert second_epoch_pm_error(3.0, 4.0, 5.0) == pytest.approx(1.0)
-    for years in (0.0, -1.0, np.nan):
-        with pytest.raises(ValueError, match="some time apart"):
-            second_epoch_pm_error(1.0, 1.0, years)
 
 
 def test_galactic_coordinates_are_those_of_astropy():

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, t
 
-from linksweep.core.galaxy_classes import chance_pairs
-from linksweep.core.sky_pairs import Positions, sky_tree
+from linksweep.core.crossmatch import Positions, chance_pairs, sky_tree
 from linksweep.sweep.analysis.compare import compare
 from linksweep.sweep.analysis.conditions import parse_limit
 from linksweep.sweep.analysis.crossings import find, interpolate

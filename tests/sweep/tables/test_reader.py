@@ -13,7 +13,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tables.columns import column_values
+from linksweep.sweep.tables.columns import Columns
 from linksweep.sweep.tables.reader import read_table
 
 VIZIER = """\
@@ -61,6 +61,9 @@ HIP2_ROWS = """\
 """
 
 
+J2000 = {"ra": "RAJ2000", "dec": "DEJ2000"}
+
+
 def written(folder: Path, name: str, content: str | bytes) -> Path:
     path = folder / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -96,11 +99,10 @@ def test_a_table_of_vizier(tmp_path):
     assert table["HIP"].tolist() == [1, 2]
     assert list(table["Name"]) == ["A", "B #2"]
     assert table["e_RArad"].unit == u.mas
-    ra = column_values(table, "RAJ2000", "deg", right_ascension=True)
-    dec = column_values(table, "DEJ2000", "deg")
+    ra, dec = (Columns(table, "", {key: name}, {}, (key,)).quantity(key) for key, name in J2000.items())
     np.testing.assert_allclose(ra, Angle(["0h0m0.22s", "0h0m0.91s"]).deg, rtol=1e-14)
     np.testing.assert_allclose(dec, Angle(["1d5m20.4s", "-0d29m55.8s"]).deg, rtol=1e-14)
-    np.testing.assert_allclose(column_values(table, "RArad", "deg", None, True), [np.degrees(0.0000159148), np.nan])
+    np.testing.assert_allclose(Columns(table).quantity("ra"), [np.degrees(0.0000159148), np.nan])
 
 
 def test_hipparcos_2_with_its_readme(tmp_path):
@@ -109,7 +111,7 @@ def test_hipparcos_2_with_its_readme(tmp_path):
         table = read_table(written(tmp_path, name, content))
         assert (table["HIP"].tolist(), table["pmRA"].tolist()) == ([1, 2], [-4.55, 179.7])
         np.testing.assert_allclose(
-            column_values(table, "DErad", "deg"), np.degrees([0.0190068680, -0.3403239102]), rtol=1e-14
+            Columns(table).quantity("dec"), np.degrees([0.0190068680, -0.3403239102]), rtol=1e-14
         )
     with pytest.raises(SweepError, match=r"the ReadMe beside it describes hip2\.dat, not tyc2\.dat"):
         read_table(written(tmp_path, "tyc2.dat", HIP2_ROWS))

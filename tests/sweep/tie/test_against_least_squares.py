@@ -19,7 +19,7 @@ from linksweep.core.constants import MAS
 from linksweep.core.tie.astrometry import joined
 from linksweep.core.unknowns import parse_unknowns
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tie.column_names import TableOptions
+from linksweep.sweep.tie.options import TableOptions
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import gaia
 

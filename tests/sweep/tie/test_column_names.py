@@ -4,7 +4,7 @@ import numpy as np
 from astropy.table import Table
 
 from linksweep.core.tie.astrometry import PAIRS, kinds
-from linksweep.sweep.tables.names import first_found
+from linksweep.sweep.tables.columns import first_found
 from linksweep.sweep.tie.tables import read_table
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia

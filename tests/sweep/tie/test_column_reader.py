@@ -6,8 +6,8 @@ from astropy.table import Table
 
 from linksweep.core.constants import MAS
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tie.column_names import TableOptions
-from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.link import tie
+from linksweep.sweep.tie.options import TableOptions
 from linksweep.sweep.tie.tables import read_table
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia

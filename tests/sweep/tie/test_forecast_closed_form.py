@@ -8,8 +8,8 @@ import pytest
 
 from linksweep.core.constants import MAS
 from linksweep.core.tie.astrometry import joined
-from linksweep.sweep.tie.link_tables import tie
-from linksweep.sweep.tie.planning import forecast
+from linksweep.sweep.tie.forecast import forecast
+from linksweep.sweep.tie.link import tie
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 from tests.tiers import slow

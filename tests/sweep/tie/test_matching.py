@@ -5,7 +5,7 @@ import pytest
 from astropy.table import Table, vstack
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.link import tie
 from linksweep.sweep.tie.matching import match
 from linksweep.sweep.tie.tables import read_table
 from tests.core.tie.made import stars

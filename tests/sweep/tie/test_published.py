@@ -8,7 +8,7 @@ from linksweep.core.tie.normal_sums import source_sums
 from linksweep.core.tie.problem import Problem
 from linksweep.core.tie.solution import solve
 from linksweep.core.unknowns import parse_unknowns
-from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.link import tie
 from linksweep.sweep.tie.tables import read_table
 
 

@@ -13,7 +13,7 @@ from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.studies.reader import load_study
 from linksweep.sweep.tie.experiment import check, tie, warn
-from linksweep.sweep.tie.planning import forecast
+from linksweep.sweep.tie.forecast import forecast
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 

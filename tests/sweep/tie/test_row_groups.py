@@ -12,8 +12,8 @@ from pyarrow import parquet
 import linksweep
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tie import row_group, row_groups
-from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie import row_groups
+from linksweep.sweep.tie.link import tie
 from tests.sweep.outside import Outside
 from tests.tiers import slow
 
@@ -117,9 +117,9 @@ def test_one_row_group_after_the_other_is_in_memory(tmp_path, by_groups, monkeyp
     path = quasars(tmp_path / "quasars.parquet")
     read = []
     monkeypatch.setattr(
-        row_group,
+        row_groups,
         "read_row_group",
-        lambda *arguments, real=row_group.read_row_group: read.append(arguments[1:]) or real(*arguments),
+        lambda *arguments, real=row_groups.read_row_group: read.append(arguments[1:]) or real(*arguments),
     )
     tie(path, "zero-motion", "spin")
     assert {number for number, _ in read} == {0, 1, 2, 3, 4}

@@ -11,7 +11,7 @@ from linksweep.core.constants import MAS
 from linksweep.core.tie.astrometry import Astrometry
 from linksweep.core.tie.motion import parallax_factors, propagated
 from linksweep.core.unknowns import parse_unknowns
-from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.link import tie
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import NAMES, gaia
 

@@ -13,11 +13,11 @@ from linksweep.core.constants import ARCSEC, DEGREE, MAS
 from linksweep.core.tie.astrometry import PAIRS, kinds
 from linksweep.core.tie.motion import propagated
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tie.column_names import TableOptions
-from linksweep.sweep.tie.hipparcos import correlations
-from linksweep.sweep.tie.link_tables import tie
+from linksweep.sweep.tie.forecast import forecast
+from linksweep.sweep.tie.link import tie
 from linksweep.sweep.tie.matching import match
-from linksweep.sweep.tie.planning import forecast
+from linksweep.sweep.tie.options import TableOptions
+from linksweep.sweep.tie.tables import hipparcos_correlations as correlations
 from linksweep.sweep.tie.tables import read_table
 from tests.core.tie.made import random_correlations, stars
 
@@ -42,7 +42,7 @@ def gaia(path, made, **changes):
 
 
 def test_columns_of_times_and_of_places_are_no_names(tmp_path):
-    table = Table({name: [1.0, 2.0] for name in ("ra", "dec", "ra_error", "dec_error")})
+    table = Table({name: [1.0, 2.0] for name in ("ra", "dec", "ra_error", "dec_error")}, units={"ra": "deg"})
     table["ref_epoch"] = 2016.0
     table["when"] = Time([2016.0, 2017.0], format="jyear")
     table["place"] = SkyCoord(table["ra"], table["dec"], unit="deg")
@@ -339,11 +339,11 @@ def test_hours_without_a_unit_are_not_taken_for_degrees(tmp_path):
     table = Table.read(gaia(tmp_path / "a.ecsv", made))
     table["ra"] = table["ra"] / 15.0
     table.write(tmp_path / "hours.csv")
-    with pytest.raises(SweepError, match="has no unit and runs over"):
+    with pytest.raises(SweepError, match="has no unit and lies within"):
         read_table(tmp_path / "hours.csv")
     found = read_table(tmp_path / "hours.csv", TableOptions(units={"ra": "hourangle"})).astrometry
     np.testing.assert_allclose(found.values[0], made.values[0], rtol=1e-12)
-    for wrong, message in (({"ra": "rod"}, "no unit"), ({"radial": "km/s"}, "no column of radial")):
+    for wrong, message in (({"ra": "rod"}, "no unit"), ({"radial": "km/s"}, "radial is no quantity")):
         with pytest.raises(SweepError, match=message):
             read_table(tmp_path / "hours.csv", TableOptions(units=wrong))
 
@@ -434,9 +434,9 @@ def test_rows_far_from_the_source_of_their_name_are_said_and_refused(tmp_path):
     wrong = gaia(tmp_path / "wrong.ecsv", made, source_id=names[[0, 1, 2, 4, 3, 5]])
     with pytest.raises(SweepError, match=r"row 4, 5 of wrong.ecsv: up to .* deg from the source of the same name"):
         tie(satellite, wrong)
-    hours = gaia(tmp_path / "hours.ecsv", made, ra=made.values[0] / DEGREE / 15.0)  # too few to be known as hours
+    halves = gaia(tmp_path / "halves.ecsv", made, ra=made.values[0] / DEGREE / 2.0)
     with pytest.raises(SweepError, match="the units of the positions"):
-        tie(satellite, hours)
+        tie(satellite, halves)
     values = made.values.copy()
     values[1, 3] += 20.0 * ARCSEC
     far = gaia(tmp_path / "far.ecsv", replace(made, values=values))
