@@ -50,7 +50,7 @@ ONLY_IN = {
     },  # there for a type
     "bokeh": {"linksweep.sweep.report"},
     "jinja2": {"linksweep.sweep.report"},
-    "pydantic": {"linksweep.sweep.studies", "linksweep.sweep.stores"},
+    "pydantic": {"linksweep.sweep.studies", "linksweep.sweep.stores", "linksweep.sweep.executing"},
     "astropy": {
         *(
             "linksweep.sweep.contract.units",

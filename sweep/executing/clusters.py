@@ -5,7 +5,6 @@ import importlib
 import importlib.metadata
 import inspect
 import logging
-import math
 import os
 import sys
 import tempfile
@@ -14,14 +13,14 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import dask
 from distributed import Client, LocalCluster, SpecCluster, Worker, rpc
 from distributed.security import Security
+from pydantic import BaseModel, BeforeValidator, Field, ValidationError, model_validator
 from threadpoolctl import threadpool_limits
 from tornado.ioloop import PeriodicCallback
 
@@ -36,7 +35,7 @@ from linksweep.sweep.executing.forkserver import (
     start_method,
 )
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
-from linksweep.sweep.executing.task import Executor, Opened, Place, Say
+from linksweep.sweep.executing.task import Executor, Place, Say
 
 CONNECT_TIMEOUT_S = 10
 
@@ -80,12 +79,12 @@ def on_processes(
     reference: str, workers: int, say: Say, limits: Limits = NO_LIMITS, dashboard: bool = False
 ) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on worker processes of one thread each."""
-    options: dict[str, Any] = {"n_workers": workers, "threads_per_worker": 1, "processes": True}
-    if limits.memory is not None:
-        options["memory_limit"] = limits.memory
-    noun = "worker process" if workers == 1 else "worker processes"
-    with _on_this_machine(reference, f"{workers} local {noun}", options, say, limits, dashboard) as opened:
-        yield opened
+    memory = {} if limits.memory is None else {"memory_limit": limits.memory}
+    options = {"n_workers": workers, "threads_per_worker": 1, "processes": True, **memory}
+    words = f"{workers} local worker {'process' if workers == 1 else 'processes'}"
+    with threadpool_limits(1), local_cluster(options, dashboard) as cluster, cluster.get_client() as client:
+        driver = _driver(client, words, reference, say, limits)
+        yield Place(words, workers, _link(client) if dashboard else ""), driver
 
 
 @contextmanager
@@ -95,80 +94,61 @@ def threads(
     """Give an executor on threads of this process; with limits each task runs in a child process."""
     options = {"n_workers": 1, "threads_per_worker": workers, "processes": False, "memory_limit": None}
     words = f"{workers} local {'thread' if workers == 1 else 'threads'}"
-    with _on_this_machine(reference, words, options, say, limits, dashboard) as opened:
-        yield opened
-
-
-@contextmanager
-def _on_this_machine(
-    reference: str, words: str, options: dict[str, Any], say: Say, limits: Limits, dashboard: bool
-) -> Iterator[tuple[Place, Executor]]:
-    guarded = not options["processes"] and bool(limits)
     with threadpool_limits(1), local_cluster(options, dashboard) as cluster, cluster.get_client() as client:
-        place = Place(words, options["n_workers"] * options["threads_per_worker"], _link(client) if dashboard else "")
-        yield place, _driver(client, words, reference, say, limits, guarded)
-
-
-def elsewhere(reference: str, resources: Resources, say: Say) -> Opened:
-    """Return a context manager that gives an executor on the scheduler or on the cluster that these name."""
-    return _described(reference, resources, say) if resources.scheduler is None else _at(reference, resources, say)
+        driver = _driver(client, words, reference, say, limits, guarded=bool(limits))
+        yield Place(words, workers, _link(client) if dashboard else ""), driver
 
 
 @contextmanager
-def _described(reference: str, resources: Resources, say: Say) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor on the cluster that a file describes; raises SweepError for anything wrong in the file."""
-    assert resources.cluster is not None
-    file = read_cluster_file(resources.cluster)
-    kind = cluster_class(file)
-    words = f"the {file.class_name.rpartition('.')[2]} of {file.path}"
+def elsewhere(reference: str, resources: Resources, say: Say) -> Iterator[tuple[Place, Executor]]:
+    """Give an executor on the Dask scheduler or on the cluster that these name.
+
+    Raises SweepError where none answers, for anything wrong in the file, and for workers that would compute other
+    numbers than this process.
+    """
+    with ExitStack() as stack:
+        if (address := resources.scheduler) is not None:
+            words = f"the Dask scheduler at {address}"
+            client = stack.enter_context(client_at(address, tls(*resources.tls) if resources.tls else None))
+        else:
+            assert resources.cluster is not None
+            file = read_cluster_file(resources.cluster)
+            words = f"the {file.class_name.rpartition('.')[2]} of {resources.cluster}"
+            client = stack.enter_context(_client_of(file, resources.cluster))
+        driver = _driver(client, words, reference, say, resources.limits)
+        try:
+            client.run_on_scheduler(importlib.metadata.version, "bokeh")  # which its dashboard needs
+            link = _link(client)
+        except Exception:  # a missing package there, or a scheduler that runs nothing for clients
+            link = ""
+        yield Place(words, dashboard=link, threads=max(1, sum(client.nthreads().values()))), driver
+
+
+@contextmanager
+def _client_of(file: "ClusterFile", path: Path) -> Iterator[Client]:
+    """Give a client of the cluster that a file describes; raises SweepError for anything wrong in it."""
     with ExitStack() as stack:
         try:
-            cluster = stack.enter_context(own_cluster(kind, file.options))
-            if file.scale is not None:
-                cluster.scale(**file.scale)
+            cluster = stack.enter_context(own_cluster(cluster_class(file), file.options))
+            if file.adapt is None:
+                cluster.scale(**(file.scale or {}))
             else:
-                cluster.adapt(**{"target_duration": ADAPT_WITHIN, **(file.adapt or {})})
+                cluster.adapt(**{"target_duration": ADAPT_WITHIN} | file.adapt.model_dump(exclude_unset=True))
             client = stack.enter_context(cluster.get_client())
-        except SweepError:
-            raise
+        except SweepError as error:
+            raise SweepError(error.problems, str(path)) from error
         except Exception as error:  # whatever a cluster's class makes of its options
             cause: BaseException = error
             while cause.__cause__ is not None:
                 cause = cause.__cause__
-            raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", str(file.path)) from error
-        driver = _driver(client, words, reference, say, resources.limits)
-        yield _place(client, words), driver
-
-
-@contextmanager
-def _at(reference: str, resources: Resources, say: Say) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor on a Dask scheduler that runs elsewhere; raises SweepError where none answers or its workers
-    would compute other numbers than this process.
-    """
-    assert resources.scheduler is not None
-    security = tls(*resources.tls) if resources.tls else None
-    with client_at(resources.scheduler, security) as client:
-        words = f"the Dask scheduler at {resources.scheduler}"
-        driver = _driver(client, words, reference, say, resources.limits)
-        yield _place(client, words), driver
+            raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", str(path)) from error
+        yield client
 
 
 def _driver(client: Client, words: str, reference: str, say: Say, limits: Limits, guarded: bool = False) -> DaskDriver:
     workers = DaskWorkers(client, words, reference, say, limits.memory)
     workers.prepare()
     return DaskDriver(workers, limits, guarded)
-
-
-def _place(client: Client, words: str) -> Place:
-    """Return the place of a client whose workers are there, with the dashboard if the scheduler can show one: this
-    needs bokeh.
-    """
-    try:
-        client.run_on_scheduler(importlib.metadata.version, "bokeh")
-        link = _link(client)
-    except Exception:  # a missing package there, or a scheduler that runs nothing for clients
-        link = ""
-    return Place(words, dashboard=link, threads=max(1, sum(client.nthreads().values())))
 
 
 def _link(client: Client) -> str:
@@ -363,80 +343,96 @@ def without_logs() -> Iterator[None]:
     """Keep Dask's log off standard error in this block, since we say in a sentence what it says at length; other
     handlers of its loggers are left alone.
     """
-    removed = [
-        (logger, handler)
+    handlers = [
+        handler
         for name, logger in list(logging.root.manager.loggerDict.items())
         if name.partition(".")[0] in ("distributed", "tornado", "bokeh") and isinstance(logger, logging.Logger)
         for handler in logger.handlers
         if type(handler) is logging.StreamHandler
     ]
-    nothing = logging.NullHandler()  # without a handler Python would print to standard error after all
-    for logger, handler in removed:
-        logger.removeHandler(handler)
-        logger.addHandler(nothing)
+    for handler in handlers:
+        handler.addFilter(_no_record)
     try:
         yield
     finally:
-        for logger, handler in removed:
-            logger.removeHandler(nothing)
-            logger.addHandler(handler)
+        for handler in handlers:
+            handler.removeFilter(_no_record)
 
 
-KEYS = ("class", "options", "scale", "adapt")
-BOUNDS = ("minimum", "maximum", "minimum_jobs", "maximum_jobs")
-ADAPT_KEYS = (*BOUNDS, "interval", "wait_count", "target_duration")
+def _no_record(_record: logging.LogRecord) -> bool:
+    return False
 
 
-@dataclass(frozen=True)
-class ClusterFile:
-    """What a file says of a cluster: the arguments of its class and of its `scale` or `adapt`, and the file itself."""
+Count = Annotated[int, Field(strict=True, ge=1)]
 
-    path: Path
-    class_name: str
-    options: Mapping[str, Any]
-    scale: Mapping[str, Any] | None
-    adapt: Mapping[str, Any] | None
+
+class Adapt(BaseModel, extra="forbid"):
+    """The arguments of the `adapt` of a cluster."""
+
+    minimum: int = Field(0, strict=True, ge=0)
+    maximum: Count | None = None
+    minimum_jobs: int = Field(0, strict=True, ge=0)
+    maximum_jobs: Count | None = None
+    interval: Any = None
+    wait_count: Any = None
+    target_duration: Any = None
+
+    @model_validator(mode="after")
+    def _has_bounds(self) -> "Adapt":
+        bounds = {"": (self.minimum, self.maximum), "_jobs": (self.minimum_jobs, self.maximum_jobs)}
+        if all(most is None for _, most in bounds.values()):
+            raise ValueError("must say a maximum; without one the cluster would grow with the work")
+        for name, (least, most) in bounds.items():
+            if most is not None and least > most:
+                raise ValueError(f"minimum{name} = {least}: must be at most maximum{name} = {most}")
+        return self
+
+
+class ClusterFile(BaseModel, extra="forbid"):
+    """What a file says of a cluster: its class, the arguments of the class and of its `scale` or `adapt`."""
+
+    class_name: str = Field(alias="class", pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)+$")
+    options: dict[str, Any] = {}
+    scale: Annotated[dict[str, Count], BeforeValidator(lambda n: {"n": n} if type(n) is int else n)] | None = None
+    adapt: Adapt | None = None
+
+    @model_validator(mode="after")
+    def _has_one_size(self) -> "ClusterFile":
+        if (not self.scale and self.adapt is None) or (self.scale and self.adapt):
+            raise ValueError("write either scale = WORKERS or adapt = { minimum = WORKERS, maximum = WORKERS }")
+        return self
 
 
 def read_cluster_file(path: Path) -> ClusterFile:
     """Return what a TOML or YAML file says about a cluster; raises SweepError with everything that is wrong in it."""
-    document = _parse(path)
-    problems = [f"unknown key {shown(key)}{suggest(str(key), KEYS)}" for key in document if key not in KEYS]
-    name, options = document.get("class"), document.get("options", {})
-    if not isinstance(name, str) or not all(part.isidentifier() for part in name.split(".")) or "." not in name:
-        problems.append(
-            f"class = {shown(name)}: must be the import path of a cluster's class, e.g. 'dask_jobqueue.SLURMCluster'"
-        )
-    if not isinstance(options, dict) or not all(isinstance(key, str) for key in options):
-        problems.append(f"options = {shown(options)}: must be a table of the keyword arguments of the class")
-    scale, adapt = document.get("scale"), document.get("adapt")
-    if (scale is None) == (adapt is None):
-        problems.append("write either scale = WORKERS or adapt = { minimum = WORKERS, maximum = WORKERS }")
-    if type(scale) is int:
-        scale = {"n": scale}
-    if scale is not None and not (isinstance(scale, dict) and scale and all(_is_count(v, 1) for v in scale.values())):
-        problems.append(f"scale = {shown(document['scale'])}: must be a number of workers, or {{ jobs = NUMBER }}")
-    if adapt is not None:
-        problems += _problems_of_adapt(adapt)
-    if problems:
-        raise SweepError(problems, str(path))
-    return ClusterFile(path, str(name), options, scale, adapt)
+    import yaml
+
+    try:
+        text = path.read_text(encoding="utf-8")
+        document = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else tomllib.loads(text)
+        return ClusterFile.model_validate(document)
+    except (OSError, UnicodeDecodeError) as error:
+        raise SweepError(f"cannot be read: {error}", str(path)) from error
+    except tomllib.TOMLDecodeError as error:
+        raise SweepError(f"not valid TOML: {error}", str(path)) from error
+    except yaml.YAMLError as error:
+        raise SweepError(f"not valid YAML: {' '.join(str(error).split())}", str(path)) from error
+    except ValidationError as error:
+        raise SweepError([_problem(item) for item in error.errors()], str(path)) from error
 
 
-def _problems_of_adapt(adapt: object) -> list[str]:
-    if not isinstance(adapt, dict) or not adapt:
-        return [f"adapt = {shown(adapt)}: must be a table, {{ minimum = WORKERS, maximum = WORKERS }}"]
-    problems = [f"unknown key adapt.{key}{suggest(str(key), ADAPT_KEYS)}" for key in adapt if key not in ADAPT_KEYS]
-    bounds = {key: value for key, value in adapt.items() if key in BOUNDS}
-    for key, value in bounds.items():
-        if not _is_count(value, least := int(key.startswith("maximum"))):
-            problems.append(f"adapt.{key} = {shown(value)}: must be a number of workers of at least {least}")
-    if not any(key.startswith("maximum") for key in bounds):
-        problems.append("adapt: must say a maximum; without one the cluster would grow with the work")
-    for low, high in () if problems else (BOUNDS[:2], BOUNDS[2:]):
-        if bounds.get(low, 0) > bounds.get(high, math.inf):
-            problems.append(f"adapt.{low} = {bounds[low]}: must be at most adapt.{high} = {bounds[high]}")
-    return problems
+def _problem(item: Any) -> str:
+    """Return what pydantic finds wrong in a file, in our words."""
+    key = ".".join(map(str, item["loc"]))
+    if item["type"] == "extra_forbidden":
+        known = Adapt.model_fields if item["loc"][0] == "adapt" else ("class", "options", "scale", "adapt")
+        return f"unknown key {key}{suggest(str(item['loc'][-1]), list(known))}"
+    if item["type"] == "value_error":
+        return f"{key}: {item['ctx']['error']}".removeprefix(": ")
+    if key == "class":
+        value = "missing" if item["type"] == "missing" else shown(item["input"])
+        return f"class = {value}: must be the import path of a cluster's class, e.g. 'dask_jobqueue.SLURMCluster'"
+    return f"{key} = {shown(item['input'])}: {item['msg'][0].lower()}{item['msg'][1:]}"
 
 
 def cluster_class(file: ClusterFile) -> Any:
@@ -448,28 +444,7 @@ def cluster_class(file: ClusterFile) -> Any:
         missing = isinstance(error, ModuleNotFoundError) and error.name == "dask_jobqueue"
         hint = "; pip install 'linksweep[jobqueue]'" if missing else ""
         name = "" if isinstance(error, ModuleNotFoundError | AttributeError) else f"{type(error).__name__}: "
-        raise SweepError(f"class = {file.class_name!r}: {name}{error}{hint}", str(file.path)) from error
+        raise SweepError(f"class = {file.class_name!r}: {name}{error}{hint}") from error
     if not isinstance(kind, type) or not all(hasattr(kind, name) for name in ("scale", "adapt", "close")):
-        raise SweepError(f"class = {file.class_name!r}: is no class of a Dask cluster", str(file.path))
+        raise SweepError(f"class = {file.class_name!r}: is no class of a Dask cluster")
     return kind
-
-
-def _is_count(value: object, least: int) -> bool:
-    return type(value) is int and value >= least
-
-
-def _parse(path: Path) -> Mapping[Any, Any]:
-    import yaml
-
-    try:
-        text = path.read_text(encoding="utf-8")
-        document = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else tomllib.loads(text)
-    except (OSError, UnicodeDecodeError) as error:
-        raise SweepError(f"cannot be read: {error}", str(path)) from error
-    except tomllib.TOMLDecodeError as error:
-        raise SweepError(f"not valid TOML: {error}", str(path)) from error
-    except yaml.YAMLError as error:
-        raise SweepError(f"not valid YAML: {' '.join(str(error).split())}", str(path)) from error
-    if not isinstance(document, dict):
-        raise SweepError("must be a table with the keys class, options, and scale or adapt", str(path))
-    return document

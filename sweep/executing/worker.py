@@ -5,7 +5,7 @@ import time
 import traceback
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import chain, groupby, repeat
+from itertools import chain, groupby
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ from linksweep.sweep.executing.task import (
 )
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.functions.results import Flat
-from linksweep.sweep.planning.streams import block_generators, generators_of
+from linksweep.sweep.planning.streams import generators_of
 
 ENOUGH_S = 2.0
 """Seconds after which a task returns what it has, so that its results do not wait for those of slower points."""
@@ -113,9 +113,8 @@ def _one_by_one(
     """Yield the result of each of these units of a task, with what was ``said`` meanwhile."""
     defaults = experiment.defaults()
     given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
-    named = [(unit.stream, unit.block) for unit in units]
-    pairs_of = repeat(list[GeneratorPair]()) if experiment.deterministic else block_generators(task.seed, named)
-    for unit, pairs in zip(units, pairs_of, strict=False):
+    for unit in units:
+        pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
         result = failed(len(unit.points), experiment.sums_width)
         for stream, point, reason in given_up:
             known = [row for row, own in enumerate(unit.points) if (stream, point) == (unit.stream, own)]
@@ -254,7 +253,7 @@ def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBl
     shapes = {name: (sum(n_cat), len(points), *shape) for name, shape in experiment.sums.items()}
     begun = time.perf_counter()
     try:
-        blocks = block_generators(task.seed, [(unit.stream, unit.block) for unit in units])
+        blocks = [generators_of(task.seed, unit.stream, unit.block) for unit in units]
         with undisturbed(task.seed_of(units[0])):
             drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, list(chain.from_iterable(blocks)))
         sums = checked("evaluate_catalogues", drawn, "sum", shapes)
