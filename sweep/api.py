@@ -23,9 +23,8 @@ from linksweep.sweep.running.verify import verify as verified
 from linksweep.sweep.stores.location import Where, located
 from linksweep.sweep.stores.named import default_store, store_named
 from linksweep.sweep.stores.store import open_dataset
-from linksweep.sweep.studies.live import live_study, study_of_function
-from linksweep.sweep.studies.reader import load_study
-from linksweep.sweep.studies.source import reference_in
+from linksweep.sweep.studies.document import reference_in
+from linksweep.sweep.studies.reader import live_study, load_study, study_of_function
 from linksweep.sweep.studies.study import Study
 from linksweep.sweep.tie.stored import result_at
 

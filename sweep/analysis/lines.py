@@ -21,7 +21,7 @@ from linksweep.sweep.analysis.selection import place_in_words
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError
 from linksweep.sweep.formatting import described, units_of
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
-from linksweep.sweep.studies.provenance import outer_draw_of
+from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
 
 

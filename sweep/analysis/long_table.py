@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from linksweep.sweep.analysis.gaps import gaps_of
 from linksweep.sweep.formatting import is_missing, is_truth, to_csv, to_json
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.provenance import FUNCTION
+from linksweep.sweep.studies.record import FUNCTION
 
 Long = dict[str, tuple[str, list[Any]]]
 """Unit and values of each column of a table with one row per point."""

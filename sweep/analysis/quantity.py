@@ -10,7 +10,7 @@ import xarray as xr
 from linksweep.sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
 from linksweep.sweep.formatting import ERRORS
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.provenance import FUNCTION, outer_draw_of
+from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
 
 COUNTS = ("status", "n_sim_done", "code")

@@ -26,9 +26,8 @@ from linksweep.sweep.analysis.sensitivity_indices import (
 from linksweep.sweep.contract import Array, SweepError
 from linksweep.sweep.formatting import described, units_of
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.designs import DESIGNS
-from linksweep.sweep.studies.ranges import Range
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
+from linksweep.sweep.studies.values import DESIGNS, Range
 
 METHOD = "sensitivity_method"
 """The attribute of a dataset of indices that says how they were made."""

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from linksweep.sweep.contract import Array, SweepError
-from linksweep.sweep.studies.designs import MORRIS_LEVELS, salib, unit_cube
+from linksweep.sweep.studies.values import MORRIS_LEVELS, salib, unit_cube
 
 RESAMPLES = 200
 

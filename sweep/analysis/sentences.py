@@ -14,7 +14,7 @@ from linksweep.sweep.analysis.selection import coordinates_along, place_in_words
 from linksweep.sweep.contract import Array
 from linksweep.sweep.formatting import counted, is_truth, with_unit
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.provenance import outer_draw_of
+from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
 
 ERRORS_ALLOWED = 3.0

@@ -141,8 +141,8 @@ class AskedStudy:
 def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
     """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""
     from linksweep.sweep.running.trust import require_trust_of_study
+    from linksweep.sweep.studies.document import find_study, reference_in
     from linksweep.sweep.studies.reader import load_study
-    from linksweep.sweep.studies.source import find_study, reference_in
 
     if (function := reference_in(study)) is None:
         require_trust_of_study(find_study(study), trust)
@@ -219,7 +219,7 @@ def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) 
     from linksweep.sweep.contract import SweepError
     from linksweep.sweep.planning.point_status import Status
     from linksweep.sweep.stores.store import open_dataset
-    from linksweep.sweep.studies.option_values import parse_places
+    from linksweep.sweep.studies.document import parse_places
 
     places = parse_places(at)
     dataset = open_dataset(store)

@@ -22,7 +22,7 @@ def list_studies(as_json: bool) -> None:
     """
     import tomllib
 
-    from linksweep.sweep.studies.source import built_in_studies
+    from linksweep.sweep.studies.document import built_in_studies
 
     studies = {}
     for name, path in built_in_studies().items():
@@ -74,8 +74,8 @@ def params(experiment: str, schema: bool, as_json: bool) -> None:
     sweep params --schema > study.schema.json
     """
     from linksweep.sweep.code.load import load_experiment
+    from linksweep.sweep.studies.document import built_in_studies
     from linksweep.sweep.studies.reader import load_study
-    from linksweep.sweep.studies.source import built_in_studies
 
     is_study = experiment.endswith(".toml") or experiment in built_in_studies()
     declared = load_study(experiment).experiment if is_study else load_experiment(experiment)
@@ -110,7 +110,7 @@ def new(name: str, experiment: str) -> None:
     """
     from linksweep.sweep.code.load import load_experiment
     from linksweep.sweep.contract import SweepError, shown
-    from linksweep.sweep.studies.definitions import GOOD_NAME
+    from linksweep.sweep.studies.reader import GOOD_NAME
     from linksweep.sweep.studies.template import new_study
 
     if not GOOD_NAME.fullmatch(name):

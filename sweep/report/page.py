@@ -23,7 +23,7 @@ from linksweep.sweep.report.link_section import link_section
 from linksweep.sweep.report.section import Section, section
 from linksweep.sweep.stores.location import Where, located
 from linksweep.sweep.stores.store import open_dataset
-from linksweep.sweep.studies.provenance import CITATION, is_of_the_link
+from linksweep.sweep.studies.record import CITATION
 from linksweep.sweep.tie.stored import result_at
 
 MARK = "<!doctype html>\n<!-- linksweep report -->\n"
@@ -121,8 +121,8 @@ def _totals(sections: Sequence[Section]) -> list[str]:
 
 
 def _is_ours(dataset: xr.Dataset) -> bool:
-    """Return whether results are of the link, simulated or of real tables, which comes with linksweep."""
-    return is_link(dataset) or is_of_the_link(dataset.attrs)
+    """Return whether results are of what comes with linksweep."""
+    return is_link(dataset) or str(dataset.attrs.get("experiment", "linksweep.")).startswith("linksweep.")
 
 
 def _cited(datasets: Sequence[xr.Dataset], version: str) -> list[str]:

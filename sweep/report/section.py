@@ -27,7 +27,7 @@ from linksweep.sweep.formatting import with_micro_signs, written
 from linksweep.sweep.planning.point_status import Status, count_status
 from linksweep.sweep.report.explorer import explorer
 from linksweep.sweep.report.figures import Picture, drawn, pictures
-from linksweep.sweep.studies.provenance import FUNCTION, outer_draw_of
+from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import POINT_TABLE
 
 SEVERITY = ("NOT reproduced", "incomplete", "within tolerance", "not comparable", "reproduced")

@@ -32,9 +32,8 @@ from linksweep.sweep.stores.opened import OpenStore
 from linksweep.sweep.stores.root import is_new
 from linksweep.sweep.stores.store import Store
 from linksweep.sweep.stores.texts import Texts
-from linksweep.sweep.studies.provenance import provenance
 from linksweep.sweep.studies.reader import study_of_attributes
-from linksweep.sweep.studies.record import RECORD, Recorded, recorded, recorded_study
+from linksweep.sweep.studies.record import RECORD, Recorded, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import Study
 
 MERGED = "merged"

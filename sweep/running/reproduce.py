@@ -25,7 +25,7 @@ from linksweep.sweep.running.trust import asking, ours_alone
 from linksweep.sweep.stores.code import differences_of_code
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.opened import OpenStore
-from linksweep.sweep.studies.option_values import parse_places, parse_value
+from linksweep.sweep.studies.document import parse_places, parse_value
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.record import as_recorded
 from linksweep.sweep.studies.study import POINT, Study

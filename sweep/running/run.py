@@ -27,8 +27,7 @@ from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.lock import locked
 from linksweep.sweep.stores.opened import OpenStore
 from linksweep.sweep.stores.store import Store
-from linksweep.sweep.studies.provenance import provenance
-from linksweep.sweep.studies.record import RECORD, as_recorded, recorded
+from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded
 from linksweep.sweep.studies.study import Study
 
 if TYPE_CHECKING:

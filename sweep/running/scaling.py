@@ -17,7 +17,7 @@ from linksweep.sweep.executing.pools import DEFAULT_POOL, PoolName, Resources, a
 from linksweep.sweep.formatting import described
 from linksweep.sweep.planning.plan import Survey
 from linksweep.sweep.running.run import Silent, run_study
-from linksweep.sweep.studies.provenance import now, provenance
+from linksweep.sweep.studies.record import now, provenance
 from linksweep.sweep.studies.study import Study
 
 KINDS = ("strong", "weak")

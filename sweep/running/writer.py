@@ -29,8 +29,7 @@ from linksweep.sweep.stores.code import codes_of_points, records_of
 from linksweep.sweep.stores.create import RESCUED, create_store, free_beside
 from linksweep.sweep.stores.failures import Record
 from linksweep.sweep.stores.store import Store
-from linksweep.sweep.studies.provenance import host, now, provenance
-from linksweep.sweep.studies.record import RECORD, recorded
+from linksweep.sweep.studies.record import RECORD, host, now, provenance, recorded
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -7,8 +7,8 @@ from typing import Any
 from linksweep.sweep.contract import Named
 from linksweep.sweep.stores.ledger_arrays import shapes_of
 from linksweep.sweep.stores.root import FORMAT
-from linksweep.sweep.studies.designs import DESIGNS
 from linksweep.sweep.studies.study import Study
+from linksweep.sweep.studies.values import DESIGNS
 from linksweep.sweep.tables.file import content_digest
 
 

@@ -17,7 +17,7 @@ from uuid import uuid4
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.stores.folder import TAKING
 from linksweep.sweep.stores.location import Location, Where, located, reading, writing
-from linksweep.sweep.studies.provenance import command_line, host, now
+from linksweep.sweep.studies.record import command_line, host, now
 
 ATTEMPTS, PAUSE_S = 100, 0.02
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from linksweep.sweep.stores.folder import Folder
 from linksweep.sweep.stores.location import Location
-from linksweep.sweep.studies.provenance import host
+from linksweep.sweep.studies.record import host
 
 ORIGIN = "written_by"
 """The attribute of a store that holds its origin, as JSON."""

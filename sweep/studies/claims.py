@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from linksweep.sweep.contract import Experiment, Named, Value, shown, suggest
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies import form
-from linksweep.sweep.studies.problems import Problems
+from linksweep.sweep.studies.document import Problems
 from linksweep.sweep.studies.values import is_number
 
 FORMATS = ("", "error", "%")

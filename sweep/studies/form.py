@@ -7,7 +7,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from linksweep.sweep.studies.source import DEFAULT_EXPERIMENT
+DEFAULT_EXPERIMENT = "linksweep.core.experiment:link"
+"""The experiment of a study that names none; any store may name it, as it comes with linksweep."""
 
 Seed = Annotated[int, Field(ge=0, lt=2**64)]
 Count = Annotated[int, Field(ge=1, le=10**9)]

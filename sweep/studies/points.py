@@ -1,7 +1,8 @@
-"""The table [points] of a study: many parameters at once, from a file, a design, or columns of values."""
+"""Many parameters at once, the table [points] of a study: from a file, a design, columns, or a table in Python."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, KeysView, Mapping, ValuesView
 from contextlib import suppress
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -10,53 +11,20 @@ import numpy as np
 from linksweep.sweep.code.load import Code
 from linksweep.sweep.contract import Experiment, SweepError, shown, suggest
 from linksweep.sweep.contract.units import factor_between, is_quantity
-from linksweep.sweep.studies.designs import DESIGNS, MORRIS_LEVELS
+from linksweep.sweep.studies.document import Place, Problems
 from linksweep.sweep.studies.form import PointsForm
-from linksweep.sweep.studies.problems import Problems
-from linksweep.sweep.studies.ranges import read_range
-from linksweep.sweep.studies.source import Place
+from linksweep.sweep.studies.values import DESIGNS, MORRIS_LEVELS, Values, read_range
 from linksweep.sweep.tables.columns import rows_listed
 from linksweep.sweep.tables.reader import read_table
 
 MOST_ROWS = 1_000_000
 
+PLAIN = frozenset("biufU")
+"""Kinds of arrays whose ``tolist`` returns Python's own numbers and texts."""
+
 _DECIMAL_COMMA = str.maketrans(",.", ".,")
 
 Columns = Mapping[str, list[Any]]
-
-
-def read_points(
-    form: PointsForm, experiment: Experiment, fixed: Mapping[str, Any], folder: Path, code: Code, problems: Problems
-) -> tuple[Columns, dict[str, Any]]:
-    """Return the columns of a table of points as they are written, all of one length, and where they come from.
-
-    ``fixed`` are the other parameters that the study sets; ``problems`` takes what is wrong, and the columns are empty
-    then.
-    """
-    given = [key for key in ("file", "design", "columns") if getattr(form, key) is not None]
-    columns: Columns = {}
-    origin: dict[str, Any] = {}
-    if len(given) != 1:
-        named = f"not {' and '.join(given)}" if given else "and has none of them"
-        problems.add(("points",), f"needs exactly one of file, design and columns, {named}")
-    elif stray := sorted(form.model_fields_set - _KEYS[given[0]]):
-        problems.add(("points", stray[0]), f"does not go with {given[0]}")
-    elif form.design is not None:
-        columns, origin = _of_design(form, experiment, problems)
-    elif form.file is not None:
-        columns, origin = _of_file(form, experiment, folder, problems), {"file": Path(form.file).name}
-    else:
-        columns, origin = form.columns or {}, dict(form.origin or {})
-        if not columns:
-            problems.add(("points", "columns"), "has no columns")
-        columns = _in_units(columns, form.units, experiment, ("points", "columns"), problems)
-    columns = _checked(columns, problems)
-    if form.derive is not None and columns:
-        settings = experiment.defaults() | dict(fixed)
-        columns = {**columns, **_derived(form.derive, columns, settings, folder, code, problems)}
-        origin["derive"] = form.derive
-    return columns, origin
-
 
 _KEYS: Mapping[str, set[str]] = {
     "file": {"file", "units", "derive"},
@@ -65,123 +33,138 @@ _KEYS: Mapping[str, set[str]] = {
 }
 
 
-def _checked(columns: Columns, problems: Problems) -> Columns:
-    lengths = {name: len(values) for name, values in columns.items()}
+def read_points(
+    form: PointsForm, values: Values, fixed: Mapping[str, Any], code: Code
+) -> tuple[Columns, dict[str, Any]]:
+    """Return the columns of a table of points as they are written, all of one length, and where they come from.
+
+    ``fixed`` are the other parameters that the study sets; the columns are empty where anything is wrong, and the
+    problems of ``values`` say what.
+    """
+    problems, experiment = values.problems, values.experiment
+    chosen = [key for key in ("file", "design", "columns") if getattr(form, key) is not None]
+    columns: Columns = {}
+    origin: dict[str, Any] = {}
+    if len(chosen) != 1:
+        named = f"not {' and '.join(chosen)}" if chosen else "and has none of them"
+        problems.add(("points",), f"needs exactly one of file, design and columns, {named}")
+    elif stray := sorted(form.model_fields_set - _KEYS[chosen[0]]):
+        problems.add(("points", stray[0]), f"does not go with {chosen[0]}")
+    elif form.design is not None:
+        columns, origin = _designed(form, experiment, problems)
+    elif form.file is not None:
+        columns, origin = _in_file(form, values), {"file": Path(form.file).name}
+    else:
+        origin = dict(form.origin or {})
+        if not form.columns:
+            problems.add(("points", "columns"), "has no columns")
+        columns = _in_units(form.columns or {}, form.units, experiment, ("points", "columns"), problems)
+    lengths = {name: len(column) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
         problems.add(("points",), f"columns must have the same number of values: {sizes}")
-        return {}
-    rows = max(lengths.values(), default=1)
-    if not 1 <= rows <= MOST_ROWS:
+        columns = {}
+    elif not 1 <= (rows := max(lengths.values(), default=1)) <= MOST_ROWS:
         problems.add(("points",), f"has {rows:,} points; from 1 to {MOST_ROWS:,} are allowed")
-        return {}
-    return columns
+        columns = {}
+    if form.derive is not None and columns:
+        with problems.at(("points", "derive")):
+            columns = {**columns, **_derived(form.derive, columns, experiment.defaults() | dict(fixed), values, code)}
+        origin["derive"] = form.derive
+    return columns, origin
 
 
-def _of_file(form: PointsForm, experiment: Experiment, folder: Path, problems: Problems) -> Columns:
-    with problems.at(("points", "file"), f"{shown(form.file)}: "):
-        table = read_table(folder / str(form.file))
+def _in_file(form: PointsForm, values: Values) -> Columns:
+    with values.problems.at(("points", "file"), f"{shown(form.file)}: "):
+        table = read_table(values.folder / str(form.file))
         columns, units = columns_of({name: table[name] for name in table.colnames})
-        columns = {name: _read_where_possible(values, experiment, name) for name, values in columns.items()}
-        return _in_units(columns, units | form.units, experiment, ("points", "file"), problems)
+        kinds = {parameter.name: parameter.kind for parameter in values.experiment.parameters}
+        read = {name: _read_where_possible(cells, kinds.get(name, "any")) for name, cells in columns.items()}
+        return _in_units(read, units | form.units, values.experiment, ("points", "file"), values.problems)
     return {}
 
 
-def _read_where_possible(values: list[Any], experiment: Experiment, name: str) -> list[Any]:
+def _read_where_possible(values: list[Any], kind: str) -> list[Any]:
     """Return a column of a file that is text because of some cells, with the others as what the parameter takes: only
     those that are wrong are then refused.  A column in which no cell is wrong is text on purpose, and stays so, unless
     it is text for an integer beyond 64 bits.
     """
-    kind = next((p.kind for p in experiment.parameters if p.name == name), "any")
     if kind not in ("float", "int", "bool") or not any(isinstance(value, str) for value in values):
         return values
-    marks: list[Mapping[int, int]] = [{}, _DECIMAL_COMMA]
-    readings = [[_cell(value, kind, swapped) for value in values] for swapped in marks]
-    found = min(readings, key=lambda cells: sum(isinstance(cell, str) for cell in cells))
-    return found if any(isinstance(cell, str) or _is_beyond_64_bits(cell) for cell in found) else values
 
-
-def _is_beyond_64_bits(cell: Any) -> bool:
-    return isinstance(cell, int) and not -(2**63) <= cell < 2**63
-
-
-def _cell(value: Any, kind: str, swapped: Mapping[int, int]) -> Any:
-    """Return a number, once characters are swapped, or a truth value that a cell holds, or the text as it is."""
-    if not isinstance(value, str) or "_" in value:  # which Python allows between digits
+    def cell(value: Any, swapped: Mapping[int, int]) -> Any:
+        if not isinstance(value, str) or "_" in value:  # which Python allows between digits
+            return value
+        if kind == "bool":
+            return {"true": True, "false": False}.get(value.lower(), value)
+        for number in (int, float):
+            with suppress(ValueError):
+                return number(value.translate(swapped))
         return value
-    if kind == "bool":
-        return {"true": True, "false": False}.get(value.lower(), value)
-    for number in (int, float):
-        with suppress(ValueError):
-            return number(value.translate(swapped))
-    return value
+
+    marks: list[Mapping[int, int]] = [{}, _DECIMAL_COMMA]
+    readings = [[cell(value, swapped) for value in values] for swapped in marks]
+    best = min(readings, key=lambda cells: sum(isinstance(one, str) for one in cells))
+    wrong = any(isinstance(one, str) or (isinstance(one, int) and not -(2**63) <= one < 2**63) for one in best)
+    return best if wrong else values
 
 
 def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str, str]]:
     """Return astropy columns by name as lists of Python values, None where one is missing, and units by column."""
-    columns = {str(name): _values(column) for name, column in table.items()}
-    units = {str(name): str(unit) for name, column in table.items() if (unit := getattr(column, "unit", None))}
+    columns, units = {}, {}
+    for name, column in table.items():
+        if unit := getattr(column, "unit", None):
+            units[str(name)] = str(unit)
+        numbers, mask = getattr(column, "unmasked", column), getattr(column, "mask", False)
+        cells = np.ma.masked_array(numbers.value, mask) if is_quantity(column) else column
+        columns[str(name)] = list(np.atleast_1d(np.ma.asarray(cells)).tolist())
     return columns, units
-
-
-def _values(column: Any) -> list[Any]:
-    if is_quantity(column):
-        column = np.ma.masked_array(getattr(column, "unmasked", column).value, getattr(column, "mask", False))
-    return list(np.atleast_1d(np.ma.asarray(column)).tolist())
 
 
 def _in_units(
     columns: Columns, units: Mapping[str, str], experiment: Experiment, where: Place, problems: Problems
 ) -> Columns:
     """Return columns in the units of their parameters, none if anything is wrong."""
-    found: dict[str, list[Any]] = {}
+    right: dict[str, list[Any]] = {}
     for name in {**columns, **units}:
         with problems.at((*where, name)):
-            parameter = experiment.parameter(name)
+            unit, theirs = experiment.parameter(name).unit, units.get(name, "")
             if name not in columns:
                 raise ValueError("has a unit, but is no column")
-            found[name] = _column(columns[name], units.get(name, ""), parameter.unit)
-    return found if len(found) == len(columns) else {}
+            values = columns[name]
+            missing = np.array([value is None or value != value for value in values], dtype=bool)  # noqa: PLR0124 (NaN)
+            if missing.any():
+                raise ValueError(f"has no value in row {rows_listed(missing)}")
+            values = [value.decode() if isinstance(value, bytes) else value for value in values]
+            factor = factor_between(theirs, unit) if theirs else 1.0
+            if factor is None:
+                expected = f"is in {unit}" if unit else "has no unit"
+                raise ValueError(f"its column is in {theirs}, and the parameter {expected}")
+            scaled = factor != 1.0 and all(isinstance(value, int | float) for value in values)
+            right[name] = [factor * value for value in values] if scaled else values
+    return right if len(right) == len(columns) else {}
 
 
-def _column(values: list[Any], own: str, unit: str) -> list[Any]:
-    missing = np.array([value is None or value != value for value in values], dtype=bool)  # noqa: PLR0124 (NaN)
-    if missing.any():
-        raise ValueError(f"has no value in row {rows_listed(missing)}")
-    values = [value.decode() if isinstance(value, bytes) else value for value in values]
-    factor = factor_between(own, unit) if own else 1.0
-    if factor is None:
-        raise ValueError(f"its column is in {own}, and the parameter {f'is in {unit}' if unit else 'has no unit'}")
-    if factor == 1.0 or not all(isinstance(value, int | float) for value in values):
-        return values
-    return [factor * value for value in values]
+def _derived(reference: str, columns: Columns, settings: Mapping[str, Any], values: Values, code: Code) -> Columns:
+    """Return the columns that a user's function returns for each row of a table; raises ValueError as it should."""
+    derived: dict[str, list[Any]] = {}
+    function = code.function(reference, values.folder)
+    for number, row in enumerate(zip(*columns.values(), strict=True), start=1):
+        try:
+            result = function({**settings, **dict(zip(columns, row, strict=True))})
+        except Exception as error:  # whatever a user's function raises
+            raise ValueError(f"row {number}: {reference} raises {type(error).__name__}: {error}") from error
+        if not isinstance(result, Mapping) or (derived and result.keys() != derived.keys()):
+            expected = f"a mapping of {', '.join(derived)}" if derived else "a mapping of parameters to their values"
+            raise ValueError(f"row {number}: {reference} returns {shown(result)}, not {expected}")
+        for name, value in result.items():
+            derived.setdefault(str(name), []).append(value.item() if hasattr(value, "item") else value)
+    if twice := sorted(derived.keys() & columns.keys()):
+        raise ValueError(f"{', '.join(twice)} is a column already")
+    return derived
 
 
-def _derived(
-    reference: str, columns: Columns, settings: Mapping[str, Any], folder: Path, code: Code, problems: Problems
-) -> Columns:
-    """Return the columns that a user's function returns for each row of a table."""
-    found: dict[str, list[Any]] = {}
-    names = list(columns)
-    with problems.at(("points", "derive")):
-        function = code.function(reference, folder)
-        for number, values in enumerate(zip(*columns.values(), strict=True), start=1):
-            try:
-                given = function({**settings, **dict(zip(names, values, strict=True))})
-            except Exception as error:  # whatever a user's function raises
-                raise ValueError(f"row {number}: {reference} raises {type(error).__name__}: {error}") from error
-            if not isinstance(given, Mapping) or (found and given.keys() != found.keys()):
-                expected = f"a mapping of {', '.join(found)}" if found else "a mapping of parameters to their values"
-                raise ValueError(f"row {number}: {reference} returns {shown(given)}, not {expected}")
-            for name, value in given.items():
-                found.setdefault(str(name), []).append(value.item() if hasattr(value, "item") else value)
-        if twice := sorted(found.keys() & columns.keys()):
-            raise ValueError(f"{', '.join(twice)} is a column already")
-        return found
-    return {}
-
-
-def _of_design(form: PointsForm, experiment: Experiment, problems: Problems) -> tuple[Columns, dict[str, Any]]:
+def _designed(form: PointsForm, experiment: Experiment, problems: Problems) -> tuple[Columns, dict[str, Any]]:
     before = len(problems.found)
     name = str(form.design)
     if name not in DESIGNS:
@@ -194,12 +177,10 @@ def _of_design(form: PointsForm, experiment: Experiment, problems: Problems) -> 
     ranges = []
     for key, spec in form.ranges.items():
         with problems.at(("points", "ranges", key)):
-            ranges.append(read_range(experiment.parameter(key), spec))
-    if name == "morris":
-        for one in ranges:
-            if one.levels < MORRIS_LEVELS or any(isinstance(value, str | bool) for value in one.values):
-                sentence = f"a Morris design takes steps between {MORRIS_LEVELS} numbers at least"
-                problems.add(("points", "ranges", one.name), sentence)
+            ranges.append(one := read_range(experiment.parameter(key), spec))
+            few = one.levels < MORRIS_LEVELS or any(isinstance(value, str | bool) for value in one.values)
+            if name == "morris" and few:
+                raise ValueError(f"a Morris design takes steps between {MORRIS_LEVELS} numbers at least")
     if len(problems.found) > before or form.n is None:
         return {}, {}
     if (size := DESIGNS[name].size(form.n, len(ranges))) > MOST_ROWS:
@@ -212,3 +193,61 @@ def _of_design(form: PointsForm, experiment: Experiment, problems: Problems) -> 
         return {}, {}
     columns = {one.name: one(unit[:, k]) for k, one in enumerate(ranges)}
     return columns, {"design": name, "n": form.n, "seed": form.seed, "ranges": dict(form.ranges)}
+
+
+def plain(value: Any, where: str) -> Any:
+    """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers.
+
+    Raises SweepError that names the place for a quantity of astropy: the unit to convert it to is not known here.
+    """
+    if isinstance(value, Mapping):
+        return {str(key): plain(item, f"{where}.{key}") for key, item in value.items()}
+    if is_quantity(value):
+        unit = str(value.unit)
+        kind = f"a quantity in {unit}" if unit else "a quantity without a unit"
+        raise SweepError(f"{where}: is {kind}; give numbers in the unit of the parameter, .to_value({unit!r})")
+    if isinstance(value, np.generic):
+        return value.item()
+    if hasattr(value, "tolist"):  # arrays of NumPy, pandas and xarray
+        items = value.tolist()
+        return items if getattr(getattr(value, "dtype", None), "kind", "") in PLAIN else plain(items, where)
+    if hasattr(value, "values") and hasattr(value.values, "tolist"):
+        return plain(value.values.tolist(), where)
+    if isinstance(value, Iterator):
+        once = f"is a {type(value).__name__}, which gives its values only once"
+        raise SweepError(f"{where}: {once}; give a list, list(...), of them")
+    if isinstance(value, set | frozenset):
+        try:
+            value = sorted(value)  # its own order differs between processes
+        except TypeError:
+            kinds = ", ".join(sorted({type(item).__name__ for item in value}))
+            raise SweepError(f"{where}: is a set of {kinds}, which have no order; give a list") from None
+    if isinstance(value, list | tuple | range | KeysView | ValuesView):
+        return [plain(item, where) for item in value]
+    return value
+
+
+def plain_points(points: Any) -> dict[str, Any]:
+    """Return a table of points as a study file has it, from a DataFrame, an astropy Table, a mapping of columns, the
+    name of a file, or what a study file may have there.
+    """
+    units: dict[str, str] = {}
+    if isinstance(points, str | PathLike):
+        return {"file": str(points)}
+    if isinstance(points, Mapping):
+        if any(isinstance(points.get(key), str) for key in ("file", "design")) or isinstance(
+            points.get("columns"), dict
+        ):
+            return dict(plain(points, "points"))
+        quantities, units = columns_of({name: column for name, column in points.items() if is_quantity(column)})
+        columns = plain({name: quantities.get(name, column) for name, column in points.items()}, "points")
+    elif hasattr(points, "colnames"):
+        columns, units = columns_of({name: points[name] for name in points.colnames})
+    elif hasattr(points, "columns") and hasattr(points, "to_dict"):
+        if twice := points.columns[points.columns.duplicated()].tolist():
+            raise SweepError(f"points: two columns are called {shown(twice[0])}")
+        columns = {str(name): points[name].astype(object).where(points[name].notna(), None).tolist() for name in points}
+    else:
+        wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"
+        raise SweepError(f"points = {shown(points)}: {wanted}")
+    return {"columns": columns, **({"units": units} if units else {})}

@@ -1,21 +1,41 @@
-"""What a store records of an experiment, so that the store can be read without importing the experiment."""
+"""What a store records of a study, so that it can be read without its code: its experiment, and where it comes from."""
 
 import json
+import platform
+import shlex
+import subprocess
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from linksweep.sweep.code.load import Code, SourceFunction
+from linksweep.sweep.code.reach import version_of
 from linksweep.sweep.contract import Experiment, Named, Output, Parameter, SweepError, shown
+from linksweep.sweep.formatting import COMMAND, without_secrets
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.functions.record import experiment_of_record, layout_of_record
 from linksweep.sweep.studies.reader import study_of_attributes
-from linksweep.sweep.studies.study import Study
-from linksweep.sweep.tables.file import as_json
+from linksweep.sweep.studies.study import POINT_TABLE, Study
+from linksweep.sweep.tables.file import as_json, content_digest
 
 RECORD = "experiment_record"
 """The attribute of a store that holds the record, as JSON."""
+
+PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
+
+OUTER_DRAW, CITATION = "outer_draw", "citation"
+"""Attributes: what an experiment calls draws that realisations share, and what it asks to cite, as JSON."""
+
+FUNCTION = "function"
+"""The attribute of results of a plain function: its name."""
+
+Costs = tuple[tuple[str, ...], Mapping[tuple[Any, ...], float]]
+"""The axes on which the cost of a point depends, and the cost by their values."""
+
+_SAME = ("name", "version", "sums", "coordinates", "component_units", "shared", "nan_sums")
 
 
 class Recorded(Code):
@@ -34,29 +54,17 @@ class Recorded(Code):
         raise SweepError(f"names {shown(reference)}, and looking at a store never runs what it names")
 
 
-Costs = tuple[tuple[str, ...], Mapping[tuple[Any, ...], float]]
-"""The axes on which the cost of a point depends, and the cost by their values."""
-
-
 def recorded(study: Study, costs: Costs | None) -> str:
     """Return the record of a study's experiment: all that it declares, and the costs of the study's points if known."""
     experiment = study.experiment
-    return json.dumps(
-        {
-            "name": experiment.name,
-            "version": experiment.version,
-            "parameters": [_declared(parameter) for parameter in experiment.parameters],
-            "outputs": [_declared(output) for output in experiment.outputs],
-            "sample_outputs": [_declared(output) for output in experiment.sample_outputs],
-            "sums": dict(experiment.sums),
-            "coordinates": dict({} if isinstance(experiment, FunctionExperiment) else experiment.coordinates),
-            "component_units": dict(experiment.component_units),
-            "shared": list(experiment.shared),
-            "nan_sums": list(experiment.nan_sums),
-            **({"function": experiment.as_record()} if isinstance(experiment, FunctionExperiment) else {}),
-            **({} if costs is None else {"cost_axes": costs[0], "costs": {_key(k): v for k, v in costs[1].items()}}),
-        }
-    )
+    record = {name: getattr(experiment, name) for name in _SAME}
+    for name in ("parameters", "outputs", "sample_outputs"):
+        record[name] = [_declared(one) for one in getattr(experiment, name)]
+    if isinstance(experiment, FunctionExperiment):
+        record |= {"coordinates": {}, "function": experiment.as_record()}
+    if costs is not None:
+        record |= {"cost_axes": costs[0], "costs": {as_json(list(key)): cost for key, cost in costs[1].items()}}
+    return json.dumps(record, default=dict)  # mappings that are no dict
 
 
 def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
@@ -65,14 +73,13 @@ def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
     Raises SweepError if the record, or a table that the study names, is missing or does not fit.
     """
     if RECORD not in attributes:
-        raise SweepError("has no record of its experiment: it was written by an older version", where)
+        raise SweepError("has no record of its experiment", where)
     try:
         code = Recorded(_experiment(json.loads(attributes[RECORD])))
         document = json.loads(attributes["study_document"])
-        plain = {
-            key: value for key, value in document.items() if key not in ("define", "published", "claim", "conclusion")
-        }
-        return study_of_attributes({**attributes, "study_document": json.dumps(plain)}, where, code)
+        for key in ("define", "published", "claim", "conclusion"):
+            document.pop(key, None)
+        return study_of_attributes({**attributes, "study_document": json.dumps(document)}, where, code)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, MemoryError, RecursionError) as error:
         raise SweepError(f"the record of its experiment cannot be read ({error})", where) from error
 
@@ -91,16 +98,14 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
     if "function" in record:
         return experiment_of_record(record, parameters)
     outputs, samples = (tuple(_made(Output, o) for o in record[key]) for key in ("outputs", "sample_outputs"))
-    same = ("name", "version", "sums", "coordinates", "component_units", "shared")
     return Experiment(
-        **{key: _tuples(record[key]) for key in same},
+        **{key: _tuples(record[key]) for key in _SAME},
         parameters=parameters,
         outputs=outputs,
         evaluate=_computes_nothing,
         summarise=_computes_nothing,
         samples=_computes_nothing if samples else None,
         sample_outputs=samples,
-        nan_sums=tuple(record.get("nan_sums", ())),
         **_cost(record),
     )
 
@@ -110,13 +115,9 @@ def _cost(record: Mapping[str, Any]) -> dict[str, Any]:
     if "costs" not in record:
         return {"cost": _computes_nothing}
     names, costs = record["cost_axes"], record["costs"]
-    if costs == {_key(()): 1.0}:
+    if costs == {as_json([]): 1.0}:
         return {}
-    return {"cost": lambda point: float(costs[_key(tuple(point[name] for name in names))])}
-
-
-def _key(values: tuple[Any, ...]) -> str:
-    return as_json(list(values))
+    return {"cost": lambda point: float(costs[as_json([point[name] for name in names])])}
 
 
 def _computes_nothing(*_arguments: Any, **_named: Any) -> Any:
@@ -125,14 +126,14 @@ def _computes_nothing(*_arguments: Any, **_named: Any) -> Any:
 
 def _declared(declared: Parameter | Output) -> dict[str, Any]:
     """Return the fields that differ from their defaults, as JSON has them."""
-    found: dict[str, Any] = {}
+    record: dict[str, Any] = {}
     for field in fields(declared):
         value = getattr(declared, field.name)
         if field.name == "defined":
             value = [[named.name, named.identity] for named in value]
         if not callable(value) and value not in (field.default, []):
-            found[field.name] = value.item() if hasattr(value, "item") else value
-    return found
+            record[field.name] = value.item() if hasattr(value, "item") else value
+    return record
 
 
 def _made(kind: Any, stored: Mapping[str, Any]) -> Any:
@@ -147,3 +148,86 @@ def _tuples(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _tuples(one) for name, one in value.items()}
     return tuple(map(_tuples, value)) if isinstance(value, list) else value
+
+
+def provenance(study: Study) -> dict[str, Any]:
+    """Return the attributes of a result that say how it was made; plain strings and numbers."""
+    experiment, sampling, points = study.experiment, study.sampling, study.points
+    common = sampling.common_random_numbers
+    defined = {
+        parameter.name: {named.name: content_digest(named) for named in parameter.defined}
+        for parameter in experiment.parameters
+        if parameter.defined
+    }
+    about = [claim.model_dump(exclude_none=True, exclude_defaults=True) for claim in study.claims]
+    conclusion = study.conclusion
+    attributes: dict[str, Any] = {
+        "title": study.title,
+        "question": study.question or None,
+        "study_name": study.name,
+        "study": study.text,
+        "study_overrides": " ".join(study.overrides),
+        "study_digest": study.digest(),
+        "experiment": study.experiment_reference,
+        FUNCTION: experiment.name if isinstance(experiment, FunctionExperiment) else None,
+        "seed": None if experiment.deterministic else sampling.seed,
+        **study.numbers(),
+        "precision": sampling.precision,
+        "error_convention": 2,  # catalogues are the independent samples: docs/errors.md
+        POINT_TABLE: json.dumps({"parameters": list(points.names), **points.origin}) if points else None,
+        "common_random_numbers": 1 if common else None,
+        "shared_axes": json.dumps([axis for axis in study.axes if axis in experiment.shared]) if common else None,
+        OUTER_DRAW: experiment.outer_draw if experiment.outer_draw not in ("", "outer draw") else None,
+        CITATION: json.dumps(experiment.citation) if experiment.citation else None,
+        "study_document": json.dumps(study.document),
+        "versions": json.dumps({"python": platform.python_version()} | {p: version_of(p) for p in PACKAGES}),
+        "host": host(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "command": command_line() or None,
+        "started": now(),
+        "defined": json.dumps(defined) if defined else None,
+        "claims": json.dumps(about) if about else None,
+        "conclusion": conclusion.model_dump_json(exclude_none=True, exclude_defaults=True) if conclusion else None,
+        "git_commit": git_commit(),
+    }
+    return {name: value for name, value in attributes.items() if value is not None}
+
+
+def outer_draw_of(attributes: Mapping[Any, Any]) -> str:
+    """Return what results with these attributes call draws that several realisations share."""
+    return str(attributes.get(OUTER_DRAW, "outer draw" if "experiment" in attributes else "catalogue"))
+
+
+def host() -> str:
+    """Return the name of this machine."""
+    return platform.node()
+
+
+def command_line() -> str:
+    """Return the `sweep` command that this process runs, as a person would type it but for secrets; '' in a script."""
+    return without_secrets(shlex.join(COMMAND))
+
+
+def now() -> str:
+    """Return the time as ISO 8601 in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+@cache  # this process computes with the code that it has imported
+def git_commit() -> str | None:
+    """Return the commit of the checkout this package runs from, with '+changes' if it was edited; None outside a
+    checkout, without starting git.
+    """
+    folder = Path(__file__).resolve().parents[2]
+    if not (folder / ".git").exists():
+        return None
+
+    def git(*arguments: str) -> str:
+        # without optional locks: an interruption may kill git, which would leave its lock in the checkout
+        command = ["git", "--no-optional-locks", "-C", str(folder), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+
+    try:
+        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--untracked-files=no") else "")
+    except (OSError, subprocess.SubprocessError):
+        return None

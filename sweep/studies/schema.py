@@ -4,8 +4,8 @@ import math
 from typing import Any
 
 from linksweep.sweep.contract import Experiment, Parameter
-from linksweep.sweep.studies.designs import DESIGNS
 from linksweep.sweep.studies.form import Form
+from linksweep.sweep.studies.values import DESIGNS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 

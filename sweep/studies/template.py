@@ -4,8 +4,8 @@ import json
 
 from linksweep.sweep.contract import Experiment, Parameter
 from linksweep.sweep.functions.adapter import FunctionExperiment
-from linksweep.sweep.studies.designs import DESIGNS
 from linksweep.sweep.studies.form import Sampling
+from linksweep.sweep.studies.values import DESIGNS
 
 SAMPLING = {
     "n_sim": "realisations of each catalogue",

@@ -11,8 +11,8 @@ from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.streams import generators_of
 from linksweep.sweep.running.covariance import covariances
 from linksweep.sweep.running.results import assemble
-from linksweep.sweep.studies.provenance import provenance
 from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.record import provenance
 
 
 def results_of(document) -> xr.Dataset:

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 import linksweep
 from linksweep.sweep.formatting import described, meaning_of, short_meaning
 from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.document import built_in_studies
 from linksweep.sweep.studies.reader import load_study
-from linksweep.sweep.studies.source import built_in_studies
 from tests.tiers import slow
 
 LONGEST_LABEL = 90

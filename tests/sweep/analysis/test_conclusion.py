@@ -10,8 +10,8 @@ from linksweep.sweep.analysis.headline_table import headline_columns
 from linksweep.sweep.analysis.quantity import main_quantity
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.studies.document import built_in_studies
 from linksweep.sweep.studies.reader import load_study, study_from_dict
-from linksweep.sweep.studies.source import built_in_studies
 from tests.sweep.conftest import SHORT
 
 AT = {"model": "gaia", "v_max": 20.0}

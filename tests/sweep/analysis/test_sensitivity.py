@@ -16,7 +16,7 @@ from linksweep.sweep.analysis.sensitivity_indices import (
     weights_of_order,
 )
 from linksweep.sweep.analysis.sensitivity_tables import columns_of
-from linksweep.sweep.studies.designs import DESIGNS
+from linksweep.sweep.studies.values import DESIGNS
 from tests.tiers import slow
 
 PI = np.pi

@@ -27,8 +27,8 @@ from linksweep.sweep.report.page import MARK, check_output, citations, report_of
 from linksweep.sweep.report.section import MOST_ROWS, SEVERITY, section
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.studies.document import built_in_studies
 from linksweep.sweep.studies.reader import load_study, study_from_dict
-from linksweep.sweep.studies.source import built_in_studies
 from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")

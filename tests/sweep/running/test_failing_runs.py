@@ -18,7 +18,7 @@ from linksweep.sweep.running import progress
 from linksweep.sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError, failed_points
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import open_dataset
-from linksweep.sweep.studies.live import study_of_function
+from linksweep.sweep.studies.reader import study_of_function
 from tests.tiers import slow
 
 FUNCTIONS = """

@@ -21,8 +21,8 @@ from linksweep.sweep.stores.folder import Folder
 from linksweep.sweep.stores.location import located
 from linksweep.sweep.stores.repair import check, repair
 from linksweep.sweep.stores.store import open_dataset
-from linksweep.sweep.studies.provenance import provenance
 from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.record import provenance
 from tests.sweep.opening import create_or_resume, existing_store
 from tests.tiers import slow
 

@@ -8,8 +8,8 @@ import zarr
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.stores.checksums import sealed
 from linksweep.sweep.stores.failures import MAX_TRACEBACKS, TRACEBACK_BYTES
-from linksweep.sweep.studies.provenance import provenance
 from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.record import provenance
 from tests.sweep.opening import create_or_resume
 
 

@@ -12,8 +12,8 @@ import xarray as xr
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.stores.store import open_dataset
-from linksweep.sweep.studies.provenance import provenance
 from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.record import provenance
 from tests.sweep.opening import create_or_resume, existing_store
 from tests.tiers import slow
 

@@ -17,8 +17,8 @@ from linksweep.sweep.stores import snapshot
 from linksweep.sweep.stores.create import find_store
 from linksweep.sweep.stores.opened import OpenStore
 from linksweep.sweep.stores.store import open_dataset
-from linksweep.sweep.studies.provenance import provenance
 from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.record import provenance
 from tests.sweep.opening import create_or_resume, existing_store
 
 

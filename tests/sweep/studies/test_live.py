@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.studies.live import study_of_function
+from linksweep.sweep.studies.reader import study_of_function
 
 
 def law(a: float = 1.0, m: str = "x", e=1):
@@ -16,7 +16,7 @@ def law(a: float = 1.0, m: str = "x", e=1):
 
 def test_texts_of_a_set_are_in_the_same_order_in_every_process():
     code = (
-        "from linksweep.sweep.studies.live import study_of_function as study; "
+        "from linksweep.sweep.studies.reader import study_of_function as study; "
         "from tests.sweep.studies.test_live import law; "
         "print(study(law, {'m': {'tin', 'gold', 'lead', 'iron'}}).axes['m'])"
     )

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.studies.option_values import parse_axis, parse_places, parse_range
+from linksweep.sweep.studies.document import parse_axis, parse_places, parse_range
 
 
 def test_places_are_listed_by_axis():

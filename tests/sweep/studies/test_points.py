@@ -12,9 +12,8 @@ from astropy.utils.masked import Masked
 from linksweep import Parameter, SweepError, experiment
 from linksweep.sweep.contract import Parameter as Declared
 from linksweep.sweep.planning.checked_grid import make_grid
-from linksweep.sweep.studies.designs import DESIGNS
-from linksweep.sweep.studies.live import study_of_function
-from linksweep.sweep.studies.ranges import Range, read_range
+from linksweep.sweep.studies.reader import study_of_function
+from linksweep.sweep.studies.values import DESIGNS, Range, read_range
 
 
 @experiment()
