@@ -6,10 +6,10 @@ import numpy as np
 
 from linksweep.core.arrays import Array
 from linksweep.core.checks import check, unused, warn
-from linksweep.core.design import ALWAYS, GLIDE, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
 from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from linksweep.core.scenario import catalogue_size, has_errors, scenario, zonal_errors
-from linksweep.core.simulate import BlockSums, Streams, can_stack, simulate, simulate_stack
+from linksweep.core.simulate import Streams, can_stack, simulate, simulate_stack
+from linksweep.core.unknowns import ALWAYS, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
 from linksweep.sweep.contract import Experiment, Point, small_sample_factor
 
 MEANS = {"sigma_orientation": ORIENTATION, "sigma_spin": SPIN}
@@ -43,7 +43,7 @@ def evaluate(
     """Return the sums of `SUMS` for one catalogue of each point and ``n_sim`` realisations of its errors, one row
     per point.
     """
-    return _by_name(simulate([scenario(point) for point in points], n_sim, rng, catalogue_rng), n_sim)
+    return _rows(simulate([scenario(point) for point in points], n_sim, rng, catalogue_rng))
 
 
 def evaluate_catalogues(points: Sequence[Point], n_sim: int, streams: Sequence[Streams]) -> dict[str, Array]:
@@ -55,20 +55,18 @@ def evaluate_catalogues(points: Sequence[Point], n_sim: int, streams: Sequence[S
     physics = [scenario(point) for point in points]
     together = max(1, STACK // (catalogue_size(points[0]) * n_sim))
     if len(physics) > 1 or together == 1 or not can_stack(physics[0], n_sim):
-        found = [_by_name(simulate(physics, n_sim, *one), n_sim) for one in streams]
-        return {name: np.stack([sums[name] for sums in found]) for name in SUMS}
+        return _rows([_rows(simulate(physics, n_sim, *pair)) for pair in streams])
     parts = [streams[first : first + together] for first in range(0, len(streams), together)]
-    rows = [_sums(simulate_stack(physics[0], n_sim, part), n_sim) for part in parts]
-    return {name: np.concatenate([row[name] for row in rows])[:, None] for name in SUMS}
+    stacks = [simulate_stack(physics[0], n_sim, part) for part in parts]
+    return {name: np.concatenate([stack[name] for stack in stacks])[:, None] for name in SUMS}
 
 
 def samples(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
     """Return what `evaluate` returns and the estimates that it adds up, shape (points, n_sim, K)."""
-    blocks = simulate([scenario(point) for point in points], n_sim, rng, catalogue_rng, keep_estimates=True)
-    estimates = [block.estimates[:, ALWAYS] for block in blocks if block.estimates is not None]
-    return _by_name(blocks, n_sim) | {"estimate": np.array(estimates)}
+    rows = simulate([scenario(point) for point in points], n_sim, rng, catalogue_rng, keep_estimates=True)
+    return _rows([row | {"estimate": row["estimate"][:, ALWAYS]} for row in rows])
 
 
 def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Array]:
@@ -137,38 +135,9 @@ def cost(point: Point) -> float:
     return float(per_object * catalogue_size(point))
 
 
-def _by_name(blocks: Sequence[BlockSums], n_sim: int) -> dict[str, Array]:
-    """Return the sums of `SUMS`, one row a block."""
-    rows = [_sums(block, n_sim) for block in blocks]
-    return {name: np.array([row[name] for row in rows]) for name in SUMS}
-
-
-def _sums(block: BlockSums, n_sim: int) -> dict[str, Array]:
-    """Return the sums of one block, or a stack of them, in the shapes of `SUMS`; errors are NaN for a glide that was
-    not solved for and for unknowns that no measured observable determines.
-    """
-    stack = block.error.shape[:-1]
-    glide = squares = np.full((*stack, len(GLIDE_LABELS)), np.nan)
-    if block.error.shape[-1] > len(LABELS):
-        glide = block.error[..., GLIDE]
-        diagonal = np.einsum("...ii->...i", block.error_products)
-        squares = np.where(np.isnan(glide), np.nan, diagonal[..., GLIDE])
-    squared = block.predicted_variance_squared
-    return {
-        "error": block.error[..., ALWAYS],
-        "error_products": block.error_products[..., ALWAYS, ALWAYS],
-        "chi2": block.chi2,
-        "predicted_variance": block.predicted_variance[..., ALWAYS],
-        "predicted_variance_squared": np.concatenate([squared[..., ALWAYS], squared[..., -len(MEANS) :]], axis=-1),
-        "predicted_bias": block.predicted_bias[..., ALWAYS],
-        "predicted_bias_squares": block.predicted_bias_squares[..., ALWAYS],
-        "condition_number": block.condition_number,
-        "glide_error": glide,
-        "glide_squares": squares,
-        "n_obj": block.n_obj,
-        "batch_mean_squares": np.square(block.error[..., ALWAYS]) / n_sim,
-        "batches": np.ones(stack),
-    }
+def _rows(sums: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
+    """Return sums by name as one array each, with a leading axis."""
+    return {name: np.array([row[name] for row in sums]) for name in sums[0]}
 
 
 def _correlation(covariance: Array) -> Array:

@@ -1,7 +1,6 @@
 """Steps A-F of the simulation for a block of realisations, in bounded memory."""
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 
 import numpy as np
@@ -9,44 +8,29 @@ import numpy as np
 from linksweep.core.arrays import Array, Stack
 from linksweep.core.catalogue import Catalogue, NestedDraw
 from linksweep.core.constants import MAS
-from linksweep.core.design import ALWAYS, ORIENTATION, SPIN
-from linksweep.core.fixed_design import FixedDesign, FixedSums, OwnFixedSums, fixed_designs
+from linksweep.core.fixed_design import FixedDesign, Projected, Solved, fixed_designs
 from linksweep.core.link import LinkError
-from linksweep.core.noise import ROWS, chunks, tiles
-from linksweep.core.noisy_design import FullPath, FullSums
-from linksweep.core.prepared import Draw, prepare
-from linksweep.core.projected import Drawn, Projected
+from linksweep.core.noise import ROWS, chunks, stacked_catalogue, tiles
+from linksweep.core.noisy_design import NoisyDesign, NoisySums
 from linksweep.core.scenario import Scenario
-from linksweep.core.shared_arrays import Prefixes
-from linksweep.core.shared_sums import SharedSums
-from linksweep.core.stacks import stacked_catalogue
+from linksweep.core.setup import Draw, prepare
+from linksweep.core.shared import Prefixes, SharedSums
+from linksweep.core.unknowns import ALWAYS, GLIDE, GLIDE_LABELS, ORIENTATION, SPIN
 
 Streams = tuple[np.random.Generator, np.random.Generator]
 """The generators of the errors of a catalogue and of the catalogue itself."""
 
+Sums = dict[str, Array]
+"""Sums over realisations by name, for the K = 6 unknowns orientation (mas) and spin (mas/yr).
 
-@dataclass(frozen=True)
-class BlockSums:
-    """Sums over realisations; errors (estimate - truth) in mas and mas/yr, K = 6 unknowns or 9 with a glide.
-
-    ``error`` (K,), ``error_products`` (K, K), ``chi2``; and, counted once per realisation of the catalogue, the closed
-    form's ``predicted_variance`` (K,), the squares of its elements and of its mean over orientation and over spin, its
-    ``predicted_bias`` (K,) and the squares of that, the condition number of the normal matrix and the number of
-    objects.  ``estimates`` (n_sim, K) are the realisations themselves, where they are kept.  ``error`` and
-    ``estimates`` are NaN for unknowns that no measured observable determines; their other sums are zero.  For a stack
-    of catalogues all arrays have a leading axis.
-    """
-
-    error: Array
-    error_products: Array
-    chi2: Array
-    predicted_variance: Array
-    predicted_variance_squared: Array
-    predicted_bias: Array
-    predicted_bias_squares: Array
-    condition_number: Array
-    n_obj: Array
-    estimates: Array | None = None
+``error`` (K,) and ``error_products`` (K, K) of estimate - truth, ``batch_mean_squares`` (K,), the square of error over
+n_sim, and ``batches``, which is 1; ``chi2``; ``glide_error`` and ``glide_squares`` (3,) of a glide that is solved for,
+else NaN. Counted once per realisation of the catalogue: the closed form's ``predicted_variance`` (K,) and the squares
+of it and of its means over orientation and over spin (K + 2,), its ``predicted_bias`` (K,) and the squares of that, the
+``condition_number`` of the normal matrix and ``n_obj``.  ``estimate`` are the realisations themselves, where they are
+kept: (n_sim, K), or (n_sim, K + 3) with a glide. Errors and estimates are NaN for unknowns that no measured observable
+determines; their other sums are zero. For a stack of catalogues all arrays have a leading axis.
+"""
 
 
 def simulate(
@@ -55,19 +39,19 @@ def simulate(
     rng: np.random.Generator,
     catalogue_rng: np.random.Generator,
     keep_estimates: bool = False,
-) -> list[BlockSums]:
+) -> list[Sums]:
     """Draw a catalogue for each scenario, link ``n_sim`` error realisations of it and add up what came out.
 
     ``catalogue_rng`` decides the catalogue (step A) and the truth, ``rng`` the errors (steps C and D): all scenarios
     start from the same state of the first, and share the normals from streams spawned from the second (see
-    `core.noise`).  These are drawn once, and the sums of a scenario do not depend, to the last bit, on the other
-    scenarios.  Memory does not grow with ``n_sim``, except for estimates that are kept.  Raises LinkError where a
+    `linksweep.core.noise`).  These are drawn once, and the sums of a scenario do not depend, to the last bit, on the
+    other scenarios.  Memory does not grow with ``n_sim``, except for estimates that are kept.  Raises LinkError where a
     catalogue does not determine the link.
     """
     return _simulate(scenarios, n_sim, [(rng, catalogue_rng)], (), keep_estimates)
 
 
-def simulate_stack(scenario: Scenario, n_sim: int, streams: Sequence[Streams]) -> BlockSums:
+def simulate_stack(scenario: Scenario, n_sim: int, streams: Sequence[Streams]) -> Sums:
     """Return what `simulate` returns for a catalogue from each pair of generators ``streams``, to the last bit, from
     operations on all of them at once.
 
@@ -98,26 +82,29 @@ def can_stack(scenario: Scenario, n_sim: int) -> bool:
 
 def _simulate(
     scenarios: Sequence[Scenario], n_sim: int, streams: Sequence[Streams], stack: Stack, keep_estimates: bool
-) -> list[BlockSums]:
+) -> list[Sums]:
     """Return the sums of each scenario, for a catalogue from one pair of streams or a stack from several pairs."""
-    points = _points(scenarios, n_sim, [catalogue_rng for _, catalogue_rng in streams], stack, keep_estimates)
+    drawn, prefixes = _draws(scenarios, [catalogue_rng for _, catalogue_rng in streams], stack), Prefixes()
+    order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k].catalogue))  # the others may be its beginning
+    setups = [prepare(scenarios[k], drawn[k], prefixes) for k in order]
+    designs = dict(zip(order, fixed_designs(setups, prefixes), strict=True))
+    points = [_Point(designs[k], n_sim, keep_estimates) for k in range(len(drawn))]
     zonal = any(scenario.zonal is not None for scenario in scenarios)
     satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
     for rows in chunks(n_sim):
         satellite_rngs, reference_rngs = zip(*(rng.spawn(2) for rng, _ in streams), strict=True)
         field_rng = satellite_rngs[0].spawn(1)[0] if zonal else satellite_rngs[0]  # which draws nothing
-        shared = SharedSums()
-        begun = [point.begin(rows, satellite_rngs[0], field_rng, shared) for point in points]
-        others = [sums for sums in begun if isinstance(sums, OwnFixedSums | FullSums)]
+        shared, noisy = SharedSums(), list[NoisySums]()
+        solved = [point.begin(rows, satellite_rngs[0], field_rng, shared, noisy) for point in points]
         for satellite, reference in zip_longest(
             tiles(satellite_rngs, stack, rows, satellite_objects), tiles(reference_rngs, stack, rows, reference_objects)
         ):
             if satellite is not None:
                 shared.add(satellite)
-            for own in others:
-                own.add(satellite, reference)
-        for point, sums in zip(points, begun, strict=True):
-            point.add(*sums.solved())
+            for sums in noisy:
+                sums.add(satellite, reference)
+        for point, result in zip(points, solved, strict=True):
+            point.add(*result())
     return [point.sums() for point in points]
 
 
@@ -127,10 +114,13 @@ class _Point:
     def __init__(self, design: FixedDesign, n_sim: int, keep_estimates: bool) -> None:
         setup = design.setup
         unknowns = len(setup.truth)
-        self.setup, self.n_sim = setup, n_sim
-        self.predicted, self.bias = design.predicted_variance() / MAS**2, design.bias / MAS
-        self.condition_number = design.condition_number
-        self.path = _path(design)
+        self.setup, self.n_sim, self.design = setup, n_sim, design
+        self.variance = design.predicted_variance() / MAS**2
+        self.path: FixedDesign | NoisyDesign | Projected = design
+        if setup.scenario.method == "projected":
+            self.path = Projected(design)
+        elif setup.reference:
+            self.path = NoisyDesign(setup)
         self.error, self.chi2 = np.zeros((*setup.stack, unknowns)), np.zeros(setup.stack)
         self.products = np.zeros((*setup.stack, unknowns, unknowns))
         self.kept: list[Array] | None = [] if keep_estimates else None
@@ -138,30 +128,35 @@ class _Point:
     @property
     def drawn(self) -> tuple[int, int]:
         """Objects for which normals of the satellite and of the reference are drawn."""
-        n_obj, setup = self.setup.n_obj, self.setup
-        projected = isinstance(self.path, Projected)
-        return (
-            n_obj if setup.satellite and not projected else 0,
-            n_obj if setup.reference and not projected else 0,
-        )
+        if isinstance(self.path, Projected):
+            return 0, 0
+        return self.setup.n_obj * bool(self.setup.satellite), self.setup.n_obj * bool(self.setup.reference)
 
     def begin(
-        self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator, shared: SharedSums
-    ) -> FixedSums | OwnFixedSums | FullSums | Drawn:
-        """Return sums of ``rows`` realisations, having asked for those that points share; the projected method draws
-        from the beginning of the satellite's stream, zonal errors from that of their own, and both are reset for other
-        points.
+        self,
+        rows: int,
+        rng: np.random.Generator,
+        field_rng: np.random.Generator,
+        shared: SharedSums,
+        noisy: list[NoisySums],
+    ) -> Solved:
+        """Return what gives the solutions of ``rows`` realisations, having asked for the sums that it needs; the
+        projected method draws from the beginning of the satellite's stream, zonal errors from that of their own, and
+        both are reset for other points.
         """
         path = self.path
         if isinstance(path, Projected):
             state = rng.bit_generator.state
             drawn = path.draw(rows, rng)
             rng.bit_generator.state = state
-            return drawn
+            return lambda: drawn
         state = field_rng.bit_generator.state
         field = self.setup.satellite.draw_field(rows, field_rng)
         field_rng.bit_generator.state = state
-        return path.begin(rows, field) if isinstance(path, FullPath) else path.begin(rows, field, shared)
+        if isinstance(path, FixedDesign):
+            return path.begin(rows, field, shared)
+        noisy.append(NoisySums(path, rows, field))
+        return noisy[-1].solved
 
     def add(self, error: Array, chi2: Array) -> None:
         """Add realisations: their estimate - truth (..., K, rows), and the sum of their chi2."""
@@ -171,50 +166,38 @@ class _Point:
         if self.kept is not None:
             self.kept.append((error.T + self.setup.truth) / MAS)
 
-    def sums(self) -> BlockSums:
+    def sums(self) -> Sums:
         """Return what has been added up."""
-        held = self.setup.held
-        if not np.all(np.isfinite(self.error)):  # NaN is only for what is held
+        if not np.all(np.isfinite(self.error)):  # NaN is only for what is not determined
             raise LinkError("the solution is not finite")
-        error, estimates = self.error / MAS, None if self.kept is None else np.concatenate(self.kept)
-        error[..., held] = np.nan
-        if estimates is not None:
-            estimates[:, held] = np.nan
-        both = self.predicted[..., ALWAYS].reshape(*self.setup.stack, len((ORIENTATION, SPIN)), -1)  # as many of each
-        means = both.sum(axis=-1) / both.shape[-1]
-        return BlockSums(
-            error=error,
-            error_products=self.products / MAS**2,
-            chi2=self.chi2,
-            predicted_variance=self.n_sim * self.predicted,
-            predicted_variance_squared=self.n_sim * np.square(np.concatenate([self.predicted, means], axis=-1)),
-            predicted_bias=self.n_sim * self.bias,
-            predicted_bias_squares=self.n_sim * np.square(self.bias),
-            condition_number=self.n_sim * self.condition_number,
-            n_obj=np.full(self.setup.stack, float(self.n_sim * self.setup.n_obj)),
-            estimates=estimates,
-        )
-
-
-def _path(design: FixedDesign) -> FixedDesign | FullPath | Projected:
-    if design.setup.scenario.method == "projected":
-        return Projected(design)
-    return FullPath(design.setup) if design.setup.reference else design
-
-
-def _points(
-    scenarios: Sequence[Scenario],
-    n_sim: int,
-    catalogue_rngs: Sequence[np.random.Generator],
-    stack: Stack,
-    keep_estimates: bool,
-) -> list[_Point]:
-    """Return the scenarios, of which the largest is prepared first, since the others may be the beginning of it."""
-    drawn, shared = _draws(scenarios, catalogue_rngs, stack), Prefixes()
-    order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k].catalogue))
-    setups = [prepare(scenarios[k], drawn[k], shared) for k in order]
-    designs = dict(zip(order, fixed_designs(setups, shared), strict=True))
-    return [_Point(designs[k], n_sim, keep_estimates) for k in range(len(drawn))]
+        stack, n_sim, fixed = self.setup.stack, self.n_sim, self.setup.fixed
+        error, products = self.error / MAS, self.products / MAS**2
+        error[..., fixed] = np.nan
+        variance, bias = self.variance[..., ALWAYS], (self.design.bias / MAS)[..., ALWAYS]
+        means = np.stack([variance[..., part].sum(axis=-1) / 3 for part in (ORIENTATION, SPIN)], axis=-1)
+        glide = squares = np.full((*stack, len(GLIDE_LABELS)), np.nan)
+        if self.setup.scenario.solve_glide:
+            glide = error[..., GLIDE]
+            squares = np.where(np.isnan(glide), np.nan, np.einsum("...ii->...i", products)[..., GLIDE])
+        sums = {
+            "error": error[..., ALWAYS],
+            "error_products": products[..., ALWAYS, ALWAYS],
+            "chi2": self.chi2,
+            "predicted_variance": n_sim * variance,
+            "predicted_variance_squared": n_sim * np.square(np.concatenate([variance, means], axis=-1)),
+            "predicted_bias": n_sim * bias,
+            "predicted_bias_squares": n_sim * np.square(bias),
+            "condition_number": n_sim * self.design.condition_number,
+            "glide_error": glide,
+            "glide_squares": squares,
+            "n_obj": np.full(stack, float(n_sim * self.setup.n_obj)),
+            "batch_mean_squares": np.square(error[..., ALWAYS]) / n_sim,
+            "batches": np.ones(stack),
+        }
+        if self.kept is not None:
+            sums["estimate"] = np.concatenate(self.kept)
+            sums["estimate"][:, fixed] = np.nan
+        return sums
 
 
 def _draws(scenarios: Sequence[Scenario], catalogue_rngs: Sequence[np.random.Generator], stack: Stack) -> list[Draw]:

@@ -1,26 +1,191 @@
-"""Unknowns that are solved for together, and the line that names them: ``orientation,spin,glide,vsh_motion:3``."""
+"""Unknowns that are solved for together, in blocks: each block knows its labels, units and derivatives.
+
+The derivatives are those of the five parameters (alpha*, dec, parallax, pmra, pmdec) of a source, reference -
+satellite.  A line like ``orientation,spin,glide,vsh_motion:3`` names blocks; a new one is a class and its entry in
+`KNOWN`.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from linksweep.core.arrays import Array
-from linksweep.core.blocks import (
-    MOTION,
-    PARAMETERS,
-    POSITION,
-    Block,
-    Glide,
-    Harmonics,
-    Objects,
-    Orientation,
-    ParallaxZeroPoint,
-    Rotation,
-    SpinByBin,
-    of_mission,
-)
-from linksweep.core.harmonics import HIGHEST_DEGREE, KINDS, terms
+from linksweep.core.arrays import Array, Indices
+from linksweep.core.frames import Triad, triad
+from linksweep.core.harmonics import HIGHEST_DEGREE, KINDS, Kind, fill_toroidal, terms, turned
+from linksweep.core.link import require_off_poles
+
+RA, DEC, PARALLAX, PMRA, PMDEC = range(5)
+PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
+POSITION, MOTION = (RA, DEC), (PMRA, PMDEC)
+
+
+@dataclass(frozen=True)
+class Objects:
+    """The data of N sources for derivatives: positions (rad), proper motions (rad/yr) and further columns, (N,)."""
+
+    ra: Array
+    dec: Array
+    pmra: Array
+    pmdec: Array
+    columns: Mapping[str, Array] = field(default_factory=dict)
+
+    def taken(self, part: slice | Indices) -> "Objects":
+        """Return some of the sources."""
+        columns = {name: column[part] for name, column in self.columns.items()}
+        return Objects(self.ra[part], self.dec[part], self.pmra[part], self.pmdec[part], columns)
+
+    @cached_property
+    def triad(self) -> Triad:
+        """The unit vectors east, north and to each source."""
+        return triad(self.ra, self.dec)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Block:
+    """A few unknowns that belong together.
+
+    ``name`` is the name of the block, ``labels`` are those of its unknowns, and ``rows`` the parameters that they act
+    on.  A ``rate`` is per year: it moves the position of a source whose epoch is not that of the unknowns.
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    rows: tuple[int, ...]
+    rate: bool
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return the derivatives of the parameters ``rows``; shape (k, len(rows), N)."""
+        raise NotImplementedError
+
+
+def _xyz(name: str) -> tuple[str, ...]:
+    return tuple(f"{name}_{axis}" for axis in "xyz")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Orientation(Block):
+    """The rotation epsilon: d alpha* = q.eps, d dec = -p.eps and, acting on motions too, the terms A21 in these."""
+
+    name: str = "orientation"
+    labels: tuple[str, ...] = _xyz("epsilon")
+    rows: tuple[int, ...] = (*POSITION, *MOTION)
+    rate: bool = False
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return q, -p, -pmdec eta and pmra eta with eta = (cos ra, sin ra, 0)/cos dec; shape (3, 4 or 2, N)."""
+        p, q, _ = objects.triad
+        values = np.zeros((3, len(self.rows), *np.shape(objects.ra)))
+        values[:, 0], values[:, 1] = q, -p
+        if PMRA in self.rows:
+            require_off_poles(objects.dec, q[2])
+            eta_x, eta_y = p[1] / q[2], -p[0] / q[2]
+            values[0, 2], values[1, 2] = -objects.pmdec * eta_x, -objects.pmdec * eta_y
+            values[0, 3], values[1, 3] = objects.pmra * eta_x, objects.pmra * eta_y
+        return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rotation(Block):
+    """A rotation of positions or motions: q and -p.  The spin is that of motions."""
+
+    name: str = "spin"
+    labels: tuple[str, ...] = _xyz("omega")
+    rows: tuple[int, ...] = MOTION
+    rate: bool = True
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return q and -p; shape (3, 2, N)."""
+        return np.stack([objects.triad.q, -objects.triad.p], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Glide(Block):
+    """A flow towards a point of the sky: p and q, in the motions or the positions."""
+
+    name: str = "glide"
+    labels: tuple[str, ...] = _xyz("glide")
+    rows: tuple[int, ...] = MOTION
+    rate: bool = True
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return p and q; shape (3, 2, N)."""
+        return np.stack([objects.triad.p, objects.triad.q], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParallaxZeroPoint(Block):
+    """One constant in all parallaxes, reference - satellite."""
+
+    name: str = "parallax"
+    labels: tuple[str, ...] = ("parallax_zero_point",)
+    rows: tuple[int, ...] = (PARALLAX,)
+    rate: bool = False
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return ones; shape (1, 1, N)."""
+        return np.ones((1, 1, len(objects.ra)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Harmonics(Block):
+    """Vector spherical harmonics of given kinds and degrees, in the positions or the motions."""
+
+    parts: tuple[tuple[Kind, int], ...]
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return the fields of all terms; shape (k, 2, N)."""
+        values = np.empty((len(self.labels), 2, len(objects.ra)))
+        ends = np.cumsum([2 * degree + 1 for _, degree in self.parts]).tolist()
+        place = dict(zip(self.parts, np.split(values, ends[:-1]), strict=True))
+        # without the toroidal field, the spheroidal one is turned in place
+        fields = {degree: place.get(("t", degree), place[kind, degree]) for kind, degree in self.parts}
+        fill_toroidal(fields, objects.ra, objects.dec)
+        for kind, degree in self.parts:
+            if kind == "s":
+                turned(fields[degree], out=place[kind, degree])
+        return values
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpinByBin(Block):
+    """A spin for each bin of a column, with the lowest and the highest bin open; labels like omega_x[6,8)."""
+
+    column: str
+    edges: tuple[float, ...]
+    used: tuple[int, ...]
+    name: str = "spin"
+    labels: tuple[str, ...] = field(init=False)
+    rows: tuple[int, ...] = MOTION
+    rate: bool = True
+
+    def __post_init__(self) -> None:
+        labels = (f"{label}[{low:g},{high:g})" for low, high in self.bins for label in Rotation().labels)
+        object.__setattr__(self, "labels", tuple(labels))
+
+    @property
+    def bins(self) -> tuple[tuple[float, float], ...]:
+        """The limits of the bins that have sources."""
+        limits = (-np.inf, *self.edges, np.inf)
+        return tuple((limits[b], limits[b + 1]) for b in self.used)
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return q and -p in the bin of each source, zero in the others; shape (3 bins, 2, N)."""
+        spin = Rotation().derivatives(objects)
+        bin_of = np.searchsorted(self.edges, objects.columns[self.column], side="right")
+        return np.concatenate([np.where(bin_of == b, spin, 0.0) for b in self.used])
+
+
+@dataclass(frozen=True, kw_only=True)
+class OfMission(Block):
+    """A block of the frame of a further mission, whose five parameters follow those of the frames before it."""
+
+    block: Block
+
+    def derivatives(self, objects: Objects) -> Array:
+        """Return the derivatives of the block; shape (k, len(rows), N)."""
+        return self.block.derivatives(objects)
 
 
 @dataclass(frozen=True)
@@ -55,16 +220,15 @@ class Unknowns:
         return frozenset(block.column for block in self.blocks if isinstance(block, SpinByBin))
 
     def __len__(self) -> int:
-        return sum(len(block.labels) for block in self.blocks)
+        return len(self.labels)
 
     def part(self, name: str) -> slice:
         """Return where the unknowns of a block stand; raises ValueError where there is no such block."""
-        start = 0
-        for block in self.blocks:
-            if block.name == name:
-                return slice(start, start + len(block.labels))
-            start += len(block.labels)
-        raise ValueError(f"no unknowns {name!r}; there are {', '.join(self.names)}")
+        if name not in self.names:
+            raise ValueError(f"no unknowns {name!r}; there are {', '.join(self.names)}")
+        k = self.names.index(name)
+        start = sum(len(block.labels) for block in self.blocks[:k])
+        return slice(start, start + len(self.blocks[k].labels))
 
     def derivatives(self, objects: Objects, years: Array | None = None) -> tuple[tuple[int, ...], Array]:
         """Return the parameters that the unknowns act on, and the derivatives of those; shape (K, rows, N).
@@ -75,23 +239,22 @@ class Unknowns:
         shift = np.zeros(1) if years is None else years
         moved = bool(np.any(shift != 0.0))
         acting = {row for block in self.blocks for row in block.rows}
-        if moved:
-            acting |= {row for block in self.blocks if block.rate for row in _moved(block)}
+        if moved:  # a rate of a motion moves the coordinate of its position, of the same frame
+            acting |= {row - PMRA + RA for block in self.blocks if block.rate for row in block.rows}
         rows = tuple(sorted(acting))
         if len(self.blocks) == 1 and rows == self.blocks[0].rows:
             return rows, self.blocks[0].derivatives(objects)
-        found = np.zeros((len(self), len(rows), *np.shape(objects.ra)))
+        whole = np.zeros((len(self), len(rows), *np.shape(objects.ra)))
         start = 0
         for block in self.blocks:
             values = block.derivatives(objects)
-            into = found[start : start + len(values)]
+            into = whole[start : start + len(values)]
             for i, row in enumerate(block.rows):
                 into[:, rows.index(row)] = values[:, i]
-            if moved and block.rate:
-                for row, position in zip(block.rows, _moved(block), strict=True):
-                    into[:, rows.index(position)] = shift * values[:, block.rows.index(row)]
+                if moved and block.rate:
+                    into[:, rows.index(row - PMRA + RA)] = shift * values[:, i]
             start += len(values)
-        return rows, found
+        return rows, whole
 
     def matrix(self, objects: Objects, years: Array | None = None) -> Array:
         """Return the derivatives of the five parameters of all frames by all unknowns; shape (N, 5 frames, K)."""
@@ -101,9 +264,29 @@ class Unknowns:
         return matrix
 
 
-def _moved(block: Block) -> list[int]:
-    """Return the coordinates of the position that the motions of a rate move, in the order of its rows."""
-    return [row - MOTION[0] + POSITION[0] for row in block.rows]
+def link_unknowns(glide: bool = False, corrections: bool = True) -> Unknowns:
+    """Return the unknowns of the simulated link: orientation (rad), spin (rad/yr), and the glide (rad/yr) on request.
+
+    The observables are ``d alpha* = q.eps``, ``d dec = -p.eps``, ``d pmra = -pmdec eta.eps + q.omega`` and ``d pmdec =
+    pmra eta.eps - p.omega`` with ``eta = (cos ra, sin ra, 0)/cos dec``, in the positions and proper motions of the
+    reference: the triad turns by eta.eps about the line of sight, which is what the paper's A21 says for mu_alpha*
+    (Metz & Geffert 2004, Eqs. 11-13).  ``corrections=False`` drops these terms; the glide g adds ``d pmra = p.g`` and
+    ``d pmdec = q.g``.
+    """
+    orientation = Orientation() if corrections else Orientation(rows=POSITION)
+    return Unknowns((orientation, Rotation(), *([Glide()] if glide else [])))
+
+
+LABELS = link_unknowns().labels
+"""The unknowns that are always solved for, in their order."""
+GLIDE_LABELS = Glide().labels
+ALWAYS = slice(0, len(LABELS))
+ORIENTATION, SPIN, GLIDE = (link_unknowns(glide=True).part(name) for name in link_unknowns(glide=True).names)
+"""Where the blocks stand among the unknowns."""
+
+
+Bins = tuple[str, Sequence[float]]
+"""A column and the edges of its bins."""
 
 
 @dataclass(frozen=True)
@@ -113,7 +296,7 @@ class Asked:
     name: str
     degrees: str
     beside: Sequence[str]
-    bins: tuple[str, Sequence[float]] | None
+    bins: Bins | None
     columns: Mapping[str, Array]
     corrections: bool
 
@@ -124,9 +307,9 @@ class Asked:
 
 
 KNOWN: dict[str, Callable[[Asked], Block]] = {
-    "orientation": lambda asked: Orientation(asked.corrections),
+    "orientation": lambda asked: link_unknowns(corrections=asked.corrections).blocks[0],
     "position_glide": lambda asked: Glide(
-        name="position_glide", labels=tuple(f"position_glide_{axis}" for axis in "xyz"), rows=POSITION, rate=False
+        name="position_glide", labels=_xyz("position_glide"), rows=POSITION, rate=False
     ),
     "spin": lambda asked: Rotation() if asked.bins is None else _spin_by_bin(*asked.bins, asked.columns),
     "glide": lambda asked: Glide(),
@@ -141,7 +324,7 @@ a block, add an entry.
 
 def parse_unknowns(
     text: str,
-    bins: tuple[str, Sequence[float]] | None = None,
+    bins: Bins | None = None,
     columns: Mapping[str, Array] | None = None,
     corrections: bool = True,
     missions: Sequence[str] = (),
@@ -156,12 +339,15 @@ def parse_unknowns(
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
         raise ValueError(f"no unknowns; known are {', '.join(KNOWN)}")
-    divided = [name.partition(":") for name in names]
-    of = {mission: [block for first, _, block in divided if first == mission] for mission in missions}
-    own = [name for name in names if name.partition(":")[0] not in of]
-    blocks = list(_blocks(own, bins, columns or {}, corrections))
-    for number, (mission, some) in enumerate(of.items(), 1):
-        blocks += [of_mission(block, mission, number) for block in _blocks(some, None, {}, corrections)]
+    plain = [name for name in names if name.partition(":")[0] not in missions]
+    blocks = list(_blocks(plain, bins, columns or {}, corrections))
+    for number, mission in enumerate(missions, 1):
+        inside = [block for first, _, block in (name.partition(":") for name in names) if first == mission]
+        for block in _blocks(inside, None, {}, corrections):
+            labels = tuple(f"{mission}:{label}" for label in block.labels)
+            rows = tuple(len(PARAMETERS) * number + row for row in block.rows)
+            name = f"{mission}:{block.name}"
+            blocks.append(OfMission(name=name, labels=labels, rows=rows, rate=block.rate, block=block))
     if bins is not None and not any(isinstance(block, SpinByBin) for block in blocks):
         raise ValueError("bins divide the spin, which is not among the unknowns")
     return Unknowns(tuple(blocks))
@@ -177,7 +363,7 @@ def require_mission_name(name: str) -> None:
 
 
 def _blocks(
-    names: Sequence[str], bins: tuple[str, Sequence[float]] | None, columns: Mapping[str, Array], corrections: bool
+    names: Sequence[str], bins: Bins | None, columns: Mapping[str, Array], corrections: bool
 ) -> Iterator[Block]:
     """Yield the blocks of one frame."""
     plain = [name.partition(":")[0] for name in names]
@@ -185,19 +371,16 @@ def _blocks(
         raise ValueError(f"unknowns {', '.join(repeated)} twice")
     for name in names:
         kind, _, degrees = name.partition(":")
-        yield _block(Asked(kind, degrees, plain, bins, columns, corrections))
-
-
-def _block(asked: Asked) -> Block:
-    make = KNOWN.get(asked.name)
-    if make is None and f"{asked.name}:L" in KNOWN:
-        return KNOWN[f"{asked.name}:L"](asked)
-    if asked.degrees:
-        with_degrees = " and ".join(name.removesuffix(":L") for name in KNOWN if name.endswith(":L"))
-        raise ValueError(f"unknowns {asked.written!r}: only {with_degrees} have a degree")
-    if make is None:
-        raise ValueError(f"unknowns {asked.written!r} are not known; known are {', '.join(KNOWN)}")
-    return make(asked)
+        asked = Asked(kind, degrees, plain, bins, columns, corrections)
+        if f"{kind}:L" in KNOWN:
+            yield KNOWN[f"{kind}:L"](asked)
+        elif degrees:
+            with_degrees = " and ".join(known.removesuffix(":L") for known in KNOWN if known.endswith(":L"))
+            raise ValueError(f"unknowns {asked.written!r}: only {with_degrees} have a degree")
+        elif kind in KNOWN:
+            yield KNOWN[kind](asked)
+        else:
+            raise ValueError(f"unknowns {asked.written!r} are not known; known are {', '.join(KNOWN)}")
 
 
 def _harmonics(asked: Asked, rotation: str, glide: str, rows: tuple[int, ...]) -> Harmonics:

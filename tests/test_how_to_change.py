@@ -150,7 +150,7 @@ TOYS = [
     Toy(
         *("block of unknowns", "", ""),
         [
-            ("core/unknowns.py", "POSITION[0] for row in block.rows]\n", SOUTH),
+            ("core/unknowns.py", "        return self.block.derivatives(objects)\n", SOUTH),
             (
                 "core/unknowns.py",
                 '"parallax": lambda asked: ParallaxZeroPoint(),',

@@ -91,7 +91,7 @@ SEARCH_MAY_USE = {
 KNOWS_THE_SEARCH = {"linksweep.sweep.cli.match"}
 CORE_MAY_USE = {
     *("numpy", "scipy", "pygaia", "erfa"),
-    *("dataclasses", "typing", "collections", "types", "functools", "itertools", "math"),
+    *("bisect", "dataclasses", "typing", "collections", "types", "functools", "itertools", "math"),
     *("csv", "importlib", "json", "sys"),
 }
 

@@ -6,12 +6,11 @@ from functools import cached_property
 import numpy as np
 
 from linksweep.core.arrays import Array, Indices
-from linksweep.core.blocks import Objects
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry
 from linksweep.core.tie.differences import differences
 from linksweep.core.tie.elimination import Eliminated, Weights, eliminate, eliminate_simple
-from linksweep.core.unknowns import Unknowns
+from linksweep.core.unknowns import Objects, Unknowns
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,8 @@ import numpy as np
 from scipy.special import chdtrc
 
 from linksweep.core.arrays import Array
-from linksweep.core.blocks import Harmonics, SpinByBin
 from linksweep.core.constants import MAS
-from linksweep.core.unknowns import Unknowns, parse_unknowns
+from linksweep.core.unknowns import Harmonics, SpinByBin, Unknowns, parse_unknowns
 
 VECTOR_POWER = 8.0 * np.pi / 3.0
 """Power of degree 1 of a rotation or a glide is this times the square of its length (Mignard & Klioner 2012)."""

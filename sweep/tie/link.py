@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.core.arrays import Array
-from linksweep.core.blocks import PARAMETERS, SpinByBin
 from linksweep.core.constants import MAS
 from linksweep.core.tie.astrometry import kinds
 from linksweep.core.tie.clips import Clipped, separation
 from linksweep.core.tie.differences import differences
+from linksweep.core.unknowns import PARAMETERS, SpinByBin
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.core.arrays import Array, Flags
-from linksweep.core.blocks import PARAMETERS
 from linksweep.core.constants import DEGREE, MAS
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
 from linksweep.core.tie.mistakes import LARGER, LARGEST, PLAUSIBLE, SMALLER
+from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tables.columns import CORRELATIONS, Columns, column_of, first_found
 from linksweep.sweep.tables.reader import read_table as read_file

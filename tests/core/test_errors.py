@@ -11,8 +11,8 @@ from linksweep.core.constants import MAS
 from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import link, scenario
 from linksweep.core.missions import MISSIONS, PyGaia
-from linksweep.core.noise import Noise
-from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.setup import Noise
+from linksweep.core.shared import Prefixes
 from linksweep.core.simulate import simulate
 
 CATALOGUE = synthetic(np.random.default_rng(1), 50, 5.0, 15.0)
@@ -121,11 +121,11 @@ def test_simulated_errors_are_normal_around_zero(side):
     point |= {f"{other}_error_scale": 1e-6, f"{side}_sigma_pos": 5.0, f"{side}_sigma_pm": 0.3}
     rng = np.random.default_rng(2)
     blocks = [simulate([scenario(point)], 1, rng, np.random.default_rng(3))[0] for _ in range(n_sim)]
-    error = np.array([block.error for block in blocks]) / np.sqrt(blocks[0].predicted_variance)
+    error = np.array([block["error"] for block in blocks]) / np.sqrt(blocks[0]["predicted_variance"])
     assert np.all(np.abs(error.mean(axis=0)) < 4 / np.sqrt(n_sim))
     assert np.all(np.abs(error.std(axis=0) - 1.0) < 4 / np.sqrt(2 * n_sim))
     assert all(stats.kstest(component, "norm").pvalue > 1e-3 for component in error.T)
-    chi2 = np.array([block.chi2 for block in blocks])
+    chi2 = np.array([block["chi2"] for block in blocks])
     assert stats.kstest(chi2, stats.chi2(4 * 3 - 6).cdf).pvalue > 1e-3
 
 
@@ -139,10 +139,10 @@ def test_correlated_errors_come_out_as_predicted(sides, weighting):
     point = scenario(link.defaults() | {"weighting": weighting})
     point = replace(point, draw_catalogue=lambda _: catalogue, reference_errors=errors[0], satellite_errors=errors[1])
     (sums,) = simulate([point], n_sim, np.random.default_rng(4), np.random.default_rng(5))
-    predicted = sums.predicted_variance / n_sim
-    realised = np.diag(sums.error_products) / n_sim
+    predicted = sums["predicted_variance"] / n_sim
+    realised = np.diag(sums["error_products"]) / n_sim
     assert np.all(np.abs(realised / predicted - 1.0) < 4 * np.sqrt(2 / n_sim))
-    assert np.all(np.abs(sums.error / n_sim) < 4 * np.sqrt(predicted / n_sim))
+    assert np.all(np.abs(sums["error"] / n_sim) < 4 * np.sqrt(predicted / n_sim))
     alone = replace(point, draw_catalogue=lambda _: replace(catalogue, correlation=None))
-    without = simulate([alone], 1, np.random.default_rng(4), np.random.default_rng(5))[0].predicted_variance
+    without = simulate([alone], 1, np.random.default_rng(4), np.random.default_rng(5))[0]["predicted_variance"]
     assert np.any(np.abs(without / predicted - 1.0) > 0.1)  # so the correlations have been there

@@ -9,9 +9,9 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from linksweep.core.constants import MAS, MICROARCSEC
-from linksweep.core.design import design_matrix, paper_design_matrix
 from linksweep.core.frames import exact_differences, satellite_catalogue, triad
-from linksweep.core.link import LinkError, combined_error, inverse_and_condition, solve, solve_normal
+from linksweep.core.link import LinkError, combined_error, inverse_and_condition, solve_normal
+from tests.core.reference import design_matrix, paper_design_matrix, solve
 from tests.tiers import examples
 
 EPSILON, OMEGA = np.array([1.0, -2.0, 0.5]) * MAS, np.array([0.3, 0.7, -1.1]) * MAS
@@ -119,11 +119,10 @@ def test_solution_equals_least_squares_of_the_whitened_system():
     whitened, target = (design / sigma[..., None]).reshape(-1, 6), (y / sigma).ravel()
     solution = solve(design, y, sigma)
     tolerance = 1e-9 * solution.formal_error
-    x_numpy, chi2, rank, _ = np.linalg.lstsq(whitened, target)
+    x_numpy, chi2, _, _ = np.linalg.lstsq(whitened, target)
     for x in (x_numpy, scipy.linalg.lstsq(whitened, target, lapack_driver="gelsy")[0]):
         assert np.all(np.abs(solution.estimate - x) < tolerance)
     assert solution.chi2 == pytest.approx(chi2[0], rel=1e-10)
-    assert solution.rank == rank == 6
     assert solution.dof == 4 * 40 - 6
     assert solution.condition_number == pytest.approx(
         np.linalg.cond(whitened / np.linalg.norm(whitened, axis=0)), rel=1e-10
@@ -172,12 +171,6 @@ def test_equal_weights_ignore_sigma_in_the_estimate():
     np.testing.assert_allclose(even.estimate, solve(design, y, np.full((4, 10), MAS)).estimate, rtol=1e-12)
 
 
-def test_two_objects_are_enough_and_one_is_not():
-    assert solve(design_matrix(*sky(2)), np.zeros((4, 2)), np.full((4, 2), MAS)).dof == 2
-    with pytest.raises(LinkError, match="too few objects: 1 give 4 observables for 6 unknowns"):
-        solve(design_matrix(*sky(1)), np.zeros((4, 1)), np.full((4, 1), MAS))
-
-
 @pytest.mark.parametrize("dec", [-np.pi / 2, np.pi / 2, 1e-9 - np.pi / 2])
 def test_an_object_at_a_pole_is_named(dec):
     ra, decs, pmra, pmdec = sky(5)
@@ -193,33 +186,9 @@ def test_an_object_at_a_pole_is_named_among_many_realisations():
         design_matrix(*columns)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_non_finite_input_is_named(bad):
-    design, y, sigma = design_matrix(*sky(5)), np.zeros((4, 5)), np.full((4, 5), MAS)
-    y_bad, design_bad, sigma_bad = y.copy(), design.copy(), sigma.copy()
-    y_bad[1, 4] = design_bad[0, 2, 1] = sigma_bad[3, 1] = bad
-    with pytest.raises(LinkError, match="non-finite difference in dec of object 4"):
-        solve(design, y_bad, sigma)
-    with pytest.raises(LinkError, match="non-finite design matrix in ra of object 2"):
-        solve(design_bad, y, sigma)
-    with pytest.raises(LinkError, match="not positive and finite in pmdec of object 1"):
-        solve(design, y, sigma_bad)
-
-
-@pytest.mark.parametrize("bad", [0.0, -MAS])
-def test_a_standard_error_that_is_not_positive_is_named(bad):
-    sigma = np.full((4, 5), MAS)
-    sigma[2, 3] = bad
-    with pytest.raises(LinkError, match="not positive and finite in pmra of object 3"):
-        solve(design_matrix(*sky(5)), np.zeros((4, 5)), sigma)
-
-
 def test_objects_all_in_one_place_do_not_determine_the_link():
     one = np.ones(10)
-    design, zero = design_matrix(one, 0.3 * one, 0 * one, 0 * one), np.zeros((4, 10))
-    with pytest.raises(LinkError, match="rank deficient: 4 of 6 unknowns are determined by these 10 objects"):
-        solve(design, zero, zero + MAS)
-    a = design.reshape(-1, 6)
+    a = design_matrix(one, 0.3 * one, 0 * one, 0 * one).reshape(-1, 6)
     with pytest.raises(LinkError, match="do not determine all unknowns"):
         inverse_and_condition(a.T @ a)
 

@@ -9,14 +9,14 @@ from hypothesis import strategies as st
 
 from linksweep.core.catalogue import Catalogue
 from linksweep.core.constants import DEGREE, MAS
-from linksweep.core.design import design_matrix
 from linksweep.core.errors import CatalogueErrors
 from linksweep.core.experiment import link, scenario
-from linksweep.core.link import POLE_LIMIT, LinkError, solve
+from linksweep.core.link import POLE_LIMIT, LinkError
 from linksweep.core.noise import Tile, tile_objects
-from linksweep.core.noisy_design import ELEMENTS, SMALL_ANGLE, FullPath
-from linksweep.core.prepared import Draw, prepare
-from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.noisy_design import ELEMENTS, SMALL_ANGLE, NoisyDesign, NoisySums
+from linksweep.core.setup import Draw, prepare
+from linksweep.core.shared import Prefixes
+from tests.core.reference import design_matrix, solve
 from tests.tiers import examples
 
 ARCSEC = 1000.0 * MAS
@@ -59,7 +59,7 @@ def set_up(objects, reference_scale=1.0, satellite_scale=0.7, **changes):
 def all_at_once(setup, normals):
     """The estimates - truth (K, rows) and sum of chi2 that the full path makes of normals (2, N, 4, rows)."""
     rows = normals.shape[-1]
-    sums, size = FullPath(setup).begin(rows), tile_objects(rows)
+    sums, size = NoisySums(NoisyDesign(setup), rows), tile_objects(rows)
     for start in range(0, normals.shape[1], size):
         sums.add(*(Tile(start, side[start : start + size]) for side in normals))
     return sums.solved()
@@ -133,12 +133,12 @@ def test_both_ways_to_sin_and_cos_agree(sigma_mas):
     """Errors of which ten sigma are still a small angle, by series and by sin and cos themselves."""
     rng = np.random.default_rng(4)
     objects = catalogue(rng, 60, 10.0, sigma_mas, 1.0, 0.0, False)
-    objects = objects.take(np.flatnonzero(FullPath(set_up(objects)).small))
+    objects = objects.take(np.flatnonzero(NoisyDesign(set_up(objects)).small))
     assert len(objects) > 30
-    path, normals, errors = FullPath(set_up(objects)), rng.standard_normal((2, len(objects), 4, 100)), []
+    path, normals, errors = NoisyDesign(set_up(objects)), rng.standard_normal((2, len(objects), 4, 100)), []
     for small in (True, False):
         path.small[:] = small
-        sums = path.begin(100)
+        sums = NoisySums(path, 100)
         sums.add(*(Tile(0, side) for side in normals))
         errors.append(sums.solved()[0])
     sigma = np.std(errors[0], axis=1, keepdims=True)
@@ -194,7 +194,7 @@ def test_a_satellite_without_errors_needs_no_normals():
 
 
 def summed(setup, satellite, reference):
-    sums = FullPath(setup).begin(reference.normals.shape[-1])
+    sums = NoisySums(NoisyDesign(setup), reference.normals.shape[-1])
     sums.add(satellite, reference)
     return sums.solved()
 

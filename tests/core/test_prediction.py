@@ -10,16 +10,15 @@ from astropy import units
 
 from linksweep.core.catalogue import Catalogue
 from linksweep.core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
-from linksweep.core.design import design_matrix
 from linksweep.core.errors import NO_ERRORS, CatalogueErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, scenario, summarise
-from linksweep.core.fixed_design import fixed_designs
-from linksweep.core.link import inverse_and_condition, solve
+from linksweep.core.fixed_design import fixed_designs, neglected
+from linksweep.core.link import inverse_and_condition
 from linksweep.core.missions.calibrate import IN_CODE, PublishedSigma, curve_of, fit, published_model
-from linksweep.core.prepared import Draw, prepare
-from linksweep.core.projected import neglected
-from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.setup import Draw, prepare
+from linksweep.core.shared import Prefixes
 from linksweep.core.spin_variance import draw_skies, spin_variance
+from tests.core.reference import design_matrix, solve
 
 
 def point(**changes):

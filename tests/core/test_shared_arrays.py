@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linksweep.core.constants import MAS
-from linksweep.core.design import design_matrix
 from linksweep.core.frames import exact_differences, stored_differences, triad
-from linksweep.core.shared_arrays import PART, Prefixes, parts
+from linksweep.core.shared import PART, Prefixes, parts
+from tests.core.reference import design_matrix
 from tests.tiers import examples
 
 VECTORS = np.array([3.0, -2.0, 0.5]) * MAS, np.array([-0.7, 1.1, 2.0]) * MAS

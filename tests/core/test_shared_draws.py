@@ -12,9 +12,10 @@ from linksweep.core.arrays import transposed_product
 from linksweep.core.errors import NO_ERRORS, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, samples, scenario
 from linksweep.core.missions import FunctionCurve, Mission
-from linksweep.core.noise import ROWS, TILE, Noise, chunks, tile_objects, tiles
+from linksweep.core.noise import ROWS, TILE, chunks, tile_objects, tiles
 from linksweep.core.parameters import SHARED
-from linksweep.core.shared_sums import SharedSums
+from linksweep.core.setup import Noise
+from linksweep.core.shared import SharedSums
 from linksweep.core.simulate import simulate
 from tests.tiers import examples
 
@@ -142,7 +143,7 @@ def test_objects_keep_their_errors_when_others_follow():
     first = replace(whole, draw_catalogue=lambda rng: many.draw_catalogue(rng).take(np.arange(50)))
     for reference in (NO_ERRORS, Uncertain(0.5, 0.5)):
         few, all_of_them = (
-            simulate([replace(s, reference_errors=reference)], 30, *generators(), keep_estimates=True)[0].estimates
+            simulate([replace(s, reference_errors=reference)], 30, *generators(), keep_estimates=True)[0]["estimate"]
             for s in (first, whole)
         )
         assert np.std(few, axis=0).min() > 0.05
@@ -163,8 +164,8 @@ def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
     limits = [scenario(point(catalogue="quasars", n_obj=None, v_max=v)) for v in (14.0, 15.0)]
     both = [replace(one, satellite_errors=errors) for one in limits]
     together, alone = simulate(both, 30, *generators()), simulate(both[:1], 30, *generators())
-    np.testing.assert_array_equal(together[0].error, alone[0].error)
-    np.testing.assert_array_equal(together[0].predicted_variance, alone[0].predicted_variance)
+    np.testing.assert_array_equal(together[0]["error"], alone[0]["error"])
+    np.testing.assert_array_equal(together[0]["predicted_variance"], alone[0]["predicted_variance"])
 
 
 def test_sharing_makes_the_difference_of_two_points_certain():

@@ -13,9 +13,9 @@ from linksweep.core.constants import DEGREE, MAS
 from linksweep.core.errors import CatalogueErrors, NormalErrors
 from linksweep.core.experiment import evaluate, evaluate_catalogues, link
 from linksweep.core.link import LinkError, UnlikeError
+from linksweep.core.noise import Generators, stacked_catalogue
 from linksweep.core.scenario import scenario
 from linksweep.core.simulate import can_stack, simulate, simulate_stack
-from linksweep.core.stacks import Generators, stacked_catalogue
 from tests.tiers import examples
 
 CATALOGUES = ("synthetic", "quasars", "galaxies", "radio-stars")

@@ -9,7 +9,6 @@ from scipy.special import eval_jacobi, sph_harm_y
 
 from linksweep.core.catalogue import Catalogue
 from linksweep.core.constants import GALACTIC_AXES, MAS
-from linksweep.core.design import design_matrix
 from linksweep.core.errors import CatalogueErrors, Errors, FlooredErrors, MagnitudeErrors
 from linksweep.core.experiment import cost, evaluate, link, samples, scenario, summarise
 from linksweep.core.fixed_design import fixed_designs
@@ -17,13 +16,14 @@ from linksweep.core.frames import triad
 from linksweep.core.harmonics import terms, toroidal, turned
 from linksweep.core.link import LinkError
 from linksweep.core.missions import MISSIONS
-from linksweep.core.prepared import Draw, prepare
-from linksweep.core.shared_arrays import Prefixes
+from linksweep.core.setup import Draw, prepare
+from linksweep.core.shared import Prefixes
 from linksweep.core.simulate import simulate
 from linksweep.core.systematics import Field, Systematics, ZonalErrors, parse_pattern, pattern_field, rms
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict
+from tests.core.reference import design_matrix
 
 NORMAL = {"satellite_errors": "normal"}
 
@@ -113,7 +113,7 @@ def test_underestimated_errors_scatter_more_with_the_same_weights(weighting, ref
 def test_chi2_over_the_squared_ratio_has_the_chi_square_law():
     """One realisation a block: its chi2 is its own."""
     physics = scenario(point(n_obj=8, **NORMAL, satellite_error_ratio=0.5))
-    chi2 = [simulate([physics], 1, np.random.default_rng(k), np.random.default_rng(7))[0].chi2 for k in range(250)]
+    chi2 = [simulate([physics], 1, np.random.default_rng(k), np.random.default_rng(7))[0]["chi2"] for k in range(250)]
     assert stats.kstest(np.array(chi2) / 0.25, stats.chi2(4 * 8 - 6).cdf).pvalue > 1e-3
 
 

@@ -5,13 +5,12 @@ import pytest
 from scipy.special import sph_harm_y
 
 import linksweep.core.unknowns as unknowns_module
-from linksweep.core.blocks import Objects
 from linksweep.core.constants import MAS
-from linksweep.core.design import design_matrix
 from linksweep.core.frames import position, triad, turned
 from linksweep.core.harmonics import terms, toroidal
 from linksweep.core.harmonics import turned as quarter_turn
-from linksweep.core.unknowns import parse_unknowns
+from linksweep.core.unknowns import Objects, parse_unknowns
+from tests.core.reference import design_matrix
 
 
 def sky(n, seed=0):

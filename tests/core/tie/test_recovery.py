@@ -9,7 +9,6 @@ from astropy import units
 from astropy.coordinates import Distance, SkyCoord, get_body_barycentric
 from astropy.time import Time
 
-from linksweep.core.blocks import Rotation
 from linksweep.core.constants import MAS
 from linksweep.core.frames import position, triad
 from linksweep.core.tie import differences as differences_module
@@ -18,7 +17,7 @@ from linksweep.core.tie.motion import parallax_factors, propagated
 from linksweep.core.tie.normal_sums import source_sums
 from linksweep.core.tie.problem import Problem
 from linksweep.core.tie.solution import solve
-from linksweep.core.unknowns import Unknowns, parse_unknowns
+from linksweep.core.unknowns import Rotation, Unknowns, parse_unknowns
 from tests.core.tie.made import seen_by_satellite, stars
 
 EPSILON = np.array([70.0, -130.0, 90.0]) * MAS

@@ -14,10 +14,9 @@ from scipy import stats
 from scipy.linalg import block_diag
 
 import linksweep
-from linksweep.core.blocks import Objects
 from linksweep.core.constants import MAS
 from linksweep.core.tie.astrometry import joined
-from linksweep.core.unknowns import parse_unknowns
+from linksweep.core.unknowns import Objects, parse_unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tie.options import TableOptions
 from tests.core.tie.made import noise, seen_by_satellite, stars

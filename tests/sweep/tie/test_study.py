@@ -9,7 +9,6 @@ import xarray as xr
 from scipy import stats
 
 import linksweep
-from linksweep.core.blocks import Objects, Rotation
 from linksweep.core.constants import MAS
 from linksweep.core.missions import MISSIONS
 from linksweep.core.tie.clips import separation
@@ -17,7 +16,7 @@ from linksweep.core.tie.differences import differences
 from linksweep.core.tie.draws import Simulation
 from linksweep.core.tie.normal_sums import source_sums
 from linksweep.core.tie.problem import Problem
-from linksweep.core.unknowns import parse_unknowns
+from linksweep.core.unknowns import Objects, Rotation, parse_unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study

@@ -1,0 +1,59 @@
+"""The link of one catalogue by a singular value decomposition of its design matrix: what the sums are compared with."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from linksweep.core.link import LinkError, require_off_poles
+from linksweep.core.unknowns import Objects, link_unknowns
+
+
+def design_matrix(ra, dec, pmra, pmdec, corrections=True, glide=False):
+    """Derivatives of the observables by the unknowns, shape (4, ..., K): observable, object, unknown."""
+    objects = Objects(ra, dec, pmra, pmdec)
+    require_off_poles(dec, objects.triad.q[2])
+    _, derivatives = link_unknowns(glide, corrections).derivatives(objects)
+    return np.moveaxis(derivatives, 0, -1)
+
+
+def paper_design_matrix(ra, dec, mu_alpha, mu_delta):
+    """The paper's matrix for mu_alpha = d(alpha)/dt *without* cos dec; shape (4, N, 6).
+
+    Its third observable is ``(mu_alpha,ref - mu_alpha,sat) cos(dec_ref)``, not a difference of mu_alpha*.
+    Source: Metz & Geffert 2004, Eqs. 11-13.  A21 as printed is right; Eq. 9 has ``cos^2 dec`` for ``1/cos^2 dec``.
+    """
+    design = design_matrix(ra, dec, mu_alpha, mu_delta, corrections=False)
+    sin_ra, cos_ra, sin_dec, cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
+    design[2, :, 0] = -cos_ra / cos_dec * mu_delta + sin_dec * sin_ra * mu_alpha
+    design[2, :, 1] = -sin_ra / cos_dec * mu_delta - sin_dec * cos_ra * mu_alpha
+    design[3, :, 0] = cos_ra * mu_alpha
+    design[3, :, 1] = sin_ra * mu_alpha
+    return design
+
+
+def solve(design, differences, sigma, weighting="inverse-variance"):
+    """Solution for a design (4, N, K), differences and their errors (4, N); for equal weights its covariance is the
+    sandwich G diag(sigma^2) G^T, and chi2 is not at its minimum.
+    """
+    a, y, s = design.reshape(-1, design.shape[-1]), differences.ravel(), sigma.ravel()
+    root_weight = 1.0 / s if weighting == "inverse-variance" else np.ones_like(s)
+    weighted = root_weight[:, None] * a
+    length = np.sqrt(np.sum(weighted**2, axis=0))
+    scale = np.where(length > 0.0, length, 1.0)  # positions and proper motions may differ by many orders of magnitude
+    u, singular, vt = np.linalg.svd(weighted / scale, full_matrices=False)
+    if len(y) < len(scale) or singular[-1] <= singular[0] * max(a.shape) * np.finfo(float).eps:
+        raise LinkError("the link is rank deficient")
+    gain = (vt.T / singular) @ (u.T * root_weight) / scale[:, None]
+    estimate = gain @ y
+    residuals, covariance = y - a @ estimate, (gain * s) @ (gain * s).T
+    formal_error = np.sqrt(np.diag(covariance))
+    return SimpleNamespace(
+        estimate=estimate,
+        covariance=covariance,
+        formal_error=formal_error,
+        correlation=covariance / np.outer(formal_error, formal_error),
+        residuals=residuals.reshape(differences.shape),
+        chi2=float(np.sum((residuals / s) ** 2)),
+        dof=len(y) - len(scale),
+        condition_number=float(singular[0] / singular[-1]),
+    )
