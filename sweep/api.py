@@ -248,9 +248,11 @@ def plot(
         >>> figure.savefig("more.svg")
     """
     from linksweep.sweep.plots.figure import draw_figure
-    from linksweep.sweep.plots.shown import shown
+    from linksweep.sweep.plots.style import ShownFigure
 
-    return shown(draw_figure(dataset, kind, variables, over, log, linear))
+    figure = draw_figure(dataset, kind, variables, over, log, linear)
+    figure.__class__ = ShownFigure
+    return figure
 
 
 def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], given: dict[str, Any]) -> Study:

@@ -93,7 +93,7 @@ class South(Block):
 '''
 DOTS = """
 from matplotlib.figure import Figure
-from linksweep.sweep.plots.grid_figures import GridFigure
+from linksweep.sweep.plots import GridFigure
 
 
 def dots(dataset, variables, over):
@@ -185,9 +185,9 @@ assert link.unit.values[-1] == "mas"
         *("kind of plot", "sweep/plots/dots.py", DOTS),
         [
             (
-                "sweep/plots/kinds.py",
-                '"scatter": Kind("linksweep.sweep.plots.grid_figures:SCATTER"),',
-                '\n    "dots": Kind("linksweep.sweep.plots.dots:DOTS"),',
+                "sweep/plots/__init__.py",
+                '"scatter": Kind("points:SCATTER"),',
+                '\n    "dots": Kind("dots:DOTS"),',
             )
         ],
         RUN

@@ -67,7 +67,6 @@ ONLY_IN = {
 # The platform knows nothing of astrometry; of the core, the experiment and what it is made of know the contract.
 KNOWS_THE_CORE = {
     *(
-        "linksweep.sweep.plots.views",
         "linksweep.sweep.plots.sky",
         "linksweep.sweep.plots.tie",
         "linksweep.sweep.search",

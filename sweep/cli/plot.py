@@ -8,7 +8,7 @@ import click
 
 from linksweep.sweep.cli.group import main
 from linksweep.sweep.cli.options import FILE, gathered, link_in, part_of, place_option
-from linksweep.sweep.plots.kinds import STANDALONE, all_kinds
+from linksweep.sweep.plots import ALL_KINDS, KINDS
 
 NARROWEST_MM, WIDEST_MM = 40.0, 1000.0
 
@@ -62,7 +62,7 @@ class Drawing:
             raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
         if self.models and self.kind != "accuracy":
             raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=NAME")
-        if self.kind in STANDALONE and self.chosen != ((),) * 4:
+        if self.kind in KINDS["catalogue"] and self.chosen != ((),) * 4:
             raise click.UsageError(
                 f"--variable and --over do not go with --kind {self.kind}, nor do --log and --linear"
             )
@@ -75,11 +75,10 @@ class Drawing:
     def figure(self) -> tuple[Any, Any]:
         """Return a figure, and the dataset that it shows."""
         from linksweep.sweep.plots.figure import draw_figure
-        from linksweep.sweep.plots.standalone import accuracy_figure, sky_figure
         from linksweep.sweep.stores.named import store_named
 
         if self.kind == "accuracy":
-            from linksweep.sweep.plots.views import accuracy_curves, models_of
+            from linksweep.sweep.plots.sky import accuracy_curves, accuracy_figure, models_of
 
             models: Any = self.models
             if self.source is not None:
@@ -93,7 +92,7 @@ class Drawing:
             return accuracy_figure(curves), curves
         assert self.source is not None, "asked for before"
         if self.kind == "sky":
-            from linksweep.sweep.plots.views import catalogue_of_point, catalogue_of_table
+            from linksweep.sweep.plots.sky import catalogue_of_point, catalogue_of_table, sky_figure
 
             if Path(self.source).is_file():
                 sky = catalogue_of_table(Path(self.source))
@@ -111,9 +110,9 @@ class Drawing:
 @click.argument("source", required=False)
 @click.option(
     "--kind",
-    type=click.Choice(all_kinds()),
+    type=click.Choice(ALL_KINDS),
     metavar="KIND",
-    help=f"What to draw: {', '.join(all_kinds())}.  [default: what suits the results]",
+    help=f"What to draw: {', '.join(ALL_KINDS)}.  [default: what suits the results]",
 )
 @click.option(
     "--variable", "variables", multiple=True, help="The quantity; several become panels.  [default: the main result]"

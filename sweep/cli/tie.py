@@ -196,7 +196,7 @@ def _put(result: "xr.Dataset", output: Path | None, figures: Path | None, as_jso
 def _draw(result: "xr.Dataset", folder: Path) -> None:
     from linksweep.sweep.contract import SweepError
     from linksweep.sweep.plots import style
-    from linksweep.sweep.plots.tie.figure import link_figures
+    from linksweep.sweep.plots.figure import link_figures
 
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -1,1 +1,69 @@
-"""Pictures of results: a function takes a Dataset and draws on Axes; matplotlib is imported here and nowhere else."""
+"""Figures of results.  The choices of `sweep plot --kind`, messages and reports follow the table of kinds here.
+
+No module that draws is imported before a figure is made, because matplotlib takes longer than most commands.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from typing import Any, NamedTuple
+
+
+class Kind(NamedTuple):
+    """What draws a figure, as ``module:name``, and a caption if the name of the kind does not say what it shows."""
+
+    reference: str
+    caption: str = ""
+
+    def load(self) -> Any:
+        """Return the object that draws the figure."""
+        module, _, name = self.reference.partition(":")
+        return getattr(import_module(f"linksweep.sweep.plots.{module}"), name)
+
+
+class GridFigure(NamedTuple):
+    """A kind of figure of the results of a study: whether a quantity of a dataset can have it, and the function of
+    dataset, quantities and axes (``over``) that draws it, without a title.
+    """
+
+    possible: Callable[[Any, str], bool]
+    draw: Callable[[Any, list[str], Sequence[str]], Any]
+
+
+KINDS: Mapping[str, Mapping[str, Kind]] = {
+    "study": {  # of type GridFigure, the others are functions of a dataset
+        "lines": Kind("grid:LINES"),
+        "law": Kind("grid:LAW"),
+        "map": Kind("grid:MAP"),
+        "scatter": Kind("points:SCATTER"),
+        "points": Kind("points:POINTS"),
+        "pairs": Kind("points:PAIRS"),
+        "curves": Kind("points:CURVES"),
+    },
+    "scaling": {"scaling": Kind("analyses:scaling_figure")},
+    "catalogue": {"sky": Kind("sky:sky_figure"), "accuracy": Kind("sky:accuracy_figure")},
+    "tie": {
+        "solution": Kind("tie:solution_figure", "The unknowns with errors of several kinds"),
+        "residuals": Kind("tie:residual_figure", "Differences before and residuals after the fit on the sky"),
+        "separations": Kind(
+            "tie:separation_figure",
+            "Normalised separations of the sources, beside the Rayleigh distribution expected if errors are right",
+        ),
+        "weight": Kind(
+            "tie:weight_figure", "Discrepancy of each source per observation, against its share of the weight"
+        ),
+        "ranking": Kind("tie:influence_figure", "The most influential sources"),
+        "jackknife": Kind("tie:jackknife_figure", "Solutions without each source, and ellipses of the errors"),
+        "trajectory": Kind("tie:trajectory_figure", "The solution while the clip drops sources"),
+        "spectrum": Kind(
+            "tie:spectrum_figure", "Vector spherical harmonics by degree, beside noise, and their significance"
+        ),
+        "bins": Kind("tie:bin_figure", "The spin in each bin"),
+    },
+    "forecast": {
+        "epochs": Kind("tie:epoch_figure", "Formal errors against the epoch of new positions"),
+        "ranking": Kind("tie:ranking_figure", "The sources whose observation helps most"),
+    },
+}
+"""Kinds of figures by the kind of dataset that they are drawn of; the first that is possible is the default."""
+
+ALL_KINDS = list(dict.fromkeys(kind for kinds in KINDS.values() for kind in kinds))

@@ -1,6 +1,8 @@
-"""Whole figures: which picture suits a dataset, its panels, title and legend."""
+"""The figure of a dataset: the kind that suits it or that is asked for, with its title."""
 
 from collections.abc import Hashable, Sequence
+from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -12,23 +14,15 @@ from linksweep.sweep.analysis.quantity import main_quantity, numeric_axes, requi
 from linksweep.sweep.analysis.sensitivity import is_sensitivity
 from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
-from linksweep.sweep.plots.kinds import GRID, SCALING
-from linksweep.sweep.plots.labels import value_text, with_chosen_component
-from linksweep.sweep.plots.named_ticks import fit_names
-from linksweep.sweep.plots.scales import SCALE, with_scales
-from linksweep.sweep.plots.scatter import sampled
-from linksweep.sweep.plots.sensitivity import sensitivity_figure
-from linksweep.sweep.plots.standalone import is_scaling
-from linksweep.sweep.plots.style import wrapped
-from linksweep.sweep.plots.tie.figure import draw_link, is_link
+from linksweep.sweep.plots import KINDS
+from linksweep.sweep.plots.analyses import is_scaling, sensitivity_figure
+from linksweep.sweep.plots.points import sampled
+from linksweep.sweep.plots.style import SCALE, entitle, fit_names, value_text, with_chosen_component, with_scales
 from linksweep.sweep.studies.study import POINT
 
-MAP_POINTS = 5
-"""A map is the default if two axes have at least this many points each."""
-MAP_PANELS = 6
-
-CURVE_POINTS = 8
-"""Curves are the default for points of a table or design if an axis has at least this many values."""
+# A map is the default if two axes have at least this many points each, and it has at most so many panels; curves are
+# the default for points of a table or design if an axis has at least so many values.
+MAP_POINTS, MAP_PANELS, CURVE_POINTS = 5, 6, 8
 
 
 def draw_figure(
@@ -52,109 +46,139 @@ def draw_figure(
     if is_link(dataset):
         if variables or over:
             raise SweepError("a figure of a link has no variables and no axis to choose, only its kind")
-        return draw_link(dataset, kind)
-    if kind is not None and kind not in (known := [*GRID, *SCALING]):
+        return _link_figure(dataset, kind)
+    if kind is not None and kind not in (known := [*KINDS["study"], *KINDS["scaling"]]):
         raise SweepError(f"no kind {shown(kind)}{suggest(kind, known)}")
     if is_sensitivity(dataset):
         if kind is not None or variables or over:
             raise SweepError("a figure of sensitivity indices has nothing to choose")
         return sensitivity_figure(dataset)
     if is_scaling(dataset):
-        if kind not in (None, *SCALING):
-            raise SweepError(f"no {kind} of this; possible is {' or '.join(SCALING)}")
-        figure: Figure = SCALING[kind or next(iter(SCALING))].load()(dataset)
+        (name,) = KINDS["scaling"]
+        if kind not in (None, name):
+            raise SweepError(f"no {kind} of this; possible is {name}")
+        figure: Figure = KINDS["scaling"][name].load()(dataset)
         return figure
-    dataset = with_nan(dataset)
-    only_samples = dataset["status"].size == 1 and not variables and not any(name in dataset.coords for name in over)
+    return _study_figure(with_nan(dataset), kind, variables, over, log, linear)
+
+
+# Links and forecasts
+
+
+def is_link(dataset: xr.Dataset) -> bool:
+    """Return whether a dataset is that of `sweep tie` or `sweep forecast`."""
+    return dataset.attrs.get("result") in KINDS
+
+
+def link_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:
+    """Return all figures that a link or a forecast can have, by kind."""
+    figures = {}
+    for name in KINDS[dataset.attrs["result"]]:
+        with suppress(SweepError):  # says what the dataset lacks
+            figures[name] = _link_figure(dataset, name, titled)
+    return figures
+
+
+def _link_figure(dataset: xr.Dataset, kind: str | None, titled: bool = True) -> Figure:
+    about = dataset.attrs
+    kinds = KINDS[about["result"]]
+    if kind is None:  # the first that is possible; if none is, the first says what is missing
+        kind = next(iter(link_figures(dataset)), next(iter(kinds)))
+    if kind not in kinds:
+        raise SweepError(f"no kind {shown(kind)} of a {about['result']}{suggest(kind, list(kinds))}")
+    figure: Figure = kinds[kind].load()(dataset)
+    figure.set_label(kind)  # for the caption
+    if titled:
+        title = f"{Path(about['satellite']).name} and {Path(about['reference']).name}"
+        if "sign" in about:
+            title += f"\n{about['sign'].replace('-', ' − ')}, epoch {about['epoch']:.2f}, clip {about['clip']}"
+        entitle(figure, title)
+    return figure
+
+
+# Results of a study
+
+
+def possible_kinds(dataset: xr.Dataset, variable: str) -> list[str]:
+    """Return the kinds of figure that a quantity of the results of a study can have."""
+    return [name for name, kind in KINDS["study"].items() if kind.load().possible(dataset, variable)]
+
+
+def _study_figure(
+    dataset: xr.Dataset,
+    kind: str | None,
+    variables: Sequence[str],
+    over: Sequence[str],
+    log: Sequence[str],
+    linear: Sequence[str],
+) -> Figure:
+    single = [d for d in dataset["status"].dims if dataset.sizes[d] == 1]
+    one_point = len(single) == dataset["status"].ndim
+    only_samples = one_point and not variables and not any(name in dataset.coords for name in over)
     if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
-        with_scales(dataset, (), log, linear)
-        return _drawn(dataset, dataset.squeeze(_single(dataset)), "scatter", list(variables), over)
+        with_scales(dataset, (), log, linear)  # none can be chosen
+        return _draw(dataset, dataset.squeeze(single), "scatter", list(variables), over)
     if (dataset["status"].values == Status.EXCLUDED).all():
         raise SweepError("every point is excluded by the study")
     names = list(variables) or [main_quantity(dataset)]
     _require_values(dataset, names)
     dataset = with_scales(dataset, [*names, *map(str, dataset.coords)], log, linear)
-    part = with_chosen_component(_without_single(dataset, over))
+    unused: list[Hashable] = [d for d in single if d not in over]
+    if len(unused) == dataset["status"].ndim:
+        unused = unused[1:]  # something has to be drawn along
+    part = with_chosen_component(dataset.squeeze(unused))
     possible = possible_kinds(part, names[0])
     chosen = kind or _suitable(part, names[0], over)
     if chosen not in possible:
         raise SweepError(f"no {chosen} of {names[0]} here; possible are {', '.join(possible) or 'none'}")
-    return _drawn(dataset, part, chosen, names, over)
-
-
-def possible_kinds(dataset: xr.Dataset, variable: str) -> list[str]:
-    """Return the kinds of picture that a quantity of a dataset can have."""
-    if is_scaling(dataset):
-        return list(SCALING)
-    return [name for name, kind in GRID.items() if kind.load().possible(dataset, variable)]
-
-
-def _drawn(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], over: Sequence[str]) -> Figure:
-    figure: Figure = GRID[kind].load().draw(part, variables, over)
-    _title(figure, whole, part)
-    fit_names(figure)
-    return figure
+    return _draw(dataset, part, chosen, names, over)
 
 
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
-    varied = varied_parameters(dataset)
-    if POINT in dataset[variable].dims and varied and all(name in varied for name in over):
-        own = [name for name in numeric_axes(dataset, variable) if dataset[name].size >= CURVE_POINTS]
-        return "curves" if own and not over else "points"
-    if POINT in dataset[variable].dims and varied and len(over) == 1:
+    array, varied, numeric = dataset[variable], varied_parameters(dataset), numeric_axes(dataset, variable)
+    if POINT in array.dims and varied and all(name in varied for name in over):
+        return "curves" if not over and any(dataset[name].size >= CURVE_POINTS for name in numeric) else "points"
+    if POINT in array.dims and varied and len(over) == 1:
         return "curves"
     if len(over) == 2:
         return "map"
     laws = {(claim.slope.variable, claim.slope.over) for claim in claims_of(dataset) if claim.slope is not None}
-    stated = any((variable, axis) in laws for axis in numeric_axes(dataset, variable))
-    linear = any(dataset[name].attrs.get(SCALE) == "linear" for name in (variable, *numeric_axes(dataset, variable)))
-    if stated and not over and not linear and len(dataset[variable].dims) == 1:
+    linear = any(dataset[name].attrs.get(SCALE) == "linear" for name in (variable, *numeric))
+    if any((variable, axis) in laws for axis in numeric) and not over and not linear and array.ndim == 1:
         return "law"
-    long = {dataset[a].dims[0] for a in numeric_axes(dataset, variable) if dataset[a].size >= MAP_POINTS}
-    panels = int(np.prod([n for d, n in dataset[variable].sizes.items() if d not in long], dtype=int))
+    long = {dataset[a].dims[0] for a in numeric if dataset[a].size >= MAP_POINTS}
+    panels = int(np.prod([n for d, n in array.sizes.items() if d not in long], dtype=int))
     return "map" if not over and len(long) == 2 and panels <= MAP_PANELS else "lines"
 
 
-def _title(figure: Figure, whole: xr.Dataset, drawn: xr.Dataset) -> None:
-    """Write the title of the study, the values that all points share, and whether points are missing."""
-    axes = [str(n) for n, c in drawn.coords.items() if not c.dims and not str(n).endswith("_unit")]
-    shared = ", ".join(value_text(drawn, name, drawn[name].item()) for name in axes)
-    status = drawn["status"].values
+def _draw(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], over: Sequence[str]) -> Figure:
+    """Return a figure with the title of the study, the values that all points share, and whether points are missing."""
+    figure: Figure = KINDS["study"][kind].load().draw(part, variables, over)
+    axes = [str(n) for n, c in part.coords.items() if not c.dims and not str(n).endswith("_unit")]
+    shared = ", ".join(value_text(part, name, part[name].item()) for name in axes)
+    status = part["status"].values
     missing = int(np.sum((status != Status.DONE) & (status != Status.EXCLUDED)))
     words = f"INCOMPLETE: {missing:,} of {status.size:,} points are not done" if missing else ""
-    lines = filter(None, (str(whole.attrs.get("title", "")), shared, words))
-    figure.suptitle(wrapped("\n".join(lines), figure), fontsize="medium")
-
-
-def _without_single(dataset: xr.Dataset, over: Sequence[str]) -> xr.Dataset:
-    """Return the dataset without dimensions of one value, except one to draw along if all are."""
-    single = [d for d in _single(dataset) if d not in over]
-    if len(single) == dataset["status"].ndim and single:
-        single = single[1:]
-    return dataset.squeeze(single)
-
-
-def _single(dataset: xr.Dataset) -> list[Hashable]:
-    return [d for d in dataset["status"].dims if dataset.sizes[d] == 1]
+    entitle(figure, "\n".join(filter(None, (str(whole.attrs.get("title", "")), shared, words))))
+    fit_names(figure)
+    return figure
 
 
 def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
-    """Raise SweepError for what is no quantity or has several units, and where none has a value."""
+    """Raise SweepError for what is no quantity or has components of several units, which cannot share an axis, and
+    where none has a value.
+    """
     for name in names:
         require_quantity(dataset, name)
-        _require_one_unit(dataset, name)
+        for dimension in dataset[name].dims:
+            units = dataset.coords.get(f"{dimension}_unit")
+            several = [] if units is None else list(dict.fromkeys(units.values.tolist()))
+            if len(several) > 1:
+                raise SweepError(
+                    f"{name} has components in {' and '.join(several)}; choose one with "
+                    f"--at {dimension}={dataset[dimension].values[0]}"
+                )
     if not any(np.isfinite(dataset[name].values).any() for name in names):
         unfinished = unfinished_in_words(count_status(dataset["status"].values))
         why = f": of {dataset['status'].size:,} points {unfinished}" if unfinished else ""
         raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")
-
-
-def _require_one_unit(dataset: xr.Dataset, variable: str) -> None:
-    """Raise SweepError for components of different units, which cannot share an axis."""
-    for dimension in dataset[variable].dims:
-        units = dataset.coords.get(f"{dimension}_unit")
-        if units is not None and len(set(units.values.tolist())) > 1:
-            raise SweepError(
-                f"{variable} has components in {' and '.join(dict.fromkeys(units.values.tolist()))}; choose one with "
-                f"--at {dimension}={dataset[dimension].values[0]}"
-            )

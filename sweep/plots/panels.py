@@ -1,8 +1,8 @@
-"""Small panels: one picture for every value of one or two dimensions, or for every variable, with one legend."""
+"""Small panels: which dimensions of a quantity become colours, and which become columns and rows of panels."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -11,151 +11,168 @@ from matplotlib.figure import Figure
 
 from linksweep.sweep.analysis.readable_units import in_readable_units
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.plots.labels import value_text
-from linksweep.sweep.plots.layout import Layout, is_far
-from linksweep.sweep.plots.legends import legend_below
-from linksweep.sweep.plots.scales import SCALE, scale_of
-from linksweep.sweep.plots.style import figure_size, in_lines, is_narrow, least_height, most_columns, wanted_width
+from linksweep.sweep.plots.style import (
+    COLOURS,
+    SCALE,
+    in_lines,
+    is_logarithmic,
+    is_narrow,
+    least_height,
+    legend_below,
+    most_columns,
+    value_text,
+    wanted_width,
+)
 
-MOST_INSIDE = 4
-"""A legend with more entries than this stands below the panel, where it covers nothing."""
-
-MOST_ACROSS = 4
-"""The most panels of one dimension side by side; more of them continue in further rows."""
-
-BESIDE_INCHES = 0.4
-"""Width and height of a panel that labels and ticks take; its titles have the rest."""
+MOST_PANELS = 24
+MOST_ACROSS = 4  # panels of one dimension side by side; more of them continue in further rows
+MOST_INSIDE = 4  # a legend with more entries than this stands below the panel, where it covers nothing
+FAR = 30.0  # series whose medians differ by more than this factor need panels with axes of their own
+BESIDE_INCHES = 0.4  # what labels and ticks take of a panel's width and height; its titles have the rest
 
 Draw = Callable[[Axes, xr.Dataset, str], Any]
 
 
 @dataclass(frozen=True)
-class Panel:
-    """One picture: its place in the grid, its part of the dataset in readable units, and what shares its y axis."""
+class Layout:
+    """Dimensions of a picture: ``series`` become colours of one panel, ``columns`` and ``rows`` panels.
+
+    ``far`` is true if columns differ so much that each needs a scale of its own.
+    """
+
+    series: tuple[str, ...] = ()
+    columns: str | None = None
+    rows: str | None = None
+    far: bool = False
+
+
+class _Panel(NamedTuple):
+    """A picture: its part of the dataset in readable units, its place, its title, and what shares its y axis."""
 
     row: int
     column: int
     part: xr.Dataset
     name: str
-    row_title: str
-    column_title: str
+    title: str
     shares: tuple[Any, ...]
 
 
+def arrange(dataset: xr.Dataset, variable: str, along: tuple[str, ...], series: bool = True) -> Layout:
+    """Return the layout of the dimensions of a variable other than those it is drawn ``along``.
+
+    The dimension along which values differ most becomes columns, if there are several or values differ by more than
+    `FAR`.  The others become colours, and one of them rows if there are three or more.  With ``series = False`` none
+    becomes colours.  Raises SweepError where there are more colours or panels than can be told apart.
+    """
+    array = dataset[variable]
+    others = [str(d) for d in array.dims if d not in along and array.sizes[d] > 1]
+    widest, *rest = sorted(others, key=lambda d: -_separation(array, d)) or [""]
+    far = bool(widest) and _separation(array, widest) > FAR and array.sizes[widest] <= len(COLOURS)
+    if not series:
+        if len(others) > 2:
+            names = ", ".join([widest, *rest])
+            raise SweepError(f"{len(others)} dimensions are left for panels, {names}; fix some with --at AXIS=VALUE")
+        layout = Layout((), widest or None, rest[0] if rest else None)
+    elif len(others) <= 1:
+        layout = Layout(columns=widest, far=True) if far else Layout(tuple(others))
+    else:
+        rows = min(rest, key=lambda d: (array[d].dtype.kind not in "if", array.sizes[d])) if len(rest) > 1 else None
+        layout = Layout(tuple(d for d in others if d not in (widest, rows)), widest, rows, far)
+    panels = [d for d in (layout.columns, layout.rows) if d is not None]
+    n_series, n_panels = (int(np.prod([array.sizes[d] for d in ds], dtype=int)) for ds in (layout.series, panels))
+    if n_series > len(COLOURS) or n_panels > MOST_PANELS:
+        sizes = ", ".join(f"{d} ({array.sizes[d]})" for d in (*layout.series, *panels))
+        raise SweepError(
+            f"{sizes}: {n_panels} panels of {n_series} series are too many for one picture, at most {MOST_PANELS} of "
+            f"{len(COLOURS)}; fix some with --at AXIS=VALUE"
+        )
+    return layout
+
+
+def _separation(array: xr.DataArray, dimension: str) -> float:
+    """Return the ratio between the largest and the smallest of the medians along a dimension."""
+    medians = np.abs(array.median([d for d in array.dims if d != dimension], skipna=True).values)
+    medians = medians[np.isfinite(medians) & (medians > 0.0)]
+    return float(medians.max() / medians.min()) if medians.size else 1.0
+
+
 def draw_panels(
-    dataset: xr.Dataset,
-    variables: list[str],
-    layout: Layout,
-    draw: Draw,
-    one_unit: bool = False,
-    rows_named: bool = False,
+    dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw, one_unit: bool = False, named: bool = False
 ) -> Figure:
     """Return a figure of panels: columns and rows as the layout says, variables as columns if there are several.
 
     Panels that would be empty are left out.  Those whose values differ by orders of magnitude have axes and units of
     their own, unless ``one_unit``.  If the figure is too narrow for the columns, they continue in further rows.
-    With ``rows_named`` there is no legend, because ``draw`` writes the names beside what it draws.
+    With ``named`` there is no legend, because ``draw`` writes the names beside what it draws.
     """
     columns, rows = layout.columns, layout.rows
     if len(variables) > 1:
         if columns is not None and rows is not None:
-            raise SweepError(
-                "several variables leave room for one dimension of panels; fix others with --at AXIS=VALUE"
-            )
+            problem = "several variables leave room for one dimension of panels; fix others with --at AXIS=VALUE"
+            raise SweepError(problem)
         columns, rows = None, columns or rows
-    panels = list(_panels(dataset, variables, columns, rows, layout.far and not one_unit))
-    wanted = len({panel.column for panel in panels})
+    panels = _panels(dataset, variables, columns, rows, layout.far and not one_unit)
+    seen = [sorted({panel[i] for panel in panels}) for i in (0, 1)]  # rows and columns that are not empty
+    wanted = len(seen[1])
     across = min(most_columns(wanted), MOST_ACROSS if rows is None else wanted)
     across = -(-wanted // -(-wanted // across))  # the same number in every row
-    folded = across < wanted
-    places = [(i // across, i % across) for i in range(len(panels))] if folded else _without_gaps(panels)
-    n_rows = 1 + max(row for row, _ in places)
-    figure = Figure(figsize=_figure_size(len(panels), across, n_rows), layout="constrained")
-    room = [each - BESIDE_INCHES for each in _panel_size(across)]
-    grid = figure.add_gridspec(n_rows, across)
-    first: dict[tuple[Any, ...], Axes] = {}
-    lowest = {column: max(row for row, other in places if other == column) for _, column in places}
-    drawn: dict[tuple[int, int], tuple[Axes, Panel]] = {}
+    places = [(seen[0].index(panel.row), seen[1].index(panel.column)) for panel in panels]
+    if across < wanted:
+        places = [divmod(i, across) for i in range(len(panels))]
+    down = 1 + max(row for row, _ in places)
+    if (width := wanted_width()) is None:
+        each, high = 3.1, 2.4
+        size = (6.4, 4.4) if len(panels) == 1 else (1.2 + each * across, 1.2 + high * down)
+    else:
+        each, high = width / across, max(0.75 * width / across, least_height())
+        size = width, high * down + (0.0 if len(panels) == 1 else 0.3)
+    figure = Figure(figsize=size, layout="constrained")
+    grid = figure.add_gridspec(down, across)
+    drawn: dict[tuple[int, int], _Panel] = {}
+    firsts: dict[tuple[Any, ...], Axes] = {}
     for panel, (row, column) in zip(panels, places, strict=True):
-        shared = first.get(panel.shares)
-        axes = figure.add_subplot(grid[row, column], sharex=next(iter(first.values()), None), sharey=shared)
-        first.setdefault(panel.shares, axes)
+        shared = {"sharex": next(iter(firsts.values()), None), "sharey": firsts.get(panel.shares)}
+        axes = figure.add_subplot(grid[row, column], **shared)
+        firsts.setdefault(panel.shares, axes)
         draw(axes, panel.part, panel.name)
         axes.set_label(panel.name)  # for the caption
-        drawn[row, column] = axes, panel
+        axes.set_title(in_lines(panel.title, each - BESIDE_INCHES))
+        drawn[row, column] = panel
         left = drawn.get((row, column - 1))
-        if left is not None and left[1].shares == panel.shares:
+        if left is not None and left.shares == panel.shares:
             axes.set_ylabel("")
             axes.tick_params(axis="y", which="both", labelleft=False)
-        axes.set_xlabel(in_lines(axes.get_xlabel(), room[0]) if row == lowest[column] else "")
-        axes.set_ylabel(in_lines(axes.get_ylabel(), room[1]))
-        if row < lowest[column]:
+        axes.set_ylabel(in_lines(axes.get_ylabel(), high - BESIDE_INCHES))
+        if any(other > row for other, here in places if here == column):
+            axes.set_xlabel("")
             axes.tick_params(axis="x", which="both", labelbottom=False)
-        _entitle(axes, panel, room, folded, row, column == across - 1 or (row, column + 1) not in places)
+        axes.set_xlabel(in_lines(axes.get_xlabel(), each - BESIDE_INCHES))
     many = len(panels) > 1 or len(figure.axes[0].get_legend_handles_labels()[1]) > MOST_INSIDE
-    if (many or is_narrow()) and not rows_named:
+    if (many or is_narrow()) and not named:
         legend_below(figure)
     return figure
 
 
-def _entitle(axes: Axes, panel: Panel, room: list[float], folded: bool, row: int, is_last: bool) -> None:
-    """Write the titles of a panel: of its column above, of its row at the right; both above if ``folded``."""
-    if folded or not (panel.row_title and panel.column_title):
-        title = (",\n" if folded else ", ").join(filter(None, (panel.row_title, panel.column_title)))
-        axes.set_title(in_lines(title, room[0]))
-        return
-    if row == 0:
-        axes.set_title(in_lines(panel.column_title, room[0]))
-    if is_last:
-        title = in_lines(panel.row_title, room[1])
-        axes.annotate(title, (1.02, 0.5), xycoords="axes fraction", rotation=270, va="center", ha="left", ma="center")
-
-
-def _panel_size(across: int) -> tuple[float, float]:
-    """Return width and height in inches of a panel with its labels."""
-    if wanted_width() is None:
-        return 3.1, 2.4
-    each = figure_size(1.0, 1.0)[0] / across
-    return each, max(0.75 * each, least_height())
-
-
-def _figure_size(panels: int, across: int, rows: int) -> tuple[float, float]:
-    width, height = _panel_size(across)
-    if wanted_width() is None:
-        return (6.4, 4.4) if panels == 1 else (1.2 + width * across, 1.2 + height * rows)
-    return width * across, height * rows + (0.0 if panels == 1 else 0.3)
-
-
-def _without_gaps(panels: list[Panel]) -> list[tuple[int, int]]:
-    """Return the places of panels after empty rows and columns are removed."""
-    rows, columns = sorted({panel.row for panel in panels}), sorted({panel.column for panel in panels})
-    return [(rows.index(panel.row), columns.index(panel.column)) for panel in panels]
-
-
 def _panels(
     dataset: xr.Dataset, variables: list[str], columns: str | None, rows: str | None, far: bool
-) -> Iterator[Panel]:
-    """Yield the panels that have anything to show, row by row."""
+) -> list[_Panel]:
+    """Return the panels that have anything to show, row by row."""
     several = len(variables) > 1
-    across: list[tuple[str, int | None]] = (
-        [(name, None) for name in variables] if several else [(variables[0], i) for i in _indices(dataset, columns)]
-    )
-    found = []
+    across: list[tuple[str, int | None]] = [(name, i) for name in variables for i in _indices(dataset, columns)]
+    panels = []
     for column, (name, index) in enumerate(across):
-        far_rows = several and rows is not None and is_far(dataset[name], rows)
+        far_rows = several and rows is not None and _separation(dataset[name], rows) > FAR
         for row in _indices(dataset, rows):
             place = {d: i for d, i in ((rows, row), (columns, index)) if d is not None and i is not None}
-            own = {d: i for d, i in place.items() if (far_rows if d == rows else far)}
-            whole = in_readable_units(dataset.isel(own))  # of all panels that share an axis
-            whole = whole.assign({name: whole[name].assign_attrs({SCALE: scale_of(whole[name])})})
-            part = whole.isel({d: i for d, i in place.items() if d not in own})
-            if not np.isfinite(part[name].values.astype(float)).any():
-                continue
-            titles = {d: value_text(dataset, d, dataset[d][i].item()) for d, i in place.items()}
-            shares = ((name,) if several else ()) + tuple(own.items())
-            of_row, of_column = (titles.get(d or "", "") for d in (rows, columns))
-            found.append(Panel(row or 0, column, part, name, of_row, of_column, shares))
-    yield from sorted(found, key=lambda panel: (panel.row, panel.column))
+            alone = {d: i for d, i in place.items() if (far_rows if d == rows else far)}
+            whole = in_readable_units(dataset.isel(alone))  # of all panels that share an axis
+            scale = "log" if is_logarithmic(whole[name]) else "linear"
+            whole = whole.assign({name: whole[name].assign_attrs({SCALE: scale})})
+            part = whole.isel({d: i for d, i in place.items() if d not in alone})
+            if np.isfinite(part[name].values.astype(float)).any():
+                title = ", ".join(value_text(dataset, d, dataset[d][i].item()) for d, i in place.items())
+                panels.append(_Panel(row or 0, column, part, name, title, (name, *alone.items())))
+    return sorted(panels, key=lambda panel: panel[:2])
 
 
 def _indices(dataset: xr.Dataset, dimension: str | None) -> list[int | None]:

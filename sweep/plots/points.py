@@ -1,83 +1,98 @@
-"""Points of a table or a design, which have no order: a quantity over each parameter, parameters in pairs, and the
-curve of each point.
+"""Points without an order: those of a table or a design over each parameter, in pairs and as curves, and the kept
+samples of a single point.
 """
 
-import math
 from collections.abc import Collection, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from matplotlib.lines import Line2D
+from matplotlib.patches import Ellipse
+from scipy.special import chdtri
 
-from linksweep.sweep.analysis.quantity import standard_error, varied_parameters
+from linksweep.sweep.analysis.quantity import main_quantity, numeric_axes, quantities, standard_error, varied_parameters
 from linksweep.sweep.analysis.selection import places_along
-from linksweep.sweep.contract import SweepError, shown, suggest
-from linksweep.sweep.plots.labels import label, quantity_label, value_text
-from linksweep.sweep.plots.legends import legend
-from linksweep.sweep.plots.scales import fit_bar, fit_scale, is_logarithmic
-from linksweep.sweep.plots.style import COLOURS, figure_size, finish, in_lines, most_columns, series
+from linksweep.sweep.contract import Array, SweepError, shown, suggest
+from linksweep.sweep.formatting import prefixed, with_error, written
+from linksweep.sweep.plots import GridFigure
+from linksweep.sweep.plots.grid import colour_limits, one_axis
+from linksweep.sweep.plots.panels import Layout, draw_panels
+from linksweep.sweep.plots.style import (
+    COLOURS,
+    add_bar,
+    finish,
+    fit_scale,
+    in_lines,
+    label,
+    legend,
+    legend_below,
+    new_figure,
+    quantity_label,
+    series,
+    symbol,
+    value_text,
+    wanted_width,
+)
 from linksweep.sweep.studies.study import POINT
 
-MOST_PARAMETERS = 12
-MOST_PAIRED = 8
-NAME_INCHES = 1.1
-"""The most room for a name at the left of a panel; a longer one is broken into lines."""
+MOST_PARAMETERS, MOST_PAIRED, MOST_ACROSS = 12, 8, 4
+FEW_POINTS = 300  # more points than this are drawn small and without errors
+MOST_VECTORS = 2000  # more points than this are drawn as one image
+FEW_CURVES = 12  # up to this many curves are drawn one by one
 
-MOST_ACROSS = 4
-
-FEW_POINTS = 300
-"""More points than this are drawn small and without errors."""
-
-FEW_CURVES = 12
-"""Up to this many curves are drawn one by one."""
-
+# Two quantiles over the points, the opacity of the band between them, and its name.
 BANDS = ((0.05, 0.95, 0.15, "90 % of the points"), (0.25, 0.75, 0.3, "50 % of the points"))
-"""Two quantiles over the points, the opacity of the band between them, and its name."""
-
-SPREAD, GOLDEN = 0.5, 0.6180339887498949
-"""Width over which points of one text are spread, and the step as a share of it, which keeps them apart."""
-
-MOST_VECTORS = 2000
-"""More points than this are drawn as one image."""
 
 
-def points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+# A table or a design
+
+
+def _points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure with a row for each variable and a column for each parameter: all, or those in ``over``.  With
     one variable, many parameters take several rows.
-
-    Raises SweepError for a variable whose dimensions give too many series, and for unknown or too many parameters.
     """
     parameters = _parameters(dataset, over, MOST_PARAMETERS)
-    across = len(parameters) if len(variables) > 1 else min(len(parameters), most_columns(MOST_ACROSS))
-    down = len(variables) if len(variables) > 1 else math.ceil(len(parameters) / across)
+    several = len(variables) > 1
+    across = len(parameters) if several else min(len(parameters), MOST_ACROSS)
+    down = len(variables) if several else -(-len(parameters) // across)
     size = (5.2, 4.2) if across * down == 1 else (1.0 + 2.6 * across, 0.8 + 2.4 * down)
-    figure = Figure(figsize=figure_size(*size), layout="constrained")
-    grid = figure.subplots(down, across, sharey="row" if len(variables) > 1 else True, squeeze=False)
-    for number, axes in enumerate(grid.flat):
-        if number >= len(variables) * len(parameters):
-            axes.set_visible(False)
-            continue
-        variable, parameter = variables[number // len(parameters)], parameters[number % len(parameters)]
-        _draw(axes, dataset, variable, parameter)
-        axes.set_ylabel(quantity_label(dataset, variable) if number % across == 0 else "")
-    handles, texts = grid.flat[0].get_legend_handles_labels()
-    if len(texts) > 1 and grid.size > 1:
-        figure.legend(handles, texts, loc="outside lower center", ncols=min(len(texts), 6), frameon=False)
-    elif len(texts) > 1:
-        legend(grid.flat[0])
+    options: dict[str, Any] = {"least": 1.0, "sharey": "row"} if several else {"sharey": True}
+    figure, grid = new_figure(*size, down, across, **options)
+    pairs = [(variable, parameter) for variable in variables for parameter in parameters]
+    for axes, (variable, parameter) in zip(grid, pairs, strict=False):
+        _draw_points(axes, dataset, variable, parameter)
+        axes.set_ylabel(quantity_label(dataset, variable) if axes.get_subplotspec().is_first_col() else "")
+    for axes in grid[len(pairs) :]:
+        axes.set_visible(False)
+    (legend_below(figure) if len(grid) > 1 else legend(grid[0]))
     return figure
 
 
-def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+def _draw_points(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> None:
+    """Draw a variable over a parameter, one colour for every combination of the other dimensions."""
+    error = standard_error(dataset, variable)
+    for number, (place, text) in enumerate(_told_apart(dataset, variable, (POINT,), "at each point")):
+        y, x = dataset[variable].isel(place).values.astype(float), _positions(axes, dataset, parameter, "x")
+        size, alpha = (3.0, 0.8) if len(x) <= FEW_POINTS else (2.0, 0.4)
+        style = {**series(number), "label": text or variable, "linestyle": "none", "markersize": size, "alpha": alpha}
+        style |= {"markeredgewidth": 0.0, "rasterized": len(x) > MOST_VECTORS}
+        if error is not None and len(x) <= FEW_POINTS:
+            axes.errorbar(x, y, yerr=error.isel(place).values, elinewidth=0.7, **style)
+        else:
+            axes.plot(x, y, **style)
+    fit_scale(axes, "y", dataset[variable])
+    axes.set_label(variable)  # for the caption
+    axes.set_xlabel(label(dataset[parameter], parameter))
+    finish(axes)
+
+
+def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure of parameters in pairs, coloured by a variable; the diagonal has the variable over each one,
     with its axis at the right.
-
-    Raises SweepError for several variables, for one, unknown or too many parameters, and for a variable with further
-    dimensions.
     """
     if len(variables) > 1:
         raise SweepError(f"pairs are coloured by one variable, not by {', '.join(variables)}")
@@ -86,52 +101,54 @@ def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str])
         raise SweepError(f"pairs need two parameters; the points differ in {', '.join(parameters)} alone")
     if further := [str(d) for d in dataset[variable].dims if d != POINT and dataset.sizes[d] > 1]:
         raise SweepError(f"pairs are of one value a point; fix {', '.join(further)} with --at AXIS=VALUE")
-    n = len(parameters)
+    n, text = len(parameters), quantity_label(dataset, variable)
     figure = Figure(figsize=(2.4 + 1.7 * n, 1.2 + 1.6 * n), layout="constrained")
     grid = figure.subplots(n, n, sharex="col", squeeze=False)
     values = dataset[variable].squeeze().values.astype(float)
-    known = np.isfinite(values)
-    norm = (LogNorm if is_logarithmic(dataset[variable]) else Normalize)(values[known].min(), values[known].max())
-    order = np.flatnonzero(known)[np.argsort(np.abs(values[known] - np.median(values[known])))]  # extremes on top
+    known = np.flatnonzero(np.isfinite(values))
+    order = known[np.argsort(np.abs(values[known] - np.median(values[known])))]  # extremes on top
+    dots: dict[str, Any] = {"c": values[order], "cmap": "cividis", "norm": colour_limits(dataset[variable])}
+    dots |= {
+        "s": 10.0 if len(values) <= FEW_POINTS else 4.0,
+        "linewidths": 0.0,
+        "rasterized": len(values) > MOST_VECTORS,
+    }
     for row, column in np.ndindex(n, n):
         axes: Any = grid[row, column]
         if column > row:
             axes.set_visible(False)
             continue
-        x = _places(axes, dataset, parameters[column], "x", few_ticks=True)
+        x, y = _positions(axes, dataset, parameters[column], "x", few_ticks=True), values
         if row == column:
-            y = values
             fit_scale(axes, "y", dataset[variable], few_ticks=True)
         else:
-            y = _places(axes, dataset, parameters[row], "y", few_ticks=True)
+            y = _positions(axes, dataset, parameters[row], "y", few_ticks=True)
             if column > 0:
                 axes.sharey(grid[row, 0])
-        shades: dict[str, Any] = {"c": values[order], "cmap": "cividis", "norm": norm, "linewidths": 0.0}
-        size = 10.0 if len(x) <= FEW_POINTS else 4.0
-        drawn = axes.scatter(x[order], y[order], s=size, rasterized=len(x) > MOST_VECTORS, **shades)
+        drawn = axes.scatter(x[order], y[order], **dots)
         axes.set_xlabel(label(dataset[parameters[column]], parameters[column]) if row == n - 1 else "")
         finish(axes)
         axes.tick_params(labelleft=column == 0 < row, labelright=row == column, labelbottom=row == n - 1)
         if row == column:  # the variable, unlike the rest of the row: at the right, where no other panel is
             axes.yaxis.set_label_position("right")
-            axes.set_ylabel(quantity_label(dataset, variable))
+            axes.set_ylabel(text)
         elif column == 0:
             axes.set_ylabel(label(dataset[parameters[row]], parameters[row]))
         axes.set_label(variable)  # for the caption
-    bar = figure.colorbar(drawn, ax=grid[:, -1], label=quantity_label(dataset, variable), shrink=0.7)
-    fit_bar(bar, dataset[variable])
+    add_bar(figure, drawn, dataset[variable], text, ax=grid[:, -1], shrink=0.7)
     return figure
 
 
-def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
-    """Draw a variable of points without order along a dimension of its own, one colour for every combination of the
-    others: the median and bands of many points, or the curve of each of a few.
+def _curves_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    axis = one_axis(dataset, variables[0], over)
+    return draw_panels(dataset, variables, Layout(), partial(_draw_curves, over=axis))
 
-    Raises SweepError where the other dimensions leave more combinations than colours.
+
+def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
+    """Draw a variable of points along a dimension of its own, one colour for every combination of the others: the
+    median and bands of many points, or the curve of each of a few.
     """
-    along = str(dataset[over].dims[0])
-    array = dataset[variable]
-    x = dataset[over].values.astype(float)
+    along, array, x = str(dataset[over].dims[0]), dataset[variable], dataset[over].values.astype(float)
     many = array.sizes[POINT] > FEW_CURVES
     for number, (place, words) in enumerate(_told_apart(dataset, variable, (POINT, along), f"beside {over}")):
         y = array.isel(place).transpose(POINT, along).values.astype(float)
@@ -141,38 +158,16 @@ def draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> No
             axes.plot([], [], color=colour, label=words or "a point")
             continue
         for low, high, opacity, name in BANDS:
-            lower, upper = np.nanquantile(y, (low, high), axis=0)
-            axes.fill_between(x, lower, upper, color=colour, alpha=opacity, linewidth=0.0, label="" if words else name)
+            band: dict[str, Any] = {"color": colour, "alpha": opacity, "linewidth": 0.0, "label": "" if words else name}
+            axes.fill_between(x, *np.nanquantile(y, (low, high), axis=0), **band)
         middle = words or f"median of {len(y):,} points"
         axes.plot(x, np.nanmedian(y, axis=0), color=colour, linewidth=1.4, label=middle)
     fit_scale(axes, "x", dataset[over])
     fit_scale(axes, "y", array)
-    axes.set_xlabel(label(dataset[over], over))
-    axes.set_ylabel(quantity_label(dataset, variable))
+    axes.set(xlabel=label(dataset[over], over), ylabel=quantity_label(dataset, variable))
     finish(axes)
     if many or array.ndim > 2:
         legend(axes)
-
-
-def _draw(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> None:
-    """Draw a variable over a parameter, one colour for every combination of the other dimensions."""
-    array = dataset[variable]
-    error = standard_error(dataset, variable)
-    for number, (place, text) in enumerate(_told_apart(dataset, variable, (POINT,), "at each point")):
-        one = dataset.isel(place)
-        y = one[variable].values.astype(float)
-        x = _places(axes, dataset, parameter, "x")
-        size, alpha = (3.0, 0.8) if len(x) <= FEW_POINTS else (2.0, 0.4)
-        style = {**series(number), "label": text or variable, "linestyle": "none", "markersize": size, "alpha": alpha}
-        style |= {"markeredgewidth": 0.0, "rasterized": len(x) > MOST_VECTORS}
-        if error is not None and len(x) <= FEW_POINTS:
-            axes.errorbar(x, y, yerr=error.isel(place).values, elinewidth=0.7, **style)
-        else:
-            axes.plot(x, y, **style)
-    fit_scale(axes, "y", array)
-    axes.set_label(variable)  # for the caption
-    axes.set_xlabel(label(dataset[parameter], parameter))
-    finish(axes)
 
 
 def _told_apart(
@@ -191,9 +186,7 @@ def _told_apart(
     return [(place, ", ".join(value_text(dataset, d, dataset[d][place[d]].item()) for d in named)) for place in places]
 
 
-def _places(
-    axes: Axes, dataset: xr.Dataset, parameter: str, which: str, few_ticks: bool = False
-) -> NDArray[np.float64]:
+def _positions(axes: Axes, dataset: xr.Dataset, parameter: str, which: str, few_ticks: bool = False) -> Array:
     """Return the positions of the values of a parameter on an axis, and set its scale and ticks; values that are not
     numbers are spread a little, so that points do not hide each other.
     """
@@ -201,15 +194,13 @@ def _places(
     if array.dtype.kind in "if":
         fit_scale(axes, which, array, few_ticks)
         return np.asarray(array.values.astype(float))
-    names = sorted(set(map(str, array.values.tolist())))
-    if which == "x":
-        axes.set_xticks(range(len(names)), names)
-    else:
-        axes.set_yticks(range(len(names)), [in_lines(name, NAME_INCHES, 1) for name in names])
-    (axes.set_xlim if which == "x" else axes.set_ylim)(-0.5, len(names) - 0.5)
-    place = {name: float(k) for k, name in enumerate(names)}
-    spread = SPREAD * (np.arange(array.size) * GOLDEN % 1.0 - 0.5)
-    return np.asarray(np.array([place[str(value)] for value in array.values.tolist()]) + spread)
+    names, index = np.unique([str(value) for value in array.values.tolist()], return_inverse=True)
+    short = [in_lines(str(name), 1.1, 1) if which == "y" else str(name) for name in names]  # in inches
+    axes.set(
+        **{f"{which}ticks": range(len(names)), f"{which}ticklabels": short, f"{which}lim": (-0.5, len(names) - 0.5)}
+    )
+    golden = 0.6180339887498949  # steps of this share of the width keep neighbours apart
+    return np.asarray(index + 0.5 * (np.arange(array.size) * golden % 1.0 - 0.5))
 
 
 def _parameters(dataset: xr.Dataset, over: Sequence[str], most: int) -> list[str]:
@@ -224,3 +215,113 @@ def _parameters(dataset: xr.Dataset, over: Sequence[str], most: int) -> list[str
             f"{', '.join(chosen)}"
         )
     return chosen
+
+
+# Kept samples
+
+
+def sampled(dataset: xr.Dataset) -> str | None:
+    """Return the variable with the kept samples of several components; None if there is none."""
+    known = {"sample", *dataset["status"].dims}
+    names = [str(n) for n, v in dataset.data_vars.items() if "sample" in v.dims and set(v.dims) - known]
+    return names[0] if names else None
+
+
+def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    """Return a figure of the samples of two components at one point: those in ``over``, or the first two in the unit of
+    the main quantity, or the first two.
+    """
+    if variables:
+        raise SweepError("a scatter is of kept samples, not of a variable; choose its two components with --over")
+    variable = sampled(dataset)
+    assert variable is not None, "asked for before"
+    if dataset["status"].ndim:
+        left = ", ".join(f"{d} ({dataset.sizes[d]})" for d in dataset["status"].dims)
+        raise SweepError(f"a scatter is of one point; choose it with --at AXIS=VALUE: {left}")
+    dimension = next(str(d) for d in dataset[variable].dims if d != "sample")
+    known = dataset[dimension].values.tolist()
+    if unknown := [name for name in over if name not in known]:
+        raise SweepError(f"{shown(unknown[0])} is no component of {variable}{suggest(unknown[0], known)}")
+    if over and len(set(over)) != 2:
+        raise SweepError(f"a scatter needs two components, of {', '.join(known)}; not {', '.join(over)}")
+    units = (
+        dict(zip(known, dataset[f"{dimension}_unit"].values.tolist(), strict=True))
+        if f"{dimension}_unit" in dataset.coords
+        else {}
+    )
+    wanted = dataset[main_quantity(dataset)].attrs.get("units") if quantities(dataset) else None
+    alike = [name for name in known if units.get(name) == wanted]
+    one, other = over or (alike if len(alike) > 1 else known)[:2]
+    narrow = (wanted_width() or 6.0) < 6.0  # the numbers stand below the picture, not beside it
+    figure, (axes,) = new_figure(*((4.4, 6.4) if narrow else (7.4, 4.4)))
+    _draw_samples(axes, dataset, variable, {name: units.get(name, "") for name in (one, other)}, dimension, narrow)
+    return figure
+
+
+def _draw_samples(
+    axes: Axes, dataset: xr.Dataset, variable: str, components: dict[str, str], dimension: str, below: bool
+) -> None:
+    """Draw the samples of two components, given with their units, against each other, with ellipses of 68 and 95 % of a
+    normal distribution.
+
+    Where the dataset has a ``bias``, the truth (mean estimate - bias) is a cross.  The standard deviations stand in the
+    legend with their errors, sigma/sqrt(2 n), beside the picture or ``below`` it.
+    """
+    names, units = list(components), list(components.values())
+    both = np.stack([dataset[variable].sel({dimension: name}).values.astype(float) for name in names])
+    both = both[:, np.isfinite(both).all(axis=0)]
+    n = both.shape[1]
+    if n < 3:
+        raise SweepError(f"{variable} has {n} samples here; at least 3 are needed")
+    factor = 1.0
+    if units[0] == units[1]:
+        chosen = prefixed(both.std(axis=1), units[0])
+        factor, units = chosen.factor, [chosen.unit] * 2
+        axes.set_aspect("equal", adjustable="datalim")
+    both *= factor
+    mean, covariance = both.mean(axis=1), np.cov(both)
+    sigma = np.sqrt(np.diag(covariance))
+    size = float(np.clip(100.0 / np.sqrt(n), 2.0, 5.0))
+    dots: dict[str, Any] = {"color": COLOURS[0], "markersize": size, "markeredgewidth": 0.0, "alpha": 0.35}
+    axes.plot(*both, ".", rasterized=True, label=f"{n} estimates", **dots)
+    for confidence, line in ((0.683, "solid"), (0.954, "dashed")):
+        text = f"{100 * confidence:.0f} % of their normal law"
+        style = {"edgecolor": COLOURS[1], "linestyle": line, "label": text}
+        axes.add_patch(confidence_ellipse(mean, covariance, confidence, **style))
+    point: dict[str, Any] = {"color": COLOURS[1], "marker": "o", "markersize": 3.0, "linestyle": "none"}
+    error = sigma / np.sqrt(n)
+    axes.errorbar(mean[0], mean[1], xerr=error[0], yerr=error[1], label="mean", **point)
+    cross = 9.0  # points
+    if "bias" in dataset and dimension in dataset["bias"].dims:
+        truth = mean - [factor * dataset["bias"].sel({dimension: name}).item() for name in names]
+        axes.plot(*truth, "x", markersize=cross, markeredgewidth=1.4, color="black", label="truth")
+    axes.set_xlabel(label(dataset[variable], names[0], units[0]))
+    axes.set_ylabel(label(dataset[variable], names[1], units[1]))
+    finish(axes)
+    words = [
+        rf"$\sigma$({symbol(name)}) = {with_error(s, s / np.sqrt(2 * n))} {written(unit)}"
+        for name, s, unit in zip(names, sigma, units, strict=True)
+    ]
+    words.append(rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$")
+    place = {"loc": "upper left", "bbox_to_anchor": (-0.3, -0.2) if below else (1.0, 1.0), "alignment": "left"}
+    legend(axes, title="\n".join(words), markerscale=1.5, **place)
+    for handle in axes.findobj(lambda artist: isinstance(artist, Line2D) and artist.get_label() == "truth"):
+        handle.set(markersize=cross)  # in the legend too: larger, it would not fit in its line
+
+
+def confidence_ellipse(centre: Array, covariance: Array, confidence: float, **style: Any) -> Ellipse:
+    """Return the ellipse that holds a share ``confidence`` of a normal distribution of two numbers."""
+    values, vectors = np.linalg.eigh(covariance)
+    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chdtri(2, 1.0 - confidence))
+    angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
+    return Ellipse((centre[0], centre[1]), width, height, angle=angle, fill=False, linewidth=1.2, **style)
+
+
+def _has_points(dataset: xr.Dataset, variable: str) -> bool:
+    return POINT in dataset[variable].dims and bool(varied_parameters(dataset))
+
+
+POINTS = GridFigure(_has_points, _points_figure)
+PAIRS = GridFigure(lambda d, name: _has_points(d, name) and len(varied_parameters(d)) > 1, _pairs_figure)
+CURVES = GridFigure(lambda d, name: _has_points(d, name) and bool(numeric_axes(d, name)), _curves_figure)
+SCATTER = GridFigure(lambda dataset, variable: sampled(dataset) is not None, _scatter_figure)

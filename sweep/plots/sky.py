@@ -1,5 +1,8 @@
-"""All-sky maps in the Mollweide projection, with longitude increasing to the left, and the Galactic plane."""
+"""The sky of a catalogue and the accuracy of missions: what they show, as datasets, and their figures."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,10 +13,27 @@ from matplotlib.patheffects import withStroke
 from linksweep.core.arrays import Array
 from linksweep.core.constants import DEGREE, GALACTIC_AXES
 from linksweep.core.frames import position
-from linksweep.sweep.plots.labels import label
-from linksweep.sweep.plots.style import COLOURS
+from linksweep.core.missions import MISSIONS, CurveError, MissionUnavailableError
+from linksweep.core.missions.calibrate import IN_CODE, Model, all_skies, fit, published_numbers
+from linksweep.core.scenario import scenario
+from linksweep.core.user_mission import mission_of
+from linksweep.sweep.contract import Named, SweepError, shown, suggest
+from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.streams import generators
+from linksweep.sweep.plots.style import BAND, COLOURS, entitle, finish, label, legend, logarithmic, new_figure
+from linksweep.sweep.running.reproduce import place_of, study_to_look_at
+from linksweep.sweep.stores.location import Where
+from linksweep.sweep.studies.study import Study
+from linksweep.sweep.tables.file import table_file
 
-MINUS = "\N{MINUS SIGN}"
+MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
+LINES: tuple[Any, ...] = ("solid", "dashed", "dashdot", "dotted", (0, (6, 1, 1, 1, 1, 1)), (0, (3, 1)))
+
+# Catalogues for the errors of calibrated curves: a quarter of those of the calibration; errors are known to 10 %.
+CALIBRATION_CATALOGUES = 50
+
+
+# The sky
 
 
 class SkyFrame(NamedTuple):
@@ -24,65 +44,184 @@ class SkyFrame(NamedTuple):
     centre_deg: float
 
 
+# In the middle of the map of the ICRS is 180 deg, where the Galactic plane is a single arch.
 ICRS = SkyFrame(r"right ascension $\alpha$ (ICRS)", r"declination $\delta$", 180.0)
-"""On this map the Galactic plane is a single arch."""
 GALACTIC = SkyFrame("Galactic longitude $l$", "Galactic latitude $b$", 0.0)
 
 
-def add_sky(figure: Figure, place: Any = 111, frame: SkyFrame = ICRS) -> Any:
-    """Return new axes for an all-sky map, with a grid labelled in degrees; ``place`` as for add_subplot."""
-    axes: Any = figure.add_subplot(place, projection="mollweide")
+def prepare_sky(axes: Any, frame: SkyFrame = ICRS) -> None:
+    """Give axes with the projection "mollweide" a grid labelled in degrees, with longitude increasing to the left."""
     axes.grid(color="0.8", linewidth=0.4)
     axes.set_axisbelow(True)
     axes.set_longitude_grid_ends(90.0)
-    halo = [withStroke(linewidth=2.0, foreground="white")]
     ticks = np.arange(-120.0, 121.0, 60.0)
     axes.set_xticks(ticks * DEGREE, [""] * len(ticks))
+    style: dict[str, Any] = {"fontsize": "x-small", "ha": "center", "va": "center", "zorder": 6}
+    style["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
     for tick in ticks:  # text of its own, because labels of an axis lie below all that is drawn
-        text = f"{(frame.centre_deg - tick) % 360:.0f}°"
-        style = {"fontsize": "x-small", "ha": "center", "va": "center", "zorder": 6, "path_effects": halo}
-        axes.text(tick * DEGREE, 0.04, text, **style)
+        axes.text(tick * DEGREE, 0.04, f"{(frame.centre_deg - tick) % 360:.0f}°", **style)
     latitudes = np.arange(-60.0, 61.0, 30.0)
-    names = [f"{b:+.0f}°".replace("-", MINUS) if b else "0°" for b in latitudes]
+    names = [f"{b:+.0f}°".replace("-", "\N{MINUS SIGN}") if b else "0°" for b in latitudes]
     axes.set_yticks(latitudes * DEGREE, names, fontsize="x-small")
-    axes.set_xlabel(frame.longitude)
-    axes.set_ylabel(frame.latitude)
-    return axes
-
-
-def draw_sky(axes: Any, dataset: xr.Dataset) -> Any:
-    """Draw positions ``ra`` and ``dec`` (deg) on axes of `add_sky`, coloured by ``v_mag`` if there is one, and the
-    Galactic plane with its centre.
-    """
-    ra, dec = (dataset[name].values.astype(float) for name in ("ra", "dec"))
-    x, y = on_map(ra), dec * DEGREE
-    size = float(np.clip(4000.0 / max(len(ra), 1), 1.5, 18.0))
-    style: dict[str, Any] = {"s": size, "linewidths": 0.0, "zorder": 3, "rasterized": len(ra) > 2000}
-    if "v_mag" not in dataset:
-        axes.scatter(x, y, color=COLOURS[0], **style)
-    else:
-        values = dataset["v_mag"].values.astype(float)
-        order = np.argsort(-values, kind="stable")  # bright objects, of small magnitude, on top and dark
-        points = axes.scatter(x[order], y[order], c=values[order], cmap="viridis", **style)
-        text = label(dataset["v_mag"], "v_mag")
-        axes.figure.colorbar(points, ax=axes, orientation="horizontal", shrink=0.5, pad=0.02, aspect=30, label=text)
-    _plane(axes)
-    axes.legend(loc="lower right", bbox_to_anchor=(1.06, -0.06), frameon=False)
-    return axes
-
-
-def _plane(axes: Any) -> None:
-    """Draw the Galactic plane in pieces that do not jump from one edge of the map to the other."""
-    longitude = np.linspace(0.0, 2.0 * np.pi, 721)
-    galactic = np.stack([np.cos(longitude), np.sin(longitude), np.zeros_like(longitude)])
-    ra, dec = position(GALACTIC_AXES.T @ galactic)
-    x = on_map(ra / DEGREE)
-    broken = np.where(np.abs(np.diff(x, append=x[-1])) > 1.0, np.nan, dec)
-    axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
-    style = {"color": "black", "markersize": 9.0, "markeredgewidth": 1.2, "zorder": 4}
-    axes.plot(x[:1], dec[:1], "+", label="Galactic centre", **style)
+    axes.set(xlabel=frame.longitude, ylabel=frame.latitude)
 
 
 def on_map(longitude_deg: Array, frame: SkyFrame = ICRS) -> Array:
     """Return the map's coordinate of a longitude, in radians: it increases to the left, with 0 in the middle."""
     return np.asarray(-((longitude_deg - frame.centre_deg + 180.0) % 360.0 - 180.0) * DEGREE)
+
+
+def sky_figure(dataset: xr.Dataset) -> Figure:
+    """Return an all-sky map of ``ra`` and ``dec`` (deg), coloured by the magnitude ``v_mag`` if there is one, with the
+    Galactic plane and its centre.
+    """
+    figure, (axes,) = new_figure(7.6, 4.9, subplot_kw={"projection": "mollweide"})
+    prepare_sky(axes)
+    ra, dec = (dataset[name].values.astype(float) for name in ("ra", "dec"))
+    size = float(np.clip(4000.0 / max(len(ra), 1), 1.5, 18.0))
+    style: dict[str, Any] = {"s": size, "linewidths": 0.0, "zorder": 3, "rasterized": len(ra) > 2000}
+    if "v_mag" in dataset:
+        values = dataset["v_mag"].values.astype(float)
+        order = np.argsort(-values, kind="stable")  # bright objects, of small magnitude, on top and dark
+        points = axes.scatter(on_map(ra)[order], dec[order] * DEGREE, c=values[order], cmap="viridis", **style)
+        bar: dict[str, Any] = {"orientation": "horizontal", "shrink": 0.5, "pad": 0.02, "aspect": 30}
+        figure.colorbar(points, ax=axes, label=label(dataset["v_mag"], "v_mag"), **bar)
+    else:
+        axes.scatter(on_map(ra), dec * DEGREE, color=COLOURS[0], **style)
+    longitude = np.linspace(0.0, 2.0 * np.pi, 721)
+    galactic = np.stack([np.cos(longitude), np.sin(longitude), np.zeros_like(longitude)])
+    plane_ra, plane_dec = position(GALACTIC_AXES.T @ galactic)
+    x = on_map(plane_ra / DEGREE)
+    # in pieces that do not jump from one edge of the map to the other
+    broken = np.where(np.abs(np.diff(x, append=x[-1])) > 1.0, np.nan, plane_dec)
+    axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
+    centre = {"color": "black", "markersize": 9.0, "markeredgewidth": 1.2, "zorder": 4}
+    axes.plot(x[:1], plane_dec[:1], "+", label="Galactic centre", **centre)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.06, -0.06), frameon=False)
+    entitle(figure, str(dataset.attrs.get("title", "")))
+    return figure
+
+
+def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
+    """Return the first catalogue of a point of a store as it was drawn: ra, dec (deg) and v_mag of each object.
+
+    Raises SweepError if the store is not of the link, or ``at`` is not one point of it.
+    """
+    study = study_to_look_at(store)
+    if study.experiment.name != "link":
+        raise SweepError(f"only the link has a sky; this is the experiment {study.experiment.name}", str(store))
+    parameters = place_of(study, ",".join(at), str(store))
+    own = {name: value for name, value in parameters.items() if value != study.experiment.defaults()[name]}
+    alone = replace(study, axes={}, zipped=(), points=None, excluded=(), fixed=own, published=None)
+    (point,) = Grid(replace(alone, claims=(), conclusion=None)).points()
+    _, rng = generators(study.sampling.seed, point.stream, 0, 0)
+    catalogue = scenario(parameters).draw_catalogue(rng)
+    where = ", ".join(part.strip() for text in at for part in text.split(","))
+    title = f"{study.title}: the {len(catalogue)} objects of one catalogue" + (f", {where}" if where else "")
+    sky = _sky(catalogue.ra / DEGREE, catalogue.dec / DEGREE, title)
+    return sky.assign(v_mag=("object", catalogue.v_mag, MAGNITUDE))
+
+
+def catalogue_of_table(path: Path) -> xr.Dataset:
+    """Return the positions in a table as ra, dec (deg); raises SweepError if there are none."""
+    read = table_file(path).columns({}, {}, ())
+    if all([read.require("ra"), read.require("dec")]):
+        ra, dec = read.quantity("ra"), read.quantity("dec")
+        read.check(np.abs(dec) > 90.0, "a dec beyond 90 deg", dec)
+    read.finish()
+    return _sky(ra, dec, f"{path.name}: {len(ra)} objects")
+
+
+def _sky(ra_deg: Array, dec_deg: Array, title: str) -> xr.Dataset:
+    degrees = {"units": "deg"}
+    return xr.Dataset({"ra": ("object", ra_deg, degrees), "dec": ("object", dec_deg, degrees)}, attrs={"title": title})
+
+
+# The accuracy of missions
+
+
+def accuracy_figure(dataset: xr.Dataset) -> Figure:
+    """Return ``sigma_pm`` beside ``sigma_pos`` (model, v) against the magnitude v, a line for each mission, with a band
+    where its error is known.
+    """
+    figure, grid = new_figure(8.4, 4.0, 1, 2, least=1.0, sharex=True)
+    v = dataset["v"].values
+    for axes, variable in zip(grid, ("sigma_pm", "sigma_pos"), strict=True):
+        for number, model in enumerate(dataset["model"].values.tolist()):
+            one = dataset.sel(model=model)
+            curve, error, colour = one[variable].values, one[f"{variable}_error"].values, COLOURS[number % len(COLOURS)]
+            axes.plot(v, curve, color=colour, linestyle=LINES[number % len(LINES)], linewidth=1.2, label=str(model))
+            if np.isfinite(error).any():
+                axes.fill_between(v, curve - error, curve + error, color=colour, **BAND)
+        logarithmic(axes, "y", dataset[variable].values)
+        axes.set(xlabel=label(dataset["v"], "v"), ylabel=label(dataset[variable], variable))
+        finish(axes)
+        legend(axes)
+    entitle(figure, str(dataset.attrs.get("title", "")))
+    return figure
+
+
+def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
+    """Return sigma_pm (mas/yr) and sigma_pos (mas) of one object, dimensions (model, v), of missions at nominal length.
+
+    ``models`` are by default all built-in ones whose packages are installed.  Values beyond a mission's faint limit are
+    NaN.  The curves that were calibrated with the paper's tables have one-sigma errors ``_error`` from that fit; for
+    others these are NaN.
+    Raises SweepError for an unknown model, one whose package is missing, or a function that has no value somewhere.
+    """
+    v = np.round(np.linspace(9.0, 21.0, 121), 6)
+    rows: dict[str, tuple[Array, Array, Array]] = {}
+    for model in models or MISSIONS:
+        name = str(model)
+        if isinstance(model, str) and name not in MISSIONS:
+            raise SweepError(f"no model {shown(name)}{suggest(name, list(MISSIONS))}")
+        try:
+            sigma_pos, sigma_pm = mission_of(model).sigmas_to_limit(v)
+        except (MissionUnavailableError, CurveError) as error:
+            if models:
+                raise SweepError(str(error)) from error
+            continue
+        relative = _relative_error(name, v) if isinstance(model, str) else np.full(v.shape, np.nan)
+        rows[name] = (sigma_pm, sigma_pos, relative)
+    pm, pos, relative = (np.array(part) for part in zip(*rows.values(), strict=True))
+    meanings = {
+        "sigma_pm": (pm, "mas / yr", r"$\sigma_\mu$", "error of a proper motion, per coordinate"),
+        "sigma_pm_error": (pm * relative, "mas / yr", "", "its one-sigma error, of the calibration"),
+        "sigma_pos": (pos, "mas", r"$\sigma_\mathrm{pos}$", "error of a position, per coordinate"),
+        "sigma_pos_error": (pos * relative, "mas", "", "its one-sigma error, of the calibration"),
+    }
+    return xr.Dataset(
+        {
+            name: (("model", "v"), values, {"units": unit, "symbol": symbol, "long_name": meaning})
+            for name, (values, unit, symbol, meaning) in meanings.items()
+        },
+        {"model": np.array(list(rows), dtype=object), "v": ("v", v, MAGNITUDE)},
+        {"title": "Accuracy of one object in each mission"},
+    )
+
+
+def models_of(study: Study, chosen: Sequence[str] = ()) -> list[str | Named]:
+    """Return the missions of a study of the link, or those of them in ``chosen``.
+
+    Raises SweepError for another experiment, or a mission that the study does not have.
+    """
+    if study.experiment.name != "link":
+        raise SweepError(f"only the link has missions; this is the experiment {study.experiment.name}", study.source)
+    whole = study.experiment.defaults() | dict(study.fixed)
+    models = list(study.axes.get("model", (whole["model"],)))
+    known = [str(model) for model in models]
+    if unknown := [name for name in chosen if name not in known]:
+        raise SweepError(f"{shown(unknown[0])} is no mission of this study{suggest(unknown[0], known)}", study.source)
+    return [model for model in models if not chosen or str(model) in chosen]
+
+
+def _relative_error(name: str, v: Array) -> Array:
+    """Return the relative error of a calibrated curve at magnitudes, from the covariance of its log constants."""
+    models: dict[str, Model] = {"amex": "amex", "gaia": "gaia"}
+    if (model := models.get(name)) is None:
+        return np.full(v.shape, np.nan)
+    found = fit(model, list(published_numbers(model).values()), all_skies(model, CALIBRATION_CATALOGUES))
+    curve = IN_CODE[model]
+    parts = [(a * np.exp(slope * (v - pivot)), slope * (v - pivot)) for a, slope, pivot in curve.terms]
+    gradient = np.stack([row for term, power in parts for row in (term, term * power)]) / curve(v)
+    return np.asarray(np.sqrt(np.einsum("iv,ij,jv->v", gradient, found.log_covariance, gradient)))

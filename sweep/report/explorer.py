@@ -9,7 +9,7 @@ from bokeh.resources import Resources
 
 from linksweep.sweep.analysis.quantity import error_bar, prediction_name, quantities
 from linksweep.sweep.formatting import is_truth, meaning_beside, prefixed, units_of, written
-from linksweep.sweep.plots.scales import SCALE, is_logarithmic, with_scales
+from linksweep.sweep.plots.style import SCALE, is_logarithmic, with_scales
 from linksweep.sweep.studies.study import POINT
 
 DIGITS = 7

@@ -22,12 +22,11 @@ from linksweep.sweep.analysis.quantity import errors_beside, prediction_name, st
 from linksweep.sweep.analysis.selection import places_along
 from linksweep.sweep.analysis.sentences import ERRORS_ALLOWED
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.plots import KINDS
 from linksweep.sweep.plots.caption import caption, description
-from linksweep.sweep.plots.figure import draw_figure
-from linksweep.sweep.plots.kinds import LINK
-from linksweep.sweep.plots.scatter import sampled
+from linksweep.sweep.plots.figure import draw_figure, link_figures
+from linksweep.sweep.plots.points import sampled
 from linksweep.sweep.plots.style import BAND, COLOURS, settings
-from linksweep.sweep.plots.tie.figure import link_figures
 from linksweep.sweep.studies.study import POINT
 
 POINTS_PER_INCH = 72.0
@@ -116,7 +115,7 @@ def link_pictures(dataset: xr.Dataset, number: int) -> list[Picture]:
     """Return all figures that a link or a forecast can have; ``number`` as for `pictures`."""
     found = []
     with _inside_a_page(str(number)):
-        captions = LINK[dataset.attrs["result"]]
+        captions = KINDS[dataset.attrs["result"]]
         for i, (kind, figure) in enumerate(link_figures(dataset, titled=False).items()):
             mpl.rcParams["svg.hashsalt"] = f"linksweep-{number}-{i}"
             found.append(Picture(captions[kind].caption, _svg(figure), POINTS_PER_INCH * figure.get_figwidth()))

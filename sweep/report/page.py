@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from linksweep.sweep.analysis.compare_tables import summary_line
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.plots.tie.figure import is_link
+from linksweep.sweep.plots.figure import is_link
 from linksweep.sweep.report.explorer import MOST_NUMBERS, library
 from linksweep.sweep.report.link_section import link_section
 from linksweep.sweep.report.section import Section, section

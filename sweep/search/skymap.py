@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from linksweep.core.arrays import Array
 from linksweep.core.constants import DEGREE
 from linksweep.core.frames import galactic
-from linksweep.sweep.plots.sky import GALACTIC, add_sky, on_map
+from linksweep.sweep.plots.sky import GALACTIC, on_map, prepare_sky
 
 STYLES = {
     "certain": ("o", "#0072B2"),
@@ -30,7 +30,8 @@ def sky_map(classes: Mapping[str, tuple[Array, Array]], background: tuple[Array,
     all entries of the galaxy catalogues.  The figure belongs to no window; save it with its ``savefig``.
     """
     figure = Figure(figsize=(8.0, 4.9))
-    axes = add_sky(figure, frame=GALACTIC)
+    axes: Any = figure.add_subplot(projection="mollweide")
+    prepare_sky(axes, GALACTIC)
     axes.set_position((0.1, 0.14, 0.88, 0.86))  # left, bottom, width, height
     _plot_background(axes, background)
     axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")

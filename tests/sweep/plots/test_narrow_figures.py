@@ -1,16 +1,14 @@
-"""Figures of 88 mm, the width of a column: nothing is cut, covered or squeezed."""
+"""Figures in the width of a column, 88 mm: letters have their size, nothing is cut, covered or squeezed."""
 
-from itertools import combinations
+from itertools import combinations, pairwise
 
+import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.text import Text
 
-from linksweep.sweep.plots import style
-from linksweep.sweep.plots.figure import draw_figure
-from linksweep.sweep.plots.layout import Layout
-from linksweep.sweep.plots.lines import draw_lines
-from linksweep.sweep.plots.panels import draw_panels
+import linksweep
+from linksweep.sweep.plots.style import settings
 from tests.tiers import slow
 
 WIDTH = 88.0
@@ -18,14 +16,39 @@ WIDTH = 88.0
 
 @pytest.fixture(params=["paper", slow("talk")])
 def narrow(request):
-    with style.settings(WIDTH, request.param):
+    with settings(WIDTH, request.param):
         yield
 
 
-def drawn(figure):
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return canvas.get_renderer()
+def drawn(dataset, *arguments, **options):
+    figure = linksweep.plot(dataset, *arguments, **options)
+    figure.draw_without_rendering()  # a warning of a collapsed layout would be an error
+    return figure
+
+
+def letters(figure):
+    """The sizes of all texts that are shown, in points."""
+    figure.draw_without_rendering()
+    return [text.get_fontsize() for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [WIDTH, 180.0])
+@pytest.mark.parametrize("name", ["quasars", "algorithm", "sqrt-n", "error-surface", "scatter", "galaxies"])
+def test_letters_have_their_size_at_the_width_of_print(dataset_of, name, width):
+    with settings(width):
+        figure = drawn(dataset_of(name))
+        assert figure.get_figwidth() == pytest.approx(width / 25.4)
+        assert min(letters(figure)) >= 6.0
+
+
+@pytest.mark.slow
+def test_a_talk_has_large_letters_and_the_users_own_settings_stay(dataset_of):
+    dataset = dataset_of("sqrt-n")
+    with settings(style="talk"):
+        assert min(letters(drawn(dataset))) >= 11.0
+    with mpl.rc_context({"axes.labelsize": 13.0}), settings(WIDTH):
+        assert drawn(dataset).axes[0].yaxis.label.get_fontsize() == 13.0
 
 
 @pytest.mark.usefixtures("narrow")
@@ -33,43 +56,64 @@ def test_titles_and_labels_of_panels_neither_overlap_nor_leave_the_figure(datase
     dataset = dataset_of("quasars").sel(v_max=[14.0, 20.0])
     long = dataset["v_max"].assign_attrs(symbol="a parameter with a long name")
     dataset = dataset.assign_coords(v_max=long).assign_coords(model=["one of two long names", "the other of them"])
-    figure = draw_panels(
-        dataset,
-        ["sigma_spin"],
-        Layout((), "model", None, False),
-        lambda axes, part, name: draw_lines(axes, part, name, "v_max"),
-    )
-    renderer = drawn(figure)
+    figure = drawn(dataset, "lines")
     for texts in ([axes.title for axes in figure.axes], [axes.xaxis.label for axes in figure.axes]):
-        boxes = [text.get_window_extent(renderer) for text in texts if text.get_text()]
+        boxes = [text.get_window_extent() for text in texts if text.get_text()]
         assert boxes
         assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
         assert all(box.x0 >= 0.0 and box.x1 <= figure.bbox.width for box in boxes)
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("narrow")
 def test_a_legend_takes_no_height_from_its_panel(dataset_of):
-    dataset = dataset_of("quasars").sel(model="gaia")
-    many = dataset.expand_dims(draw=np.arange(6.0))
-    figure = draw_panels(
-        many,
-        ["sigma_spin"],
-        Layout(("draw",), None, None, False),
-        lambda axes, part, name: draw_lines(axes, part, name, "v_max"),
-    )
-    drawn(figure)  # a warning of a collapsed layout would be an error
-    (panel,) = figure.axes
-    assert figure.legends
+    many = dataset_of("quasars").sel(model="gaia").expand_dims(draw=np.arange(6.0))
+    [panel] = drawn(many, "lines").axes
+    assert panel.figure.legends
     assert panel.get_legend() is None
-    height = panel.get_window_extent().height / figure.dpi
-    assert height > 0.5 * style.least_height()
+    assert panel.get_window_extent().height / panel.figure.dpi > 0.85
 
 
 def test_no_sign_of_the_legend_of_a_scatter_is_cut(dataset_of):
-    with style.settings(WIDTH):
-        figure = draw_figure(dataset_of("scatter"))
-        renderer = drawn(figure)
-    signs = figure.axes[0].get_legend().get_lines()
+    with settings(WIDTH):
+        signs = drawn(dataset_of("scatter")).axes[0].get_legend().get_lines()
     assert signs
-    assert min(sign.get_window_extent(renderer).y0 for sign in signs) > 0.0
+    assert min(sign.get_window_extent().y0 for sign in signs) > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["solution", "residuals", "weight", "ranking", "jackknife", "trajectory"])
+def test_figures_of_a_link_fit_a_column(kind):
+    options = {"clip": "discrepancy:1", "errors": "jackknife,bootstrap,scaled"}
+    link = linksweep.tie("psrpi-de200", "timing-de200", "orientation", **options)
+    with settings(WIDTH):
+        figure = drawn(link, kind)
+    assert figure.get_figwidth() == pytest.approx(WIDTH / 25.4)
+    labels = [text for axes in figure.axes for text in (axes.title, axes.xaxis.label, axes.yaxis.label)]
+    for text in [*labels, figure._suptitle, *(text for legend in figure.legends for text in legend.get_texts())]:
+        box = text.get_window_extent()
+        assert not text.get_text() or -1.0 <= box.x0 <= box.x1 <= figure.bbox.width + 1.0, text
+
+
+def letters_in(town: str) -> int:
+    return len(town)
+
+
+KINDS = ["steel", "aluminium", "carbon fibre composite"]
+TOWNS = ["Amsterdam", "Buenos Aires", "Constantinople", "Heidelberg", "Kuala Lumpur", "Llanfairpwllgwyngyll", "Turin"]
+
+
+@pytest.mark.parametrize(
+    ("names", "width", "turned"), [(KINDS, None, 0.0), (KINDS, 88.0, 0.0), (TOWNS, None, 45.0), (TOWNS * 4, 88.0, 90.0)]
+)
+def test_names_below_an_axis_do_not_cover_each_other(tmp_path, names, width, turned):
+    different = [f"{name}{'' if i < len(TOWNS) else i}" for i, name in enumerate(names)]
+    dataset = linksweep.run(letters_in, tmp_path / "s.zarr", axes={"town": different}, pool="serial")
+    with settings(width):
+        [axes] = drawn(dataset).axes
+    texts = axes.get_xticklabels()
+    assert [" ".join(text.get_text().split()) for text in texts] == different
+    assert {text.get_rotation() for text in texts} == {turned}
+    if turned == 0.0:
+        boxes = [text.get_window_extent() for text in texts]
+        assert all(left.x1 < right.x0 for left, right in pairwise(boxes))
+    assert axes.get_window_extent().height > 0.3 * axes.figure.bbox.height

@@ -5,9 +5,7 @@ import pytest
 
 import linksweep
 from linksweep import SweepError
-from linksweep.sweep.plots import style
-from linksweep.sweep.plots.caption import description
-from linksweep.sweep.plots.figure import draw_figure
+from linksweep.sweep.plots.style import settings
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +55,7 @@ def test_pairs_have_a_panel_for_every_two_parameters(points):
     assert sorted(offsets[:, 1].tolist()) == sorted(points.y.values[:, 1].tolist())
 
 
-def test_the_diagonal_of_pairs_has_an_axis_of_its_own(tmp_path):
+def test_the_diagonal_of_pairs_has_an_axis_of_its_own(tmp_path, sweep):
     def flow(x: float = 1.0, y: float = 1.0):
         return 14.0 * x * y
 
@@ -74,9 +72,9 @@ def test_the_diagonal_of_pairs_has_an_axis_of_its_own(tmp_path):
         names = {tick: text.get_text() for tick, text in ticks if low < tick < high}
         assert len(names) >= 2
         assert all(name == f"{tick:g}" for tick, name in names.items())
-    assert description(figure, ds).startswith(
-        "3 panels, flow against x; y against x; flow against y, coloured by flow. flow: Over"
-    )
+    assert sweep("plot", tmp_path / "s.zarr", "--kind", "pairs", "--caption", "-o", tmp_path / "a.svg")[0] == 0
+    words = "3 panels, flow against x; y against x; flow against y, coloured by flow. flow: Over"
+    assert words in (tmp_path / "a.txt").read_text()
 
 
 def test_a_long_name_at_the_left_is_broken(tmp_path):
@@ -90,8 +88,8 @@ def test_a_long_name_at_the_left_is_broken(tmp_path):
 
 
 def test_points_take_the_width_that_is_asked_for(points):
-    with style.settings(88.0):
-        figure = draw_figure(points.isel(scale=0))
+    with settings(88.0):
+        figure = linksweep.plot(points.isel(scale=0))
     assert figure.get_figwidth() == pytest.approx(88.0 / 25.4)
     assert len({axes.get_position().y0 for axes in figure.axes if axes.get_visible()}) == 2
 
@@ -122,19 +120,6 @@ def test_points_with_errors_show_them(tmp_path):
     segments = figure.axes[0].containers[0].lines[2][0].get_segments()
     half = [(high[1] - low[1]) / 2 for low, high in segments]
     assert half == pytest.approx(ds.wait_mean_mc_error.values)
-
-
-@pytest.mark.slow
-def test_a_report_of_points_has_scatters_and_does_not_join_them(points, tmp_path):
-    pytest.importorskip("bokeh")
-    from linksweep.sweep.report.explorer import explorer
-    from linksweep.sweep.report.section import section
-
-    page = section("s.zarr", points, 1, 100_000)
-    assert all(picture.svg for picture in page.pictures)
-    assert not any("What changes it" in text and "point by" in text for one in page.answers for text in one.sentences)
-    axes = {axis["name"]: axis["ordered"] for axis in explorer(points, ["y"], 10_000)[0]["axes"]}
-    assert axes == {"scale": True, "x": False, "k": False, "point": False, "curve_dim_0": True}
 
 
 def series_of(points):

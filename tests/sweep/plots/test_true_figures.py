@@ -17,8 +17,8 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.contour import ContourSet
 
 import linksweep
+from linksweep import SweepError
 from linksweep.sweep.analysis.quantity import standard_error
-from linksweep.sweep.contract import SweepError
 from linksweep.sweep.report.explorer import explorer
 from linksweep.sweep.report.page import report_of
 
@@ -297,9 +297,7 @@ def test_tables_have_true_and_false(weighed, sweep):
 
 
 @pytest.mark.parametrize("over", ["load", "strong"])
-def test_figures_and_their_words_have_true_and_false(weighed, over):
-    from linksweep.sweep.plots.caption import caption_and_description
-
+def test_figures_and_their_words_have_true_and_false(weighed, tmp_path, sweep, over):
     dataset = linksweep.open(weighed)
     figure = linksweep.plot(dataset, "lines", variables=["stands"], over=[over])
     figure.draw_without_rendering()
@@ -312,7 +310,9 @@ def test_figures_and_their_words_have_true_and_false(weighed, over):
         assert {"strong = True", "strong = False"} <= set(said)
     else:
         assert [text.get_text() for text in axes.get_xticklabels()] == ["True", "False"]
-    words = caption_and_description(figure, dataset)
+    options = ["--kind", "lines", "--variable", "stands", "--over", over, "--caption"]
+    assert sweep("plot", weighed, *options, "-o", tmp_path / "a.svg")[0] == 0
+    words = (tmp_path / "a.txt").read_text()
     assert "stands: It is True at 3 of" in words
     assert not re.search(r"\b(yes|no|goes from 0)\b", words)
 

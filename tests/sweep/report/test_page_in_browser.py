@@ -13,7 +13,7 @@ import pytest
 import linksweep
 from linksweep.sweep.analysis.quantity import standard_error
 from linksweep.sweep.formatting import with_error
-from linksweep.sweep.plots.scales import is_logarithmic
+from linksweep.sweep.plots.style import is_logarithmic
 from linksweep.sweep.report.page import report_of
 from linksweep.sweep.stores.store import open_dataset
 from tests.patience import PATIENCE_S

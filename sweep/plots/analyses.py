@@ -1,4 +1,4 @@
-"""Sensitivity indices: a mark with its error for each parameter, or curves along a dimension of the output."""
+"""Figures of analyses: sensitivity indices of parameters, and how a run scales with workers."""
 
 import numpy as np
 import xarray as xr
@@ -8,9 +8,19 @@ from matplotlib.figure import Figure
 from linksweep.sweep.analysis.sensitivity import METHOD
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import units_of, written
-from linksweep.sweep.plots.labels import label, symbol
-from linksweep.sweep.plots.legends import legend
-from linksweep.sweep.plots.style import BAND, COLOURS, finish, series
+from linksweep.sweep.plots.grid import GUIDE
+from linksweep.sweep.plots.style import (
+    BAND,
+    COLOURS,
+    entitle,
+    finish,
+    label,
+    legend,
+    logarithmic,
+    new_figure,
+    series,
+    symbol,
+)
 
 WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute effect $\mu^*$", "sigma": r"$\sigma$"}
 
@@ -23,13 +33,13 @@ def sensitivity_figure(dataset: xr.Dataset) -> Figure:
     if len(further) > 1 or (further and dataset[further[0]].dtype.kind not in "iuf"):
         raise SweepError(f"indices of {' and '.join(further)} do not fit one picture; fix some with --at AXIS=VALUE")
     size = (7.0, 4.4) if further else (6.4, 1.4 + 0.45 * dataset.sizes["parameter"])
-    figure = Figure(figsize=size, layout="constrained")
+    figure, (axes,) = new_figure(*size)
     if further:
-        _curves(figure.add_subplot(), dataset, kinds, further[0])
+        _curves(axes, dataset, kinds, further[0])
     else:
-        _marks(figure.add_subplot(), dataset, kinds)
+        _marks(axes, dataset, kinds)
     about = f"sensitivity of {symbol(dataset.attrs['output'])}, by {dataset.attrs[METHOD]}"
-    figure.suptitle("\n".join(filter(None, [dataset.attrs["title"], about])), fontsize="medium")
+    entitle(figure, "\n".join(filter(None, [dataset.attrs["title"], about])))
     return figure
 
 
@@ -72,3 +82,40 @@ def _curves(axes: Axes, dataset: xr.Dataset, kinds: list[str], over: str) -> Non
         axes.plot([], [], color="0.35", linestyle=line, linewidth=1.2, label=WORDS[kind])
     finish(axes)
     legend(axes)
+
+
+def is_scaling(dataset: xr.Dataset) -> bool:
+    """Return whether a dataset has measured times and efficiencies over kinds and workers."""
+    return {"kind", "workers"} <= set(dataset.dims) and {"seconds", "efficiency"} <= set(dataset.data_vars)
+
+
+def scaling_figure(dataset: xr.Dataset) -> Figure:
+    """Return the speed-up over one worker, w times the efficiency, beside the efficiency against w workers, by kind,
+    with the ideal line.
+
+    ``dataset`` has dimensions kind ("strong": the same work, "weak": the same work per worker) and workers, variables
+    seconds and efficiency (1 is ideal), each with a one-sigma NAME_error where it is known.
+    """
+    figure, grid = new_figure(8.0, 3.8, 1, 2, least=1.0)
+    workers = dataset["workers"].values.astype(float)
+    words = ("speed-up over one worker", "efficiency")
+    for axes, name, ideal in zip(grid, words, (workers, np.ones(len(workers))), strict=True):
+        axes.plot(workers, ideal, label="ideal", **GUIDE)
+        for number, kind in enumerate(dataset["kind"].values.tolist()):
+            one = dataset.sel(kind=kind)
+            value = one["efficiency"].transpose("workers", ...).values * ideal
+            error = one["efficiency_error"].values * ideal if "efficiency_error" in one else None
+            style = {**series(number), "markersize": 4.0, "linewidth": 1.0, "elinewidth": 0.8}
+            axes.errorbar(workers, value, yerr=error, label=f"{kind} scaling", **style)
+            if error is not None:
+                axes.fill_between(workers, value - error, value + error, color=COLOURS[number], **BAND)
+        logarithmic(axes, "x", workers)
+        axes.set_xticks(workers, [f"{w:g}" for w in workers])
+        axes.set_xticks([], minor=True)
+        axes.set(xlabel="workers", ylabel=name)
+        finish(axes)
+        legend(axes)
+    logarithmic(grid[0], "y", workers)
+    grid[1].set_ylim(0.0, max(1.1, 1.05 * float(np.nanmax(dataset["efficiency"].values))))
+    entitle(figure, str(dataset.attrs.get("title", "")))
+    return figure

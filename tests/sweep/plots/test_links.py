@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
+import xarray as xr
+from matplotlib.quiver import Quiver
 
 import linksweep
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.plots import kinds
-from linksweep.sweep.plots.caption import caption
-from linksweep.sweep.plots.tie.figure import draw_link, link_figures
-from linksweep.sweep.plots.tie.names import readable, unknown_symbol
-from linksweep.sweep.plots.tie.residuals import BANDS, _angles, _averaged
+from linksweep import SweepError
+from linksweep.sweep.plots import KINDS
+from linksweep.sweep.plots.figure import link_figures
 
 
 @pytest.fixture(scope="module")
@@ -24,9 +23,8 @@ def plan():
 
 
 def test_every_kind_of_figure_is_there_and_those_of_a_link_have_captions():
-    for table in (kinds.GRID, kinds.SCALING, kinds.STANDALONE, *kinds.LINK.values()):
-        assert all(kind.load() for kind in table.values())
-    assert all(kind.caption for table in kinds.LINK.values() for kind in table.values())
+    assert all(kind.load() for kinds in KINDS.values() for kind in kinds.values())
+    assert all(kind.caption for result in ("tie", "forecast") for kind in KINDS[result].values())
 
 
 def test_a_link_has_the_figures_that_its_content_allows(link):
@@ -35,15 +33,21 @@ def test_a_link_has_the_figures_that_its_content_allows(link):
     for figure in figures.values():
         assert "reference" in figure.get_suptitle()
     with pytest.raises(SweepError, match="--degree"):
-        draw_link(link, "spectrum")
+        linksweep.plot(link, "spectrum")
     with pytest.raises(SweepError, match="no kind 'lines' of a tie"):
         linksweep.plot(link, "lines")
     with pytest.raises(SweepError, match="no variables"):
         linksweep.plot(link, variables=["estimate"])
 
 
-def test_the_caption_of_a_link_says_what_its_kind_shows(link):
-    words = caption(linksweep.plot(link, "weight"), link)
+def test_a_command_draws_every_figure_of_a_link_and_their_captions(tmp_path, sweep):
+    link = tmp_path / "tie.zarr"
+    code, _, err = sweep("tie", "psrpi-de200", "timing-de200", "-o", link, "--figures", tmp_path / "all")
+    assert code == 0, err
+    drawn = {path.stem for path in (tmp_path / "all").glob("*.png")}
+    assert drawn == {"solution", "residuals", "separations", "weight", "ranking", "jackknife"}
+    assert sweep("plot", link, "--kind", "weight", "--caption", "-o", tmp_path / "weight.png")[0] == 0
+    words = (tmp_path / "weight.txt").read_text()
     assert words.startswith("Discrepancy of each source per observation, against its share of the weight: ")
     assert "reference" in words
 
@@ -96,30 +100,56 @@ def test_weights_show_the_dropped_source_apart(link):
     np.testing.assert_allclose(np.sort(kept[:, 0]), np.sort(link.share.values[link.weight_factor.values > 0.0, 0]))
 
 
-def test_arrows_point_as_the_sky_does(link):
-    """East is to the left and north up at the middle of the map; on the left edge a meridian leans inwards."""
-    axes = linksweep.plot(link, "residuals").axes[0]
-    at = np.zeros(2)
-    angles = _angles(axes, at, at, np.array([1.0, 0.0]), np.array([0.0, 1.0])) % 360.0
-    np.testing.assert_allclose(angles, [180.0, 90.0], atol=0.1)
-    leaning = _angles(axes, np.array([-2.5]), np.array([0.8]), np.zeros(1), np.ones(1))[0]
-    assert 0.0 < leaning < 80.0
+def arrows(axes):
+    """The places (deg), lengths and directions (deg) of the arrows of a map, in the units of its key."""
+    [drawn] = [one for one in axes.collections if isinstance(one, Quiver)]
+    u, v = np.asarray(drawn.U), np.asarray(drawn.V)
+    return 180.0 - np.degrees(drawn.X), np.degrees(drawn.Y), np.hypot(u, v), np.degrees(np.arctan2(v, u)), drawn
 
 
-def test_cells_have_weighted_means():
-    rng = np.random.default_rng(1)
-    n = 3000
+def residuals(ra, dec, values, errors):
+    """A link of one row for each source, with the same differences before and after the fit."""
+    both = np.full((len(ra), 5), np.nan)
+    both[:, :2] = values
+    rows = dict.fromkeys(("difference", "residual"), (("row", "observable"), both))
+    rows["difference_error"] = ("row", "observable"), np.concatenate([errors, np.ones((len(ra), 3))], axis=1)
+    rows |= {"row_source_index": ("row", np.arange(len(ra))), "weight_factor": ("source", np.ones(len(ra)))}
+    rows |= {"ra": ("source", ra), "dec": ("source", dec), "observable_unit": ("observable", ["mas"] * 5)}
+    return xr.Dataset(rows, attrs={"result": "tie", "satellite": "a", "reference": "b"})
+
+
+def test_arrows_point_as_the_sky_does():
+    """A step along an arrow on the sphere is a step along it on the map; east is to the left, north up."""
+    ra, dec = np.array([180.0, 180.0, 320.0, 359.0, 20.0]), np.array([0.0, 0.0, 45.0, -20.0, 70.0])
+    values = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [0.6, -0.8], [-1.0, 0.3]])
+    axes = linksweep.plot(residuals(ra, dec, values, np.ones((5, 2))), "residuals").axes[0]
+    _, _, length, angle, drawn = arrows(axes)
+    np.testing.assert_allclose(length, np.hypot(*values.T), rtol=1e-9)
+    np.testing.assert_allclose(angle, drawn.angles)
+    np.testing.assert_allclose(angle[:2] % 360.0, [180.0, 90.0], atol=0.1)
+    assert 0.0 < angle[2] < 80.0  # on the left edge a meridian leans inwards
+    small = 1e-3
+    east, north = small * values.T
+    places = np.radians([180.0 - ra, dec])
+    steps = np.radians([-east / np.cos(np.radians(dec)), north])
+    there = axes.transProjection.transform((places + steps).T) - axes.transProjection.transform(places.T)
+    np.testing.assert_allclose(np.degrees(np.arctan2(there[:, 1], there[:, 0])) % 360.0, angle % 360.0, atol=1.0)
+
+
+def test_many_arrows_are_weighted_means_of_cells_of_equal_area():
+    rng, n, bands = np.random.default_rng(1), 3000, 9
     ra, dec = rng.uniform(0.0, 360.0, n), np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, n)))
     values, errors = rng.normal(size=(n, 2)), rng.uniform(0.5, 2.0, (n, 2))
-    found = _averaged(ra, dec, values, errors)
-    assert len(found.ra) == 2 * BANDS**2
-    k = 40
-    step = 180.0 / BANDS
-    inside = (np.abs(ra - found.ra[k]) < step / 2) & (
-        np.abs(np.sin(np.radians(dec)) - np.sin(np.radians(found.dec[k]))) < 1.0 / BANDS
-    )
-    assert found.east[k] == pytest.approx(np.average(values[inside, 0], weights=errors[inside, 0] ** -2))
-    assert found.north[k] == pytest.approx(np.average(values[inside, 1], weights=errors[inside, 1] ** -2))
+    cell_ra, cell_dec, length, _, _ = arrows(linksweep.plot(residuals(ra, dec, values, errors), "residuals").axes[0])
+    assert len(cell_ra) == 2 * bands**2
+    means = []
+    for a, d in zip(cell_ra, cell_dec, strict=True):
+        inside = np.abs(ra - a) < 90.0 / bands
+        inside &= np.abs(np.sin(np.radians(dec)) - np.sin(np.radians(d))) < 1.0 / bands
+        means.append(np.average(values[inside], axis=0, weights=errors[inside] ** -2))
+    expected = np.hypot(*np.transpose(means))
+    whole = length < 0.999999 * length.max()  # the longest are cut
+    np.testing.assert_allclose(length[whole], expected[whole], rtol=1e-9)
 
 
 def test_a_forecast_has_its_epochs_and_ranking(plan):
@@ -132,15 +162,13 @@ def test_a_forecast_has_its_epochs_and_ranking(plan):
     now = float(plan.criterion.sel(stage="now"))
     np.testing.assert_allclose(bars[-1], 100.0 * (1.0 - plan.criterion_alone.values.min() / now))
     with pytest.raises(SweepError, match="--add"):
-        draw_link(linksweep.forecast("psrpi", "psrpi", "orientation"))
+        linksweep.plot(linksweep.forecast("psrpi", "psrpi", "orientation"))
 
 
-def test_units_and_symbols_can_be_read():
-    assert readable(np.array([0.01, np.nan, -0.2]), "mas/yr") == (1000.0, "µas/yr")
-    assert readable(np.array([0.01, 3.0]), "mas") == (1.0, "mas")
-    assert readable(np.array([0.0, np.nan]), "mas") == (1.0, "mas")
-    assert unknown_symbol("epsilon_x") == r"$\epsilon_x$"
-    assert unknown_symbol("position_glide_z") == "$G_z$"
-    assert unknown_symbol("omega_y[6,8)") == r"$\omega_y$[6,8)"
-    assert unknown_symbol("vsh_motion_t_2_1_im") == r"$t_{2,1}^\mathrm{Im}$"
-    assert unknown_symbol("vsh_position_s_12_0") == "$s_{12,0}$"
+def test_unknowns_have_symbols():
+    link = linksweep.tie("icrf3", "icrf2", degree=2)
+    names = [text.get_text() for text in linksweep.plot(link).axes[0].get_xticklabels()]
+    labels = dict(zip(link.unknown.values.tolist(), names, strict=True))
+    assert labels["epsilon_x"] == r"$\epsilon_x$"
+    assert labels["vsh_position_t_2_1_im"] == r"$t_{2,1}^\mathrm{Im}$"
+    assert labels["position_glide_z"] == "$G_z$"
