@@ -18,7 +18,7 @@ from linksweep.sweep.analysis.sentences import sentences
 from linksweep.sweep.contract import Array, SweepError
 from linksweep.sweep.formatting import in_ascii, in_short, meaning_beside, prefixed, units_of, with_unit
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.form import Conclusion, ConclusionValue
+from linksweep.sweep.studies.study import Conclusion, ConclusionValue
 
 CONCLUSION = "conclusion"
 """The attribute of a dataset that holds the conclusion of its study, as JSON."""

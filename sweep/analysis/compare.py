@@ -26,7 +26,7 @@ from linksweep.sweep.analysis.measured_claims import (
 from linksweep.sweep.analysis.quantity import OLD_ERRORS, has_old_errors, standard_error, unknown_parts
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import prefixed, units_of
-from linksweep.sweep.studies.form import printed_rounding
+from linksweep.sweep.studies.study import printed_rounding
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete"]
 VERDICTS: tuple[Verdict, ...] = ("reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete")

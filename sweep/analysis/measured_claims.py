@@ -16,7 +16,7 @@ from linksweep.sweep.analysis.selection import coordinates_along, place_in_words
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import units_of
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.form import Claim, Derived, Ratio, Reading, Slope
+from linksweep.sweep.studies.study import Claim, Derived, Ratio, Reading, Slope
 
 Index = Mapping[str, int]
 

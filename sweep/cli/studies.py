@@ -80,7 +80,7 @@ def params(experiment: str, schema: bool, as_json: bool) -> None:
     is_study = experiment.endswith(".toml") or experiment in built_in_studies()
     declared = load_study(experiment).experiment if is_study else load_experiment(experiment)
     if schema:
-        from linksweep.sweep.studies.schema import study_schema
+        from linksweep.sweep.studies.template import study_schema
 
         click.echo(json.dumps(study_schema(declared), indent=1, ensure_ascii=False))
         return

@@ -18,8 +18,7 @@ from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.stores.snapshot import dask_arrays_only_where_imported
-from linksweep.sweep.studies.form import printed_rounding
-from linksweep.sweep.studies.study import POINT
+from linksweep.sweep.studies.study import POINT, printed_rounding
 
 dask_arrays_only_where_imported()  # before the first dataset is made here; `snapshot.decode` does so before one is read
 

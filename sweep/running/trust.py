@@ -14,7 +14,7 @@ from linksweep.sweep.stores.folder import Folder
 from linksweep.sweep.stores.location import Location
 from linksweep.sweep.stores.origin import was_written_here
 from linksweep.sweep.stores.root import ROOT
-from linksweep.sweep.studies.form import DEFAULT_EXPERIMENT
+from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT
 
 
 def asking(location: Location, attributes: Mapping[str, Any], trust: bool = False) -> Code:

@@ -12,7 +12,7 @@ from linksweep.sweep.code.load import Code
 from linksweep.sweep.contract import Experiment, SweepError, shown, suggest
 from linksweep.sweep.contract.units import factor_between, is_quantity
 from linksweep.sweep.studies.document import Place, Problems
-from linksweep.sweep.studies.form import PointsForm
+from linksweep.sweep.studies.study import PointsForm
 from linksweep.sweep.studies.values import DESIGNS, MORRIS_LEVELS, Values, read_range
 from linksweep.sweep.tables.columns import rows_listed
 from linksweep.sweep.tables.reader import read_table

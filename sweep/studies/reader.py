@@ -36,9 +36,18 @@ from linksweep.sweep.studies.document import (
     read_text,
     reference_in,
 )
-from linksweep.sweep.studies.form import DEFAULT_EXPERIMENT, Form, PublishedForm, Sampling
 from linksweep.sweep.studies.points import plain, plain_points, read_points
-from linksweep.sweep.studies.study import POINT, Condition, PointTable, Published, Study
+from linksweep.sweep.studies.study import (
+    DEFAULT_EXPERIMENT,
+    POINT,
+    Condition,
+    Form,
+    PointTable,
+    Published,
+    PublishedForm,
+    Sampling,
+    Study,
+)
 from linksweep.sweep.studies.values import Values, is_number, number_problem
 from linksweep.sweep.tables.file import TableFile, content_digest
 

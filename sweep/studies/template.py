@@ -1,10 +1,12 @@
-"""A study to start from: it runs as it is, and has every parameter at its default as a comment."""
+"""What to begin a study with: a study that runs as it is, and the form of studies as JSON Schema, for editors."""
 
 import json
+import math
+from typing import Any
 
 from linksweep.sweep.contract import Experiment, Parameter
 from linksweep.sweep.functions.adapter import FunctionExperiment
-from linksweep.sweep.studies.form import Sampling
+from linksweep.sweep.studies.study import Form, Sampling
 from linksweep.sweep.studies.values import DESIGNS
 
 SAMPLING = {
@@ -20,13 +22,13 @@ SUGGESTED = {"precision": 0.01, "max_n_sim": 1_000_000}
 NOT_HERE = "not with the values above:"
 """The beginning of the reason why a parameter has no effect with the values of the new study."""
 
-FEW = 2
-"""Values on the axis of a new study."""
+Schema = dict[str, Any]
+SPACING: Schema = {"spacing": {"enum": ["linear", "log"]}}
 
 
 def new_study(title: str, reference: str, experiment: Experiment) -> str:
-    """Return the text of a study of the experiment at ``reference``, ``module:attribute`` or ``file.py:attribute``."""
-    axes = _first_axis(experiment)
+    """Return the text of a study of the experiment at ``reference``, with all parameters in comments."""
+    name, values = _first_axis(experiment)
     lines = [
         f"title = {_toml(title)}",
         '# question = "What do you want to know?"  # the report begins with it',
@@ -35,7 +37,7 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         "[axes]  # every combination of the values is a point of the grid",
         "# NAME = { start = 1.0, stop = 2.0, step = 0.5 }",
         '# NAME = { start = 10, stop = 1000, num = 5, spacing = "log" }',
-        *(f"{name} = {_toml(values)}" for name, values in axes.items()),
+        *([f"{name} = {_toml(values)}"] if name else []),
         "",
         "# [points]  # many parameters at once, crossed with the axes: a table, or a design in ranges",
         '# file = "runs.csv"  # a column for each parameter',
@@ -48,47 +50,38 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
     if not experiment.deterministic:
         lines += ["", "[sampling]", *_sampling(experiment)]
     lines += ["", "[fixed]  # any other parameter; these are the defaults"]
-    unused = _unused(experiment, axes)
-    for parameter in experiment.parameters:
-        if parameter.name in axes:
-            continue
+    unused = _unused(experiment, name, values)
+    for parameter in (one for one in experiment.parameters if one.name != name):
         unit = f" [{parameter.unit}]" if parameter.unit and f"[{parameter.unit}]" not in parameter.allowed() else ""
         why = f" ({NOT_HERE} {unused[parameter.name]})" if parameter.name in unused else ""
         words = f"# {parameter.meaning}{unit}; {parameter.allowed()}{why}".split()
         lines += ["", "".join(c for c in " ".join(words) if c.isprintable())]
         if parameter.required:
             lines.append(f"{parameter.name} = {_toml(_example(parameter))}  # has no default")
-            continue
-        default = "" if parameter.default is None else f" {_toml(parameter.written_default())}"
-        lines.append(f"# {parameter.name} ={default}")
-    return "\n".join([*lines, *_conclusion(experiment)]) + "\n"
-
-
-def _conclusion(experiment: Experiment) -> list[str]:
-    """Return the lines of a conclusion that is valid for any values of the axes; none if no result is one number."""
-    numbers = [output for output in experiment.outputs if not output.dims and "," not in output.unit]
+        else:
+            default = "" if parameter.default is None else f" {_toml(parameter.written_default())}"
+            lines.append(f"# {parameter.name} ={default}")
     main = dict(experiment.errors_of_headline())  # what tables and figures begin with
-    names = sorted((output.name for output in numbers), key=lambda name: name not in main)
-    if not names or isinstance(experiment, FunctionExperiment):
-        return []
-    value = f"{{ variable = {_toml(names[0])} }}"
-    return [
-        "",
-        "[conclusion]  # the answer: the last lines of a run, and the first of its report",
-        f"sentences = [{_toml(f'{names[0]} goes from {{least}} to {{largest}}.')}]",
-        "",
-        "[conclusion.values]  # numbers of the results; ratios and slopes too, see docs/studies.md",
-        f'least = {{ value = {value}, choose = "least" }}',
-        f'largest = {{ value = {value}, choose = "largest" }}',
-    ]
+    numbers = [output.name for output in experiment.outputs if not output.dims and "," not in output.unit]
+    if numbers and not isinstance(experiment, FunctionExperiment):
+        number = min(numbers, key=lambda one: one not in main)
+        value = f"{{ variable = {_toml(number)} }}"
+        lines += [
+            "",
+            "[conclusion]  # the answer: the last lines of a run, and the first of its report",
+            f"sentences = [{_toml(f'{number} goes from {{least}} to {{largest}}.')}]",
+            "",
+            "[conclusion.values]  # numbers of the results; ratios and slopes too, see docs/studies.md",
+            f'least = {{ value = {value}, choose = "least" }}',
+            f'largest = {{ value = {value}, choose = "largest" }}',
+        ]
+    return "\n".join(lines) + "\n"
 
 
 def _example(parameter: Parameter) -> object:
     """Return a value that a parameter without a default may have."""
-    tried = [*parameter.choices, 1.0, 1, True, "text", parameter.minimum, parameter.maximum]
-    if parameter.above is not None:
-        tried += [parameter.above + 1, 1.5 * parameter.above]
-    for value in tried:
+    above = [] if parameter.above is None else [parameter.above + 1, 1.5 * parameter.above]
+    for value in (*parameter.choices, 1.0, 1, True, "text", parameter.minimum, parameter.maximum, *above):
         try:
             parameter.parse(value)
         except ValueError:
@@ -106,36 +99,30 @@ def _sampling(experiment: Experiment) -> list[str]:
         "keep_samples": experiment.samples,
         "common_random_numbers": experiment.shared,
     }
-    lines = []
-    for name, field in Sampling.model_fields.items():
-        if needed.get(name, True):
-            mark, given = ("# ", SUGGESTED[name]) if name in SUGGESTED else ("", field.default)
-            words = SAMPLING[name].replace("catalogue", experiment.outer_draw or "point")
-            lines.append(f"{mark}{name} = {_toml(given)}  # {words}")
-    return lines
+    keys = [name for name in Sampling.model_fields if needed.get(name, True)]
+    values = {name: field.default for name, field in Sampling.model_fields.items()} | SUGGESTED
+    words = {name: SAMPLING[name].replace("catalogue", experiment.outer_draw or "point") for name in keys}
+    return [f"{'# ' if name in SUGGESTED else ''}{name} = {_toml(values[name])}  # {words[name]}" for name in keys]
 
 
-def _first_axis(experiment: Experiment) -> dict[str, list[object]]:
-    """Return a parameter and values of it that can be computed with all others at their defaults."""
-    chosen = [p for p in experiment.parameters if p.choices and p.default is not None]
-    for parameter in sorted(chosen, key=lambda p: p.define is None):  # first those that users can extend
-        good = [choice for choice in parameter.choices if _works(experiment, parameter.name, choice)]
-        if len(good) >= FEW:
-            return {parameter.name: list(good[:FEW])}
-    given = [p for p in experiment.parameters if p.default is not None and p.may_be_axis]
-    return {p.name: [p.written_default()] for p in given[:1]}
+def _first_axis(experiment: Experiment) -> tuple[str, list[Any]]:
+    """Return a parameter and values of it that can be computed with all others at their defaults, '' if none can."""
+    known = [parameter for parameter in experiment.parameters if parameter.default is not None]
+    for parameter in sorted(known, key=lambda one: one.define is None):  # first those that users can extend
+        good = []
+        for choice in parameter.choices:
+            try:
+                if experiment.check(experiment.defaults() | {parameter.name: choice}) is None:
+                    good.append(choice)
+            except Exception:
+                pass
+        if len(good) >= 2:
+            return parameter.name, good[:2]
+    return next(((p.name, [p.written_default()]) for p in known if p.may_be_axis), ("", []))
 
 
-def _works(experiment: Experiment, name: str, choice: str) -> bool:
-    try:
-        return experiment.check(experiment.defaults() | {name: choice}) is None
-    except Exception:  # whatever a user's experiment raises: then it is no value to begin with
-        return False
-
-
-def _unused(experiment: Experiment, axes: dict[str, list[object]]) -> dict[str, str]:
+def _unused(experiment: Experiment, name: str, values: list[Any]) -> dict[str, str]:
     """Return the parameters that change nothing at any point of the new study, and why."""
-    [(name, values)] = axes.items() or [("", [])]
     try:
         found = [dict(experiment.unused(experiment.defaults() | {name: value})) for value in values]
     except Exception:  # whatever a user's experiment raises; `sweep plan` says what
@@ -152,3 +139,81 @@ def _toml(value: object) -> str:
         return repr(value)
     # TOML's strings, integers and booleans are JSON's, but for one character
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def study_schema(experiment: Experiment) -> Schema:
+    """Return the JSON Schema of studies of an experiment.
+
+    A study that `sweep plan` accepts conforms to it.  What depends on several values at once is left to `sweep plan`.
+    """
+    schema, parameters = Form.model_json_schema(), experiment.parameters
+    swept = [p for p in parameters if p.may_be_axis]
+    defined = {p.name: {"type": "object", "description": f"own values of {p.name}"} for p in parameters if p.define}
+    schema["properties"] |= {
+        "axes": _table({p.name: _ways(p, _axis_ways(p)) for p in swept}),
+        "fixed": _table({p.name: _value(p) for p in parameters}),
+        "define": _table(defined),
+    }
+    schema["$defs"]["PointsForm"]["properties"] |= {
+        "design": {"enum": list(DESIGNS), "description": "a design of points in the ranges"},
+        "ranges": _table({p.name: _ways(p, _range_ways(p)) for p in swept}),
+        "columns": _table({p.name: {"type": "array", "items": _value(p)} for p in swept}),
+    }
+    schema["properties"]["exclude"]["items"] = _table({p.name: _described(p) for p in parameters})
+    dialect = "https://json-schema.org/draft/2020-12/schema"
+    return {"$schema": dialect, **schema, "title": f"a study of the experiment {experiment.name}"}
+
+
+def _table(properties: Schema, **more: Any) -> Schema:
+    return {"type": "object", "properties": properties, "additionalProperties": False, **more}
+
+
+def _described(parameter: Parameter) -> Schema:
+    return {"description": f"{parameter.meaning}{f' [{parameter.unit}]' if parameter.unit else ''}"}
+
+
+def _ways(parameter: Parameter, ranges: list[Schema]) -> Schema:
+    """Return the ways to write values of a parameter: a table with a list of them, or in another way."""
+    values = {"type": "array", "items": _value(parameter), "minItems": 1}
+    return {**_described(parameter), "anyOf": [_way({"values": values}), *ranges]}
+
+
+def _axis_ways(parameter: Parameter) -> list[Schema]:
+    ways: list[Schema] = [{"type": "array", "items": _value(parameter), "minItems": 1}]
+    if parameter.kind in ("int", "float"):
+        ends, count = {"start": {"type": "number"}, "stop": {"type": "number"}}, {"type": "integer", "minimum": 1}
+        ways += [_way({**ends, "step": {"type": "number"}}), _way({**ends, "num": count}, SPACING)]
+    return ways
+
+
+def _range_ways(parameter: Parameter) -> list[Schema]:
+    if parameter.kind not in ("int", "float", "any") or parameter.choices:
+        return []
+    number: Schema = {"type": "number"}
+    pair = {"type": "array", "items": number, "minItems": 2, "maxItems": 2}
+    return [pair, _way({"low": number, "high": number}, SPACING)]
+
+
+def _way(needed: Schema, possible: Schema | None = None) -> Schema:
+    return _table({**needed, **(possible or {})}, required=list(needed))
+
+
+def _value(parameter: Parameter) -> Schema:
+    number: Schema = {"type": "integer" if parameter.kind == "int" else "number"}
+    bounds = {"minimum": parameter.minimum, "maximum": parameter.maximum, "exclusiveMinimum": parameter.above}
+    number |= {key: bound for key, bound in bounds.items() if bound is not None and math.isfinite(bound)}
+    text: Schema = {"type": "string"}
+    if parameter.choices:
+        text |= {"enum" if parameter.define is None else "examples": list(parameter.choices)}
+    kinds: dict[str, Schema] = {
+        "float": number,
+        "int": number,
+        "str": text,
+        "bool": {"type": "boolean"},
+        "vector": {"type": "array", "items": number, "minItems": 3, "maxItems": 3},
+        "map": {"type": "object", "additionalProperties": {"type": "string"}},
+        "file": {"type": "string"},
+        "any": {"type": ["number", "string", "boolean"]},
+    }
+    default = {} if parameter.default is None else {"default": parameter.written_default()}
+    return {**_described(parameter), **kinds[parameter.kind], **default}

@@ -22,8 +22,8 @@ from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.document import built_in_studies
-from linksweep.sweep.studies.form import printed_rounding
 from linksweep.sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.studies.study import printed_rounding
 from tests.conftest import COINS
 
 ROOT = Path(__file__).parents[3]

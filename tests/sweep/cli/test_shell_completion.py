@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from linksweep.sweep.cli.shell_completion import SAMPLING
-from linksweep.sweep.studies.form import Sampling
+from linksweep.sweep.studies.study import Sampling
 from tests.tiers import slow
 
 BIN = Path(sys.executable).parent

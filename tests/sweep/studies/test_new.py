@@ -12,8 +12,7 @@ from linksweep.sweep.code.load import load_experiment
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict
-from linksweep.sweep.studies.schema import study_schema
-from linksweep.sweep.studies.template import NOT_HERE, new_study
+from linksweep.sweep.studies.template import NOT_HERE, new_study, study_schema
 from tests.conftest import COINS
 from tests.sweep.mutations import corpus
 from tests.sweep.studies.test_study_fuzz import GOOD, documents
