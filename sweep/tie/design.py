@@ -22,12 +22,11 @@ from linksweep.sweep.tie.solution import Link, solve_link
 ERRORS = ("scaled", "formal", "jackknife")
 
 DECIDING = (
-    *("unknowns", "degree", "bins", "by", "epoch", "weights", "known_spin", "aberration", "positions", "zero_errors"),
-    "extragalactic",
-    *("satellite_columns", "reference_columns", "satellite_epoch", "reference_epoch"),
-    *("position_jitter", "motion_jitter", "candidates"),
+    *("satellite", "reference", "zero_motion", "unknowns", "degree", "bins", "by", "epoch", "weights", "known_spin"),
+    *("aberration", "positions", "zero_errors", "extragalactic", "satellite_columns", "reference_columns"),
+    *("satellite_epoch", "reference_epoch", "position_jitter", "motion_jitter", "candidates"),
 )
-"""The parameters, beside the tables, that decide which rows belong to which sources."""
+"""The parameters that decide which rows belong to which sources."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +56,11 @@ def design_of(point: Point) -> Design:
 def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     point = dict(values)
     clip = parse_clip(point["clip"])
-    setup = _within(_set_up(_options_of(point)), point)
+    setup = _within(_set_up(tuple((name, point[name]) for name in DECIDING)), point)
     problem = setup.problem
     if not point["correlations"]:
-        without = replace(problem.satellite, correlations=None), replace(problem.rows, correlations=None)
-        problem = replace(problem, satellite=without[0], rows=without[1])
+        own, rows = (replace(one, correlations=None) for one in (problem.satellite, problem.rows))
+        problem = replace(problem, satellite=own, rows=rows)
         setup = replace(setup, problem=problem)
     matched = np.unique(problem.source)
     solved = solve_link(setup.only(matched), str(clip), ERRORS) if len(matched) else None
@@ -78,51 +77,39 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     return Design(clip, solved, len(matched), problem.only(np.unique(problem.source)), tuple(notes))
 
 
-def _options_of(point: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Return everything that decides which rows belong to which sources, as the key of a cache."""
-    reference = None if point["reference"] is None else (point["reference"].path, point["reference"].digest)
+@lru_cache(maxsize=4)
+def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
+    """Return the tables as they are; points that differ in nothing of `DECIDING` share them."""
+    point = dict(values)
+    reference, zero_motion = point["reference"], point["zero_motion"]
     if point["satellite"] is None:
         raise SweepError("satellite is required: the table of the satellite")
-    if reference is not None and point["zero_motion"]:
+    if reference is not None and zero_motion:
         raise SweepError("zero_motion = true is for quasars without a table, and there is a reference")
-    table = (point["satellite"].path, point["satellite"].digest)
-    return (table, reference, point["zero_motion"], tuple((name, point[name]) for name in DECIDING))
-
-
-@lru_cache(maxsize=4)
-def _set_up(key: tuple[Any, ...]) -> Setup:
-    (satellite, _), reference, zero_motion, named = key
-    given = dict(named)
-    jitter = given["position_jitter"], given["motion_jitter"]
-    of_table = {
-        side: TableOptions(
-            columns=dict(given[f"{side}_columns"]),
-            epoch=given[f"{side}_epoch"],
-            zero_errors=given["zero_errors"],
-            extragalactic=given["extragalactic"] in (side, "both"),
-            positions=None if side == "satellite" or given["positions"] == "table" else given["positions"],
+    jitter = point["position_jitter"], point["motion_jitter"]
+    satellite_options, reference_options = (
+        TableOptions(
+            columns=dict(point[f"{side}_columns"]),
+            epoch=point[f"{side}_epoch"],
+            zero_errors=point["zero_errors"],
+            extragalactic=point["extragalactic"] in (side, "both"),
+            positions=None if side == "satellite" or point["positions"] == "table" else point["positions"],
         )
         for side in ("satellite", "reference")
-    }
-    options = Options(
-        unknowns=given["unknowns"],
-        degree=given["degree"],
-        bins=parse_bins(given["bins"]) if given["bins"] else None,
-        by=given["by"] or None,
-        epoch=given["epoch"],
-        weights=given["weights"],
-        known_spin=given["known_spin"],
-        aberration=given["aberration"],
-        jitter={ALL: jitter} if any(jitter) else {},
-        satellite_options=of_table["satellite"],
-        reference_options=of_table["reference"],
     )
-    everything = reference is None or given["candidates"] == "all"
-    setup = set_up(satellite, ZERO_MOTION if reference is None else reference[0], options, everything)
+    options = Options(
+        **{name: point[name] for name in ("unknowns", "degree", "epoch", "weights", "known_spin", "aberration")},
+        bins=parse_bins(point["bins"]) if point["bins"] else None,
+        by=point["by"] or None,
+        jitter={ALL: jitter} if any(jitter) else {},
+        satellite_options=satellite_options,
+        reference_options=reference_options,
+    )
+    everything = reference is None or point["candidates"] == "all"
+    setup = set_up(point["satellite"].path, reference.path if reference else ZERO_MOTION, options, everything)
     if reference is None and not zero_motion:
         none = np.zeros(0, dtype=np.int64)
-        problem = replace(setup.problem, rows=setup.problem.rows.taken(none), source=none)
-        setup = replace(setup, problem=problem)
+        setup = replace(setup, problem=replace(setup.problem, rows=setup.problem.rows.taken(none), source=none))
     return setup
 
 

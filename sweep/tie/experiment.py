@@ -11,7 +11,8 @@ from linksweep.core.tie.draws import Draw, Simulation
 from linksweep.core.tie.solution import Solution, solve
 from linksweep.core.tie.sources import sources_of
 from linksweep.sweep.contract import Experiment, Point, SweepError
-from linksweep.sweep.tie.components import (
+from linksweep.sweep.tie.design import Design, design_of
+from linksweep.sweep.tie.parameters import (
     BIN_SHAPE,
     COMPONENTS,
     FIELD_UNITS,
@@ -19,42 +20,34 @@ from linksweep.sweep.tie.components import (
     HIGHEST_STORED,
     MOST_BINS,
     ORIENTATION,
+    OUTPUTS,
+    PARAMETERS,
     POWER_SHAPE,
+    SAMPLE_OUTPUTS,
     SPIN,
+    TABLE,
     UNITS,
-    any_stored,
     by_bins,
     components,
+    is_stored,
     powers,
 )
-from linksweep.sweep.tie.design import Design, design_of
-from linksweep.sweep.tie.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, TABLE
-from linksweep.sweep.tie.summary import FACTS, summarise
 
+FACTS = ("n_sources", "n_kept", "chi2_ratio", "largest_share", "n_drawn")
+"""Numbers of the tables that no draw changes."""
+
+KINDS = ("formal", "scaled", "jackknife")
 N = len(COMPONENTS)
 SUMS: Mapping[str, tuple[int, ...]] = {
     "facts": (len(FACTS),),
-    "estimate": (N,),
-    "error_formal": (N,),
-    "error_scaled": (N,),
-    "error_jackknife": (N,),
-    "predicted_variance": (N,),
-    "error": (N,),
-    "error_squares": (N,),
-    "mean_square": (2,),
-    "mean_square_squares": (2,),
-    "within": (N,),
-    "within_scaled": (N,),
+    **dict.fromkeys(("estimate", *(f"error_{kind}" for kind in KINDS), "predicted_variance"), (N,)),
+    **dict.fromkeys(("error", "error_squares", "within", "within_scaled"), (N,)),
+    **dict.fromkeys(("mean_square", "mean_square_squares"), (2,)),
     "power": (3, *POWER_SHAPE),
-    "power_predicted": POWER_SHAPE,
-    "power_drawn": POWER_SHAPE,
-    "power_drawn_squares": POWER_SHAPE,
+    **dict.fromkeys(("power_predicted", "power_drawn", "power_drawn_squares"), POWER_SHAPE),
     "bins": (2, *BIN_SHAPE),
-    "bins_variance": BIN_SHAPE,
-    "bins_squares": BIN_SHAPE,
-    "kept": (),
-    "ratio": (),
-    "ratio_squares": (),
+    **dict.fromkeys(("bins_variance", "bins_squares"), BIN_SHAPE),
+    **dict.fromkeys(("kept", "ratio", "ratio_squares"), ()),
 }
 
 
@@ -62,57 +55,52 @@ def evaluate(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
     """Return the sums of `SUMS` over ``n_sim`` draws of the errors of each point's tables."""
-    return _stacked([_simulated(point, n_sim, rng)[0] for point in points])
+    rows = [_simulated(point, n_sim, rng)[0] for point in points]
+    return {name: np.array([row[name] for row in rows]) for name in SUMS}
 
 
 def samples(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
     """Return what `evaluate` returns and the estimates, shape (points, n_sim, components)."""
-    found = [_simulated(point, n_sim, rng) for point in points]
-    return _stacked([sums for sums, _ in found]) | {"drawn": np.array([drawn for _, drawn in found])}
-
-
-def _stacked(rows: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
-    return {name: np.array([row[name] for row in rows]) for name in SUMS}
+    rows = [_simulated(point, n_sim, rng) for point in points]
+    sums = {name: np.array([row[name] for row, _ in rows]) for name in SUMS}
+    return sums | {"drawn": np.array([drawn for _, drawn in rows])}
 
 
 def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> tuple[dict[str, Array], Array]:
     """Return the sums of one point, and its estimates in mas and mas/yr (n_sim, components)."""
     design = design_of(point)
+    unknowns, labels = design.problem.unknowns, design.problem.unknowns.labels
     truth = design.truth if point["truth"] == "estimate" else np.zeros_like(design.truth)
     simulation = Simulation(design.problem, truth, point["error_factor"], point["outliers"], point["outlier_factor"])
-    labels = design.problem.unknowns.labels
     solution = solve(simulation.normals, labels)
+    covariance = solution.covariance
     drawn = [_drawn(draw, design.clip, truth, solution, labels) for draw in simulation.draws(n_sim, rng)]
     error, formal, ratio, kept = (np.array(part) for part in zip(*drawn, strict=True))
-    unknowns, covariance = design.problem.unknowns, solution.covariance
     power = np.array([powers(unknowns, one * MAS, covariance)[0] for one in error])
     in_bins = by_bins(unknowns, error)
     error, formal = components(error, labels), components(formal, labels)
-    scaled = formal * np.sqrt(ratio)[:, None]
-    size = np.abs(error)
     missing = np.where(np.isnan(error[0]), np.nan, 0.0)  # unknowns that are not solved for
-    mean_square = np.stack([np.mean(error[:, part] ** 2, axis=1) for part in (ORIENTATION, SPIN)], axis=1)
-    sums = {name: n_sim * value for name, value in _of_tables(design).items()}
-    sums |= {
-        "predicted_variance": n_sim * components(np.diag(solution.covariance) / MAS**2, labels),
-        "error": error.sum(axis=0),
-        "error_squares": np.sum(error**2, axis=0),
-        "mean_square": mean_square.sum(axis=0),
-        "mean_square_squares": np.sum(mean_square**2, axis=0),
-        "within": np.sum(size <= formal, axis=0) + missing,
-        "within_scaled": np.sum(size <= scaled, axis=0) + np.where(np.isnan(ratio).any(), np.nan, missing),
-        "power_predicted": n_sim * powers(unknowns, solution.estimate, covariance)[1],
-        "power_drawn": power.sum(axis=0),
-        "power_drawn_squares": np.sum(power**2, axis=0),
-        "bins_variance": n_sim * by_bins(unknowns, np.diag(covariance) / MAS**2),
-        "bins_squares": np.sum(in_bins**2, axis=0),
-        "kept": np.array(kept.sum()),
-        "ratio": np.array(ratio.sum()),
-        "ratio_squares": np.array(np.sum(ratio**2)),
+    within = {"within": formal, "within_scaled": formal * np.sqrt(ratio)[:, None]}
+    moments = {
+        "error": error,
+        "mean_square": np.stack([np.mean(error[:, part] ** 2, axis=1) for part in (ORIENTATION, SPIN)], axis=1),
+        "power_drawn": power,
+        "ratio": ratio,
     }
-    return sums, error + components(truth / MAS, labels)
+    fixed = _fixed(design) | {
+        "predicted_variance": components(np.diag(covariance) / MAS**2, labels),
+        "power_predicted": powers(unknowns, solution.estimate, covariance)[1],
+        "bins_variance": by_bins(unknowns, np.diag(covariance) / MAS**2),
+    }
+    sums = {name: n_sim * values for name, values in fixed.items()}
+    sums |= {name: np.asarray(values.sum(axis=0)) for name, values in (moments | {"kept": kept}).items()}
+    sums |= {f"{name}_squares": np.asarray(np.sum(values**2, axis=0)) for name, values in moments.items()}
+    sums |= {name: np.sum(np.abs(error) <= size, axis=0) + missing for name, size in within.items()}
+    if np.isnan(ratio).any():
+        sums["within_scaled"] = np.full(N, np.nan)
+    return sums | {"bins_squares": np.sum(in_bins**2, axis=0)}, error + components(truth / MAS, labels)
 
 
 def _drawn(
@@ -124,33 +112,72 @@ def _drawn(
         estimate, expected, kept = one.inverse @ right, one.expected, len(draw.sums)
         squares = max(0.0, float(draw.sums.squares.sum() - right @ estimate))
     else:
-        found = clipped(clip, sources_of(draw.sums, labels), draw.separations)
-        one, kept = found.solution, int(np.sum(found.factors > 0.0))
+        result = clipped(clip, sources_of(draw.sums, labels), draw.separations)
+        one, kept = result.solution, int(np.sum(result.factors > 0.0))
         estimate, expected, squares = one.estimate, one.expected, one.squares
     ratio = squares / expected if one.dof > 0 and expected > 0.0 else np.nan
     return (estimate - truth) / MAS, np.sqrt(np.diag(one.covariance)) / MAS, ratio, kept
 
 
-def _of_tables(design: Design) -> dict[str, Array]:
+def _fixed(design: Design) -> dict[str, Array]:
     """Return what no draw changes: the solution of the tables as they are, in mas and mas/yr."""
-    labels = design.problem.unknowns.labels
-    kinds = ("formal", "scaled", "jackknife")
-    found = {f"error_{kind}": np.full(N, np.nan) for kind in kinds}
-    estimate = np.full(N, np.nan)
-    kept = ratio = share = np.nan
-    power, in_bins = np.full((3, *POWER_SHAPE), np.nan), np.full((2, *BIN_SHAPE), np.nan)
-    if (solved := design.solved) is not None:
-        estimate = components(solved.solution.estimate / MAS, labels)
-        errors = {kind: np.sqrt(np.diag(solved.covariances[kind])) / MAS for kind in kinds}
-        found = {f"error_{kind}": components(error, labels) for kind, error in errors.items()}
-        unknowns = design.problem.unknowns
-        power = powers(unknowns, solved.solution.estimate, solved.solution.covariance)
-        in_bins = np.array([by_bins(unknowns, one) for one in (solved.solution.estimate / MAS, errors["scaled"])])
-        kept = float(np.sum((solved.found.factors > 0.0) & (solved.count > 0)))
-        ratio = solved.solution.scale**2
-        share = np.nan if solved.influence is None else float(solved.influence.share.max())
-    facts = np.array([float(design.matched), kept, ratio, share, float(len(design.problem.satellite))])
-    return found | {"estimate": estimate, "facts": facts, "power": power, "bins": in_bins}
+    unknowns, solved = design.problem.unknowns, design.solved
+    facts = [float(design.matched), np.nan, np.nan, np.nan, float(len(design.problem.satellite))]
+    if solved is None:
+        fixed = {
+            name: np.full(SUMS[name], np.nan) for name in ("estimate", *(f"error_{k}" for k in KINDS), "power", "bins")
+        }
+        return fixed | {"facts": np.array(facts)}
+    estimate = solved.solution.estimate / MAS
+    errors = {kind: np.sqrt(np.diag(solved.covariances[kind])) / MAS for kind in KINDS}
+    facts[1:3] = float(np.sum((solved.clipped.factors > 0.0) & (solved.count > 0))), solved.solution.scale**2
+    facts[3] = np.nan if solved.influence is None else float(solved.influence.share.max())
+    return {
+        "facts": np.array(facts),
+        "estimate": components(estimate, unknowns.labels),
+        **{f"error_{kind}": components(error, unknowns.labels) for kind, error in errors.items()},
+        "power": powers(unknowns, solved.solution.estimate, solved.solution.covariance),
+        "bins": np.array([by_bins(unknowns, one) for one in (estimate, errors["scaled"])]),
+    }
+
+
+def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Array]:
+    """Return every output from the sums over n draws."""
+    each = {name: n.reshape(-1, *[1] * (total.ndim - 1)) for name, total in sums.items()}
+    mean = {name: total / each[name] for name, total in sums.items()}
+
+    def error_of_mean(name: str) -> Array:
+        """Return the standard error of a mean from the scatter of the n numbers; NaN for one."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            size = np.where(each[name] > 1, each[name] - 1.0, np.nan)
+            return np.sqrt(np.maximum(mean[f"{name}_squares"] - mean[name] ** 2, 0.0) / size)
+
+    results = dict(zip(FACTS, mean["facts"].T, strict=True))
+    for name in ("n_sources", "n_kept", "n_drawn"):
+        results[name] = np.round(results[name])  # a whole number times n, over n
+    results |= {name: mean[name] for name in ("estimate", *(f"error_{kind}" for kind in KINDS))}
+    for name, squares, variance in (
+        ("sigma", "error_squares", "predicted_variance"),
+        ("sigma_by_bin", "bins_squares", "bins_variance"),
+    ):
+        results[name] = np.sqrt(mean[squares])
+        results[f"{name}_mc_error"] = results[name] / np.sqrt(2.0 * each[squares])
+        results[f"{name}_predicted"] = np.sqrt(mean[variance])
+    for name, key in (("bias", "error"), ("chi2_ratio_drawn", "ratio"), ("power_drawn", "power_drawn")):
+        results[name], results[f"{name}_mc_error"] = mean[key], error_of_mean(key)
+    for name, key in (("coverage", "within"), ("coverage_scaled", "within_scaled")):
+        between = (sums[key] + 1.0) / (each[key] + 2.0)  # never 0 or 1, where the error would be 0
+        results[name], results[f"{name}_mc_error"] = mean[key], np.sqrt(between * (1.0 - between) / each[key])
+    for which, (name, part) in enumerate((("sigma_orientation", ORIENTATION), ("sigma_spin", SPIN))):
+        rms = results[name] = np.sqrt(mean["mean_square"][:, which])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            scatter = error_of_mean("mean_square")[:, which] / (2.0 * rms)
+        results[f"{name}_mc_error"] = np.where(rms > 0.0, scatter, rms)
+        results[f"{name}_predicted"] = np.sqrt(mean["predicted_variance"][:, part].mean(axis=1))
+    power = ("power", "power_noise", "power_probability")
+    results |= dict(zip(power, np.moveaxis(mean["power"], 1, 0), strict=True))
+    results |= dict(zip(("spin_by_bin", "spin_by_bin_error"), np.moveaxis(mean["bins"], 1, 0), strict=True))
+    return results | {"n_kept_drawn": mean["kept"], "power_drawn_predicted": mean["power_predicted"]}
 
 
 def check(point: Point) -> str | None:
@@ -160,7 +187,7 @@ def check(point: Point) -> str | None:
         if design.solved is not None and design.solved.misfit.absurd and not point["accept_misfit"]:
             return f"{design.solved.misfit.text}; accept_misfit = true computes it all the same"
         solve(Simulation(design.problem, design.truth).normals, design.problem.unknowns.labels)
-        if not any_stored(design.problem.unknowns):
+        if not is_stored(design.problem.unknowns):
             places = f"results have no place for any of these; harmonics end at degree {HIGHEST_STORED}"
             return f"unknowns = {point['unknowns']!r}: {places}"
     except (SweepError, ValueError) as error:  # LinkError is one
@@ -177,23 +204,19 @@ def warn(point: Point) -> list[str]:
 
 def unused(point: Point) -> dict[str, str]:
     """Return the parameters that change nothing at a point, each with a clause that says why."""
-    found: dict[str, str] = {}
-
-    def without(use: bool, why: str, *names: str) -> None:
-        found.update({} if use else dict.fromkeys(names, why))
-
-    reference = point["reference"] is not None
-    of_reference = ("reference_columns", "reference_epoch", "positions", "by", "aberration")
-    without(reference, "there is no reference", *of_reference)
-    of_rows = ("truth", "position_jitter", "motion_jitter", "known_spin", "accept_misfit")
-    without(reference or point["zero_motion"], "there are no rows of a reference", *of_rows)
-    without(point["release"] != TABLE, "it is for a release", "from_release")
+    reference, limits = point["reference"] is not None, point["g_min"] is not None or point["g_max"] is not None
+    rows = ("truth", "position_jitter", "motion_jitter", "known_spin", "accept_misfit")
     new = ("new_epoch", "new_error", "new_positions", "goal", "candidates")
-    without(point["n_new"] > 0, "it is for n_new above 0", *new)
-    limits = point["g_min"] is not None or point["g_max"] is not None
-    without(limits, "it is for g_min or g_max", "magnitude")
-    without(point["outliers"] > 0.0, "it is for outliers above 0", "outlier_factor")
-    return found
+    columns = ("reference_columns", "reference_epoch", "positions", "by", "aberration")
+    needs = (
+        (reference, "there is no reference", columns),
+        (reference or point["zero_motion"], "there are no rows of a reference", rows),
+        (point["release"] != TABLE, "it is for a release", ("from_release",)),
+        (point["n_new"] > 0, "it is for n_new above 0", new),
+        (limits, "it is for g_min or g_max", ("magnitude",)),
+        (point["outliers"] > 0.0, "it is for outliers above 0", ("outlier_factor",)),
+    )
+    return {name: why for used, why, names in needs if not used for name in names}
 
 
 def cost(point: Point) -> float:

@@ -7,22 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from linksweep.core.arrays import Array
 from linksweep.core.constants import MAS
 from linksweep.core.tie.astrometry import kinds
-from linksweep.core.tie.clips import Clipped, separation
+from linksweep.core.tie.clips import separation
 from linksweep.core.tie.differences import differences
 from linksweep.core.unknowns import PARAMETERS, SpinByBin
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
-from linksweep.sweep.tie.components import spectrum
 from linksweep.sweep.tie.options import SIGNS, Options
 from linksweep.sweep.tie.row_groups import set_up_row_groups, why_whole
 from linksweep.sweep.tie.setup import set_up
-from linksweep.sweep.tie.solution import RESAMPLES, Link, solve_link
+from linksweep.sweep.tie.solution import RESAMPLES, Link, solve_link, spectrum
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -142,30 +140,30 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
     """
     import xarray as xr
 
-    problem, solution = link.setup.problem, link.solution
-    sign = SIGNS[options.sign]
-    unknowns = problem.unknowns
+    setup, problem, solution = link.setup, link.setup.problem, link.solution
+    unknowns, sign = problem.unknowns, SIGNS[options.sign]
     order = [link.main, *(kind for kind in link.covariances if kind != link.main)]
     covariance = np.array([link.covariances[kind] for kind in order]) / MAS**2
     errors = np.sqrt(np.einsum("ekk->ek", covariance))
-    main, units = covariance[0], list(unknowns.units)
+    with np.errstate(invalid="ignore", divide="ignore"):  # tables without any discrepancy have scaled errors of 0
+        correlation = covariance[0] / np.outer(errors[0], errors[0])
     variables: dict[str, Any] = {
         "estimate": ("unknown", sign * solution.estimate / MAS, {"long_name": f"{options.sign}", "sign": options.sign}),
         "error": ("unknown", errors[0], {"kind": link.main}),
         "errors": (("error_kind", "unknown"), errors),
-        "covariance": (("unknown", "unknown_other"), main, {"kind": link.main}),
+        "covariance": (("unknown", "unknown_other"), covariance[0], {"kind": link.main}),
         "covariances": (("error_kind", "unknown", "unknown_other"), covariance),
-        "correlation": (("unknown", "unknown_other"), _correlation(main)),
+        "correlation": (("unknown", "unknown_other"), correlation),
         "chi2": ((), solution.squares),
         "chi2_expected": ((), solution.expected, {"long_name": "average of chi2 if the errors are right"}),
         "dof": ((), solution.dof),
-        "n_sources": ((), int(np.sum((link.found.factors > 0) & (link.count > 0)))),
+        "n_sources": ((), int(np.sum((link.clipped.factors > 0) & (link.count > 0)))),
         "n_sources_matched": ((), len(problem.satellite)),
     }
     coordinates: dict[str, Any] = {
         "unknown": list(unknowns.labels),
         "unknown_other": list(unknowns.labels),
-        "unit": ("unknown", units),
+        "unit": ("unknown", list(unknowns.units)),
         "block": ("unknown", [b.name for b in unknowns.blocks for _ in b.labels]),
         "error_kind": order,
     }
@@ -173,8 +171,8 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         _add_sources(link, variables, coordinates, sign)
         if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
             _add_rows(link, variables, coordinates, sign)
-    _add_steps(link.found, link.setup.names, variables, sign)
-    _add_spectrum(link, main, variables, coordinates)
+    _add_steps(link, variables, sign)
+    _add_spectrum(link, covariance[0], variables, coordinates)
     _add_bins(link, errors[0], variables, coordinates, sign)
     attributes = {
         "result": "tie",
@@ -182,14 +180,14 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "epoch": problem.epoch,
         "clip": link.clip,
         "weights": problem.weights,
-        "matched_by": link.setup.matched.by,
-        "rows_unmatched": len(link.setup.matched.unmatched),
-        "satellite": link.setup.satellite.path,
-        "satellite_sha256": link.setup.satellite.digest,
-        "reference": link.setup.reference.path,
-        "reference_sha256": link.setup.reference.digest,
-        "missions": {name: table.path for name, table in link.setup.missions.items()},
-        "missions_sha256": {name: table.digest for name, table in link.setup.missions.items()},
+        "matched_by": setup.matched.by,
+        "rows_unmatched": len(setup.matched.unmatched),
+        "satellite": setup.satellite.path,
+        "satellite_sha256": setup.satellite.digest,
+        "reference": setup.reference.path,
+        "reference_sha256": setup.reference.digest,
+        "missions": {name: table.path for name, table in setup.missions.items()},
+        "missions_sha256": {name: table.digest for name, table in setup.missions.items()},
         "known_spin": str(options.known_spin) if options.known_spin is not None else "none",
         "aberration_uas_yr": options.aberration,
         "jitter": ", ".join(f"{k}={p:g}:{m:g}" for k, (p, m) in options.jitter.items()) or "none",
@@ -199,26 +197,20 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
-def _correlation(covariance: Array) -> Array:
-    error = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):  # tables without any discrepancy have scaled errors of 0
-        return np.asarray(covariance / np.outer(error, error))
-
-
 def _add_sources(link: Link, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
-    setup, own = link.setup, link.setup.problem.satellite
+    names, values = link.setup.names, link.setup.problem.satellite.values
     coordinates |= {
-        "source": setup.names if setup.names.dtype.kind == "i" else setup.names.astype(str),
-        "ra": ("source", np.degrees(own.values[0]) % 360.0, {"units": "deg"}),
-        "dec": ("source", np.degrees(own.values[1]), {"units": "deg"}),
+        "source": names if names.dtype.kind == "i" else names.astype(str),
+        "ra": ("source", np.degrees(values[0]) % 360.0, {"units": "deg"}),
+        "dec": ("source", np.degrees(values[1]), {"units": "deg"}),
     }
     variables |= {
         "discrepancy": ("source", link.discrepancy, {"long_name": "chi2 of the residuals of a source"}),
         "n_observations": ("source", link.count.astype(np.float64)),
-        "weight_factor": ("source", link.found.factors.astype(np.float64), {"long_name": "1 kept, 0 dropped"}),
+        "weight_factor": ("source", link.clipped.factors.astype(np.float64), {"long_name": "1 kept, 0 dropped"}),
     }
     if (effect := link.influence) is not None:
-        coordinates["block_name"] = list(setup.problem.unknowns.names)
+        coordinates["block_name"] = list(link.setup.problem.unknowns.names)
         variables |= {
             "discrepancy_expected": ("source", effect.expected),
             "estimate_without": (("source", "unknown"), sign * effect.without / MAS, {"long_name": "leave one out"}),
@@ -228,50 +220,45 @@ def _add_sources(link: Link, variables: dict[str, Any], coordinates: dict[str, A
 
 
 def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
-    problem = link.setup.problem
-    own = problem.satellite
-    found = differences(own, problem.rows, problem.source, problem.taken_out(own), problem.unknowns.frames)
-    shift = np.einsum("nik,k->ni", problem.unknowns.matrix(*problem.objects(own)), link.solution.estimate)
-    after = found.values - np.einsum("rij,rj->ri", found.by_frames, shift[problem.source])
-    covariance = own.covariance()[problem.source]
-    whole = found.covariance + found.partials @ covariance @ found.partials.swapaxes(1, 2)
+    problem, names = link.setup.problem, link.setup.names
+    satellite, source, rows = problem.satellite, problem.source, problem.rows
+    before = differences(satellite, rows, source, problem.taken_out(satellite), problem.unknowns.frames)
+    shift = np.einsum("nik,k->ni", problem.unknowns.matrix(*problem.objects(satellite)), link.solution.estimate)
+    after = before.values - np.einsum("rij,rj->ri", before.by_frames, shift[source])
+    covariance = satellite.covariance()[source]
+    whole = before.covariance + before.partials @ covariance @ before.partials.swapaxes(1, 2)
     error = np.sqrt(np.einsum("rii->ri", whole))
     normalised, plain = separation(problem)
-    absent = ~found.present
-    tables, frame = np.array(["reference", *link.setup.missions]), problem.rows.frame
+    tables = np.array(["reference", *link.setup.missions])
     coordinates |= {
         "observable": list(PARAMETERS),
-        "row_source_index": ("row", problem.source),
-        "row_source": ("row", link.setup.names[problem.source].astype(str)),
-        "row_kind": ("row", kinds(problem.rows)),
-        "row_table": ("row", tables[np.zeros_like(problem.source) if frame is None else frame]),
-        "row_epoch": ("row", problem.rows.epoch, {"units": "yr"}),
+        "row_source_index": ("row", source),
+        "row_source": ("row", names[source].astype(str)),
+        "row_kind": ("row", kinds(rows)),
+        "row_table": ("row", tables[np.zeros_like(source) if rows.frame is None else rows.frame]),
+        "row_epoch": ("row", rows.epoch, {"units": "yr"}),
         "observable_unit": ("observable", ["mas", "mas", "mas", "mas/yr", "mas/yr"]),
     }
+    for name, values in (("difference", sign * before.values), ("residual", sign * after), ("difference_error", error)):
+        variables[name] = (("row", "observable"), np.where(before.present, values / MAS, np.nan))
     variables |= {
-        "difference": (("row", "observable"), np.where(absent, np.nan, sign * found.values / MAS)),
-        "residual": (("row", "observable"), np.where(absent, np.nan, sign * after / MAS)),
-        "difference_error": (("row", "observable"), np.where(absent, np.nan, error / MAS)),
         "normalised_separation": ("source", normalised, {"long_name": "X before the fit"}),
         "separation": ("source", plain / MAS, {"units": "mas"}),
     }
 
 
-def _add_steps(found: Clipped, names: NDArray[np.str_], variables: dict[str, Any], sign: float) -> None:
-    if not found.trajectory:
+def _add_steps(link: Link, variables: dict[str, Any], sign: float) -> None:
+    names, clipped = link.setup.names, link.clipped
+    if not (steps := clipped.trajectory):
         return
-    steps = found.trajectory
+    errors = np.array([np.sqrt(np.diag(s.covariance)) * s.scale for s in steps]) / MAS
     variables |= {
         "step_estimate": (("step", "unknown"), sign * np.array([s.estimate for s in steps]) / MAS),
-        "step_error": (
-            ("step", "unknown"),
-            np.array([np.sqrt(np.diag(s.covariance)) * s.scale for s in steps]) / MAS,
-            {"kind": "scaled"},
-        ),
+        "step_error": (("step", "unknown"), errors, {"kind": "scaled"}),
         "step_chi2": ("step", np.array([s.squares for s in steps])),
         "step_dof": ("step", np.array([s.dof for s in steps])),
-        "step_dropped": ("step", np.array([names[i] if i >= 0 else "" for i in found.dropped]).astype(str)),
-        "step_chosen": ((), found.chosen),
+        "step_dropped": ("step", np.array([names[i] if i >= 0 else "" for i in clipped.dropped]).astype(str)),
+        "step_chosen": ((), clipped.chosen),
     }
 
 
@@ -279,8 +266,7 @@ def _add_spectrum(link: Link, main: Array, variables: dict[str, Any], coordinate
     powers = spectrum(link.setup.problem.unknowns, link.solution.estimate / MAS, main)
     if not powers:
         return
-    degrees = sorted({power.degree for power in powers})
-    fields = sorted({power.field for power in powers})
+    degrees, fields = (sorted({getattr(power, name) for power in powers}) for name in ("degree", "field"))
     table = np.full((4, len(fields), len(degrees)), np.nan)
     for field, degree, *numbers in powers:
         table[:, fields.index(field), degrees.index(degree)] = numbers
@@ -291,17 +277,13 @@ def _add_spectrum(link: Link, main: Array, variables: dict[str, Any], coordinate
 
 def _add_bins(link: Link, errors: Array, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
     unknowns = link.setup.problem.unknowns
-    for block in unknowns.blocks:
-        if isinstance(block, SpinByBin):
-            part = unknowns.part(block.name)
-            coordinates |= {
-                "bin": [f"[{low:g},{high:g})" for low, high in block.bins],
-                "bin_low": ("bin", [low for low, _ in block.bins]),
-                "bin_high": ("bin", [high for _, high in block.bins]),
-                "component": ["x", "y", "z"],
-            }
-            spin = sign * link.solution.estimate[part].reshape(-1, 3) / MAS
-            variables |= {
-                "spin_by_bin": (("bin", "component"), spin, {"units": "mas/yr"}),
-                "spin_by_bin_error": (("bin", "component"), errors[part].reshape(-1, 3), {"units": "mas/yr"}),
-            }
+    for block in (block for block in unknowns.blocks if isinstance(block, SpinByBin)):
+        part = unknowns.part(block.name)
+        coordinates |= {
+            "bin": [f"[{low:g},{high:g})" for low, high in block.bins],
+            "bin_low": ("bin", [low for low, _ in block.bins]),
+            "bin_high": ("bin", [high for _, high in block.bins]),
+            "component": ["x", "y", "z"],
+        }
+        for name, values in (("spin_by_bin", sign * link.solution.estimate / MAS), ("spin_by_bin_error", errors)):
+            variables[name] = (("bin", "component"), values[part].reshape(-1, 3), {"units": "mas/yr"})

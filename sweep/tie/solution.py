@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
 from linksweep.core.arrays import Array, Indices
@@ -16,7 +17,7 @@ from linksweep.core.tie.influence import LARGE_SHARE, Influence, bootstrap, infl
 from linksweep.core.tie.mistakes import DEFICIT, GOOD, Misfit, misfit
 from linksweep.core.tie.solution import Solution
 from linksweep.core.tie.sources import SourceTable
-from linksweep.core.unknowns import Unknowns
+from linksweep.core.unknowns import Harmonics, Unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tie.row_groups import RowGroupTable
 from linksweep.sweep.tie.setup import Setup
@@ -29,6 +30,18 @@ HEAVIEST = 100
 """If there are too many sources to keep the sums of each, so many are examined for a large share."""
 
 
+VECTOR_POWER = 8.0 * np.pi / 3.0
+"""Power of degree 1 of a rotation or a glide is this times the square of its length (Mignard & Klioner 2012)."""
+
+FIELD_OF = {
+    "orientation": "position toroidal",
+    "position_glide": "position spheroidal",
+    "spin": "motion toroidal",
+    "glide": "motion spheroidal",
+}
+"""The field whose degree 1 a block is."""
+
+
 @dataclass(frozen=True)
 class Link:
     """A solved link: its setup, the clip and its solution, the covariances by kind of error, and the influence of each
@@ -38,7 +51,7 @@ class Link:
 
     setup: Setup
     clip: str
-    found: Clipped
+    clipped: Clipped
     covariances: dict[str, Array]
     main: str
     influence: Influence | None
@@ -50,7 +63,7 @@ class Link:
     @property
     def solution(self) -> Solution:
         """The solution of the sources that were kept."""
-        return self.found.solution
+        return self.clipped.solution
 
 
 def solve_link(
@@ -75,11 +88,11 @@ def solve_link(
         with threadpool_limits(1):  # bitwise the same on any number of cores; products of blocks are small
             kept = table or SourceTable(setup.problem)
             sources = kept.as_sources()
-            found = clipped(parse_clip(clip), sources, kept.separations)
-            covariances, notes = _covariances(kept, found, errors, resamples, seed)
-            squares = sources.discrepancies(found.solution.estimate) if per_source else None
-            effect, places, share = _influence(kept, sources, found, setup.problem.unknowns)
-            doubt = _misfit(setup, kept, found)
+            result = clipped(parse_clip(clip), sources, kept.separations)
+            covariances, notes = _covariances(kept, result, errors, resamples, seed)
+            squares = sources.discrepancies(result.solution.estimate) if per_source else None
+            effect, places, share = _influence(kept, sources, result, setup.problem.unknowns)
+            doubt = _misfit(setup, kept, result)
     except LinkError as error:
         raise SweepError(f"{error}{_rows_there_are(setup)}") from error
     except ValueError as error:
@@ -88,22 +101,22 @@ def solve_link(
     return Link(
         setup=setup,
         clip=str(parse_clip(clip)),
-        found=found,
+        clipped=result,
         covariances=covariances,
         main=errors[0],
         influence=effect,
         discrepancy=squares,
         count=sources.count,
         misfit=doubt,
-        notes=(*([doubt.text] if doubt.text else []), *setup.notes, *found.notes, *notes),
+        notes=(*([doubt.text] if doubt.text else []), *setup.notes, *result.notes, *notes),
     )
 
 
-def _misfit(setup: Setup, table: SourceTable | RowGroupTable, found: Clipped) -> Misfit:
+def _misfit(setup: Setup, table: SourceTable | RowGroupTable, result: Clipped) -> Misfit:
     """Return what chi2 says of the sources that are kept, with the best weights; of all if the clip keeps fewer than
     half of them.
     """
-    factors, solution, problem = found.factors, found.solution, setup.problem
+    factors, solution, problem = result.factors, result.solution, setup.problem
     if isinstance(table, RowGroupTable):
         if DEFICIT <= solution.scale**2 <= GOOD:
             return Misfit(solution.scale**2)  # a row group is read again only if something is wrong
@@ -119,39 +132,39 @@ def _misfit(setup: Setup, table: SourceTable | RowGroupTable, found: Clipped) ->
 
 def _rows_there_are(setup: Setup) -> str:
     """Return which kinds of rows there are, and what is known about the tables, for an error."""
-    found, number = np.unique(kinds(setup.problem.rows), return_counts=True)
-    counted = ", ".join(f"{n} {kind}" for kind, n in zip(found, number, strict=True))
+    names, numbers = np.unique(kinds(setup.problem.rows), return_counts=True)
+    counted = ", ".join(f"{n} {kind}" for kind, n in zip(names, numbers, strict=True))
     if len(epochs := np.unique(setup.problem.rows.epoch[np.isfinite(setup.problem.rows.epoch)])):
         counted += f", of {epochs[0]:g} to {epochs[-1]:g}" if len(epochs) > 1 else f", all of {epochs[0]:g}"
     return f" (rows: {counted}; {'; '.join(setup.notes)})" if setup.notes else f" (rows: {counted})"
 
 
 def _influence(
-    table: SourceTable | RowGroupTable, sources: Sources, found: Clipped, unknowns: Unknowns
+    table: SourceTable | RowGroupTable, sources: Sources, result: Clipped, unknowns: Unknowns
 ) -> tuple[Influence | None, Indices, Array]:
     """Return the influence of each source (None if their sums are not kept), and the places and shares of all sources
     or of the heaviest.
     """
     if table.kept is not None:
-        effect = influence(table.kept, found.solution, unknowns, found.factors)
+        effect = influence(table.kept, result.solution, unknowns, result.factors)
         return effect, np.arange(len(effect.share)), effect.share
     _, places, sums = table.heaviest(HEAVIEST)
-    return None, places, shares(sums, found.solution, unknowns) * found.factors[places, None]
+    return None, places, shares(sums, result.solution, unknowns) * result.factors[places, None]
 
 
 def _covariances(
-    table: SourceTable | RowGroupTable, found: Clipped, errors: Sequence[str], resamples: int, seed: int
+    table: SourceTable | RowGroupTable, result: Clipped, errors: Sequence[str], resamples: int, seed: int
 ) -> tuple[dict[str, Array], list[str]]:
-    solution, notes = found.solution, []
+    solution, notes = result.solution, []
     sums = table.kept
     if sums is not None:
-        used = found.factors > 0.0
-        sums, factors = sums.taken(used), found.factors[used]
+        used = result.factors > 0.0
+        sums, factors = sums.taken(used), result.factors[used]
         sums = sums if np.all(factors == 1.0) else sums.scaled(factors)
     right = solution.normal @ solution.estimate
     covariances: dict[str, Array] = {}
     for kind in dict.fromkeys([*errors, *ALWAYS]):
-        groups = sums if kind != "cells" and sums is not None else table.cell_sums(found.factors)
+        groups = sums if kind != "cells" and sums is not None else table.cell_sums(result.factors)
         if sums is None and kind in ("jackknife", "bootstrap", "sandwich"):
             notes.append(f"{kind} errors are those of {len(groups)} cells of the sky: there are too many sources")
         if kind == "formal":
@@ -182,3 +195,43 @@ def _large_shares(blocks: Sequence[str], names: NDArray[Any], shares_of: Array) 
             listed = ", ".join(f"{names[k]} ({100.0 * share[k]:.0f} %)" for k in large)
             notes.append(f"more than {100 * LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
     return notes
+
+
+class Power(NamedTuple):
+    """Power of one degree l of a field (mas^2 or mas^2/yr^2), its mean for noise alone, c'V^-1 c, which
+    for noise alone is a chi2 of 2 l + 1 degrees of freedom, and the probability that noise is as significant.
+    """
+
+    field: str
+    degree: int
+    power: float
+    noise: float
+    chi2: float
+    probability: float
+
+
+def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> list[Power]:
+    """Return the power of each degree among the unknowns (rotations, glides: degree 1); none without harmonics."""
+    if not any(isinstance(block, Harmonics) for block in unknowns.blocks):
+        return []
+    powers = []
+    for block in unknowns.blocks:
+        part = unknowns.part(block.name)
+        x, v = estimate[part], covariance[part, part]
+        if isinstance(block, Harmonics):
+            start, where = 0, "motion" if block.rate else "position"
+            for kind, degree in block.parts:
+                weights = np.array([1.0, *[2.0] * (2 * degree)])  # order 0, then both parts of each other order
+                piece = slice(start, start + len(weights))
+                field = f"{where} {'toroidal' if kind == 't' else 'spheroidal'}"
+                powers.append(_power(field, degree, weights, x[piece], v[piece, piece]))
+                start = piece.stop
+        elif block.name in FIELD_OF and len(x) == 3:
+            powers.append(_power(FIELD_OF[block.name], 1, np.full(3, VECTOR_POWER), x, v))
+    return powers
+
+
+def _power(field: str, degree: int, weights: Array, x: Array, v: Array) -> Power:
+    chi2 = float(x @ np.linalg.solve(v, x)) if np.any(v) else np.nan  # a table linked to itself has errors of 0
+    probability = float(chdtrc(2 * degree + 1, chi2))
+    return Power(field, degree, float(weights @ x**2), float(weights @ np.diag(v)), chi2, probability)

@@ -21,9 +21,10 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import load_study
-from linksweep.sweep.tie.components import COMPONENTS, FIELDS, spectrum
 from linksweep.sweep.tie.design import design_of
 from linksweep.sweep.tie.experiment import check, tie, unused, warn
+from linksweep.sweep.tie.parameters import COMPONENTS, FIELDS
+from linksweep.sweep.tie.solution import spectrum
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 
