@@ -29,9 +29,12 @@ SUFFIXES = (".py", *importlib.machinery.EXTENSION_SUFFIXES)
 _packages: dict[str, "LocalFiles"] = {}
 
 
-@dataclass(frozen=True)
-class LocalFiles:
-    """A file by its absolute path, and the contents of it and of the local modules it imports, by relative path."""
+@dataclass(frozen=True, eq=False)
+class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """A file by its absolute path, and the contents of it and of the local modules it imports, by relative path.
+
+    It finds and loads these modules itself, without bytecode, which Python takes by the second and the size of a file.
+    """
 
     path: str
     contents: Mapping[str, bytes]
@@ -49,9 +52,9 @@ class LocalFiles:
     @cached_property
     def modules(self) -> dict[str, str]:
         """The file of each module by its name in import statements, '' for a folder without ``__init__.py``."""
-        found = {_dotted(file): file for file in self.contents}
-        around = {name.rsplit(".", n)[0] for name in found for n in range(1, name.count(".") + 1)}
-        return dict.fromkeys(around - found.keys(), "") | found
+        files = {_dotted(file): file for file in self.contents}
+        around = {name.rsplit(".", n)[0] for name in files for n in range(1, name.count(".") + 1)}
+        return {"": "", **dict.fromkeys(around, ""), **files}
 
     def place(self, file: str) -> str:
         """Return the absolute path of one of the files."""
@@ -63,14 +66,33 @@ class LocalFiles:
 
     def module(self) -> ModuleType:
         """Return the module of the file, executed once; raises whatever it raises."""
-        _packages.setdefault(self.package, self)
-        if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-            sys.meta_path.insert(0, _Finder())
+        if _packages.setdefault(self.package, self) is self and self not in sys.meta_path:
+            sys.meta_path.insert(0, self)
         return importlib.import_module(f"{self.package}.{Path(self.path).stem}")
 
     def tree(self, file: str) -> ast.Module:
         """Return the syntax tree of a file in which imports of local modules name their package."""
         return _tree(self.package, file)
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> importlib.machinery.ModuleSpec | None:
+        """Return how Python loads a module of the package."""
+        package, _, name = fullname.partition(".")
+        file = self.modules.get(name) if package == self.package else None
+        if not file:
+            return None if file is None else importlib.machinery.ModuleSpec(fullname, None, is_package=True)
+        if not file.endswith(".py"):
+            return importlib.util.spec_from_file_location(fullname, self.place(file))
+        inside: list[str] | None = [] if file.endswith("__init__.py") else None
+        return importlib.util.spec_from_file_location(
+            fullname, self.place(file), loader=self, submodule_search_locations=inside
+        )
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Execute a module of the package."""
+        file = self.modules[module.__name__.partition(".")[2]]
+        exec(compile(self.tree(file), self.place(file), "exec", dont_inherit=True), vars(module))
 
 
 def read_files(path: Path) -> LocalFiles:
@@ -158,41 +180,3 @@ class _Localised(ast.NodeTransformer):
         if node.level or node.module is None or node.module.partition(".")[0] not in self._local:
             return node
         return ast.copy_location(ast.ImportFrom(f"{self._package}.{node.module}", node.names, 0), node)
-
-
-class _Finder(importlib.abc.MetaPathFinder):
-    """Finds local modules in the contents that were read."""
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
-    ) -> importlib.machinery.ModuleSpec | None:
-        package, _, name = fullname.partition(".")
-        files = _packages.get(package)
-        file = None if files is None else files.modules.get(name) if name else ""
-        if files is None or file is None:
-            return None
-        if not file:
-            return importlib.machinery.ModuleSpec(fullname, None, is_package=True)
-        if not file.endswith(".py"):
-            return importlib.util.spec_from_file_location(fullname, files.place(file))
-        inside: list[str] | None = [] if file.endswith("__init__.py") else None
-        loader = _Loader(files, file)
-        return importlib.util.spec_from_file_location(
-            fullname, files.place(file), loader=loader, submodule_search_locations=inside
-        )
-
-
-class _Loader(importlib.abc.SourceLoader):
-    """Makes a module of what was read; keeps no bytecode, which Python finds by the second and the size of a file."""
-
-    def __init__(self, files: LocalFiles, file: str) -> None:
-        self._files, self._file = files, file
-
-    def get_filename(self, fullname: str) -> str:
-        return self._files.place(self._file)
-
-    def get_data(self, path: str) -> bytes:
-        return self._files.contents[self._file]
-
-    def source_to_code(self, data: object, path: str = "<string>") -> object:  # type: ignore[override]
-        return compile(self._files.tree(self._file), path, "exec", dont_inherit=True)

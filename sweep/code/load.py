@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, fields
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 from linksweep.sweep.code.files import OURS, LocalFiles, read_files, without_package
@@ -35,15 +35,15 @@ SESSION = "session"
 
 log = logging.getLogger("linksweep")
 
-_read: dict[str, LocalFiles] = {}
-"""Files as they were read last, by path."""
+_codes: dict[tuple[str, str | None], "LocalFiles | Live"] = {}
+"""Code by its path or reference and its digest, also what another process has sent: the file may be missing here, or be
+another.  Without a digest: as this process has it now.
+"""
 
-_provided: dict[tuple[str, str], "LocalFiles | Live"] = {}
-"""Code that another process has sent, by path or reference and digest: the file may be missing here, or be another."""
-
-_live: dict[str, "Live"] = {}
 _places: dict[str, str] = {}
 _warned: set[str] = set()
+
+C = TypeVar("C", "LocalFiles", "Live")
 
 DIGEST = re.compile("[0-9a-f]{24}")
 DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
@@ -186,7 +186,9 @@ def load_experiment(
     try:
         return experiment_of(found)
     except SweepError as error:
-        raise SweepError(error.problems, error.where if reference in _live else reference.rpartition(":")[2]) from error
+        raise SweepError(
+            error.problems, error.where if (reference, None) in _codes else reference.rpartition(":")[2]
+        ) from error
 
 
 def keep(function: Callable[..., Any] | Experiment) -> str:
@@ -194,22 +196,22 @@ def keep(function: Callable[..., Any] | Experiment) -> str:
     known = None if isinstance(function, Experiment) else _importable(function)
     if known is not None and distributions_of(function.__module__) is not None:
         return known
-    live = Live(function)
-    _live[live.path] = live
-    return live.path
+    return _remember(Live(function)).path
+
+
+def _remember(code: C) -> C:
+    _codes[code.path, None] = _codes[code.path, code.digest] = code
+    return code
 
 
 def provide(code: LocalFiles | Live) -> None:
     """Let this process load what another one has sent."""
-    _provided[code.path, code.digest] = code
+    _codes[code.path, code.digest] = code
 
 
 def sources_of(reference: str, digest: str | None = None) -> LocalFiles | Live | None:
     """Return what another process needs to load a loaded reference; None where that is a module."""
-    place = reference.rpartition(":")[0]
-    sent = [_provided.get((key, digest or "")) for key in (reference, place)]
-    known = [_live.get(reference), _read.get(place), *sent]
-    return next((one for one in known if one is not None and digest in (None, one.digest)), None)
+    return _codes.get((reference, digest)) or _codes.get((reference.rpartition(":")[0], digest))
 
 
 def sendable(reference: str, digest: str | None = None) -> LocalFiles | Live | None:
@@ -349,10 +351,10 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
     if not place or not attribute:
         raise SweepError(f"{shown(reference)}: write module:attribute or file.py:attribute")
     if afresh and place != SESSION:
-        _live.pop(reference, None)
+        _codes.pop((reference, None), None)
         _parts.cache_clear()
-    live = _provided.get((reference, digest or ""), _live.get(reference))
-    if isinstance(live, Live) and digest in (None, live.digest):
+    live = _codes.get((reference, digest))
+    if isinstance(live, Live):
         return live.value
     if place == SESSION:
         raise SweepError(
@@ -376,15 +378,15 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
 
 def _files(place: str, folder: Path | None, digest: str | None, afresh: bool) -> LocalFiles:
     path = ((folder or Path.cwd()) / place).resolve()
-    files = _provided.get((str(path), digest or ""), _read.get(str(path)))
-    if not isinstance(files, LocalFiles) or afresh or digest not in (None, files.digest):
-        try:
-            files = _read[str(path)] = read_files(path)
-        except FileNotFoundError:
-            raise SweepError(f"there is no file {shown(str(path))}") from None
-        except OSError as error:
-            raise SweepError(f"{path} cannot be read: {error.strerror or error}") from error
-    return files
+    files = _codes.get((str(path), digest))
+    if isinstance(files, LocalFiles) and not afresh:
+        return files
+    try:
+        return _remember(read_files(path))
+    except FileNotFoundError:
+        raise SweepError(f"there is no file {shown(str(path))}") from None
+    except OSError as error:
+        raise SweepError(f"{path} cannot be read: {error.strerror or error}") from error
 
 
 def _importable(function: Callable[..., Any] | Experiment) -> str | None:
