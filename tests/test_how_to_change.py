@@ -193,7 +193,7 @@ assert link.unit.values[-1] == "mas"
         RUN
         + """
 assert len(linksweep.plot(ds, "dots").axes[0].lines) == 1
-from linksweep.sweep.cli.plot import plot
+from linksweep.sweep.cli.look import plot
 assert any("dots" in getattr(option.type, "choices", ()) for option in plot.params)
 """,
     ),
@@ -213,7 +213,7 @@ assert any("dots" in getattr(option.type, "choices", ()) for option in plot.para
         + """
 again = linksweep.run(study, "again.zarr", pool="backwards")
 assert again.drop_attrs().identical(ds.drop_attrs())
-from linksweep.sweep.cli.running import run as command
+from linksweep.sweep.cli.run import run as command
 assert any("backwards" in getattr(option.type, "choices", ()) for option in command.params)
 """,
     ),

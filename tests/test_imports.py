@@ -87,7 +87,7 @@ SEARCH_MAY_USE = {
     *("linksweep.sweep.contract", "linksweep.sweep.tables", "linksweep.sweep.formatting", "linksweep.sweep.plots.sky"),
     "linksweep.sweep.stores.folder",
 }
-KNOWS_THE_SEARCH = {"linksweep.sweep.cli.match"}
+KNOWS_THE_SEARCH = {"linksweep.sweep.cli.tables"}
 CORE_MAY_USE = {
     *("numpy", "scipy", "pygaia", "erfa"),
     *("bisect", "dataclasses", "typing", "collections", "types", "functools", "itertools", "math"),

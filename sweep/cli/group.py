@@ -1,54 +1,45 @@
-"""The command group: turns what goes wrong in any command into a message and an exit code."""
+"""The command group and the process around it: whatever ends a command becomes a message and an exit code, and no text
+of others controls the terminal.
+"""
 
 import atexit
+import errno
 import gc
+import inspect
+import io
+import multiprocessing
+import os
+import signal
 import sys
-from collections.abc import Sequence
-from typing import Any
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any, NoReturn
 
 import click
 
-from linksweep.sweep.cli.streams import harmless_streams, output_problem
-from linksweep.sweep.formatting import COMMAND
+from linksweep.sweep.cli.options import call, group, parameters_of
+from linksweep.sweep.formatting import COMMAND, harmless
 
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
 
-atexit.register(gc.freeze)  # else Python searches all imports for garbage at the end, which takes a fifth of a second
+LAST_SECOND = 1.0
+"""Seconds that Python's own clean-up may take after a signal before the process ends without it."""
 
-SECTIONS = {
-    "Run": {
-        "run": "Run a study into a store; print table and answer",
-        "plan": "Say what a run would do, and write nothing",
-        "scaling": "Measure how a study scales with workers",
-    },
-    "Look": {
-        "list": "List the built-in studies and their answers",
-        "show": "Print results as a table, CSV, ECSV or JSON",
-        "plot": "Draw results",
-        "report": "Write one HTML page with everything",
-        "fit": "Fit a law along an axis",
-        "find": "Find where a condition is met along an axis",
-        "sensitivity": "Say which parameters decide a result",
-    },
-    "Compare": {
-        "compare": "Compare with published numbers and claims",
-    },
-    "Store care": {
-        "status": "Say how far a run is, and what failed",
-        "check": "Compare files with checksums; set damaged aside",
-        "reproduce": "Compute points again, to the bit",
-        "merge": "Make one store of two of the same experiment",
-    },
-    "Your own": {
-        "new": "Write a commented study to start from",
-        "params": "List the parameters of a study or experiment",
-        "tie": "Solve for the link of two real tables",
-        "forecast": "Forecast a link with new observations",
-        "match": "Find the galaxies in a star catalogue",
-    },
-}
+NO_LEAK_WARNING = "ignore:resource_tracker"
+"""A filter of warnings for processes that are started: a sudden end leaves semaphores, and the process that removes
+them would warn the user.
+"""
+
+SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Compare", "Store care", "Your own")}
 """The commands as the help lists them."""
+
+_stopped_by: list[int] = []
+"""The signal that ended the command, if one did."""
+
+atexit.register(gc.freeze)  # else Python searches all imports for garbage at the end, which takes a fifth of a second
 
 
 class _Group(click.Group):
@@ -63,19 +54,19 @@ class _Group(click.Group):
 
     def main(self, args: Sequence[str] | None = None, *further: Any, **named: Any) -> Any:
         before, COMMAND[:] = COMMAND[:], ["sweep", *(sys.argv[1:] if args is None else args)]
-        with harmless_streams():
+        with _harmless_streams():
             try:
                 return super().main(args, *further, **named)
             except SystemExit as end:
-                if (problem := output_problem()) is None:
+                sys.stdout.flush()
+                if (problem := getattr(sys.stdout, "problem", None)) is None:
                     raise
-                click.echo(f"error: {problem}", err=True)
+                click.echo(f"error: standard output cannot be written: {problem.strerror}", err=True)
                 sys.exit(end.code or EXIT_BAD_INPUT)
             finally:
                 COMMAND[:] = before
 
     def invoke(self, ctx: click.Context) -> Any:
-        from linksweep.sweep.cli.signals import end_stopped
         from linksweep.sweep.interrupt import RunInterruptedError, how_ended, watched
 
         try:
@@ -91,13 +82,10 @@ class _Group(click.Group):
         try:
             return super().invoke(ctx)
         except SweepError as error:
-            where = f"{error.where}: " if error.where else ""
-            if len(error.problems) == 1:
-                click.echo(f"error: {where}{error.problems[0]}", err=True)
-            else:
-                click.echo(f"error: {where}{len(error.problems)} problems", err=True)
-                for problem in error.problems:
-                    click.echo(f"  - {problem}", err=True)
+            where, problems = f"{error.where}: " if error.where else "", error.problems
+            click.echo(f"error: {where}{problems[0] if len(problems) == 1 else f'{len(problems)} problems'}", err=True)
+            for problem in problems if len(problems) > 1 else ():
+                click.echo(f"  - {problem}", err=True)
             sys.exit(error.exit_code)
 
 
@@ -111,3 +99,162 @@ def main() -> None:
     sweep list               the other built-in studies
     sweep new mine           a study of your own to start from
     """
+
+
+def command(section: str, summary: str, name: str | None = None) -> Callable[[Callable[..., Any]], click.Command]:
+    """Return a decorator that makes a function, whose parameters declare its options, a command of a section."""
+
+    def decorate(function: Callable[..., Any]) -> click.Command:
+        declared = group(function)
+        made = click.Command(
+            name or function.__name__,
+            params=list(parameters_of(declared).values()),
+            callback=lambda **values: call(declared, values),
+            help=inspect.getdoc(function),
+            short_help=summary,
+        )
+        SECTIONS[section][str(made.name)] = summary
+        main.add_command(made)
+        return made
+
+    return decorate
+
+
+@contextmanager
+def a_signal_ends_the_command() -> Iterator[None]:
+    """Let SIGINT, SIGTERM and SIGHUP end the process at once in this block.
+
+    A run inside the block handles the first of them itself and ends in good order; a signal that arrives here is a
+    further one, or came before the run.
+    """
+    from linksweep.sweep.interrupt import SIGNALS
+
+    answered = {number: signal.getsignal(number) for number in SIGNALS}
+    before = {number: handler for number, handler in answered.items() if handler not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, _leave_at_once)
+    sys.warnoptions.append(NO_LEAK_WARNING)
+    try:
+        yield
+    finally:
+        sys.warnoptions.remove(NO_LEAK_WARNING)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def end_stopped(number: int) -> NoReturn:
+    """End the process with the exit code of a signal; workers that still compute are not waited for."""
+    _stopped_by.append(number)
+    _kill_children()
+    without_clean_up = threading.Timer(LAST_SECOND, os._exit, (128 + number,))
+    without_clean_up.daemon = True
+    without_clean_up.start()
+    sys.exit(128 + number)
+
+
+def leave_with_exit_code() -> None:
+    """End a process, after its clean-up, with the exit code of the signal that stopped its command, if one did.
+
+    Python itself would end it by SIGINT if that interrupted code run by ``exec``, with which dataclasses are made.
+    """
+    if _stopped_by:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(128 + _stopped_by[-1])
+
+
+def _leave_at_once(number: int, _frame: FrameType | None) -> NoReturn:
+    _kill_children()
+    with suppress(OSError):
+        show_cursor = "\x1b[?25h" if os.isatty(2) else ""  # a progress bar hides it
+        os.write(2, f"{show_cursor}stopped at once\n".encode())
+    os._exit(128 + number)
+
+
+def _kill_children() -> None:
+    for child in multiprocessing.active_children():
+        child.kill()
+
+
+class _Unfailing(io.TextIOWrapper):
+    """A stream that keeps the first ``problem`` of writing to it instead of raising it.
+
+    The error that the reader has gone, as `head` does, is still raised: click then ends the command quietly.
+    """
+
+    problem: OSError | None = None
+
+    def write(self, text: str) -> int:
+        try:
+            return super().write(text)
+        except OSError as error:
+            self._keep(error)
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            super().flush()
+        except OSError as error:
+            self._keep(error)
+
+    def _keep(self, error: OSError) -> None:
+        if error.errno == errno.EPIPE:
+            raise error
+        self.problem = self.problem or error
+
+
+class _Harmless:
+    """A stream for text of anybody: names, titles, results and messages of functions, tables and stores.
+
+    What brings a style of our own writes to ``unescaped``.
+    """
+
+    encoding = "utf-8"  # whatever it is: click writes to the bytes below a stream of ASCII
+
+    def __init__(self, stream: Any) -> None:
+        self.unescaped = stream
+
+    def write(self, text: str) -> int:
+        self.unescaped.write(harmless(text))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.unescaped, name)
+
+
+@contextmanager
+def _harmless_streams() -> Iterator[None]:
+    """Escape control characters in what is printed in this block, and in the traceback of an error that leaves it."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = map(_Harmless, before)
+    try:
+        yield
+    except SystemExit:
+        sys.stdout, sys.stderr = before
+        raise
+
+
+def prepare_streams() -> None:
+    """Make the standard streams usable whatever this process was started with.
+
+    A closed one is connected to the null device, because the next file to be opened would take its place and be written
+    to.  Characters that the encoding of a stream does not have are escaped.
+    """
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != descriptor:
+                os.dup2(opened, descriptor)
+                os.close(opened)
+        stream = getattr(sys, name)
+        if descriptor == 0:
+            sys.stdin = stream or open(descriptor, encoding="utf-8", closefd=False)  # noqa: SIM115 (to the end)
+        elif stream is None:
+            setattr(sys, name, _Unfailing(open(descriptor, "wb", closefd=False), "utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            lines, through = stream.line_buffering, stream.write_through
+            unfailing = _Unfailing(stream.buffer, stream.encoding, "backslashreplace", None, lines, through)
+            setattr(sys, name, unfailing)

@@ -1,48 +1,82 @@
-"""Arguments and options that several commands share, and what they turn into."""
+"""Arguments and options that several commands share, what they turn into, and what a shell completes them with.
 
-import functools
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+A shell asks at each press of a key, so that nothing heavy is imported here.
+"""
+
+import inspect
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from inspect import signature
+from functools import partial
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-
-from linksweep.sweep.cli import shell_completion
+from click import Context, Parameter
+from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.study import Study
 
-Command = Callable[..., Any]
-Decorator = Callable[[Command], Command]
-
-option_with_default = functools.partial(click.option, show_default=True)
-
 FILE = click.Path(path_type=Path)
 """The type of the path of a file or folder, which need not exist."""
 
-place_option = click.option(
-    "--at", multiple=True, metavar="AXIS=VALUE", help="Only this part of the grid, e.g. model=gaia,v_max=16."
-)
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON for a script.")
+WORKERS = click.IntRange(1, 4096)
 
-break_lock_option = click.option(
-    "--break-lock",
-    is_flag=True,
-    help="Continue although another host seems to write to the store; make sure that it does not.",
-)
+SAMPLING = ("n_sim", "n_cat", "seed", "precision", "max_n_sim", "keep_samples", "common_random_numbers")
 
-accept_code_option = click.option(
-    "--accept-code",
-    is_flag=True,
-    help="Continue a store that other code made; each point then records which code made it.",
-)
+At = tuple[str, ...]
 
 
-def located_option(context: click.Context, _parameter: click.Parameter, value: str | None) -> "Location | None":
+def opt(help: str, *names: str, **more: Any) -> Any:  # noqa: A002 (as click has it)
+    """Declare an option as the default of a parameter, by which it is called if it has no ``names``."""
+    more = {"show_default": True} | more
+    return lambda name: click.Option([name, *(names or ["--" + name.replace("_", "-")])], help=help, **more)
+
+
+def arg(**more: Any) -> Any:
+    """Declare an argument as the default of a parameter."""
+    return lambda name: click.Argument([name], **more)
+
+
+many = partial(opt, multiple=True)
+flag = partial(opt, is_flag=True)
+
+
+@dataclass(frozen=True)
+class _Group:
+    make: Callable[..., Any]
+    options: Mapping[str, Any]
+
+
+def group(make: Callable[..., Any]) -> Any:
+    """Declare a parameter that gets what ``make``, a function or class, makes of the options that it declares."""
+    return _Group(make, {name: one.default for name, one in inspect.signature(make).parameters.items()})
+
+
+def passed(**declared: Any) -> Any:
+    """Declare a parameter that gets a dictionary with the values of these options, to be passed on."""
+    return _Group(dict, declared)
+
+
+def parameters_of(declared: _Group) -> dict[str, Parameter]:
+    """Return the options and arguments of a group and of the groups in it, each once."""
+    parameters: dict[str, Parameter] = {}
+    for name, one in declared.options.items():
+        parameters.update(parameters_of(one) if isinstance(one, _Group) else {name: one(name)})
+    return parameters
+
+
+def call(declared: _Group, values: Mapping[str, Any]) -> Any:
+    """Return what a group makes of the values of its options."""
+    options = declared.options.items()
+    return declared.make(**{n: call(one, values) if isinstance(one, _Group) else values[n] for n, one in options})
+
+
+def place(context: Context, _parameter: Parameter, value: str | None) -> "Location | None":
     """Turn what names a store into its place; nothing while a shell completes."""
     if value is None or context.resilient_parsing:
         return None
@@ -53,26 +87,68 @@ def located_option(context: click.Context, _parameter: click.Parameter, value: s
     return located(value)
 
 
-def _named(context: click.Context, parameter: click.Parameter, value: Any) -> Any:
+def _named(context: Context, parameter: Parameter, value: Any) -> Any:
     """Turn what names an existing store, or the study whose store it is, or several of these, into places."""
     if isinstance(value, tuple):
         return tuple(_named(context, parameter, one) for one in value)
     if not value or context.resilient_parsing:
-        return located_option(context, parameter, value)
+        return place(context, parameter, value)
     from linksweep.sweep.stores.named import store_named
 
     return store_named(value)
 
 
-store_argument = click.argument("store", callback=_named, shell_complete=shell_completion.stores)
-stores_argument = click.argument(
-    "stores", nargs=-1, metavar="STORE...", callback=_named, shell_complete=shell_completion.stores
-)
+def _built_in() -> dict[str, Path]:
+    files = sorted((resources.files("linksweep") / "sweeps").iterdir(), key=str)
+    return {file.name.removesuffix(".toml"): Path(str(file)) for file in files if file.name.endswith(".toml")}
 
 
-trust_option = click.option(
-    "--trust", is_flag=True, help="Run the code that the store names, even if it is inside it or came from elsewhere."
+def _studies(_context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+    """Offer the built-in studies and the TOML files here; where neither fits, whatever file the shell knows."""
+    names = [*_built_in(), *sorted(path.name for path in Path().glob("*.toml"))]
+    fitting = [CompletionItem(name) for name in names if name.startswith(incomplete)]
+    return fitting or [CompletionItem(incomplete, type="file")]  # a shell takes one kind or the other
+
+
+def _folders(_context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(incomplete, type="dir")]
+
+
+def _keys(context: Context, _parameter: Parameter, incomplete: str, more: Sequence[str] = ()) -> list[CompletionItem]:
+    """Offer the axes of the study that was given before, what it fixes, and ``more``."""
+    study = str(context.params.get("study") or next(iter(context.args), ""))  # not parsed where an option lacks a value
+    document: dict[str, Any] = {}
+    with suppress(OSError, ValueError, RecursionError):  # a shell has no place for an error
+        path = _built_in().get(study, Path(study))
+        if path.stat().st_size < 100_000:
+            document = tomllib.loads(path.read_text(encoding="utf-8"))
+    tables = [table for key in ("axes", "fixed") if isinstance(table := document.get(key), dict)]
+    keys = [f"{key}=" for table in (*tables, more) for key in table]
+    return [CompletionItem(key) for key in keys if key.startswith(incomplete)]
+
+
+STORE = arg(callback=_named, shell_complete=_folders)
+STORES = arg(nargs=-1, metavar="STORE...", callback=_named, shell_complete=_folders)
+AT = many("Only this part of the grid, e.g. model=gaia,v_max=16.", metavar="AXIS=VALUE")
+JSON = flag("Print JSON for a script.", "--json")
+BREAK_LOCK = flag("Continue although another host seems to write to the store; make sure that it does not.")
+ACCEPT_CODE = flag("Continue a store that other code made; each point then records which code made it.")
+TRUST = flag("Run the code that the store names, even if it is inside it or came from elsewhere.")
+AXES = many(
+    "Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
+    *("--axis",),
+    metavar="NAME=SPEC",
+    shell_complete=_keys,
 )
+SETTINGS = many(
+    "Override a value of the study, e.g. n_sim=500 or weighting=equal.",
+    *("--set",),
+    metavar="KEY=VALUE",
+    shell_complete=partial(_keys, more=SAMPLING),
+)
+STUDY = arg(shell_complete=_studies)
+RANGES = "The range of a parameter in the design: 0.1:0.5, 1:100:log or amex,gaia."
+DESIGNS = "e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, saltelli, morris."
 
 
 def json_or(table_format: str, as_json: bool) -> str:
@@ -82,57 +158,38 @@ def json_or(table_format: str, as_json: bool) -> str:
     return "json" if as_json else table_format
 
 
-def gathered(name: str, make: Callable[..., Any], *options: Decorator) -> Decorator:
-    """Return a decorator that adds options to a command, which gets as one argument what ``make`` makes of them.
-
-    Options that ``make`` has no parameter for are left as they are.
-    """
-    parameters = signature(make).parameters
-
-    def decorate(command: Command) -> Command:
-        @functools.wraps(command)
-        def with_one(*arguments: Any, **named: Any) -> Any:
-            made = make(**{option: named.pop(option) for option in parameters})
-            return command(*arguments, **{name: made}, **named)
-
-        decorated: Command = with_one
-        for option in reversed(options):
-            decorated = option(decorated)
-        return decorated
-
-    return decorate
-
-
 @dataclass(frozen=True)
 class AskedStudy:
     """A study as the command line names it: its overrides, which are those of `load_study`, where its store is to be,
     and whether code inside a store is trusted.
     """
 
-    study: str
-    settings: Sequence[str]
-    axes: Sequence[str]
-    points: str | None
-    design: str | None
-    ranges: Sequence[str]
-    store: "Location | None"
-    trust: bool
+    study: str = STUDY
+    settings: Sequence[str] = SETTINGS
+    axes: Sequence[str] = AXES
+    points: str | None = opt("Compute the points in this table: a column for each parameter.", metavar="FILE")
+    design: str | None = opt(f"Compute a design of points, {DESIGNS}", metavar="NAME:N")
+    ranges: Sequence[str] = many(RANGES, "--range", metavar="NAME=SPEC")
+    output: "Location | None" = opt(
+        "The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]", "-o", "--output", callback=place
+    )
+    trust: bool = TRUST
 
     def load(self) -> "tuple[Study, Location]":
         """Return the study, and where its store is; raises SweepError for one inside a store that is not trusted."""
         from linksweep.sweep.stores.location import located
         from linksweep.sweep.stores.named import default_store
 
-        given = self.settings, self.axes, self.points, self.design, self.ranges
-        study = load_trusted(self.study, self.trust, *given)
-        return study, self.store or located(default_store(study.name))
+        overrides = self.settings, self.axes, self.points, self.design, self.ranges
+        study = load_trusted(self.study, self.trust, *overrides)
+        return study, self.output or located(default_store(study.name))
 
     def stored(self) -> "tuple[Study, Location]":
         """Return the study of an existing store, named in its place, and the store; raises SweepError as `load`."""
         from linksweep.sweep.running.reproduce import study_of
         from linksweep.sweep.stores.named import store_named
 
-        if any((self.settings, self.axes, self.points, self.design, self.ranges, self.store)):
+        if any((self.settings, self.axes, self.points, self.design, self.ranges, self.output)):
             raise click.UsageError("--retry computes points of a store as it is: name the store, without other changes")
         store = store_named(self.study)
         return study_of(store, trust=self.trust), store
@@ -149,51 +206,6 @@ def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
     elif (file := function.rpartition(":")[0]).endswith(".py"):
         require_trust_of_study(Path(file), trust)
     return load_study(study, *overrides)
-
-
-study_options = gathered(
-    "asked",
-    AskedStudy,
-    click.argument("study", shell_complete=shell_completion.studies),
-    click.option(
-        "--set",
-        "settings",
-        multiple=True,
-        metavar="KEY=VALUE",
-        shell_complete=shell_completion.settings,
-        help="Override a value of the study, e.g. n_sim=500 or weighting=equal.",
-    ),
-    click.option(
-        "--axis",
-        "axes",
-        multiple=True,
-        metavar="NAME=SPEC",
-        shell_complete=shell_completion.axes,
-        help="Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
-    ),
-    click.option("--points", metavar="FILE", help="Compute the points in this table: a column for each parameter."),
-    click.option(
-        "--design",
-        metavar="NAME:N",
-        help="Compute a design of points, e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, "
-        "saltelli, morris.",
-    ),
-    click.option(
-        "--range",
-        "ranges",
-        multiple=True,
-        metavar="NAME=SPEC",
-        help="The range of a parameter in the design: 0.1:0.5, 1:100:log or amex,gaia.",
-    ),
-    click.option(
-        "-o",
-        "--output",
-        "store",
-        callback=located_option,
-        help="The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]",
-    ),
-)
-"""STUDY, what of it is overridden, and its store; with `trust_option` below it the command gets ``asked``."""
 
 
 def link_in(store: "Location", at: tuple[str, ...]) -> Any:

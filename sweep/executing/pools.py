@@ -13,8 +13,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from linksweep.sweep.contract.errors import SweepError, shown, suggest
-
 PoolName = Literal["processes", "threads", "serial"]
 
 
@@ -80,6 +78,9 @@ class Resources:
 
     def __post_init__(self) -> None:
         """Raise SweepError for a pool that is not known, and for a dashboard where there can be none."""
+        # Here, since it imports NumPy, and the help of a command needs only the names of pools.
+        from linksweep.sweep.contract import SweepError, shown, suggest
+
         if self.pool is not None and self.pool not in POOLS:
             raise SweepError(f"no pool {shown(self.pool)}{suggest(self.pool, list(POOLS))}")
         if not self.dashboard:

@@ -211,7 +211,11 @@ def test_points_with_a_problem(changes, problem):
         ({"phot_g_mean_mag": np.full(6, 22.0)}, {"model": "gaia-2001"}, "v_max = 22 mag: the curve of 'gaia-2001'"),
         ({"errors": False}, {"reference_errors": "catalogue"}, "reference_errors = 'catalogue': the file catalogue"),
         ({}, {"columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
-        ({"dec": np.full(6, 90.0)}, {}, "a dec that is not between -90 and 90 deg, poles excluded, in row 1 (90), 2 (90)"),
+        (
+            {"dec": np.full(6, 90.0)},
+            {},
+            "a dec that is not between -90 and 90 deg, poles excluded, in row 1 (90), 2 (90)",
+        ),
         (
             {"pmra_error": np.array([0, 1, 1, 1, 1, 1.0])},
             {"satellite_errors": "catalogue"},

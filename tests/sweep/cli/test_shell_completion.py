@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from linksweep.sweep.cli.shell_completion import SAMPLING
+from linksweep.sweep.cli.options import SAMPLING
 from linksweep.sweep.studies.study import Sampling
 from tests.tiers import slow
 

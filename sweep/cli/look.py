@@ -1,0 +1,480 @@
+"""Commands that look at results: list, show, plot, report, fit, find, sensitivity and compare."""
+
+import logging
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
+from linksweep.sweep.cli.options import (
+    AT,
+    FILE,
+    JSON,
+    STORE,
+    STORES,
+    At,
+    arg,
+    flag,
+    group,
+    json_or,
+    link_in,
+    many,
+    opt,
+    part_of,
+)
+from linksweep.sweep.cli.output import (
+    drawing_styles,
+    print_sentences,
+    print_styled,
+    print_table,
+    print_whole,
+    save_figure,
+    table_width,
+)
+from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress, watching
+from linksweep.sweep.formatting import WIDTH, to_json
+from linksweep.sweep.plots import ALL_KINDS, KINDS
+
+if TYPE_CHECKING:
+    from linksweep.sweep.executing.pools import Resources
+    from linksweep.sweep.stores.location import Location
+
+
+@command("Look", "List the built-in studies and their answers", name="list")
+def list_studies(as_json: bool = JSON) -> None:
+    """List the built-in studies: the title and question of each, and its answer where it was run in this directory.
+
+    \b
+    sweep list
+    """
+    import tomllib
+
+    from linksweep.sweep.studies.document import built_in_studies
+
+    studies = {}
+    for name, path in built_in_studies().items():
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+        studies[name] = {key: document.get(key, "") for key in ("title", "question")} | {"answer": _answer(name)}
+    if as_json:
+        click.echo(to_json(studies))
+        return
+    for name, study in studies.items():
+        print_styled(name, bold=True)
+        for sentence in (study["title"], *(study["answer"] or [study["question"]])):
+            click.echo(click.wrap_text(sentence, WIDTH, "    ", "    "))
+
+
+def _answer(name: str) -> list[str]:
+    """Return the answer of a study from its store in the default place; none without one that can be read."""
+    from linksweep.sweep.stores.named import default_store
+
+    if not default_store(name).exists():
+        return []
+    from linksweep.sweep.analysis.answer import answer_in_short, completeness
+    from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.stores.store import open_dataset
+
+    try:
+        dataset = open_dataset(default_store(name))
+        return [*completeness(dataset)[:1], *answer_in_short(dataset)]
+    except SweepError as error:
+        return [f"Its store cannot be read: {'; '.join(error.problems)}"]
+
+
+@command("Look", "Print results as a table, CSV, ECSV or JSON")
+def show(
+    store: "Location" = STORE,
+    table_format: str = opt("", "--format", type=click.Choice(["text", "csv", "ecsv"]), default="text"),
+    at: At = AT,
+    as_json: bool = JSON,
+) -> None:
+    """Print the results in STORE as a table, and the components of the points with the worst condition; of a stored
+    link or forecast, what `sweep tie` or `sweep forecast` printed.
+
+    \b
+    sweep show quasars --at model=gaia
+    sweep show results/quasars.zarr --format ecsv > quasars.ecsv
+    """
+    table_format = json_or(table_format, as_json)
+    if (link := link_in(store, at)) is not None:
+        from linksweep.sweep.tie.text import as_format
+
+        click.echo(as_format(link, table_format).rstrip("\n"))
+        return
+    # Formats for programs keep excluded points: a column has the status.
+    with part_of(store, at, excluded_too=table_format != "text") as part:
+        print_table(part, table_format, with_components=True)
+
+
+def _millimetres(_context: click.Context, _parameter: click.Parameter, value: str | None) -> float | None:
+    if value is None:
+        return None
+    try:
+        width = float(value.strip().removesuffix("mm"))
+    except ValueError:
+        width = 0.0
+    if not 40.0 <= width <= 1000.0:
+        raise click.BadParameter(f"{value!r}: must be from 40mm to 1000mm, like 88mm or 180mm")
+    return width
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What is drawn, as the command line names it."""
+
+    source: str | None = arg(required=False)
+    kind: str | None = opt(
+        f"What to draw: {', '.join(ALL_KINDS)}.  [default: what suits the results]",
+        type=click.Choice(ALL_KINDS),
+        metavar="KIND",
+    )
+    variables: At = many("The quantity; several become panels.  [default: the main result]", "--variable")
+    over: At = many("The axis to draw along; give both for a map, or two components of a scatter.")
+    log: At = many("Give this axis or quantity a logarithmic axis.", metavar="NAME")
+    linear: At = many("Give it a linear one.  [default: what the spacing of values suggests]", metavar="NAME")
+    models: At = many("Accuracy: only this mission; may be given several times.", "--model")
+    at: At = AT
+
+    def require_choices(self) -> None:
+        """Raise click.UsageError for options that do not go with the kind."""
+        if self.source is None and self.kind != "accuracy":
+            raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
+        if self.models and self.kind != "accuracy":
+            raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=NAME")
+        if self.kind in KINDS["catalogue"] and (self.variables or self.over or self.log or self.linear):
+            raise click.UsageError(
+                f"--variable and --over do not go with --kind {self.kind}, nor do --log and --linear"
+            )
+
+    def figure(self) -> tuple[Any, Any]:
+        """Return a figure, and the dataset that it shows."""
+        from linksweep.sweep.plots import sky
+        from linksweep.sweep.plots.figure import draw_figure
+        from linksweep.sweep.running.reproduce import study_to_look_at
+        from linksweep.sweep.stores.named import store_named
+        from linksweep.sweep.studies.reader import load_study
+
+        if self.kind == "accuracy":
+            models: Any = self.models
+            if self.source is not None:
+                is_file = self.source.endswith(".toml")
+                study = load_study(self.source) if is_file else study_to_look_at(store_named(self.source))
+                models = sky.models_of(study, models)
+            curves = sky.accuracy_curves(models)
+            return sky.accuracy_figure(curves), curves
+        assert self.source is not None, "asked for before"
+        store = store_named(self.source)
+        if self.kind == "sky":
+            is_table = Path(self.source).is_file()
+            objects = sky.catalogue_of_table(Path(self.source)) if is_table else sky.catalogue_of_point(store, self.at)
+            return sky.sky_figure(objects), objects
+        chosen = self.kind, self.variables, self.over, self.log, self.linear
+        if (link := link_in(store, self.at)) is not None:
+            return draw_figure(link, *chosen), link
+        with part_of(store, self.at) as dataset:
+            return draw_figure(dataset, *chosen), dataset
+
+
+@command("Look", "Draw results")
+def plot(
+    drawn: Drawing = group(Drawing),
+    width: float | None = opt(
+        "How wide it will be printed, 88mm or 180mm; letters have the same size at any.  [default: each kind's own]",
+        metavar="MM",
+        callback=_millimetres,
+    ),
+    style: str | None = opt("Sizes of letters and lines.  [default: paper]", type=click.Choice(["paper", "talk"])),
+    caption: bool = flag("Write NAME.txt beside the picture: caption and alternative text."),
+    output: Path | None = opt(
+        "Picture to write: .png, .svg or .pdf.  [default: NAME.png]", "-o", "--output", type=FILE
+    ),
+) -> None:
+    """Draw the results in SOURCE, a store, in the way that suits them: curves with errors, prediction and published
+    values, small panels, a map, a fitted law, a scatter of kept samples.  For a link or a forecast of real tables there
+    are the kinds from solution on in the list below.
+
+    \b
+    sweep plot quasars --width 88mm --caption -o quasars.pdf
+    sweep plot results/grid.zarr --over n_obj --at error_scale=1
+    sweep plot grid --kind map --over n_obj --over v_max --at model=gaia
+    sweep plot results/quasars.zarr --kind sky --at model=gaia,v_max=16
+    sweep plot --kind accuracy --model amex --model gaia
+    sweep plot mission.toml --kind accuracy
+    sweep plot tie.zarr --kind residuals -o residuals.png
+    """
+    styles = drawing_styles()
+    drawn.require_choices()
+    path = output or Path(Path(drawn.source or "accuracy").stem + ".png")
+    styles.require_format(path)
+    with styles.settings(width, style):
+        figure, dataset = drawn.figure()
+        styles.save(figure, path)
+    click.echo(f"wrote {path}", err=True)
+    if caption:
+        from linksweep.sweep.plots.caption import caption_and_description
+
+        beside = path.with_suffix(".txt")
+        styles.save_text(caption_and_description(figure, dataset), beside)
+        click.echo(f"wrote {beside}", err=True)
+
+
+@dataclass(frozen=True)
+class AskedStores:
+    """The stores that a command is about: those that it names, or with --all those of the whole paper."""
+
+    stores: "tuple[Location, ...]" = STORES
+    everything: bool = flag(
+        "The whole paper: every built-in study (that has something published), run if it has not been yet.", "--all"
+    )
+    results: Path | None = opt("Folder with the stores of --all.  [default: results]", type=FILE)
+    resources: "Resources" = group(resources)
+    watching: Watching = group(watching)
+
+    def require_either(self) -> None:
+        """Raise click.UsageError unless there are either stores or --all, and for options of --all without it."""
+        from linksweep.sweep.executing.pools import Resources
+
+        if self.everything == bool(self.stores):
+            raise click.UsageError("name stores, or give --all")
+        of_runs = self.results is not None or self.resources != Resources() or self.watching != Watching()
+        if of_runs and not self.everything:
+            raise click.UsageError(
+                "--results, what to run on and how to watch it go with --all: nothing runs without it"
+            )
+
+    def whole(self, published: bool = False) -> "tuple[Location, ...]":
+        """Return the stores; with --all, first run the unfinished studies: all, or those with something published."""
+        if not self.everything:
+            return self.stores
+        from linksweep.sweep.cli.published_stores import lacks_packages, paper_studies, store_of, unfinished
+        from linksweep.sweep.stores.location import located
+        from linksweep.sweep.stores.named import RESULTS
+
+        results = self.results or RESULTS
+        studies = []
+        for study in paper_studies(published):
+            if words := lacks_packages(study, results):
+                click.echo(f"left out: {study.name}: {words}", err=True)
+            else:
+                studies.append(study)
+        for study in unfinished(studies, results):
+            if self.watching.level < logging.ERROR:
+                click.echo(f"{study.name}:", err=True)
+            how = Running(self.resources, self.watching, None, False, False, None)
+            run_with_progress(study, located(store_of(study, results)), how)
+        return tuple(located(store_of(study, results)) for study in studies)
+
+
+@command("Look", "Write one HTML page with everything")
+def report(
+    asked: AskedStores = group(AskedStores),
+    output: Path | None = opt(
+        "The page; an earlier report there is replaced, nothing else is.  [default: NAME-report.html]",
+        *("-o", "--output"),
+        type=FILE,
+    ),
+) -> None:
+    """Write one HTML page about the results in STORE: the answer, figures, tables, an interactive view, a comparison
+    with published numbers, and where everything comes from.
+
+    The page needs no network and no server.
+
+    \b
+    sweep report results/quasars.zarr
+    sweep report --all -o paper.html
+    """
+    try:
+        from linksweep.sweep.report.page import check_output, default_path, report_of, write_report
+    except ImportError as error:
+        raise click.UsageError(f"a report needs more packages: pip install 'linksweep[report]' ({error})") from error
+    asked.require_either()
+    path = output or (Path("paper-report.html") if asked.everything else default_path(asked.stores))
+    check_output(path)
+    write_report(report_of(asked.whole()), path)
+    click.echo(f"wrote {path}", err=True)
+
+
+@command("Look", "Fit a law along an axis")
+def fit(
+    store: "Location" = STORE,
+    over: str | None = opt("The axis to fit along.  [default: the only one with several numbers]"),
+    variable: str | None = opt("What to fit.  [default: the main result]"),
+    law: str = opt(
+        "power: variable ~ over^p; levelling: variable^2 = plateau^2 + c exp(-rate x over).",
+        type=click.Choice(["power", "levelling"]),
+        default="power",
+    ),
+    expect: float | None = opt("Exponent to test.  [default: that of a claim of the study]", type=float),
+    fall: float | None = opt(
+        "Levelling: find where the variable falls by less than this per unit of the axis.  [default: 5]",
+        type=click.FloatRange(0.0, 100.0, min_open=True, max_open=True),
+        metavar="PERCENT",
+    ),
+    span: str | None = opt(
+        "Only points with the axis in this range, e.g. 50: or 14:17.", "--range", metavar="LOW:HIGH"
+    ),
+    at: At = AT,
+    as_json: bool = JSON,
+) -> None:
+    """Fit a law to a result in STORE along an axis, for every combination of the other axes.
+
+    Points are weighted by their Monte-Carlo errors, and by their covariance if they share random numbers.
+
+    \b
+    sweep fit results/sqrt-n.zarr --over n_obj --expect -0.5
+    sweep fit results/mission-length.zarr --over mission_length --at model=gaia
+    sweep fit radio-stars --range 50: --at reference_error_scale=1
+    sweep fit results/quasars.zarr --over v_max --law levelling
+    """
+    from linksweep.sweep.analysis.conditions import parse_range
+    from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law
+    from linksweep.sweep.analysis.quantity import main_quantity, require_axis
+    from linksweep.sweep.analysis.selection import between
+
+    if law == "levelling" and expect is not None:
+        raise click.UsageError("--expect is an exponent and goes with --law power")
+    if law == "power" and fall is not None:
+        raise click.UsageError("--fall goes with --law levelling")
+    with part_of(store, at) as part:
+        variable = variable or main_quantity(part)
+        over = require_axis(part, variable, over)
+        dataset = part if span is None else between(part, over, *parse_range(span))
+        if law == "power":
+            result = fit_power_law(dataset, variable, over, expect)
+        else:
+            result = fit_levelling(dataset, variable, over, (fall or 5.0) / 100.0)
+    _print_lines(result, as_json)
+
+
+@command("Look", "Find where a condition is met along an axis")
+def find(
+    store: "Location" = STORE,
+    where: str = opt("VARIABLE, one of < <= > >=, NUMBER and unit.", required=True, metavar="CONDITION"),
+    over: str | None = opt("The axis to look along.  [default: the only one with several numbers]"),
+    at: At = AT,
+    as_json: bool = JSON,
+) -> None:
+    """Find where in STORE a condition is met along an axis, for every combination of the other axes.
+
+    Between the points of the grid the crossing is interpolated, with the error that follows from theirs.  For a table
+    or a design, whose points are in no order, the points that meet the condition are listed.
+
+    \b
+    sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --over v_max
+    sweep find grid --where "sigma_spin <= 0.5" --over n_obj --at model=amex
+    """
+    from linksweep.sweep.analysis import crossings
+    from linksweep.sweep.analysis.conditions import parse_limit
+    from linksweep.sweep.analysis.quantity import require_axis, varied_parameters
+
+    limit = parse_limit(where)
+    with part_of(store, at) as dataset:
+        if over is None and len(varied_parameters(dataset)) > 1:
+            print_table(crossings.points_where(dataset, limit), "json" if as_json else "text")
+            return
+        result = crossings.find(dataset, limit, require_axis(dataset, limit.variable, over))
+    _print_lines(result, as_json)
+
+
+def _print_lines(result: Any, as_json: bool) -> None:
+    from linksweep.sweep.analysis import law_tables
+    from linksweep.sweep.analysis.columns import left_out_in_words
+
+    if as_json:
+        click.echo(law_tables.as_json(result))
+        return
+    width = table_width()
+    print_whole(law_tables.as_text(result, width))
+    click.echo()
+    print_sentences(law_tables.notes(result))
+    if folded := law_tables.fitting_columns(result, width)[1]:
+        print_sentences([f"left out to fit {width} columns: {left_out_in_words(folded)}; --json has them"])
+
+
+@command("Look", "Say which parameters decide a result")
+def sensitivity(
+    store: "Location" = STORE,
+    variable: str | None = opt("What varies.  [default: the main result]"),
+    at: At = AT,
+    output: Path | None = opt("Write .csv, .json or .zarr, or draw .png, .svg, .pdf.", "-o", "--output", type=FILE),
+    as_json: bool = JSON,
+) -> None:
+    """Estimate how much of the variance of a result in STORE is due to each parameter, with errors.
+
+    First-order and total Sobol indices of full grids and of saltelli designs, effects of morris designs, first-order
+    indices of any other points.
+
+    \b
+    sweep sensitivity results/sir.zarr
+    sweep sensitivity results/sir.zarr --variable peak -o peak.png
+    """
+    from linksweep.sweep.analysis import sensitivity as analysis
+    from linksweep.sweep.analysis import sensitivity_tables as tables
+    from linksweep.sweep.contract import SweepError
+
+    with part_of(store, at) as dataset:
+        suffix = "" if output is None else output.suffix.lower()
+        if output is not None and suffix == ".zarr" and output.exists():
+            raise SweepError("exists already; take another name", str(output))
+        known: tuple[str, ...] = ("", ".csv", ".json", ".zarr") if output is None else (".csv", ".json", ".zarr")
+        if suffix not in known and suffix not in (formats := drawing_styles().FORMATS):
+            raise SweepError(f"the name must end with {', '.join((*known, *formats))}", str(output))
+        result = analysis.sensitivity(dataset, variable)
+        try:
+            if suffix in (".csv", ".json"):
+                text = tables.as_csv(result) if suffix == ".csv" else tables.as_json(result) + "\n"
+                Path(str(output)).write_text(text, encoding="utf-8")
+            elif suffix == ".zarr":
+                result.to_zarr(output, zarr_format=3, consolidated=False)
+            elif output is not None:
+                save_figure(result, output)
+        except OSError as error:
+            raise SweepError(f"cannot be written: {error.strerror or error}", str(output)) from error
+    if as_json:
+        click.echo(tables.as_json(result))
+    else:
+        print_whole(tables.as_text(result))
+        click.echo()
+        print_sentences(tables.notes(result))
+    if output is not None:
+        click.echo(f"wrote {output}", err=True)
+
+
+@command("Compare", "Compare with published numbers and claims")
+def compare(
+    asked: AskedStores = group(AskedStores),
+    table_format: str = opt("", "--format", type=click.Choice(["text", "csv"]), default="text"),
+    as_json: bool = JSON,
+) -> None:
+    """Compare the results in STORE with the published numbers and claims of its study.
+
+    The exit code is 1 if something is not reproduced or incomplete.
+
+    \b
+    sweep compare results/quasars.zarr
+    sweep compare --all --workers 4
+    """
+    table_format = json_or(table_format, as_json)
+    from linksweep.sweep.analysis import compare_tables
+    from linksweep.sweep.analysis.compare import all_is_well
+    from linksweep.sweep.analysis.compare_text import as_text
+    from linksweep.sweep.cli.published_stores import compare_stores
+
+    asked.require_either()
+    comparisons, remarks = compare_stores(asked.whole(published=True))
+    if table_format == "json":
+        click.echo(compare_tables.as_json(comparisons, remarks))
+    elif table_format == "csv":
+        click.echo(compare_tables.as_csv(comparisons).rstrip("\n"))
+        for sentence in remarks:
+            click.echo(sentence, err=True)
+    else:
+        if comparisons:
+            print_whole(as_text(comparisons, table_width()))
+        print_sentences(remarks)
+        click.echo(compare_tables.summary_line(comparisons))
+    if not all_is_well(comparisons):
+        sys.exit(EXIT_FAILED_POINTS)

@@ -1,0 +1,386 @@
+"""Commands about real tables: tie and forecast solve for a link, match finds the galaxies among stars."""
+
+import sys
+import warnings
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
+from linksweep.sweep.cli.options import FILE, JSON, arg, flag, group, many, opt, passed
+from linksweep.sweep.cli.output import print_whole
+from linksweep.sweep.cli.run import resources as run_on
+from linksweep.sweep.formatting import split_assignment, to_json
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from linksweep.sweep.executing.pools import Resources
+
+SIGNS = ["reference-satellite", "satellite-reference"]
+POSITIVE = click.FloatRange(0.0, min_open=True)
+ARCSEC = click.FloatRange(0.0, 3600.0, min_open=True)
+
+year = partial(opt, type=float, metavar="YEAR")
+table = partial(many, metavar="satellite|reference|NAME")
+
+
+def _numbers(name: str, text: str) -> list[float]:
+    """Return the numbers in a list with commas; raises click.BadParameter for anything else."""
+    try:
+        return [float(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        raise click.BadParameter(f"{text!r} is no list of numbers", param_hint=name) from None
+
+
+def _assigned(name: str, form: str, item: str) -> tuple[str, str]:
+    key, value = split_assignment(item)
+    if not key or not value:
+        raise click.BadParameter(f"{item!r} is not {form}", param_hint=name)
+    return key, value
+
+
+def _mission_epochs(items: Sequence[str], missions: Collection[str]) -> dict[str, float]:
+    epochs = {}
+    for name, year in (_assigned("--mission-epoch", "NAME=YEAR", item) for item in items):
+        if name not in missions:
+            raise click.BadParameter(f"no --mission {name}", param_hint="--mission-epoch")
+        years = _numbers("--mission-epoch", year)
+        if len(years) != 1:
+            raise click.BadParameter(f"{year!r} is not one year", param_hint="--mission-epoch")
+        epochs[name] = years[0]
+    return epochs
+
+
+def _by_table(name: str, form: str, items: Sequence[str], tables: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return what the items say of each quantity of each table; an item that names no table is for all."""
+    by_table: dict[str, dict[str, str]] = {table: {} for table in tables}
+    for item in items:
+        key, value = _assigned(name, f"[{'|'.join(tables)}:]{form}", item)
+        table, colon, quantity = key.partition(":")
+        if colon and table not in tables:
+            raise click.BadParameter(f"{item!r} is not [{'|'.join(tables)}:]{form}", param_hint=name)
+        for one in [table] if colon else tables:
+            by_table[one][quantity if colon else key] = value
+    return by_table
+
+
+def _jitter(item: str) -> tuple[str, tuple[float, float]]:
+    kind, text = split_assignment(item)
+    values = _numbers("--jitter", text.replace(":", ","))
+    if len(values) not in (1, 2):
+        raise click.BadParameter(f"{item!r} is not KIND=MAS or KIND=MAS:MAS_YR", param_hint="--jitter")
+    if kind in ("motion", "three-parameter") and len(values) == 1:
+        return kind, (0.0, values[0])
+    return kind, (values[0], values[1] if len(values) == 2 else 0.0)
+
+
+def _tables(
+    missions: Sequence[str] = many(
+        "A further mission's table of the same sources, in a frame with its own orientation and spin.",
+        *("--mission",),
+        metavar="NAME=TABLE",
+    ),
+    column: Sequence[str] = many(
+        "The column with a quantity, of all tables or of satellite, reference or a mission, e.g. "
+        "reference:parallax=plx.",
+        metavar="[TABLE:]KEY=COLUMN",
+    ),
+    unit: Sequence[str] = many(
+        "The unit of a quantity whose column says none, e.g. reference:ra=hourangle or pmra=arcsec/yr.",
+        metavar="[TABLE:]KEY=UNIT",
+    ),
+    satellite_epoch: float | None = year("Epoch of the satellite's table, instead of a column."),
+    reference_epoch: float | None = year("Epoch of the reference's rows, instead of a column."),
+    mission_epoch: Sequence[str] = many("Epoch of a mission's table, instead of a column.", metavar="NAME=YEAR"),
+    positions: Any = opt(
+        "Reference positions without parallax: displaced by it, or mean.  [default: what the table says]",
+        type=click.Choice(["single-epoch", "mean"]),
+    ),
+    zero_errors: Any = opt(
+        "What an error of 0 means.", type=click.Choice(["error", "missing", "exact"]), default="error"
+    ),
+    without_cos_dec: Sequence[str] = table("The table whose pmra is mu_alpha, without cos(dec)."),
+    extragalactic: Sequence[str] = table("The table with mean positions of quasars, which hold at any epoch."),
+    jitter: Sequence[str] = many("Added in quadrature to rows of a kind, or of all.", metavar="KIND=MAS[:MAS_YR]"),
+) -> dict[str, Any]:
+    """Return the options of the tables as `linksweep.sweep.tie.options.Options` has them."""
+    from linksweep.sweep.tie.options import TableOptions
+
+    further = dict(_assigned("--mission", "NAME=TABLE", item) for item in missions)
+    if len(further) < len(missions):
+        raise click.BadParameter("a mission is named twice", param_hint="--mission")
+    names = ("satellite", "reference", *further)
+    columns = _by_table("--column", "KEY=COLUMN", column, names)
+    units = _by_table("--unit", "KEY=UNIT", unit, names)
+    epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **_mission_epochs(mission_epoch, further)}
+    for name, chosen in (("--without-cos-dec", without_cos_dec), ("--extragalactic", extragalactic)):
+        if unknown := set(chosen) - set(names):
+            raise click.BadParameter(f"no table {', '.join(sorted(unknown))}", param_hint=name)
+    tables = {
+        name: TableOptions(
+            columns=columns[name],
+            units=units[name],
+            epoch=epochs.get(name),
+            extragalactic=name in extragalactic,
+            positions=positions if name == "reference" else None,
+            zero_errors=zero_errors,
+            pmra_cos_dec=name not in without_cos_dec,
+        )
+        for name in names
+    }
+    return {
+        "jitter": dict(map(_jitter, jitter)),
+        "satellite_options": tables.pop("satellite"),
+        "reference_options": tables.pop("reference"),
+        "missions": further,
+        "mission_options": tables,
+    }
+
+
+MATCHING = passed(
+    by=opt("Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]", metavar="HOW"),
+    weights=opt(
+        "Weights of the differences.", type=click.Choice(["covariance", "variance", "equal"]), default="covariance"
+    ),
+    epoch=year("Epoch of the orientation.  [default: the satellite's]"),
+    aberration=opt(
+        "Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.", type=float, default=0.0, metavar="UAS_YR"
+    ),
+)
+LINK = passed(
+    unknowns=opt(
+        "Like orientation,spin,glide,parallax,vsh_motion:3.  [default: what the tables determine of orientation,spin]",
+        metavar="BLOCKS",
+    ),
+    degree=opt("Vector spherical harmonics up to this degree.", type=click.IntRange(1)),
+    clip=opt("none, rayleigh, median:K, discrepancy[:N] or huber:C.", default="none"),
+    errors=opt(
+        "Kinds of errors, the main one first: formal, scaled, jackknife, cells, bootstrap, sandwich.", default="scaled"
+    ),
+    resamples=opt("Number of bootstrap resamples.", type=click.IntRange(2), default=1000),
+    seed=opt("Seed of the bootstrap.", type=click.IntRange(0), default=0),
+    sign=opt("Sign of everything that is printed and stored.", type=click.Choice(SIGNS), default=SIGNS[0]),
+    accept_misfit=flag("Give the link, and write it, although chi2 is more than 1000 times its expectation."),
+)
+FORECAST = passed(
+    unknowns=opt("Like orientation,spin.", metavar="BLOCKS"),
+    error=opt("Error of each new coordinate.", type=float, default=0.1, metavar="MAS"),
+    release=opt("Scale the satellite's errors to those of dr4 or dr5."),
+    from_release=opt("Release of the satellite's errors.  [default: the one that has its epoch]"),
+    number=opt(
+        "Choose the N best sources.", "--choose", type=click.IntRange(0), default=0, show_default=False, metavar="N"
+    ),
+    criterion=opt("Trace or determinant of the covariance.", type=click.Choice(["A", "D"]), default="A"),
+    all_sources=flag("Sources without any row of the reference are candidates too."),
+)
+SEARCH = passed(
+    radius=many("Match radius, of all or of one catalogue.  [default: 5]", metavar="[NAME=]ARCSEC"),
+    error=many(
+        "Position error of each coordinate, instead of columns ra_error and dec_error.", metavar="[NAME=]ARCSEC"
+    ),
+    column=many(
+        "The column with a quantity, of the stars or of the table NAME, e.g. ra=RAmdeg or pgc:PGC=pgc.",
+        metavar="[NAME:]KEY=COLUMN",
+    ),
+    unit=many(
+        "The unit of a quantity whose column has none in the file, e.g. ra=hourangle or pgc:ra=deg.",
+        metavar="[NAME:]KEY=UNIT",
+    ),
+    epoch=opt("Julian year of the galaxy positions.", type=float, default=2000.0),
+    ref_epoch=many("Epoch of the stars, instead of a column ref_epoch.", metavar="[NAME=]YEAR"),
+    missing_pm=opt(
+        "What to do with stars that have no proper motion.", type=click.Choice(["error", "zero"]), default="error"
+    ),
+    merge_radius_arcsec=opt(
+        "Entries of two catalogues this close are one galaxy.  [default: the sum of their match radii]",
+        *("--merge-radius",),
+        type=ARCSEC,
+        metavar="ARCSEC",
+    ),
+    k_sigma=opt("Uncertain: offset above this many sigma.", type=POSITIVE, default=3.0),
+    crowding_radius_arcsec=opt(
+        "Uncertain: so many stars within this radius.",
+        "--crowding-radius",
+        type=ARCSEC,
+        metavar="ARCSEC",
+        default=120.0,
+    ),
+    crowding_stars=opt(
+        "Uncertain: at least this many other stars within the crowding radius.", type=click.IntRange(1), default=3
+    ),
+    epoch_difference_yr=opt(
+        "Years to a second epoch, for the proper-motion error.",
+        *("--epoch-difference",),
+        type=POSITIVE,
+        metavar="YR",
+        default=20.0,
+    ),
+    second_epoch_error_mas=opt(
+        "Position error of the second epoch.",
+        *("--second-epoch-error",),
+        type=click.FloatRange(0.0),
+        metavar="MAS",
+        default=0.0,
+    ),
+)
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where a link or a forecast goes: to the terminal, as JSON or text, into a store, and into figures."""
+
+    output: Path | None = opt("Write the labelled result.", "-o", "--output", type=FILE, metavar="STORE.zarr")
+    figures: Path | None = opt(
+        "Draw every figure that `sweep plot STORE.zarr --kind KIND` has, as KIND.png.",
+        type=click.Path(path_type=Path, file_okay=False),
+        metavar="FOLDER",
+    )
+    as_json: bool = JSON
+
+    def check(self) -> None:
+        """Raise an error unless a store can be written and figures be drawn, before anything is computed."""
+        from linksweep.sweep.contract import SweepError
+
+        if self.output is not None and self.output.suffix != ".zarr":
+            raise SweepError("a result is written to a store whose name ends in .zarr", str(self.output))
+        if self.output is not None and self.output.exists():
+            raise SweepError("is there already; nothing is overwritten", str(self.output))
+        if self.figures is not None and find_spec("matplotlib") is None:
+            raise click.UsageError("drawing needs matplotlib: pip install 'linksweep[plot]'")
+
+    def put(self, result: "xr.Dataset", rejected: bool = False) -> None:
+        """Print a result; write it and draw its figures unless it is ``rejected``."""
+        from linksweep.sweep.contract import SweepError
+        from linksweep.sweep.tie.text import as_format
+
+        text = as_format(result, "json" if self.as_json else "text")
+        if self.output is not None and not rejected:
+            with warnings.catch_warnings():  # text has no final specification in Zarr 3
+                warnings.simplefilter("ignore")
+                result.to_zarr(self.output, mode="w-")
+        if self.figures is not None and not rejected:
+            from linksweep.sweep.plots import style
+            from linksweep.sweep.plots.figure import link_figures
+
+            try:
+                self.figures.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise SweepError(f"cannot draw there: {error.strerror or error}", str(self.figures)) from error
+            with style.settings():
+                for kind, figure in link_figures(result).items():
+                    style.save(figure, self.figures / f"{kind}.png")
+                    click.echo(f"wrote {self.figures / f'{kind}.png'}", err=True)
+        click.echo(text)
+
+
+@command("Your own", "Solve for the link of two real tables")
+def tie(
+    satellite: Path = arg(type=FILE),
+    reference: str = arg(),
+    link: dict[str, Any] = LINK,
+    resources: "Resources" = group(run_on),
+    bins: str | None = opt("A spin for each bin, e.g. phot_g_mean_mag=6,8,10.", metavar="COLUMN=EDGES"),
+    known_spin: Any = opt(
+        "Subtracted before the fit: mas/yr with the sign of --sign, or a table by magnitude.", metavar="X,Y,Z|TABLE"
+    ),
+    no_sources: bool = flag(
+        "Leave what belongs to single sources and rows out of STORE.zarr and of JSON: for millions of them."
+    ),
+    matching: dict[str, Any] = MATCHING,
+    tables: dict[str, Any] = group(_tables),
+    target: Target = group(Target),
+) -> None:
+    """Solve for the link of two real tables, REFERENCE - SATELLITE.
+
+    SATELLITE has positions, parallaxes and proper motions (Gaia archive, Hipparcos-2, ICRF text, or any table with such
+    columns), REFERENCE measurements of the same objects, or zero-motion for quasars.
+
+    \b
+    sweep tie gaia.fits vlbi.ecsv --unknowns orientation,spin -o tie.zarr
+
+    With chi2 above 1000 times its expectation the exit code is 1, and nothing is written.
+    """
+    from linksweep.sweep.tie.link import MisfitError
+    from linksweep.sweep.tie.link import tie as solve
+    from linksweep.sweep.tie.options import parse_bins
+
+    target.check()
+    with suppress(ValueError, AttributeError):  # the name of a table, or none
+        known_spin = [float(part) for part in known_spin.split(",")]
+    shown = target.as_json or target.output is not None or target.figures is not None
+    further = {"per_source": shown and not no_sources, "bins": bins and parse_bins(bins), "known_spin": known_spin}
+    try:
+        target.put(solve(satellite, reference, resources=resources, **link, **further, **matching, **tables))
+    except MisfitError as error:
+        target.put(error.link, rejected=True)
+        click.echo(f"error: {error.said('--accept-misfit')}", err=True)
+        sys.exit(EXIT_FAILED_POINTS)
+
+
+@command("Your own", "Forecast a link with new observations")
+def forecast(
+    satellite: Path = arg(type=FILE),
+    reference: str = arg(),
+    add: str = opt("Epochs of new positions, e.g. 2026,2030.", metavar="YEARS", default="", show_default=False),
+    goal: str = opt(
+        "What to choose them for.  [default: all unknowns]", "--for", metavar="BLOCKS", default="", show_default=False
+    ),
+    plan: dict[str, Any] = FORECAST,
+    matching: dict[str, Any] = MATCHING,
+    tables: dict[str, Any] = group(_tables),
+    target: Target = group(Target),
+) -> None:
+    """Forecast the errors of a link with new observations, and choose what to observe.
+
+    \b
+    sweep forecast gaia.fits vlbi.ecsv --add 2026,2030 --choose 5 --for spin
+    """
+    from linksweep.sweep.tie.forecast import forecast as plan_observations
+
+    target.check()
+    blocks = [name.strip() for name in goal.split(",") if name.strip()]
+    epochs = _numbers("--add", add)
+    target.put(plan_observations(satellite, reference, add=epochs, goal=blocks, **plan, **matching, **tables))
+
+
+@command("Your own", "Find the galaxies in a star catalogue")
+def match(
+    stars: Path = arg(type=FILE),
+    galaxies: tuple[Path, ...] = arg(nargs=-1, required=True, type=FILE),
+    supplement: Path | None = opt("More stars, whose matches are a class of their own.", type=FILE),
+    search: dict[str, Any] = SEARCH,
+    output: Path = opt("The matches as ECSV.", "-o", "--output", type=FILE, default=Path("results/matches.ecsv")),
+    table: Path | None = opt("Also the paper's 46-byte table.", type=FILE),
+    figure: Path | None = opt("Also draw an all-sky map: .png, .svg or .pdf.", type=FILE),
+    overwrite: bool = flag("Replace files that exist."),
+    as_json: bool = JSON,
+) -> None:
+    """Find the galaxies in a star catalogue: cross-match STARS with one or more GALAXIES tables.
+
+    Tables are FITS, VOTable, ECSV, CSV, TSV, MRT or Parquet with the column names of the Gaia archive; options refer
+    to a table by its file name up to the first dot.
+
+    \b
+    sweep match tycho2.fits pgc.fits uzc.csv --supplement tycho2_suppl1.fits \\
+        --radius pgc=15 --radius uzc=3 --error pgc=5 --error uzc=1 \\
+        -o galaxies.ecsv --table galaxies.dat --figure galaxies.png
+    """
+    from linksweep.sweep.search.outputs import Outputs, find_galaxies, summarise, summary_text
+    from linksweep.sweep.search.search import plan_search
+
+    outputs = Outputs(output, table, figure)
+    summary = summarise(find_galaxies(plan_search(stars, galaxies, supplement, **search), outputs, overwrite))
+    if as_json:
+        click.echo(to_json(summary))
+    else:
+        for part in summary_text(summary):
+            print_whole(part)
+    for path in outputs.paths():
+        click.echo(f"wrote {path}", err=True)
