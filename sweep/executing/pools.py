@@ -78,13 +78,13 @@ class Resources:
 
     def __post_init__(self) -> None:
         """Raise SweepError for a pool that is not known, and for a dashboard where there can be none."""
-        # Here, since it imports NumPy, and the help of a command needs only the names of pools.
+        if self.pool in (None, *POOLS) and not self.dashboard:
+            return
+        # Imported here, since it imports NumPy, and the help of a command needs only the names of pools.
         from linksweep.sweep.contract import SweepError, shown, suggest
 
-        if self.pool is not None and self.pool not in POOLS:
-            raise SweepError(f"no pool {shown(self.pool)}{suggest(self.pool, list(POOLS))}")
-        if not self.dashboard:
-            return
+        if self.pool not in (None, *POOLS):
+            raise SweepError(f"no pool {shown(self.pool)}{suggest(str(self.pool), list(POOLS))}")
         if self.scheduler is not None or self.cluster is not None:
             raise SweepError("a dashboard is made for local workers; a scheduler and a cluster have their own")
         if not POOLS[self.pool or DEFAULT_POOL].has_workers:
