@@ -31,7 +31,7 @@ from linksweep.sweep.tie.stored import result_at
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from linksweep.sweep.report.card import Card
+    from linksweep.sweep.report import Card
 
 log = logging.getLogger("linksweep")
 
@@ -204,7 +204,7 @@ def answer(dataset: xr.Dataset) -> "Card":
         >>> answer(run(study, "limits.zarr", pool="serial")).question
         'What do fainter quasars bring?'
     """
-    from linksweep.sweep.report.card import card
+    from linksweep.sweep.report import card
 
     return card(dataset)
 

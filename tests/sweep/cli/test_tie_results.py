@@ -8,7 +8,6 @@ from click.testing import CliRunner
 
 import linksweep
 from linksweep.sweep.cli import main
-from linksweep.sweep.report.link_section import link_section
 
 
 def run(*arguments):
@@ -118,5 +117,5 @@ def test_the_report_has_the_table_the_sign_and_the_figures(stored):
 def test_a_report_without_a_clip_says_so(tmp_path):
     made = run("tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "-o", tmp_path / "tie.zarr")
     assert made.exit_code == 0, made.output
-    (answer, *_) = link_section("tie", linksweep.open(tmp_path / "tie.zarr"), 0).answers
-    assert any("matched by name; there was no clip." in sentence for sentence in answer.sentences)
+    assert run("report", tmp_path / "tie.zarr", "-o", tmp_path / "tie.html").exit_code == 0
+    assert "matched by name; there was no clip." in (tmp_path / "tie.html").read_text()

@@ -19,8 +19,8 @@ from matplotlib.contour import ContourSet
 import linksweep
 from linksweep import SweepError
 from linksweep.sweep.analysis.quantity import standard_error
-from linksweep.sweep.report.explorer import explorer
 from linksweep.sweep.report.page import report_of
+from linksweep.sweep.report.pictures import explorer
 
 LARGE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0]
 

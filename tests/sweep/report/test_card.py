@@ -7,15 +7,14 @@ import pytest
 import xarray as xr
 
 import linksweep
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.stores.store import open_dataset
+from linksweep import SweepError
 
 QUESTION = "How well do quasars alone tie a mission's proper motions to the extragalactic frame?"
 
 
 @pytest.fixture
 def results(store_of):
-    return open_dataset(store_of("quasars"))
+    return linksweep.open(store_of("quasars"))
 
 
 def test_a_card_is_printed_as_question_and_answer(results):

@@ -5,16 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import linksweep
 from linksweep.core.constants import MAS
 from linksweep.core.tie.motion import propagated
-from linksweep.sweep.cli import main
-from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.report.page import report_of
-from linksweep.sweep.running.run import run_study
-from linksweep.sweep.studies.reader import load_study
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import gaia
 
@@ -48,7 +43,7 @@ def store(tmp_path_factory):
         "n_sim = 4",
     )
     (folder / "study.toml").write_text("\n".join(lines))
-    run_study(load_study(str(folder / "study.toml")), folder / "s.zarr", Resources(pool="serial"))
+    linksweep.run(folder / "study.toml", folder / "s.zarr", pool="serial")
     return folder / "s.zarr"
 
 
@@ -116,8 +111,8 @@ def test_what_the_tables_say_comes_first(store, page):
     assert all("Error bars are error_scaled." in name for name in figures[:6])
 
 
-def test_show_prints_the_estimate_with_its_errors(store):
-    printed = CliRunner().invoke(main, ["show", str(store)]).output
+def test_show_prints_the_estimate_with_its_errors(store, sweep):
+    _, printed, _ = sweep("show", store)
     link = links(store)["none"]
     (row,) = [line.split() for line in printed.splitlines() if line.split()[:2] == ["none", "epsilon_x"]]
     numbers = [link.estimate[0], *(link.errors.sel(error_kind=kind)[0] for kind in KINDS)]
@@ -132,11 +127,10 @@ def test_a_chi2_that_is_the_same_everywhere_is_said(store):
     assert f"It is {ratio:.4g} at both points." in linksweep.answer(part).sentences[1]
 
 
-def test_without_rows_of_a_reference_nothing_is_said_of_the_tables(tmp_path):
-    study = load_study("pulsar-forecast", settings=["n_sim=2"], axes=["n_new=10,62"])
-    run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
-    page = report_of([tmp_path / "s.zarr"])
-    assert "<summary>estimate" not in page
-    assert not any(
-        "estimate (" in one or "chi2" in one for one in linksweep.answer(linksweep.open(tmp_path / "s.zarr")).sentences
-    )
+def test_without_rows_of_a_reference_nothing_is_said_of_the_tables(tmp_path, sweep):
+    path = tmp_path / "s.zarr"
+    assert sweep("run", "pulsar-forecast", "--set", "n_sim=2", "--axis", "n_new=10,62", "-o", path)[0] == 0
+    assert "<summary>estimate" not in report_of([path])
+    said = " ".join(linksweep.answer(linksweep.open(path)).sentences)
+    assert "estimate (" not in said
+    assert "chi2" not in said
