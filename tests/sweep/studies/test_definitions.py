@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from linksweep.sweep.code.load import Code
-from linksweep.sweep.contract import Named, SweepError
+from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.running.reproduce import reproduce
@@ -137,6 +137,9 @@ def test_an_experiment_of_any_kind_can_have_definitions(here):
 def test_points_are_known_by_the_curve_and_not_by_its_name(here):
     first = digests(edited(here))
     assert len(set(first.values())) == 6
+    axes = {"model": ["gaia"], "v_max": [15, 16]}
+    built_in = digests(study_from_dict({"title": "", "axes": axes, "fixed": {"catalogue": "quasars"}}))
+    assert built_in.items() <= first.items()
     renamed = digests(edited(here, ("small", "tiny")))
     assert {(name.replace("tiny", "small"), v): digest for (name, v), digest in renamed.items()} == first
     another = digests(edited(here, ("150.0", "151.0")))
@@ -144,15 +147,6 @@ def test_points_are_known_by_the_curve_and_not_by_its_name(here):
     (here / "curves.py").write_text(CURVES.replace("0.02", "0.03"))
     coded = digests(edited(here))
     assert {place for place in first if coded[place] != first[place]} == {("coded", "15.0"), ("coded", "16.0")}
-
-
-def test_a_built_in_value_is_the_same_point_beside_definitions(here):
-    plain = digests(
-        study_from_dict(
-            {"title": "", "axes": {"model": ["gaia"], "v_max": [15, 16]}, "fixed": {"catalogue": "quasars"}}
-        )
-    )
-    assert plain.items() <= digests(edited(here)).items()
 
 
 def test_one_curve_under_two_names_is_one_value(here):
@@ -215,12 +209,6 @@ def test_a_curve_of_more_than_the_magnitude_is_refused(here, sweep, returned):
     assert "model = 'coded': the error of proper motions at V = " in err
     assert "it must depend on nothing but the magnitude" in err
     assert not (here / "results").exists()
-
-
-def test_a_function_of_a_module(here):
-    found = Code().function("linksweep.core.catalogues:completeness", Path())
-    assert (found.reference, found.name) == ("linksweep.core.catalogues:completeness", "completeness")
-    assert found(19.0) == pytest.approx(0.054)
 
 
 def test_a_smaller_study_leaves_a_larger_store_as_it_is(here):
@@ -329,10 +317,3 @@ def test_errors_in_a_function_are_told_before_anything_runs(here, sweep, body, m
     assert (status, out) == (2, "")
     assert message in err
     assert not (here / "results").exists()
-
-
-def test_a_value_is_shown_by_its_name_and_equal_by_its_identity():
-    one = Named("one", json.dumps({"a": 1}), object())
-    assert str(one) == "one"
-    assert one == Named("other", json.dumps({"a": 1}), object())
-    assert one != Named("one", json.dumps({"a": 2}), object())

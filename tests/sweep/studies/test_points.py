@@ -123,62 +123,60 @@ def test_of_a_column_of_a_file_only_the_wrong_cells_are_named(bad, problem, tmp_
     assert caught.value.problems == [problem]
 
 
-def test_wrong_cells_are_named_beside_decimal_commas(tmp_path):
+def test_wrong_cells_are_named_beside_decimal_commas_and_large_integers(tmp_path):
     (tmp_path / "t.csv").write_text("beta;k\n2,5;1\nx;1\n1,5;1\n")
     with pytest.raises(SweepError) as caught:
         read(tmp_path / "t.csv")
     assert caught.value.problems == ["points.file.beta: row 2: beta = 'x': must be a finite number > 0 [1/d]"]
+    (tmp_path / "t.csv").write_text("beta,k\n0.1,1\n0.2,99999999999999999999\n")
+    with pytest.raises(SweepError, match="row 2: k") as caught:
+        read(tmp_path / "t.csv")
+    assert "row 1" not in str(caught.value)
 
 
 def far(distance: Annotated[float, Declared("distance", unit="m")], n: int = 1):
     return distance * n
 
 
-def points_of_far(points):
-    return study_of_function(far, points=points).axes
-
-
-def test_a_wrong_number_of_points_is_the_only_problem():
-    """Which parameters a wrong table has is not known: those without a default are not asked for."""
-    with pytest.raises(SweepError, match=r"^points\.n: input should be a valid integer, not '4'$"):
-        points_of_far({"design": "random", "n": "4", "ranges": {"distance": [1.0, 2.0]}})
-
-
 @pytest.mark.parametrize("kind", [dict, QTable], ids=["a mapping", "a QTable"])
 def test_quantities_as_columns_are_converted_to_the_unit_of_the_parameter(kind):
-    columns = points_of_far(kind({"distance": [1.0, 2.5] * u.km, "n": [1, 2]}))
+    columns = study_of_function(far, points=kind({"distance": [1.0, 2.5] * u.km, "n": [1, 2]})).axes
     assert columns == {"distance": (1000.0, 2500.0), "n": (1, 2)}
 
 
-def test_quantities_as_columns_without_a_value_or_of_another_kind_are_refused():
-    with pytest.raises(SweepError, match=r"^points\.columns\.distance: has no value in row 2$"):
-        points_of_far(QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])}))
-    with pytest.raises(SweepError, match=r"^points\.columns\.distance: its column is in s, and the parameter is in m$"):
-        points_of_far(QTable({"distance": [1.0, 2.0] * u.s}))
+ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('km')"
 
 
 @pytest.mark.parametrize(
-    ("given", "place"),
+    ("tables", "problem"),
     [
-        ({"axes": {"distance": [1.0, 2.0] * u.km}}, "axes.distance"),
-        ({"axes": {"distance": [1.0 * u.km, 2.0 * u.km]}}, "axes.distance"),
-        ({"fixed": {"distance": 3.0 * u.km}}, "fixed.distance"),
-        ({"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, "points.distance"),
+        ({"axes": {"distance": [1.0, 2.0] * u.km}}, f"axes.distance: {ELSEWHERE}"),
+        ({"axes": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"axes.distance: {ELSEWHERE}"),
+        ({"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
+        ({"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"points.distance: {ELSEWHERE}"),
+        (
+            {"points": QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})},
+            "points.columns.distance: has no value in row 2",
+        ),
+        (
+            {"points": QTable({"distance": [1.0, 2.0] * u.s})},
+            "points.columns.distance: its column is in s, and the parameter is in m",
+        ),
+        # which parameters a wrong table has is not known: those without a default are not asked for
+        (
+            {"points": {"design": "random", "n": "4", "ranges": {"distance": [1.0, 2.0]}}},
+            "points.n: input should be a valid integer, not '4'",
+        ),
+        (
+            {"points": {"distance": [1.0], "m": [1]}},
+            "points.columns.m: unknown parameter 'm'; known are distance, n",
+        ),
     ],
-    ids=["an axis", "a list", "a number", "a list as column"],
 )
-def test_quantities_elsewhere_are_refused_with_their_unit(given, place):
+def test_quantities_elsewhere_and_wrong_tables_are_one_problem(tables, problem):
     with pytest.raises(SweepError) as caught:
-        study_of_function(far, **given)
-    assert caught.value.problems == [
-        f"{place}: is a quantity in km; give numbers in the unit of the parameter, .to_value('km')"
-    ]
-
-
-def test_a_table_that_is_wrong_does_not_leave_parameters_without_a_value_too():
-    with pytest.raises(SweepError) as caught:
-        points_of_far({"distance": [1.0], "m": [1]})
-    assert caught.value.problems == ["points.columns.m: unknown parameter 'm'; known are distance, n"]
+        study_of_function(far, **tables)
+    assert caught.value.problems == [problem]
 
 
 def test_a_parameter_is_in_one_place_only():
@@ -289,11 +287,3 @@ def test_without_salib_the_design_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "SALib", None)
     with pytest.raises(SweepError, match=r"saltelli: needs SALib.*linksweep\[sensitivity\]"):
         design("saltelli", 4)
-
-
-def test_an_integer_beyond_64_bits_blames_no_other_cell(tmp_path):
-    (tmp_path / "t.csv").write_text("beta,k\n0.1,1\n0.2,99999999999999999999\n")
-    with pytest.raises(SweepError) as refused:
-        study_of_function(f, points=tmp_path / "t.csv")
-    assert "row 2: k" in str(refused.value)
-    assert "row 1" not in str(refused.value)

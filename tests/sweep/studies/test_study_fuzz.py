@@ -178,17 +178,6 @@ def test_mutilated_files(document: dict[str, Any], options: list[tuple[str, Any]
         outcome(lambda: load_study(str(path), settings, [f"v_max={axis}:20:0.5" for axis in axes]))
 
 
-@pytest.mark.slow
-@fuzz
-@given(text=st.text(max_size=60), at=st.integers(0, 400))
-def test_mutilated_text(text: str, at: int) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "study.toml"
-        good = "\n".join(f"{toml(key)} = {toml(value)}" for key, value in GOOD.items() if key != "published")
-        path.write_bytes((good[:at] + text + good[at + len(text) :]).encode("utf-8", "surrogatepass"))
-        outcome(lambda: load_study(str(path)))
-
-
 def repr_of(node: Any) -> Any:
     """A comparable form in which NaN equals itself and no integer is too long."""
     if isinstance(node, dict):
