@@ -106,6 +106,8 @@ def _by_value(file: io.BytesIO, reach: Reach) -> pickle.Pickler:
                 # cloudpickle fails where a function in a module refers to the module
                 taken = reach.taken.get(value.__name__, set()) & vars(value).keys()
                 return ModuleType, (value.__name__,), {name: vars(value)[name] for name in taken}
+            if isinstance(value, cached_property):  # in Python 3.11 it holds a lock
+                return cached_property, (value.func,), {"attrname": value.attrname}
             if isinstance(value, WeakKeyDictionary):
                 return WeakKeyDictionary, ()
             if isinstance(value, type(_function)) and distributions_of(value.__module__) is None:

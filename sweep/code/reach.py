@@ -422,7 +422,9 @@ class _Form(pickle.Pickler):
         function, args, state, *more = (*reduced, None)[: max(3, len(reduced))]
         if isinstance(state, tuple) and all(isinstance(part, dict | None) for part in state):  # __dict__ and slots
             state = tuple(self._kept(value, part or {}) for part in state)
-        return function, args, self._kept(value, state) if isinstance(state, dict) else state, *more
+        elif isinstance(state, dict):
+            state = self._kept(value, state) or None  # as before anything was cached
+        return function, args, state, *more
 
     def _kept(self, value: Any, state: dict[Any, Any]) -> dict[Any, Any]:
         kinds, changed = type(value).__mro__, self._reach.changed if self._reach.value else set()
