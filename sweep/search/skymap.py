@@ -11,11 +11,7 @@ from linksweep.core.constants import DEGREE
 from linksweep.core.frames import galactic
 from linksweep.sweep.plots.sky import GALACTIC, on_map, prepare_sky
 
-STYLES = {
-    "certain": ("o", "#0072B2"),
-    "uncertain": ("^", "#D55E00"),
-    "supplement": ("s", "#009E73"),
-}
+STYLES = {"certain": ("o", "#0072B2"), "uncertain": ("^", "#D55E00"), "supplement": ("s", "#009E73")}
 """Marker and colour of each class, from the colour-blind safe palette of Okabe & Ito (2008)."""
 
 BACKGROUND = "#b0b0b0"

@@ -173,10 +173,7 @@ def match_notes(table: AstrometricTable, matched: Match, rows: Astrometry) -> li
     for numbers, what in (
         (matched.ambiguous, "several sources are within the radius; the nearest is taken"),
         (exact, "the same numbers as another row of the source; all are used"),
-        (
-            nearly,
-            "nearly the numbers of another row of the source; one measurement that is there twice counts twice",
-        ),
+        (nearly, "nearly the numbers of another row of the source; one measurement that is there twice counts twice"),
     ):
         if len(numbers):
             notes.append(f"{named_rows(numbers)} of {name}: {what}")

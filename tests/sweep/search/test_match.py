@@ -12,9 +12,9 @@ from astropy.io import ascii as text_tables
 from astropy.table import MaskedColumn, Table
 from click.testing import CliRunner
 
+from linksweep import SweepError
 from linksweep.core.crossmatch import CLASS_NAMES
 from linksweep.sweep.cli import main
-from linksweep.sweep.contract import SweepError
 from linksweep.sweep.search.outputs import (
     LETTERS,
     Outputs,
@@ -188,11 +188,6 @@ def test_names_of_tables_are_shown_as_they_are(folder):
     assert re.search(r"^wide \[red\] +4 ", result.stdout, re.MULTILINE), result.stdout
 
 
-def test_second_epoch_of_the_summary(folder):
-    report = json.loads(run(*ARGUMENTS, "--json", "--epoch-difference", "10", "--second-epoch-error", "50").stdout)
-    assert report["classes"]["certain"]["pm_error_mas_yr"]["ra"] == pytest.approx(13.0)
-
-
 def test_proper_motions_bring_stars_to_the_epoch(folder):
     report = json.loads(run(*ARGUMENTS, "--json", "--epoch", "1991.25").stdout)
     assert report["classes"]["all"]["n"] == 2
@@ -204,11 +199,6 @@ def test_radius_by_name_and_for_all(folder):
 
     assert n("--radius", "4") == 2
     assert n("--radius", "0.1", "--radius", "wide=5") == 3
-
-
-def test_rules_are_options(folder):
-    report = json.loads(run(*ARGUMENTS, "--k-sigma", "5", "--json").stdout)
-    assert report["classes"]["uncertain"]["n"] == 0
 
 
 def test_no_match_still_makes_every_output(folder):
@@ -253,17 +243,6 @@ def test_columns_by_other_names_and_units(folder):
     assert (
         read_stars(folder / "odd.ecsv", Reading(names)).tyc.tolist() == read_stars(folder / "stars.fits").tyc.tolist()
     )
-
-
-@pytest.mark.parametrize("suffix", ["ecsv", "csv", "fits", "vot", "fits.gz"])
-def test_every_format_is_read_alike(folder, suffix):
-    kind = {"vot": "votable", "fits.gz": "fits", "csv": "ascii.csv", "ecsv": "ascii.ecsv"}.get(suffix, suffix)
-    star_table(vt_mag=MaskedColumn([1.0, 2.0, 3.0, 4.0], mask=[0, 1, 0, 0])).write(f"t.{suffix}", format=kind)
-    table = read_stars(folder / f"t.{suffix}")
-    assert table.name == "t"
-    assert table.numbers["pmra"].tolist() == [0.0, 0.0, 0.0, 6000.0]
-    assert np.isnan(table.numbers["vt_mag"]).tolist() == [False, True, False, False]
-    assert table.tyc.tolist()[1] == [1234, 567, 2]
 
 
 def test_missing_proper_motions_may_be_zero(folder):
@@ -480,35 +459,11 @@ def test_every_bad_galaxy_table_is_a_clear_error(folder, case):
     assert "bad.ecsv" in result.output
 
 
-def test_units_that_do_not_fit_are_refused(folder):
-    table = star_table()
-    table["ra"].unit, table["pmra"].unit = "mas / yr", "arcsec"
-    table.write("stars.ecsv")
-    with pytest.raises(SweepError) as error:
-        read_stars(folder / "stars.ecsv")
-    assert len(error.value.problems) == 2
-    assert "column 'ra' is in mas / yr, not convertible to deg" in error.value.problems[0]
-
-
 def test_problems_of_all_tables_come_at_once(folder):
     star_table(ra=[np.nan] * 4, TYC1=[0] * 4).write("stars.fits", overwrite=True)
     output = run(*ARGUMENTS, "--supplement", "none.fits").output
     for message in ("no ra in row 1, 2, 3, 4", "a TYC1 outside 1..9537", "none.fits: no such file"):
         assert message in output
-
-
-def test_files_that_are_no_tables(folder):
-    (folder / "a.fits").write_text("no fits")
-    (folder / "b.txt").write_text("1 2 3")
-    (folder / "c.vot").write_text("<html>")
-    for name, message in (
-        ("a.fits", "has no rows"),
-        ("b.txt", "its first line, '1 2 3', is not one of column names"),
-        ("c.vot", "is a web page, not a table"),
-    ):
-        with pytest.raises(SweepError, match=message) as error:
-            read_sky_table(folder / name, Reading(), stars=False)
-        assert error.value.where.endswith(name)
 
 
 def test_a_star_in_both_star_tables_is_refused(folder):
@@ -554,12 +509,6 @@ def test_a_radius_that_pairs_everything_is_bad_input(folder):
     result = run("many.fits", "more.fits", "--error", "many=1", "--error", "1", "--radius", "3600")
     assert result.exit_code == 2
     assert "chance pairs of 200000 and 200000 objects, more than 2e+06; take a smaller one" in result.output
-
-
-def test_help_has_an_example():
-    result = run("--help")
-    assert result.exit_code == 0
-    assert "sweep match tycho2.fits pgc.fits uzc.csv" in result.output
 
 
 def test_help_imports_nothing_heavy():
@@ -611,26 +560,6 @@ def test_units_on_the_command_line_are_checked(text, folder):
     result = run(*ARGUMENTS, "--unit", text)
     assert result.exit_code == 2
     assert result.output.startswith("error: ")
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        {name: name.upper() for name in star_table().colnames},
-        {"ra": "RA_ICRS", "dec": "DE_ICRS", "ra_error": "e_RA_ICRS", "dec_error": "e_DE_ICRS", "pmdec": "pmDE"},
-    ],
-    ids=["upper case", "VizieR"],
-)
-def test_columns_are_found_under_the_names_of_archives(folder, names):
-    wanted = read_stars(folder / "stars.fits")
-    table = star_table()
-    table.rename_columns(list(names), list(names.values()))
-    table.write("other.ecsv")
-    found = read_stars(folder / "other.ecsv")
-    assert found.numbers.keys() == wanted.numbers.keys()
-    for key, values in wanted.numbers.items():
-        np.testing.assert_array_equal(found.numbers[key], values)
-    np.testing.assert_array_equal(found.tyc, wanted.tyc)
 
 
 # ---- the 46-byte table

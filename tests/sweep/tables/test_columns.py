@@ -6,7 +6,7 @@ from astropy import units as u
 from astropy.coordinates import Angle
 from astropy.table import Table
 
-from linksweep.sweep.contract import SweepError
+from linksweep import SweepError
 from linksweep.sweep.tables.columns import Columns
 
 ANGLES = ["12 34 56.7", "12:34:56.7", " 12h34m56.7s", "12 34.945", "00 00 00"]

@@ -12,7 +12,7 @@ from astropy.coordinates import Angle
 from astropy.io import fits
 from astropy.table import Table
 
-from linksweep.sweep.contract import SweepError
+from linksweep import SweepError
 from linksweep.sweep.tables.columns import Columns
 from linksweep.sweep.tables.reader import read_table
 

@@ -14,10 +14,10 @@ from scipy import stats
 from scipy.linalg import block_diag
 
 import linksweep
+from linksweep import SweepError
 from linksweep.core.constants import MAS
 from linksweep.core.tie.astrometry import joined
 from linksweep.core.unknowns import Objects, parse_unknowns
-from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tie.options import TableOptions
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import gaia

@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from linksweep import forecast, tie
 from linksweep.core.constants import MAS
 from linksweep.core.tie.astrometry import joined
-from linksweep.sweep.tie.forecast import forecast
-from linksweep.sweep.tie.link import tie
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 from tests.tiers import slow

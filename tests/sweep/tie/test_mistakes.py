@@ -10,15 +10,13 @@ from astropy.table import Table, vstack
 from click.testing import CliRunner
 
 import linksweep
+from linksweep import SweepError, load_study, tie
 from linksweep.core.constants import DEGREE, MAS
 from linksweep.core.tie.astrometry import PAIRS
 from linksweep.core.tie.motion import parallax_factors, propagated
 from linksweep.sweep.cli import main
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.studies.reader import load_study
 from linksweep.sweep.tie.experiment import check, warn
 from linksweep.sweep.tie.experiment import tie as study_tie
-from linksweep.sweep.tie.link import tie
 from linksweep.sweep.tie.options import TableOptions
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import NAMES

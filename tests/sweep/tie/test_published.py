@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from linksweep import tie
 from linksweep.core.constants import MAS
 from linksweep.core.tie.normal_sums import source_sums
 from linksweep.core.tie.problem import Problem
 from linksweep.core.tie.solution import solve
 from linksweep.core.unknowns import parse_unknowns
-from linksweep.sweep.tie.link import tie
 from linksweep.sweep.tie.tables import read_table
 
 

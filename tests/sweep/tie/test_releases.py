@@ -9,11 +9,9 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from linksweep import SweepError, forecast, load_study
 from linksweep.sweep.cli import main
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.studies.reader import load_study
 from linksweep.sweep.tie.experiment import check, tie, warn
-from linksweep.sweep.tie.forecast import forecast
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 

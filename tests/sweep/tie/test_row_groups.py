@@ -10,10 +10,9 @@ from click.testing import CliRunner
 from pyarrow import parquet
 
 import linksweep
+from linksweep import SweepError, tie
 from linksweep.sweep.cli import main
-from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tie import row_groups
-from linksweep.sweep.tie.link import tie
 from tests.sweep.outside import Outside
 from tests.tiers import slow
 
@@ -83,13 +82,6 @@ def test_what_is_noted_of_rows_is_said(tmp_path, by_groups):
     assert f"q.parquet, from row 701 on: {beyond}: row 2" in found
     assert f"q.parquet, from row 1401 on: {beyond}: row 100" not in found
     assert f"q.parquet, from row 1401 on: {beyond}: row 101" in found
-
-
-def test_of_many_notes_the_first_are_said(tmp_path, by_groups):
-    path = quasars(tmp_path / "q.parquet", group=300, radial_velocity=np.where(np.arange(3000) % 11, 0.0, -9999.0))
-    found = [note for note in tie(path, "zero-motion", unknowns="spin").attrs["notes"] if note.startswith("q.parquet")]
-    assert len(found) == 6
-    assert found[-1].endswith("more such notes")
 
 
 def test_the_bits_are_the_same_on_any_workers(tmp_path, by_groups):
@@ -228,14 +220,3 @@ def test_workers_for_tables_that_are_solved_at_once_are_refused(tmp_path):
     ):
         with pytest.raises(SweepError, match=words):
             tie(*arguments, workers=2, **options)
-
-
-@pytest.mark.slow
-def test_the_command_takes_workers(tmp_path, by_groups):
-    path = quasars(tmp_path / "quasars.parquet")
-    found = CliRunner().invoke(
-        main, ["tie", str(path), "zero-motion", "--workers", "2", "-o", str(tmp_path / "t.zarr")]
-    )
-    assert found.exit_code == 0, found.output
-    assert "read in 5 row groups" in found.output
-    assert CliRunner().invoke(main, ["show", str(tmp_path / "t.zarr")]).exit_code == 0

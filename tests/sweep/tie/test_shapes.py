@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from astropy.table import MaskedColumn, Table
 
+from linksweep import tie
 from linksweep.core.constants import MAS
 from linksweep.core.tie.astrometry import Astrometry
 from linksweep.core.tie.motion import parallax_factors, propagated
 from linksweep.core.unknowns import Objects, parse_unknowns
-from linksweep.sweep.tie.link import tie
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import NAMES, gaia
 

@@ -6,15 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import MaskedColumn, Table
+from astropy.table import MaskedColumn, Table, vstack
 from astropy.time import Time
 
+from linksweep import SweepError, tie
 from linksweep.core.constants import ARCSEC, DEGREE, MAS
 from linksweep.core.tie.astrometry import PAIRS, kinds
 from linksweep.core.tie.motion import propagated
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tie.forecast import forecast
-from linksweep.sweep.tie.link import tie
 from linksweep.sweep.tie.matching import match
 from linksweep.sweep.tie.options import TableOptions
 from linksweep.sweep.tie.tables import hipparcos_correlations as correlations
@@ -39,15 +37,6 @@ def gaia(path, made, **changes):
         table[name] = column
     table.write(path, overwrite=True)
     return path
-
-
-def test_columns_of_times_and_of_places_are_no_names(tmp_path):
-    table = Table({name: [1.0, 2.0] for name in ("ra", "dec", "ra_error", "dec_error")}, units={"ra": "deg"})
-    table["ref_epoch"] = 2016.0
-    table["when"] = Time([2016.0, 2017.0], format="jyear")
-    table["place"] = SkyCoord(table["ra"], table["dec"], unit="deg")
-    table.write(tmp_path / "t.ecsv")
-    assert read_table(tmp_path / "t.ecsv").names == {}
 
 
 @pytest.mark.parametrize("ending", ["ecsv", "fits", "vot", "csv", "parquet"])
@@ -256,27 +245,6 @@ def test_known_spin_bins_and_large_shares(tmp_path):
     assert any(str(10**17 + 7) in note and "% of the weight" in note for note in heavy.attrs["notes"])
 
 
-def test_quasars_alone_have_a_spin(tmp_path):
-    satellite, *_ = pair(tmp_path)
-    link = tie(satellite, "zero-motion", "spin,glide", accept_misfit=True)  # they are stars
-    assert int(link.dof) == 50 - 6
-
-
-def test_a_forecast_of_two_tables(tmp_path):
-    satellite, reference, _ = pair(tmp_path)
-    plan = forecast(
-        satellite, reference, "orientation,spin", add=[2026.0, 2030.0], release="dr4", number=3, goal=["spin"]
-    )
-    assert list(plan.stage.values) == ["now", "dr4", "all observed"]
-    later = plan.error.values
-    assert np.all(later[2] <= later[1])
-    assert plan.sizes["step"] == 4
-    assert np.all(np.diff(plan.step_criterion.values) < 0.0)
-    assert list(plan.source.values[plan["rank"].values == 1]) == [plan.step_source.values[1]]
-    with pytest.raises(SweepError, match="no unknowns 'spun'"):
-        forecast(satellite, reference, add=[2026.0], number=1, goal=["spun"])
-
-
 def test_correlations_carry_the_propagated_error(tmp_path):
     made = stars(6)
     old = Table({"source_id": np.arange(6) + 10**17, "ref_epoch": np.full(6, 1991.25)})
@@ -297,7 +265,6 @@ def test_correlations_carry_the_propagated_error(tmp_path):
 
 def test_the_galactic_aberration_carries_the_icrf(tmp_path):
     """Positions of 2015.0, moved by the glide towards the Galactic centre to 2020.0, are those of a satellite there."""
-    from astropy.coordinates import SkyCoord
 
     sky, rng = SkyCoord(l=0.0, b=0.0, unit="deg", frame="galactic").icrs, np.random.default_rng(2)
     ra, dec = rng.uniform(0.0, 2.0 * np.pi, 40), np.arcsin(rng.uniform(-0.95, 0.95, 40))
@@ -332,63 +299,6 @@ def test_mu_alpha_and_mu_alpha_star(tmp_path):
     found = read_table(tmp_path / "b.ecsv", TableOptions(pmra_cos_dec=False)).astrometry
     np.testing.assert_allclose(found.values[3], made.values[3], rtol=1e-12)
     np.testing.assert_allclose(found.errors[3], made.errors[3], rtol=1e-12)
-
-
-def test_hours_without_a_unit_are_not_taken_for_degrees(tmp_path):
-    made = stars(30)
-    table = Table.read(gaia(tmp_path / "a.ecsv", made))
-    table["ra"] = table["ra"] / 15.0
-    table.write(tmp_path / "hours.csv")
-    with pytest.raises(SweepError, match="has no unit and lies within"):
-        read_table(tmp_path / "hours.csv")
-    found = read_table(tmp_path / "hours.csv", TableOptions(units={"ra": "hourangle"})).astrometry
-    np.testing.assert_allclose(found.values[0], made.values[0], rtol=1e-12)
-    for wrong, message in (({"ra": "rod"}, "no unit"), ({"radial": "km/s"}, "radial is no quantity")):
-        with pytest.raises(SweepError, match=message):
-            read_table(tmp_path / "hours.csv", TableOptions(units=wrong))
-
-
-@pytest.mark.parametrize(
-    ("unit", "texts"),
-    [
-        ("", ("12 30 00.5", "12:30:00.5", "12h30m00.5s", "187d30m07.5s", "12 30.008333333333")),
-        ("deg", ("187 30 07.5", "187:30:07.5")),
-        ('"d:m:s"', ("187:30:07.5",)),
-        ('"h:m:s"', ("12:30:00.5",)),
-        ("h m s", ("12 30 00.5",)),
-        ("hourangle", ("12 30 00.5",)),
-    ],
-)
-def test_angles_as_text_are_those_of_astropy(tmp_path, unit, texts):
-    for ra in texts:
-        table = Table.read(gaia(tmp_path / "a.ecsv", stars(2)))
-        table["ra"], table["dec"] = [ra, "0 00 01"], ["-00 30 15.25", "\u221210 00 00"]
-        table["ra"].unit = unit or None
-        table.write(tmp_path / "text.ecsv", overwrite=True)
-        values = read_table(tmp_path / "text.ecsv").astrometry.values
-        expected = SkyCoord(187.502083333333333, -(30.0 / 60.0 + 15.25 / 3600.0), unit="deg")
-        np.testing.assert_allclose(values[:2, 0], [expected.ra.rad, expected.dec.rad], rtol=1e-12)
-        assert values[1, 1] == pytest.approx(np.radians(-10.0), rel=1e-15)
-
-
-@pytest.mark.parametrize("ra", ["25 00 00", "187 30 00", "12 75 00", "12 34 99", "12", "noon"])
-def test_text_that_is_no_right_ascension_is_refused(tmp_path, ra):
-    table = Table.read(gaia(tmp_path / "a.ecsv", stars(2)))
-    table["ra"] = ["12 30 00", ra]
-    table["ra"].unit = None
-    table.write(tmp_path / "text.ecsv")
-    with pytest.raises(SweepError, match=f"column 'ra' is text that is no angle like .* in row 2 .'{ra}'") as told:
-        read_table(tmp_path / "text.ecsv")
-    assert ("is it in degrees?" in str(told.value)) == (ra[0].isdigit() and ra != "12")
-
-
-def test_text_in_a_unit_that_no_sexagesimal_angle_has_is_refused(tmp_path):
-    table = Table.read(gaia(tmp_path / "a.ecsv", stars(2)))
-    table["ra"] = ["12 30 00", "1 2 3"]
-    table["ra"].unit = "rad"
-    table.write(tmp_path / "text.ecsv")
-    with pytest.raises(SweepError, match="column 'ra' is text and in rad; an angle as text is in deg"):
-        read_table(tmp_path / "text.ecsv")
 
 
 def test_negative_parallaxes_stay(tmp_path):
@@ -466,3 +376,248 @@ def test_a_column_of_blank_correlations_is_as_none(tmp_path):
 def test_no_built_in_table_of_that_name():
     with pytest.raises(SweepError, match="no such file"):
         read_table(Path("icrf9"))
+
+
+def test_proper_motions_in_seconds_of_time_a_year_and_ra_in_hours(tmp_path):
+    made = stars(4)
+    path = gaia(tmp_path / "g.ecsv", made)
+    table = Table.read(path)
+    for name in ("pmra", "pmra_error"):
+        table[name] /= 15000.0 * np.cos(made.values[1])
+        table[name].unit = "s/yr"
+    table["ra"] /= 15.0
+    table["ra"].unit = "h"
+    table.write(path, overwrite=True)
+    found = read_table(path).astrometry
+    np.testing.assert_allclose(found.values, made.values, rtol=1e-12)
+    np.testing.assert_allclose(found.errors, made.errors, rtol=1e-12)
+
+
+def test_an_error_without_a_unit_beside_a_value_in_another_unit_is_refused(tmp_path):
+    path = gaia(tmp_path / "g.ecsv", stars(4))
+    table = Table.read(path)
+    table["parallax"].unit = "arcsec"
+    table.write(path, overwrite=True)
+    with pytest.raises(SweepError, match=r"'parallax' is in arcsec, and 'parallax_error' has no unit; say --unit"):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"parallax": ["1.0", "2.0", "-", "3.0"]}, "'parallax' does not hold numbers: row 3 has the text '-'"),
+        ({"parallax": [1.0, np.inf, 1.0, 1.0]}, "an infinite parallax in row 2"),
+        (
+            {"ra": np.array([100.0] * 4, np.float32)},
+            r"positions in single precision .* too coarse .* in row 1, 2, 3, 4",
+        ),
+    ],
+)
+def test_values_that_would_ruin_a_link_are_refused(tmp_path, changes, message):
+    with pytest.raises(SweepError, match=message):
+        read_table(gaia(tmp_path / "g.fits", stars(4), **changes))
+
+
+def test_radial_velocities_that_no_star_has_count_as_missing(tmp_path):
+    codes = gaia(tmp_path / "codes.ecsv", stars(5), radial_velocity=[20.0, -9999.0, np.inf, 2e5, np.nan])
+    found = read_table(codes)
+    np.testing.assert_array_equal(found.astrometry.radial_velocity, [20.0, *[np.nan] * 4])
+    assert found.named_notes() == [
+        "codes.ecsv: radial_velocity beyond 5000 km/s, which no star has, is not used: row 2, 3, 4"
+    ]
+
+
+def test_names_are_the_same_however_they_are_stored(tmp_path):
+    made = stars(3)
+    for number, names in enumerate(([71, 72, 73], [71.0, 72.0, 73.0], ["71 ", " 72", "73"], [b"71", b"72", b"73"])):
+        path = gaia(tmp_path / f"{number}.parquet", made, hip=names)
+        assert read_table(path).names["hip"].tolist() == ["71", "72", "73"]
+    gapped = gaia(tmp_path / "gap.fits", made, hip=[71.0, np.nan, 73.0])
+    assert read_table(gapped).names["hip"].tolist() == ["71", "--", "73"]
+
+
+def test_values_without_errors_are_said(tmp_path):
+    path = gaia(tmp_path / "g.ecsv", stars(9))
+    table = Table.read(path)
+    table.remove_column("parallax_error")
+    table.write(tmp_path / "without.ecsv")
+    link = tie(path, tmp_path / "without.ecsv", by="source_id")
+    assert "without.ecsv: no errors of parallax, which counts as not measured" in link.attrs["notes"]
+
+
+def test_a_correlation_without_a_column_is_said_where_the_others_are_impossible(tmp_path):
+    made = stars(4)
+    path = gaia(tmp_path / "g.ecsv", made, ra_pmra_corr=[0.9] * 4, dec_pmra_corr=[0.9] * 4)
+    table = Table.read(path)
+    table.remove_column("ra_dec_corr")
+    table.write(path, overwrite=True)
+    with pytest.raises(SweepError, match=r"impossible .*; there is no column ra_dec_corr, which counts as 0: in row 1"):
+        read_table(path)
+
+
+@pytest.mark.parametrize(("name", "unit"), [("ra", "s"), ("dec", "arcsec")])
+def test_the_unit_of_an_error_beside_a_sexagesimal_angle_is_said(tmp_path, name, unit):
+    path = gaia(tmp_path / "g.ecsv", stars(3), **{name: ["12:00:00.0", "01:00:00.0", "03:00:00.0"]})
+    wanted = (
+        f"'{name}' is sexagesimal; '{name}_error' has no unit and is taken as mas; else say --unit {name}_error={unit}"
+    )
+    assert read_table(path).notes == [wanted]
+    assert not read_table(path, TableOptions(units={f"{name}_error": unit})).notes
+
+
+VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
+
+
+def test_columns_in_upper_case_are_the_same(tmp_path):
+    made = stars(5)
+    wanted = read_table(gaia(tmp_path / "g.ecsv", made))
+    table = Table.read(tmp_path / "g.ecsv")
+    for name in table.colnames:
+        table[name].name = name.upper()
+    table.write(tmp_path / "upper.csv")
+    found = read_table(tmp_path / "upper.csv")
+    np.testing.assert_array_equal(found.astrometry.values, wanted.astrometry.values)
+    np.testing.assert_array_equal(found.astrometry.covariance(), wanted.astrometry.covariance())
+    np.testing.assert_array_equal(found.astrometry.radial_velocity, wanted.astrometry.radial_velocity)
+    np.testing.assert_array_equal(found.names["SOURCE_ID"], wanted.names["source_id"])
+
+
+def test_gaia_as_vizier_has_it(tmp_path):
+    made = stars(5)
+    wanted = read_table(gaia(tmp_path / "g.ecsv", made)).astrometry
+    table = Table.read(tmp_path / "g.ecsv")
+    new = Table({"_RA": np.zeros(5), "_DE": np.zeros(5), "ref_epoch": table["ref_epoch"]})
+    names = ("ra", "dec", "parallax", "pmra", "pmdec")
+    for name, there in zip(names, ("RA_ICRS", "DE_ICRS", *VIZIER[2:]), strict=True):
+        new[there], new[f"e_{there}"] = table[name], table[f"{name}_error"]
+    for i, j in PAIRS:
+        new[f"{VIZIER[i]}{VIZIER[j]}cor"] = table[f"{names[i]}_{names[j]}_corr"]
+    new.write(tmp_path / "vizier.fits")
+    found = read_table(tmp_path / "vizier.fits").astrometry
+    np.testing.assert_array_equal(found.values, wanted.values)
+    np.testing.assert_array_equal(found.covariance(), wanted.covariance())
+    assert set(kinds(found)) == {"five-parameter"}
+
+
+WHEN = Time([1991.25, 2016.0, 2030.4], format="jyear", scale="tdb")
+
+
+def table_with(path, epoch, unit=None):
+    table = Table({"ra": [10.0, 20.0, 30.0], "dec": [0.0] * 3, "ra_error": [1.0] * 3, "dec_error": [1.0] * 3})
+    table["epoch"] = epoch
+    if unit:
+        table["epoch"].unit = unit
+    table.write(path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("epoch", "unit", "days"),
+    [
+        (WHEN.jyear, None, 1e-6),
+        (WHEN.jyear, "yr", 1e-6),
+        (WHEN.mjd, None, 1e-6),
+        (WHEN.mjd, "d", 1e-6),
+        (WHEN.jd, None, 1e-6),
+        (WHEN.jd, "d", 1e-6),
+        (WHEN, None, 1e-6),
+        (WHEN.iso, None, 0.01),
+        ([f"{text}Z" for text in WHEN.isot], None, 0.01),
+        ([f"J{year}" for year in WHEN.jyear], None, 0.01),
+        ([f"B{year:.6f}" for year in WHEN.byear], None, 0.01),
+    ],
+)
+def test_epochs_in_every_form_are_those_of_astropy(tmp_path, epoch, unit, days):
+    found = read_table(table_with(tmp_path / "t.ecsv", epoch, unit)).astrometry.epoch
+    np.testing.assert_allclose(found, WHEN.jyear, rtol=0.0, atol=days / 365.25)
+
+
+@pytest.mark.parametrize(
+    ("epoch", "message"),
+    [
+        (["2015-06-01", "June 2015", "2016-01-01"], "no date like .* row 2 has 'June 2015'"),
+        (["2015.5", "2016", "2017"], "no date like .* row 1 has '2015.5'"),
+        ([15.5, 16.0, 17.0], "no Julian year, MJD or JD from 1700 to 2300 in row 1, 2, 3"),
+        (MaskedColumn([2016.0, 0.0, 2016.0], mask=[False, True, False]), r"no epoch \(column 'epoch'\) in row 2"),
+    ],
+)
+def test_what_is_no_epoch_is_refused_with_its_row_and_once(tmp_path, epoch, message):
+    with pytest.raises(SweepError, match=message) as refused:
+        read_table(table_with(tmp_path / "t.ecsv", epoch))
+    assert len(refused.value.problems) == 1
+
+
+def test_several_sources_within_the_radius_are_said(tmp_path):
+    made = stars(6)
+    path = gaia(tmp_path / "rows.ecsv", made)
+    table, other = Table.read(path), Table.read(path)[1:3]
+    other["source_id"] += 1000
+    other["dec"] += 3.0 / 3600.0
+    vstack([table, other]).write(tmp_path / "sources.ecsv")
+    satellite, rows = read_table(tmp_path / "sources.ecsv"), read_table(path)
+    wide = match(satellite, rows, "position:5")
+    assert wide.source.tolist() == list(range(6))
+    assert wide.ambiguous.tolist() == [1, 2]
+    assert not len(match(satellite, rows, "position:1").ambiguous)
+    notes = tie(tmp_path / "sources.ecsv", path, "orientation", by="position:5").attrs["notes"]
+    assert "row 2, 3 of rows.ecsv: several sources are within the radius; the nearest is taken" in notes
+
+
+def test_far_rows_that_were_matched_by_position_have_no_name(tmp_path):
+    made = stars(6)
+    path = gaia(tmp_path / "rows.ecsv", made)
+    table = Table.read(path)
+    table["dec"] += 20.0 / 3600.0
+    table.write(tmp_path / "far.ecsv")
+    notes = tie(path, tmp_path / "far.ecsv", "orientation", by="position:60", accept_misfit=True).attrs["notes"]
+    assert any("up to 20 arcsec from their source" in note for note in notes)
+
+
+def test_rows_that_repeat_another_are_said(tmp_path):
+    path = gaia(tmp_path / "rows.ecsv", stars(6))
+    table = Table.read(path)
+    later = table[:2].copy()
+    later["ref_epoch"] += 1.0
+    vstack([table, table[4:6], later], metadata_conflicts="silent").write(tmp_path / "twice.ecsv")
+    notes = tie(path, tmp_path / "twice.ecsv", "orientation", accept_misfit=True).attrs["notes"]
+    repeated = [note for note in notes if "the same numbers" in note]
+    assert repeated == ["row 7, 8 of twice.ecsv: the same numbers as another row of the source; all are used"]
+
+
+def test_no_name_in_both_tables_shows_names_that_are_none_of_the_missing(tmp_path):
+    made = stars(3)
+    a = gaia(tmp_path / "a.ecsv", made, name=["", "HR 1", "HR 2"])
+    b = gaia(tmp_path / "b.ecsv", made, name=["HIP 1", "", "HIP 2"], source_id=[7, 8, 9])
+    with pytest.raises(SweepError, match=r"a.ecsv has name like 'HR 1', .*b.ecsv has name like 'HIP 1'$"):
+        match(read_table(a), read_table(b), "name")
+
+
+def test_one_source_alone_can_be_matched_by_position(tmp_path):
+    path = gaia(tmp_path / "one.ecsv", stars(1))
+    found = match(read_table(path), read_table(path), "position")
+    np.testing.assert_array_equal(found.source, [0])
+
+
+def test_a_column_of_text_that_repeats_itself_holds_no_names(tmp_path):
+    made = stars(6)
+    of_table = {"spectral_type": ["K0", "G2", "K0", "M1", "F5", "A0"]}
+    a = gaia(tmp_path / "a.ecsv", made, name=[f"HR {k}" for k in range(6)], **of_table)
+    b = gaia(tmp_path / "b.ecsv", made, name=[f"HD {k}" for k in range(6)], source_id=np.arange(6), **of_table)
+    satellite, rows = read_table(a), read_table(b)
+    assert match(satellite, rows).by == "position within 1 arcsec"
+    with pytest.raises(SweepError, match="spectral_type K0 occurs more than once"):
+        match(satellite, rows, "spectral_type")
+
+
+def test_a_satellite_without_positions_is_refused(tmp_path):
+    path = gaia(tmp_path / "a.ecsv", stars(6))
+    table = Table.read(path)
+    table.rename_columns(["ra", "dec"], ["_RA.icrs", "_DE.icrs"])
+    table.remove_columns(["ra_error", "dec_error"])
+    table.write(tmp_path / "b.ecsv")
+    with pytest.raises(
+        SweepError, match=r"each source needs a position, .* no ra and dec in row 1, 2, 3, 4, 5 and 1 more"
+    ):
+        tie(tmp_path / "b.ecsv", path)
+    with pytest.raises(SweepError, match=r"nothing in the tables determines .*rows: 6 three-parameter"):
+        tie(path, tmp_path / "b.ecsv", "orientation")
