@@ -26,7 +26,7 @@ from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.document import reference_in
 from linksweep.sweep.studies.reader import live_study, load_study, study_of_function
 from linksweep.sweep.studies.study import Study
-from linksweep.sweep.tie.stored import result_at
+from linksweep.sweep.tie.result import result_at
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -100,7 +100,7 @@ def show(
     """
     table_format = json_or(table_format, as_json)
     if (link := link_in(store, at)) is not None:
-        from linksweep.sweep.tie.text import as_format
+        from linksweep.sweep.tie.result import as_format
 
         click.echo(as_format(link, table_format).rstrip("\n"))
         return

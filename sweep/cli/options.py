@@ -210,7 +210,7 @@ def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
 
 def link_in(store: "Location", at: tuple[str, ...]) -> Any:
     """Return the link or forecast that a store holds, None if it holds a grid; ``--at`` is only for a grid."""
-    from linksweep.sweep.tie.stored import result_at
+    from linksweep.sweep.tie.result import result_at
 
     result = result_at(store)
     if result is not None and at:

@@ -1,7 +1,6 @@
 """Commands about real tables: tie and forecast solve for a link, match finds the galaxies among stars."""
 
 import sys
-import warnings
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -258,13 +257,11 @@ class Target:
     def put(self, result: "xr.Dataset", rejected: bool = False) -> None:
         """Print a result; write it and draw its figures unless it is ``rejected``."""
         from linksweep.sweep.contract import SweepError
-        from linksweep.sweep.tie.text import as_format
+        from linksweep.sweep.tie.result import as_format, save
 
         text = as_format(result, "json" if self.as_json else "text")
         if self.output is not None and not rejected:
-            with warnings.catch_warnings():  # text has no final specification in Zarr 3
-                warnings.simplefilter("ignore")
-                result.to_zarr(self.output, mode="w-")
+            save(result, self.output)
         if self.figures is not None and not rejected:
             from linksweep.sweep.plots import style
             from linksweep.sweep.plots.figure import link_figures

@@ -12,7 +12,7 @@ import xarray as xr
 from linksweep.sweep.analysis.answer import answer_in_short, completeness
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import harmless, with_micro_signs
-from linksweep.sweep.tie.text import as_format
+from linksweep.sweep.tie.result import as_format
 
 
 @dataclass(frozen=True)

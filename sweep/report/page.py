@@ -47,7 +47,7 @@ from linksweep.sweep.stores.location import Where, located
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.record import CITATION, FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import POINT_TABLE
-from linksweep.sweep.tie.stored import result_at
+from linksweep.sweep.tie.result import result_at
 
 # The beginning of every report: a file that does not begin with it is not replaced.
 MARK = "<!doctype html>\n<!-- linksweep report -->\n"

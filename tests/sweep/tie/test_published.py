@@ -2,13 +2,16 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
+import linksweep
 from linksweep import tie
 from linksweep.core.constants import MAS
 from linksweep.core.tie.normal_sums import source_sums
 from linksweep.core.tie.problem import Problem
 from linksweep.core.tie.solution import solve
 from linksweep.core.unknowns import parse_unknowns
+from linksweep.sweep.tie.result import save
 from linksweep.sweep.tie.tables import read_table
 
 
@@ -46,3 +49,22 @@ def read_table_of(name):
     from pathlib import Path
 
     return read_table(Path(name)).astrometry
+
+
+def test_a_link_is_written_in_one_step(tmp_path, monkeypatch):
+    """An interrupted write left a folder by that name, which the next run refused."""
+    link, write = linksweep.tie("psrpi-de200", "timing-de200", "orientation"), xr.Dataset.to_zarr
+
+    def interrupted(dataset, *arguments, **options):
+        write(dataset[["estimate"]], *arguments, **options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(xr.Dataset, "to_zarr", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        save(link, tmp_path / "link.zarr")
+    monkeypatch.undo()
+    assert not list(tmp_path.iterdir())
+    save(link, tmp_path / "link.zarr")
+    assert linksweep.open(tmp_path / "link.zarr").estimate.values.tolist() == link.estimate.values.tolist()
+    with pytest.raises(linksweep.SweepError, match="is there already"):
+        save(link, tmp_path / "link.zarr")
