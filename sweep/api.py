@@ -20,8 +20,7 @@ from linksweep.sweep.running.failures import MaxFailures, failed_points
 from linksweep.sweep.running.progress import NotebookProgress, TerminalProgress, in_notebook
 from linksweep.sweep.running.run import Progress, Silent, run_study
 from linksweep.sweep.running.verify import verify as verified
-from linksweep.sweep.stores.location import Where, located
-from linksweep.sweep.stores.named import default_store, store_named
+from linksweep.sweep.stores.location import Where, default_store, located, store_named
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.document import reference_in
 from linksweep.sweep.studies.reader import live_study, load_study, study_of_function

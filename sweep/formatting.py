@@ -7,10 +7,13 @@ zeros, and pages the micro sign; stores and files for programs keep their units.
 import csv
 import io
 import json
+import platform
 import re
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, is_dataclass
+from datetime import UTC, datetime
 from functools import lru_cache
 from itertools import chain
 from math import floor, inf, isfinite, isnan, log10
@@ -79,6 +82,21 @@ TRUTH: Mapping[str, Any] = {"flag_values": [0, 1], "flag_meanings": "False True"
 """Attributes of truth values, some of which are missing: these are stored as floats, with NaN."""
 
 
+def host() -> str:
+    """Return the name of this machine."""
+    return platform.node()
+
+
+def command_line() -> str:
+    """Return the `sweep` command that this process runs, as a person would type it but for secrets; '' in a script."""
+    return without_secrets(shlex.join(COMMAND))
+
+
+def now() -> str:
+    """Return the time as ISO 8601 in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
 def without_secrets(text: str) -> str:
     """Return text whose addresses have no passwords, keys and tokens: of a bucket's its name and the path are left, of
     others the host and the port.
@@ -132,7 +150,8 @@ def rounded(value: Any, error: float = 0.0) -> str:
     if error > 0.0:
         decimals = max(0, 1 - floor(log10(error)))
         return f"{value:.{decimals}f}" if decimals <= 9 else f"{value:.3g}"
-    return f"{value:.0f}" if float(value).is_integer() else f"{value:.4g}"
+    exact = float(value).is_integer() and abs(value) < 2**53  # beyond it a float may stand for another integer
+    return f"{value:.0f}" if exact else f"{value:.4g}"
 
 
 def fixed(value: float, digits: str, unit: str = "") -> str:

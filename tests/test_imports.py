@@ -85,7 +85,7 @@ KNOWS_THE_CONTRACT = {
 # The search is a command beside the platform.
 SEARCH_MAY_USE = {
     *("linksweep.sweep.contract", "linksweep.sweep.tables", "linksweep.sweep.formatting", "linksweep.sweep.plots.sky"),
-    "linksweep.sweep.stores.folder",
+    "linksweep.sweep.stores.location",
 }
 KNOWS_THE_SEARCH = {"linksweep.sweep.cli.tables"}
 CORE_MAY_USE = {

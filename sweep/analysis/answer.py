@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.analysis.compare import ARITHMETIC, MC_ERRORS_ALLOWED
-from linksweep.sweep.analysis.gaps import ends_of, exact, lacking, numbers_of
+from linksweep.sweep.analysis.gaps import ends_of, exact, lacking
 from linksweep.sweep.analysis.long_table import own_dimensions
 from linksweep.sweep.analysis.measured_claims import NOT_DONE, Measured, OutsideGridError, in_words, measure, unit_of
 from linksweep.sweep.analysis.quantity import errors_beside, headlines, standard_error
@@ -73,7 +73,7 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
         if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, not components
             found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, own)]))
             continue
-        values = numbers_of(dataset, variable)
+        values = dataset[variable].values.astype(float)
         finite = values[np.isfinite(values)]
         if found and variable not in first and finite.size > 1 and finite.min() == finite.max():
             continue  # a number that is the same everywhere answers nothing
@@ -95,7 +95,7 @@ def completeness(dataset: xr.Dataset) -> list[str]:
 
 def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
     array = dataset[variable]
-    finite = np.isfinite(numbers_of(dataset, variable))
+    finite = np.isfinite(dataset[variable].values.astype(float))
     if not finite.any():
         return "No point has a value yet."
     unit = units_of(array.attrs)
@@ -113,7 +113,7 @@ def _with_errors(dataset: xr.Dataset, variable: str, errors: list[str]) -> str:
     """Return the range of each component that has values, and of each kind of error in each unit."""
     ranges, of_errors = [], {name: dict[str, list[float]]() for name in errors}
     for name, unit, part in _components(dataset, variable, own_dimensions(dataset, variable)):
-        if np.isfinite(values := numbers_of(part, variable)).any():
+        if np.isfinite(values := part[variable].values.astype(float)).any():
             ranges.append(f"{name.removeprefix(f'{variable} (').removesuffix(')')} {_range_of(values, unit)}")
             for error, by_unit in of_errors.items():
                 by_unit.setdefault(unit, []).extend(part[error].values.ravel().tolist())

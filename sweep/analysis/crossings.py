@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.analysis.conditions import Limit, parse_limit
-from linksweep.sweep.analysis.gaps import numbers_of
 from linksweep.sweep.analysis.lines import Lines, lines, require_done
 from linksweep.sweep.analysis.quantity import require_quantity
 from linksweep.sweep.contract import Array, SweepError, shown, small_sample_factor
@@ -85,7 +84,7 @@ def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
         raise SweepError(f"{limit.variable} has {further} at each point: fix it with --at, or name it with --over")
     require_done(dataset)
     threshold = limit.number_in(units_of(array.attrs))
-    return dataset.isel({POINT: np.flatnonzero(limit.is_met(numbers_of(dataset, limit.variable), threshold))})
+    return dataset.isel({POINT: np.flatnonzero(limit.is_met(dataset[limit.variable].values.astype(float), threshold))})
 
 
 def interpolate(

@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.analysis.fits import PowerLaw, p_value, power_law
-from linksweep.sweep.analysis.gaps import with_nan
 from linksweep.sweep.analysis.levelling import Levelling, levelling
 from linksweep.sweep.analysis.lines import Lines, lines, require_done
 from linksweep.sweep.analysis.measured_claims import claims_of
@@ -149,7 +148,6 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
         [405, 485, 585, 731]
     """
     require_quantity(dataset, variable)
-    dataset = with_nan(dataset)
     above_at, below_at = (_one_place(dataset, axis, value) for value in (of, to))
     parts = [dataset.isel(place) for place in (above_at, below_at)]
     for part in parts:

@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from linksweep.sweep.analysis.gaps import gaps_of
 from linksweep.sweep.formatting import is_missing, is_truth, to_csv, to_json
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.record import FUNCTION
@@ -31,9 +30,7 @@ def long_table(dataset: xr.Dataset, places: NDArray[np.intp] | None = None) -> L
     template = xr.zeros_like(dataset["status"], dtype=object) if dimensions else dataset["status"]
     for name in [*axis_coordinates(dataset, dimensions), *flat, *array_outputs(dataset)]:
         variable = dataset[name]
-        if (gaps := gaps_of(dataset, name)) is not None:  # Python's own integers, as NaN is beside them
-            variable = variable.copy(data=np.where(gaps, np.nan, variable.values.astype(object)))
-        elif is_truth(variable) and variable.dtype.kind == "f":
+        if is_truth(variable) and variable.dtype.kind == "f":
             known = variable.values.astype(bool).astype(object)
             variable = variable.copy(data=np.where(np.isnan(variable.values), np.nan, known))
         variable = variable.broadcast_like(template).transpose(*dimensions, ...)

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from linksweep.sweep.analysis.gaps import ends_of, exact, numbers_of
+from linksweep.sweep.analysis.gaps import ends_of, exact
 from linksweep.sweep.analysis.quantity import PREDICTION_SUFFIXES, prediction_name, standard_error, unknown_parts
 from linksweep.sweep.analysis.selection import coordinates_along, place_in_words
 from linksweep.sweep.contract import Array
@@ -39,7 +39,7 @@ def sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     """Yield sentences about a variable with one value per point, in a unit; '' for a sentence with nothing to say."""
     dims = [str(d) for d in part["status"].dims]
     part = part.transpose(*dims, ...)
-    values = numbers_of(part, variable)
+    values = part[variable].values.astype(float)
     known = standard_error(part, variable)
     errors = np.zeros(values.shape) if known is None else known.transpose(*dims).values.astype(float)
     finite = np.isfinite(values)

@@ -69,7 +69,7 @@ def list_studies(as_json: bool = JSON) -> None:
 
 def _answer(name: str) -> list[str]:
     """Return the answer of a study from its store in the default place; none without one that can be read."""
-    from linksweep.sweep.stores.named import default_store
+    from linksweep.sweep.stores.location import default_store
 
     if not default_store(name).exists():
         return []
@@ -154,7 +154,7 @@ class Drawing:
         from linksweep.sweep.plots import sky
         from linksweep.sweep.plots.figure import draw_figure
         from linksweep.sweep.running.reproduce import study_to_look_at
-        from linksweep.sweep.stores.named import store_named
+        from linksweep.sweep.stores.location import store_named
         from linksweep.sweep.studies.reader import load_study
 
         if self.kind == "accuracy":
@@ -250,8 +250,7 @@ class AskedStores:
         if not self.everything:
             return self.stores
         from linksweep.sweep.cli.published_stores import lacks_packages, paper_studies, store_of, unfinished
-        from linksweep.sweep.stores.location import located
-        from linksweep.sweep.stores.named import RESULTS
+        from linksweep.sweep.stores.location import RESULTS, located
 
         results = self.results or RESULTS
         studies = []

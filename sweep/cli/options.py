@@ -93,7 +93,7 @@ def _named(context: Context, parameter: Parameter, value: Any) -> Any:
         return tuple(_named(context, parameter, one) for one in value)
     if not value or context.resilient_parsing:
         return place(context, parameter, value)
-    from linksweep.sweep.stores.named import store_named
+    from linksweep.sweep.stores.location import store_named
 
     return store_named(value)
 
@@ -177,8 +177,7 @@ class AskedStudy:
 
     def load(self) -> "tuple[Study, Location]":
         """Return the study, and where its store is; raises SweepError for one inside a store that is not trusted."""
-        from linksweep.sweep.stores.location import located
-        from linksweep.sweep.stores.named import default_store
+        from linksweep.sweep.stores.location import default_store, located
 
         overrides = self.settings, self.axes, self.points, self.design, self.ranges
         study = load_trusted(self.study, self.trust, *overrides)
@@ -187,7 +186,7 @@ class AskedStudy:
     def stored(self) -> "tuple[Study, Location]":
         """Return the study of an existing store, named in its place, and the store; raises SweepError as `load`."""
         from linksweep.sweep.running.reproduce import study_of
-        from linksweep.sweep.stores.named import store_named
+        from linksweep.sweep.stores.location import store_named
 
         if any((self.settings, self.axes, self.points, self.design, self.ranges, self.output)):
             raise click.UsageError("--retry computes points of a store as it is: name the store, without other changes")

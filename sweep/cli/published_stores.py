@@ -9,8 +9,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.running.run import plan_study
 from linksweep.sweep.stores.location import Where, located, reading
-from linksweep.sweep.stores.opened import OpenStore
-from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.stores.store import OpenStore, open_dataset
 from linksweep.sweep.studies.document import built_in_studies
 from linksweep.sweep.studies.reader import load_study
 from linksweep.sweep.studies.study import Study

@@ -207,7 +207,7 @@ def run_with_progress(
     from linksweep.sweep.interrupt import RunInterruptedError
     from linksweep.sweep.running.progress import TerminalProgress
     from linksweep.sweep.running.run import run_study
-    from linksweep.sweep.stores.named import short_name
+    from linksweep.sweep.stores.location import short_name
 
     bar = how.watching.level < logging.ERROR
     with a_signal_ends_the_command(), _logged(how.watching), TerminalProgress(study, bar) as progress:
@@ -348,7 +348,7 @@ def scaling(
         drawing_styles().require_format(figure)
     from linksweep.sweep.interrupt import RunInterruptedError
     from linksweep.sweep.running.scaling import check_free, measure_scaling, write_scaling
-    from linksweep.sweep.stores.named import default_store
+    from linksweep.sweep.stores.location import default_store
 
     loaded = options.load_trusted(study, trust, settings, axes)
     path = output or default_store(f"{loaded.name}-scaling")

@@ -3,12 +3,21 @@
 This package and NumPy are all that an experiment needs; the platform knows nothing of what is inside one.
 """
 
-from linksweep.sweep.contract.checked import Array, NotFiniteError, ResultError, check_finite, checked
 from linksweep.sweep.contract.errors import FEW, DefinitionError, SweepError, shown, suggest
 from linksweep.sweep.contract.experiment import Evaluate, Experiment, GeneratorPair, Summarise
-from linksweep.sweep.contract.output import Output
-from linksweep.sweep.contract.parameter import Define, Function, Kind, Named, Parameter, Point, Value
-from linksweep.sweep.contract.samples import FEWEST_SAMPLES, small_sample_factor
+from linksweep.sweep.contract.parameter import Define, Function, Kind, Named, Output, Parameter, Point, Value
+from linksweep.sweep.contract.reducer import (
+    FEWEST_SAMPLES,
+    Array,
+    NotFiniteError,
+    Outcome,
+    Reducer,
+    ResultError,
+    Rows,
+    check_finite,
+    checked,
+    small_sample_factor,
+)
 
 __all__ = [
     "FEW",
@@ -23,10 +32,13 @@ __all__ = [
     "Kind",
     "Named",
     "NotFiniteError",
+    "Outcome",
     "Output",
     "Parameter",
     "Point",
+    "Reducer",
     "ResultError",
+    "Rows",
     "Summarise",
     "SweepError",
     "Value",

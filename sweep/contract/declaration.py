@@ -8,8 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, get_args
 
 from linksweep.sweep.contract.errors import shown, suggest
-from linksweep.sweep.contract.output import Output
-from linksweep.sweep.contract.parameter import Kind, Parameter
+from linksweep.sweep.contract.parameter import Kind, Output, Parameter
 from linksweep.sweep.contract.units import unit_problem
 
 RESERVED = ("status", "n_sim_done", "sample", "code", "blocks", "failures", "realisations")

@@ -1,19 +1,17 @@
 """What the platform sweeps: declared parameters, sums and outputs, and the functions that make them."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import accumulate, pairwise
 from typing import Any, Protocol
 
 import numpy as np
 
-from linksweep.sweep.contract.checked import Array, checked
 from linksweep.sweep.contract.declaration import problems
 from linksweep.sweep.contract.errors import SweepError, shown, suggest
-from linksweep.sweep.contract.output import Output
-from linksweep.sweep.contract.parameter import Parameter, Point, Value
+from linksweep.sweep.contract.parameter import Output, Parameter, Point, Value
+from linksweep.sweep.contract.reducer import Array, Outcome, Reducer, Rows, Sums, check_finite, checked
 
 GeneratorPair = tuple[np.random.Generator, np.random.Generator]
 """The generators of a block's realisations and of their catalogue."""
@@ -152,6 +150,16 @@ class Experiment:
         return False
 
     @property
+    def repeatable(self) -> bool:
+        """Whether every call at a point is to return the same."""
+        return False
+
+    @property
+    def tolerance(self) -> float:
+        """How far the result of a point among others may be from that of the point alone, relative to it."""
+        return 0.0
+
+    @property
     def says_cost(self) -> bool:
         """Whether ``cost`` may differ between points."""
         return self.cost is not _one
@@ -161,26 +169,81 @@ class Experiment:
         """Whether realisations are kept, whatever a study says, because results are computed from them."""
         return False
 
+    @cached_property
+    def reducer(self) -> Reducer:
+        """What a block leaves of a point, and what comes of it."""
+        return Sums(self.sums, {output.name: self.shape_of(output) for output in self.outputs}, self.summarise)
+
     @property
-    def further_width(self) -> int:
-        """Number of floats that are computed from the kept realisations of a point."""
-        return 0
+    def samples_width(self) -> int:
+        """Number of floats of one realisation of which samples are kept."""
+        return sum(self.size_of(output) for output in self.sample_outputs)
 
-    def of_samples(self, samples: Array) -> Array:
-        """Return what is computed from the kept realisations of a point, (further_width,)."""
-        return np.empty(0)
+    def compute(
+        self, points: Sequence[Point], n_sim: int, pairs: Iterable[GeneratorPair], keep_samples: bool = False
+    ) -> list[Outcome]:
+        """Return what one block leaves of each point; with ``keep_samples`` its realisations too, (n, width):
+        catalogue by catalogue, flat in the order of the outputs.
 
-    def text_places(self) -> Sequence[int]:
-        """Return the positions in a row of sums, in bytes, at which the digests of texts begin."""
-        return ()
+        Each pair of generators gives the ``n_sim`` realisations of one catalogue.  Raises ResultError where results are
+        not as declared or not finite, and whatever the experiment raises.
+        """
+        kept = self.sample_outputs if keep_samples else ()
+        evaluate = self.samples if kept and self.samples is not None else self.evaluate
+        who = "samples" if kept else "evaluate"
+        shapes = {name: (len(points), *shape) for name, shape in self.sums.items()}
+        shapes_kept = {o.name: (len(points), n_sim, *self.shape_of(o)) for o in kept}
+        total = np.zeros((len(points), sum(map(math.prod, self.sums.values()))))
+        samples: list[Array] = []
+        for rng, catalogue_rng in pairs:
+            drawn = evaluate(points, n_sim, rng, catalogue_rng)
+            sums = checked(who, drawn, "sum", shapes, beside=list(shapes_kept))
+            check_finite(sums, self.nan_sums)
+            total += np.concatenate([array.reshape(len(points), -1) for array in sums.values()], axis=1)
+            if kept:
+                realisations = checked(who, drawn, "sample output", shapes_kept, beside=list(shapes))
+                check_finite(realisations, [output.name for output in kept if output.nan])
+                flat = [array.reshape(len(points), n_sim, -1) for array in realisations.values()]
+                samples.append(np.concatenate(flat, axis=2))
+        whole = np.concatenate(samples, axis=1) if samples else len(points) * [None]
+        return [Outcome(row, own) for row, own in zip(self.as_rows(total), whole, strict=True)]
 
-    def added(self, total: Array, row: Array) -> Array:
-        """Return the sums of a point (width,) with those of one block more; ``total`` is 0 before the first."""
-        return total + row
+    def compute_catalogues(
+        self, points: Sequence[Point], n_sim: int, pairs: Sequence[GeneratorPair], counts: Sequence[int]
+    ) -> list[Outcome]:
+        """Return what `compute` leaves of blocks of so many catalogues (``counts``), block by block, from one call of
+        ``evaluate_catalogues``; raises as `compute`.
+        """
+        assert self.evaluate_catalogues is not None, "the caller has asked"
+        shapes = {name: (sum(counts), len(points), *shape) for name, shape in self.sums.items()}
+        sums = checked("evaluate_catalogues", self.evaluate_catalogues(points, n_sim, pairs), "sum", shapes)
+        check_finite(sums, self.nan_sums)
+        flat = np.concatenate([array.reshape(sum(counts), len(points), -1) for array in sums.values()], axis=2)
+        drawn, outcomes = iter(flat), list[Outcome]()
+        for catalogues in counts:
+            total = np.zeros(flat.shape[1:])
+            for _ in range(catalogues):
+                total += next(drawn)  # in the order in which `compute` adds them
+            outcomes += map(Outcome, self.as_rows(total))
+        return outcomes
 
-    def alone(self, rows: Array) -> Array:
-        """Return the sums of points (points, width) that have one block each."""
-        return 0.0 + rows
+    def as_rows(self, flat: Array) -> Rows:
+        """Return sums, (points, width), as rows of `reducer`."""
+        return flat.view(self.reducer.dtype).reshape(len(flat))
+
+    def learned(self, outcomes: Mapping[int, Outcome]) -> "tuple[Experiment, dict[int, Any], dict[int, str]]":
+        """Return the experiment as it is known from results too, the fields of the rows of its reducer, and why some of
+        the results are refused.
+        """
+        return self, {place: outcome.row for place, outcome in outcomes.items()}, {}
+
+    def joined(self, other: "Experiment") -> "Experiment":
+        """Return the experiment with what is known of its results in another store too."""
+        return self
+
+    def as_record(self) -> dict[str, Any]:
+        """Return what a store records besides what is declared."""
+        return {}
 
     def parameter(self, name: str) -> Parameter:
         """Return the declared parameter; raises ValueError with a suggestion for an unknown name."""
@@ -193,25 +256,6 @@ class Experiment:
         """Return the default of every parameter."""
         return {p.name: p.default for p in self.parameters}
 
-    @property
-    def samples_width(self) -> int:
-        """Number of floats of one kept realisation."""
-        return sum(self.size_of(output) for output in self.sample_outputs)
-
-    def named(self, rows: Array) -> dict[str, Array]:
-        """Return sums by name, each of shape (rows, *shape), from rows of `sums_width` numbers."""
-        ends = pairwise(accumulate(map(math.prod, self.sums.values()), initial=0))
-        places = zip(self.sums.items(), ends, strict=True)
-        return {name: rows[:, start:end].reshape(-1, *shape) for (name, shape), (start, end) in places}
-
-    def results(self, rows: Array, n: Array, n_cat: Array) -> dict[str, Array]:
-        """Return every output, (points, *dims), from rows of `sums_width` sums over n realisations of n_cat catalogues.
-
-        Raises ResultError where `summarise` returns something else, and whatever it raises.
-        """
-        expected = {output.name: (len(rows), *self.shape_of(output)) for output in self.outputs}
-        return checked("summarise", self.summarise(self.named(rows), n, n_cat), "output", expected)
-
     def nan_outputs(self) -> list[str]:
         """Return the outputs whose values may be NaN or infinite."""
         return [output.name for output in self.outputs if output.nan]
@@ -222,15 +266,14 @@ class Experiment:
         headline = [output.name for output in self.outputs if output.headline]
         return [(name, f"{name}_mc_error") for name in headline if f"{name}_mc_error" in names]
 
+    def dimension_coordinates(self) -> dict[str, tuple[Any, str]]:
+        """Return the values along each dimension of outputs, and their unit."""
+        return {name: (np.array(labels, dtype=object), "") for name, labels in self.coordinates.items()}
+
     def shape_of(self, output: Output) -> tuple[int, ...]:
         """Return the shape of one value of an output."""
         return tuple(len(self.coordinates[dim]) for dim in output.dims)
 
     def size_of(self, output: Output) -> int:
-        """Return the number of floats of one value of an output."""
+        """Return the number of values in one value of an output."""
         return math.prod(self.shape_of(output))
-
-    @cached_property
-    def sums_width(self) -> int:
-        """Number of floats in one block's sums."""
-        return sum(math.prod(shape) for shape in self.sums.values())

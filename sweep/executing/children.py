@@ -73,7 +73,6 @@ class Children:
         Raises SweepError where the child cannot start or is not as expected.
         """
         parts = [_Part(unit) for unit in task.units]
-        width = load_experiment(task.experiment_reference, digest=task.source_digest).sums_width
         enough = time.monotonic() + max(ENOUGH_S, task.enough_s)
         one_by_one = task.time_limit_s is not None
         while pending := [part for part in parts if part.result is None]:
@@ -96,7 +95,7 @@ class Children:
                 for part in pending:  # nor are the other blocks of this point tried
                     same_point = (part.unit.stream, part.unit.points) == (guilty.unit.stream, guilty.unit.points)
                     if part.result is None and same_point:
-                        part.result = failed(1, width, death)
+                        part.result = failed(1, death)
         first = next((place for place, part in enumerate(parts) if part.result is None), len(parts))
         return joined([part.result for part in parts[:first] if part.result is not None])
 
@@ -150,7 +149,7 @@ class _Part:
 
 def _fill_in(waiting: "Iterator[_Part]", result: TaskResult) -> None:
     """Give a result to the parts that it is of; where these are several, the first one has all of it."""
-    rows, empty = len(result.seconds), failed(0, result.sums.shape[1])
+    rows, empty = len(result.seconds), failed(0)
     while rows > 0:
         part = next(waiting)
         part.result, result = result, empty

@@ -19,7 +19,7 @@ from linksweep.sweep.executing.pools import (
     available_cores,
     uncollected,
 )
-from linksweep.sweep.executing.task import AnyJob, Batch, Call, Executor, Opened, Place, Say, TaskResult
+from linksweep.sweep.executing.task import AnyJob, Batch, Call, Executor, Opened, Place, RefusedError, Say, TaskResult
 from linksweep.sweep.executing.versions import identity
 from linksweep.sweep.executing.worker import compute
 from linksweep.sweep.planning.plan import Work
@@ -63,7 +63,7 @@ def _opened(reference: str, resources: Resources, say: Say) -> Opened:
 
 
 def of_study(study: Study, execute: Executor) -> Run:
-    """Return an executor of the work of a study; it raises SweepError where a worker refuses its results."""
+    """Return an executor of the work of a study; it raises RefusedError where a worker refuses its results."""
 
     def run(take: Callable[[int], list[list[Work]]]) -> Iterator[tuple[list[Work], TaskResult]]:
         results = execute(lambda number: [Batch(study, works) for works in take(number)])
@@ -74,7 +74,7 @@ def of_study(study: Study, execute: Executor) -> Run:
 
 def _accepted(works: list[Work], result: TaskResult) -> tuple[list[Work], TaskResult]:
     if result.refused:
-        raise SweepError(f"{result.refused}.")
+        raise RefusedError(f"{result.refused}.")
     return works, result
 
 

@@ -7,12 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Point, shown
+from linksweep.sweep.contract import Experiment, Outcome, Point, shown
 from linksweep.sweep.executing.process import Deadlines, TimeLimitError, captured, is_interruption, undisturbed
 from linksweep.sweep.executing.task import Failure, Task, TaskResult, failed
-from linksweep.sweep.functions.adapter import FunctionExperiment
-from linksweep.sweep.functions.layout import Layout, differences
-from linksweep.sweep.functions.results import Flat
+from linksweep.sweep.functions.layout import differences, same_value
 
 CHECKED = 3
 """Points of a process's first call of a vectorised function for more than these that are also computed alone."""
@@ -32,7 +30,7 @@ _agreed: set[tuple[str, str | None]] = set()
 """The functions that returned the same twice in this process, by reference and digest."""
 
 
-def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadlines) -> TaskResult | None:
+def points_together(experiment: Experiment, task: Task, deadlines: Deadlines) -> TaskResult | None:
     """Return the results of all points of a task from one call of a vectorised function, or None where it raises.
 
     The first call in a process also computes some points alone; where a result differs, all points fail, in this call
@@ -42,15 +40,15 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
     points = [defaults | unit.points[0] for unit in task.units]
     who = task.experiment_reference, task.source_digest
     if wrong := _DEPENDENCE.get(who, ""):
-        return failed(len(points), experiment.sums_width, Failure("exception", wrong))
+        return failed(len(points), Failure("exception", wrong))
     begun = time.perf_counter()
     with captured() as said:
         try:
             limit = None if task.time_limit_s is None else task.time_limit_s * (len(points) + CHECKED)
             with undisturbed(task.seed_of(task.units[0])), deadlines.within(limit):
-                values = experiment.many(points)
+                outcomes = experiment.compute(points, 1, ())
                 if who not in _DEPENDENCE:
-                    wrong = dependence(experiment, points, values, [unit.stream for unit in task.units])
+                    wrong = dependence(experiment, points, outcomes, [unit.stream for unit in task.units])
                     if wrong or len(points) > CHECKED:
                         _DEPENDENCE[who] = wrong
         except BaseException as error:  # which point is to blame is found out one by one
@@ -58,10 +56,10 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
                 raise
             return None
         taken, seconds = said.taken(), time.perf_counter() - begun
-        refused = how_it_differs(experiment, task, values, seconds, deadlines)
-    result = failed(len(points), experiment.sums_width, Failure("exception", wrong) if wrong else None)
+        refused = how_it_differs(experiment, task, outcomes, seconds, deadlines)
+    result = failed(len(points), Failure("exception", wrong) if wrong else None)
     if not wrong:
-        result.values.update(enumerate(values))
+        result.outcomes.update(enumerate(outcomes))
     if taken is not None:
         result.said[0] = taken
     result.seconds[:] = seconds / len(points)
@@ -70,19 +68,18 @@ def points_together(experiment: FunctionExperiment, task: Task, deadlines: Deadl
 
 
 def dependence(
-    experiment: FunctionExperiment, points: Sequence[Point], values: Sequence[Flat], digests: Sequence[bytes]
+    experiment: Experiment, points: Sequence[Point], outcomes: Sequence[Outcome], digests: Sequence[bytes]
 ) -> str:
     """Return how one of many points differs from the result of that point alone, in words; '' where none does.
 
     The points with the least digests are compared: the same of the same points, whatever their order, and at least one
     that is neither the first nor the last.  Raises whatever the function raises.
     """
-    among = _columns(values[0].layout, values)
+    among = _columns(outcomes)
     for place in sorted(range(len(points)), key=digests.__getitem__)[:CHECKED]:
-        (own,) = experiment.many([points[place]])
-        alone = _columns(own.layout, [own])
+        alone = _columns(experiment.compute([points[place]], 1, ()))
         for name in among.keys() & alone.keys():
-            there, here = among[name][place], alone[name][0]
+            there, here = np.asarray(among[name][place]), np.asarray(alone[name][0])
             differ = _differ(there, here, among[name], experiment.tolerance)
             if differ.any():
                 where = ", ".join(f"{parameter}={shown(value)}" for parameter, value in points[place].items())
@@ -94,9 +91,10 @@ def dependence(
     return ""
 
 
-def _columns(layout: Layout, values: Sequence[Flat]) -> dict[str, NDArray[Any]]:
-    rows = np.frombuffer(b"".join(value.row for value in values), dtype="<f8").reshape(len(values), -1)
-    return layout.values(rows)
+def _columns(outcomes: Sequence[Outcome]) -> dict[str, NDArray[Any]]:
+    """Return the results of points of one layout by name, (points, ...)."""
+    fields = outcomes[0].layout.fields
+    return {field.name: np.array([outcome.row[k] for outcome in outcomes]) for k, field in enumerate(fields)}
 
 
 def _differ(one: NDArray[Any], other: NDArray[Any], everything: NDArray[Any], tolerance: float) -> NDArray[np.bool_]:
@@ -120,11 +118,11 @@ def _shown(value: NDArray[Any], differ: NDArray[np.bool_]) -> str:
     if value.shape != differ.shape:
         return f"of the shape {value.shape}"
     first = value.reshape(-1)[int(np.argmax(differ))]
-    return "another text" if value.dtype.kind == "V" else str(first)
+    return "another text" if value.dtype.kind in "UO" else str(first)
 
 
 def how_it_differs(
-    experiment: FunctionExperiment, task: Task, first: Sequence[Flat], seconds: float, deadlines: Deadlines
+    experiment: Experiment, task: Task, first: Sequence[Outcome], seconds: float, deadlines: Deadlines
 ) -> str:
     """Return a sentence if a second call at the points of a task gives other results than the ``first``, which took so
     many ``seconds``; '' if it gives the same, and where there is no second one.
@@ -137,7 +135,7 @@ def how_it_differs(
         limit = None if task.time_limit_s is None else task.time_limit_s * len(points)
         # Other random numbers than at first, if it takes those of the process.
         with undisturbed(task.seed_of(task.units[0]) ^ 1), deadlines.within(limit):
-            second = experiment.many(points) if experiment.vectorised else experiment.block(points, 1, iter(()))
+            second = experiment.compute(points, 1, ())
         differing = (found for one, other in zip(first, second, strict=True) if (found := _difference(one, other)))
         found = next(differing, "")
     except TimeLimitError:
@@ -152,14 +150,14 @@ def how_it_differs(
     return f"{experiment.name}: called twice {_at(points)}, it returns a result {found}. {WHAT_TO_DO}"
 
 
-def _difference(first: Flat, second: Flat) -> str:
+def _difference(first: Outcome, second: Outcome) -> str:
     """Return how two results differ, '' where they do not: their order does not matter, and NaN is NaN."""
     if (wrong := differences(first.layout, second.layout)) or differences(second.layout, first.layout):
         return f"and then another one: {'; '.join(wrong) or 'of another type'}"
-    one, other = (flat.layout.values(np.frombuffer(flat.row, dtype="<f8")[None]) for flat in (first, second))
-    for name, value in one.items():
-        if not np.array_equal(value, other[name], equal_nan=value.dtype.kind in "fM"):
-            return f"and then one with another {name!r}"
+    other = dict(zip((field.name for field in second.layout.fields), second.row, strict=True))
+    for field, value in zip(first.layout.fields, first.row, strict=True):
+        if not same_value(value, other[field.name]):
+            return f"and then one with another {field.name!r}"
     return ""
 
 

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.code.load import source_digest
-from linksweep.sweep.contract import NotFiniteError, ResultError, SweepError
+from linksweep.sweep.contract import NotFiniteError, Outcome, ResultError, SweepError
+from linksweep.sweep.contract.block import Block
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.executing.process import Captured
-from linksweep.sweep.functions.adapter import FunctionExperiment
-from linksweep.sweep.functions.results import Flat
-from linksweep.sweep.planning.block import Block
 from linksweep.sweep.planning.plan import Work
 from linksweep.sweep.studies.study import Study
 
@@ -61,7 +59,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a block has no sums: in a sentence, with the traceback where Python has one; both limited in length and
+    """Why a block has no result: in a sentence, with the traceback where Python has one; both limited in length and
     without characters that an encoding of Unicode cannot write.
     """
 
@@ -138,8 +136,8 @@ class Batch:
             for work in self.works
         )
         digest = source_digest(reference)
-        repeatable = isinstance(experiment, FunctionExperiment) and experiment.repeatable
-        return Task(reference, sampling.seed, units, sampling.keep_samples, limits.time_s, digest, enough_s, repeatable)
+        keep, again = sampling.keep_samples, experiment.repeatable
+        return Task(reference, sampling.seed, units, keep, limits.time_s, digest, enough_s, again)
 
     def alone(self) -> "list[Batch]":
         """Return each block by itself."""
@@ -168,7 +166,7 @@ class Batch:
 
     def failed(self, reason: "Failure") -> "TaskResult":
         """Return the result of work that failed."""
-        return failed(len(self), self.study.experiment.sums_width, reason)
+        return failed(len(self), reason)
 
 
 AnyJob = TypeVar("AnyJob", Batch, Call)
@@ -203,25 +201,24 @@ class Place:
 Opened = AbstractContextManager[tuple[Place, Executor]]
 
 
+class RefusedError(SweepError):
+    """No result of an experiment is to be used, as a worker has found."""
+
+
 @dataclass
 class TaskResult:
-    """Sums of a task, (rows, width), one row for each point of each unit in their order, and the seconds that each
-    took, (rows,).  The last units have no rows where the task took longer than `sweep.executing.worker.ENOUGH_S`.
+    """Results of a task, of one row for each point of each unit in their order, and the ``seconds`` that each took,
+    (rows,).  The last units have no rows where the task took longer than `linksweep.sweep.executing.worker.ENOUGH_S`.
 
-    By the number of a row, ``failures`` has the reason why it could not be computed, ``samples`` its samples where they
-    are kept, (realisations, width), and ``said`` what was printed in the unit whose first row it is.  For a plain
-    function ``values`` has the results by row; the client turns them into sums, since only it knows their layout.
-    ``texts`` are the texts in these results, by their digests.  ``cold`` says that the first row was the first call in
-    its process, which may include imports; ``refused`` why no result of this experiment is to be used, or ''.
+    By the number of a row, ``outcomes`` has what its block left, ``failures`` the reason why it could not be computed,
+    and ``said`` what was printed in the unit whose first row it is.  ``cold`` says that the first row was the first
+    call in its process, which may include imports; ``refused`` why no result of this experiment is to be used, or ''.
     """
 
-    sums: NDArray[np.float64]
     seconds: NDArray[np.float64]
+    outcomes: dict[int, Outcome] = field(default_factory=dict)
     failures: dict[int, Failure] = field(default_factory=dict)
-    samples: dict[int, NDArray[np.float64]] = field(default_factory=dict)
     said: dict[int, Captured] = field(default_factory=dict)
-    values: dict[int, Flat] = field(default_factory=dict)
-    texts: dict[bytes, str] = field(default_factory=dict)
     cold: bool = False
     refused: str = ""
 
@@ -244,26 +241,24 @@ def too_long(task: Task, trace: str) -> Failure:
     return Failure("time limit", f"a block took longer than the time limit of {task.time_limit_s:g} s", trace)
 
 
-def failed(rows: int, width: int, reason: Failure | None = None) -> TaskResult:
-    """Return a result of so many rows without sums, all failed for the ``reason`` if there is one."""
+def failed(rows: int, reason: Failure | None = None) -> TaskResult:
+    """Return a result of so many rows without outcomes, all failed for the ``reason`` if there is one."""
     failures = {} if reason is None else dict.fromkeys(range(rows), reason)
-    return TaskResult(np.full((rows, width), np.nan), np.zeros(rows), failures)
+    return TaskResult(np.zeros(rows), failures=failures)
 
 
 def joined(results: Sequence[TaskResult]) -> TaskResult:
     """Return the result of a task from those of its parts, in their order."""
-    starts = np.cumsum([0, *(len(result.sums) for result in results)]).tolist()
+    starts = np.cumsum([0, *(len(result.seconds) for result in results)]).tolist()
 
     def by_row(parts: Iterator[dict[int, Any]]) -> dict[int, Any]:
         return {first + row: value for first, part in zip(starts, parts, strict=False) for row, value in part.items()}
 
     return TaskResult(
-        np.concatenate([result.sums for result in results]),
         np.concatenate([result.seconds for result in results]),
+        by_row(result.outcomes for result in results),
         by_row(result.failures for result in results),
-        by_row(result.samples for result in results),
         by_row(result.said for result in results),
-        by_row(result.values for result in results),
         cold=any(result.cold for result in results[:1]),
         refused=next((result.refused for result in results if result.refused), ""),
     )

@@ -1,4 +1,4 @@
-"""Computes a task on a worker: the sums of its blocks, one after the other."""
+"""Computes a task on a worker: its blocks, one after the other."""
 
 import threading
 import time
@@ -8,11 +8,8 @@ from dataclasses import replace
 from itertools import chain, groupby
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from linksweep.sweep.code.load import load_experiment
-from linksweep.sweep.contract import Experiment, GeneratorPair, Point, SweepError, check_finite, checked
+from linksweep.sweep.contract import Experiment, GeneratorPair, Point, SweepError
 from linksweep.sweep.executing.function_calls import how_it_differs, points_together
 from linksweep.sweep.executing.process import (
     Captured,
@@ -33,8 +30,6 @@ from linksweep.sweep.executing.task import (
     joined,
     too_long,
 )
-from linksweep.sweep.functions.adapter import FunctionExperiment
-from linksweep.sweep.functions.results import Flat
 from linksweep.sweep.planning.streams import generators_of
 
 ENOUGH_S = 2.0
@@ -89,7 +84,7 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
 
 def _run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
-    if isinstance(experiment, FunctionExperiment) and experiment.vectorised and len(task.units) > 1:
+    if experiment.vectorised and len(task.units) > 1:
         together = points_together(experiment, task, deadlines)
         if together is not None:
             yield together
@@ -115,7 +110,7 @@ def _one_by_one(
     given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
     for unit in units:
         pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
-        result = failed(len(unit.points), experiment.sums_width)
+        result = failed(len(unit.points))
         for stream, point, reason in given_up:
             known = [row for row, own in enumerate(unit.points) if (stream, point) == (unit.stream, own)]
             result.failures.update(dict.fromkeys(known, reason))
@@ -129,10 +124,10 @@ def _one_by_one(
         if (told := said.taken()) is not None:
             result.said[min(rows, default=0)] = told
         result.seconds[rows] = (time.perf_counter() - begun) / max(1, len(rows))
-        if task.repeatable and isinstance(experiment, FunctionExperiment) and 0 in result.values:
+        if task.repeatable and 0 in result.outcomes:
             seconds = float(result.seconds[0])
             alone = replace(task, units=(unit,))
-            result.refused = how_it_differs(experiment, alone, [result.values[0]], seconds, deadlines)
+            result.refused = how_it_differs(experiment, alone, [result.outcomes[0]], seconds, deadlines)
             said.taken()  # what the second call says was said by the first
         late = [row for row in rows if row in result.failures and result.failures[row].kind == "time limit"]
         given_up += [(unit.stream, unit.points[row], result.failures[row]) for row in late]
@@ -155,11 +150,7 @@ def _try(
             undisturbed(task.seed_of(unit)),
             deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)),
         ):
-            if isinstance(experiment, FunctionExperiment):
-                values = function_values(experiment, points, unit.block.n_sim, pairs)
-                result.values.update(zip(rows, values, strict=True))
-                return True
-            sums, samples = run_block(experiment, points, unit.block.n_sim, pairs, task.keep_samples)
+            outcomes = experiment.compute(points, unit.block.n_sim, pairs, task.keep_samples)
     except TimeLimitError:
         reason = too_long(task, traceback.format_exc())
     except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
@@ -167,60 +158,12 @@ def _try(
             raise
         reason = failure_of(error)
     else:
-        result.sums[rows] = sums
-        if task.keep_samples:
-            result.samples.update(zip(rows, samples, strict=True))
+        result.outcomes.update(zip(rows, outcomes, strict=True))
         for row in rows:
             result.failures.pop(row, None)
         return True
     result.failures.update(dict.fromkeys(rows, reason))
     return False
-
-
-def function_values(
-    experiment: FunctionExperiment, points: Sequence[Point], n_sim: int, pairs: Sequence[GeneratorPair]
-) -> list[Flat]:
-    """Return the results of a plain function at points: of one evaluation each, or of a block of realisations for the
-    catalogue of each pair of generators.
-
-    Raises ResultError for a value that is not a result, and whatever the function raises.
-    """
-    if experiment.vectorised:
-        return experiment.many(points)
-    return experiment.block(points, n_sim, (rng for rng, _ in pairs))
-
-
-def run_block(
-    experiment: Experiment,
-    points: Sequence[Point],
-    n_sim: int,
-    pairs: Sequence[GeneratorPair],
-    keep_samples: bool = False,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the sums of one block of each point, (points, width), flat in the order of `Experiment.sums`; and, with
-    ``keep_samples``, its realisations, (points, realisations, width): catalogue by catalogue, flat in the order of
-    the outputs.  Each pair of generators gives the ``n_sim`` realisations of one catalogue.
-
-    Raises ResultError where sums or samples are not as declared or not finite, and whatever the experiment raises.
-    """
-    kept = experiment.sample_outputs if keep_samples else ()
-    evaluate = experiment.samples if kept and experiment.samples is not None else experiment.evaluate
-    who = "samples" if kept else "evaluate"
-    shapes = {name: (len(points), *shape) for name, shape in experiment.sums.items()}
-    shapes_kept = {o.name: (len(points), n_sim, *experiment.shape_of(o)) for o in kept}
-    total = np.zeros((len(points), experiment.sums_width))
-    samples: list[NDArray[np.float64]] = []
-    for rng, catalogue_rng in pairs:
-        drawn = evaluate(points, n_sim, rng, catalogue_rng)
-        sums = checked(who, drawn, "sum", shapes, beside=list(shapes_kept))
-        check_finite(sums, experiment.nan_sums)
-        total += np.concatenate([array.reshape(len(points), -1) for array in sums.values()], axis=1)
-        if kept:
-            realisations = checked(who, drawn, "sample output", shapes_kept, beside=list(shapes))
-            check_finite(realisations, [output.name for output in kept if output.nan])
-            flat = [array.reshape(len(points), n_sim, -1) for array in realisations.values()]
-            samples.append(np.concatenate(flat, axis=2))
-    return total, np.concatenate(samples, axis=1) if samples else np.empty((len(points), 0, experiment.samples_width))
 
 
 def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
@@ -250,24 +193,17 @@ def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBl
     if experiment.evaluate_catalogues is None or n_cat[0] == 1:
         return None
     points = [experiment.defaults() | point for point in units[0].points]
-    shapes = {name: (sum(n_cat), len(points), *shape) for name, shape in experiment.sums.items()}
     begun = time.perf_counter()
     try:
         blocks = [generators_of(task.seed, unit.stream, unit.block) for unit in units]
         with undisturbed(task.seed_of(units[0])):
-            drawn = experiment.evaluate_catalogues(points, units[0].block.n_sim, list(chain.from_iterable(blocks)))
-        sums = checked("evaluate_catalogues", drawn, "sum", shapes)
-        check_finite(sums, experiment.nan_sums)
+            pairs = list(chain.from_iterable(blocks))
+            outcomes = experiment.compute_catalogues(points, units[0].block.n_sim, pairs, n_cat)
     except BaseException as error:
         if is_interruption(error):
             raise
         return None
-    flat = iter(np.concatenate([array.reshape(sum(n_cat), len(points), -1) for array in sums.values()], axis=2))
-    result = failed(len(units) * len(points), experiment.sums_width)
-    for number, catalogues in enumerate(n_cat):
-        total = np.zeros((len(points), experiment.sums_width))
-        for _ in range(catalogues):
-            total += next(flat)  # in the order in which `run_block` adds them
-        result.sums[number * len(points) : (number + 1) * len(points)] = total
+    result = failed(len(outcomes))
+    result.outcomes.update(enumerate(outcomes))
     result.seconds[:] = (time.perf_counter() - begun) / len(result.seconds)
     return result

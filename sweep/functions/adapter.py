@@ -1,6 +1,6 @@
 """A plain function as an `Experiment`, so that its studies are run and stored like all others."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Any, TypeGuard
@@ -8,16 +8,24 @@ from typing import Any, TypeGuard
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, Experiment, Output, Parameter, Point, SweepError
+from linksweep.sweep.contract import (
+    Array,
+    Experiment,
+    GeneratorPair,
+    Outcome,
+    Output,
+    Parameter,
+    Point,
+    Reducer,
+    ResultError,
+    Rows,
+    SweepError,
+)
 from linksweep.sweep.functions.declared import ATTRIBUTE, Declaration, declaration_of, problems
-from linksweep.sweep.functions.layout import SLOTS, Layout
-from linksweep.sweep.functions.named_results import Declared
-from linksweep.sweep.functions.realisations import Realisations, drawn
-from linksweep.sweep.functions.results import Flat, flatten, split_points
+from linksweep.sweep.functions.layout import Layout, as_row, differences, joined, layout_of_json
+from linksweep.sweep.functions.results import Declared, flatten, split_points
 from linksweep.sweep.functions.signature import ALLOWED, Signature, name_of, signature_of
-
-COUNT = 1
-"""Numbers at the start of a row of realisations: how many it holds.  So no row is all NaN, which marks a lost row."""
+from linksweep.sweep.functions.statistics import Moments, drawn, quantile_of
 
 _RECORDED = [field.name for field in fields(Output) if field.name != "coords"]
 
@@ -38,11 +46,36 @@ class PlainFunction:
         single = outputs[0].name if len(outputs) == 1 else "result" if name in ("function", *names) else name
         return Declared(name, single, outputs, names)
 
-    def realised(self, point: Point, n_sim: int, rng: np.random.Generator) -> list[Flat]:
+    def realised(self, point: Point, n_sim: int, rng: np.random.Generator) -> list[Outcome]:
         """Return the results of ``n_sim`` realisations; raises ResultError as `flatten`."""
         if self.signature.n_sim:
             return split_points(self.call(**point, rng=rng, n_sim=n_sim), n_sim, self.declared, "realisations")
         return [flatten(self.call(**point, rng=rng), self.declared) for _ in range(n_sim)]
+
+
+@dataclass(frozen=True)
+class Typed:
+    """The reducer of results that are there after one call: a row has each of them as itself."""
+
+    layout: Layout | None
+    samples_width = 0
+
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """The type of a row; without fields before there is a first result."""
+        return np.dtype([]) if self.layout is None else self.layout.dtype
+
+    def add(self, total: Rows, block: Rows) -> Rows:
+        """Return the only block."""
+        return block
+
+    def close(self, total: Rows, samples: Array) -> Rows:
+        """Return the row as it is."""
+        return total
+
+    def finish(self, total: Rows, n: Array, n_cat: Array) -> dict[str, NDArray[Any]]:
+        """Return the results."""
+        return {name: total[name] for name in self.dtype.names or ()}
 
 
 @dataclass(frozen=True)
@@ -98,88 +131,87 @@ class FunctionExperiment(Experiment):
 
     def with_layout(self, layout: Layout) -> "FunctionExperiment":
         """Return the experiment with a known layout of its results."""
-        random = Realisations(layout, self.declared)
         return replace(
             self,
             layout=layout,
-            outputs=random.outputs() if self.rng else _outputs(layout, self.declared),
-            sums={"row": (COUNT + random.width if self.rng else layout.head + layout.width,)},
+            outputs=Moments(layout, self.declared).outputs() if self.rng else _outputs(layout, self.declared),
             coordinates={coordinate.name: coordinate.values for coordinate in layout.coordinates},
-            nan_sums=("row",),
         )
 
     @cached_property
-    def realisations(self) -> Realisations | None:
-        """What is kept of random realisations; None before the layout is known, and for a function without ``rng``."""
-        return Realisations(self.layout, self.declared) if self.rng and self.layout is not None else None
+    def reducer(self) -> Reducer:
+        """What a call, or a block of realisations, leaves of a point."""
+        return Moments(self.layout, self.declared) if self.rng and self.layout is not None else Typed(self.layout)
 
-    def block(self, points: Sequence[Point], n_sim: int, rng: Iterator[np.random.Generator]) -> list[Flat]:
-        """Return the result of each point: of one evaluation, or of ``n_sim`` realisations with the next generator.
+    def compute(
+        self, points: Sequence[Point], n_sim: int, pairs: Iterable[GeneratorPair], keep_samples: bool = False
+    ) -> list[Outcome]:
+        """Return the result of each point: of one call, or of ``n_sim`` realisations with the next generator.
 
         Raises ResultError for an invalid result, and whatever the function raises.
         """
         assert self.function is not None, "the record of an experiment computes nothing"
         function, declared = self.function, self.function.declared
+        if self.vectorised:
+            columns = {name: np.array([point[name] for point in points]) for name in points[0]}
+            return split_points(function.call(**columns), len(points), declared, "points")
         if not self.rng:
             return [flatten(function.call(**point), declared) for point in points]
-        generator = next(rng)
-        return [drawn(function.realised(point, n_sim, generator), declared) for point in points]
+        rng = next(iter(pairs))[0]
+        return [drawn(function.realised(point, n_sim, rng), declared.function, declared.outputs) for point in points]
 
-    def many(self, points: Sequence[Point]) -> list[Flat]:
-        """Return the results of points from one call of a vectorised function; raises as `block`."""
-        assert self.function is not None, "the record of an experiment computes nothing"
-        columns = {name: np.array([point[name] for point in points]) for name in points[0]}
-        return split_points(self.function.call(**columns), len(points), self.function.declared, "points")
+    def learned(self, outcomes: Mapping[int, Outcome]) -> "tuple[FunctionExperiment, dict[int, Any], dict[int, str]]":
+        """Return the experiment with the layout that the first result has, with floats where any result has; the fields
+        of rows of it; and why other results are refused.
+        """
+        layout, fitting, refused = self.layout, list[int](), dict[int, str]()
+        checked: dict[int, str] = {}  # by layouts: those that come in one message are mostly one object
+        for place, outcome in outcomes.items():
+            layout = layout or outcome.layout
+            if id(outcome.layout) not in checked:
+                checked[id(outcome.layout)] = self._refusal(layout, outcome.layout)
+                if not checked[id(outcome.layout)]:
+                    layout = joined(layout, outcome.layout)
+            if why := checked[id(outcome.layout)]:
+                refused[place] = f"{self.name}: not as at the first point: {why}"
+            else:
+                fitting.append(place)
+        if layout is None:
+            return self, {}, refused
+        known, rows = self if layout == self.layout else self.with_layout(layout), dict[int, Any]()
+        for place in fitting:
+            try:
+                rows[place] = outcomes[place].row if self.rng else as_row(outcomes[place], layout)
+            except ResultError as error:
+                refused[place] = f"{self.name}: {error}"
+        return known, rows, refused
 
-    def text_places(self) -> list[int]:
-        """Return the positions in a row, in bytes, at which the digests of texts begin."""
-        if self.layout is None or self.rng:
-            return []
-        fields = [field for field in self.layout.fields if field.type == "text"]
-        spans = (self.layout.places[field.name] for field in fields)
-        head = self.layout.head
-        return [8 * (head + number) for span in spans for number in range(span.start, span.stop, SLOTS["text"])]
+    def joined(self, other: Experiment) -> Experiment:
+        """Return the experiment with floats where another store has floats."""
+        layouts = self.layout, getattr(other, "layout", None)
+        return self if None in layouts else self.with_layout(joined(*layouts))
 
-    def added(self, total: Array, row: Array) -> Array:
-        """Return the row of a point with one block more: a single evaluation as it is, moments merged."""
-        if self.realisations is None or total[0] == 0.0:
-            return row
-        return self.realisations.merged(total, row)
-
-    def alone(self, rows: Array) -> Array:
-        """Return the rows of points that have one block each, as they are."""
-        return rows
+    def _refusal(self, expected: Layout, found: Layout) -> str:
+        """Return why results of one layout are not taken beside those of another, '' where they are."""
+        wrong = () if found == expected else differences(expected, found)
+        if self.rng and not wrong and [f.name for f in found.fields] != [f.name for f in expected.fields]:
+            wrong = ("its results are in another order",)
+        return "; ".join(wrong)
 
     @property
     def keeps_samples(self) -> bool:
         """Whether realisations are kept, for quantiles."""
-        return self.samples_width > 0
+        return self.rng and any(quantile_of(name) is not None for o in self.declared for name in o.statistics)
 
     @property
     def samples_width(self) -> int:
         """Number of floats of one kept realisation."""
-        return 0 if self.realisations is None else self.realisations.kept_width
+        return self.reducer.samples_width
 
-    @property
-    def further_width(self) -> int:
-        """Number of floats that kept realisations add to the row of a point."""
-        return 0 if self.realisations is None else self.realisations.further_width
-
-    def of_samples(self, samples: Array) -> Array:
-        """Return what the kept realisations (n, samples_width) of a point add, (further_width,)."""
-        assert self.realisations is not None, "samples have a layout"
-        return self.realisations.of_samples(samples)
-
-    def results(self, rows: Array, n: Array, n_cat: Array) -> dict[str, Array]:
-        """Return every output from rows as `added` makes them, digests in place of texts."""
-        if self.realisations is not None:
-            return self.realisations.results(rows)
-        return {} if self.layout is None else self.layout.joined(rows)
-
-    def not_joined(self, rows: Array, some: NDArray[np.intp]) -> dict[int, str]:
-        """Return which of ``some`` rows have an integer that cannot be joined with the floats of others, and why."""
-        found = {} if self.layout is None or self.rng else self.layout.not_joined(rows, some)
-        return {row: f"{self.name}: {why}" for row, why in found.items()}
+    def dimension_coordinates(self) -> dict[str, tuple[Any, str]]:
+        """Return the values along each dimension of results, and their unit."""
+        coordinates = () if self.layout is None else self.layout.coordinates
+        return {coordinate.name: (coordinate.array(), coordinate.unit) for coordinate in coordinates}
 
     def nan_outputs(self) -> list[str]:
         """Return all outputs: results have been checked when the function returned them."""
@@ -194,9 +226,11 @@ class FunctionExperiment(Experiment):
     def as_record(self) -> dict[str, Any]:
         """Return what a store records of a plain function besides what it records of every experiment."""
         return {
-            "rng": self.rng,
-            "layout": None if self.layout is None else asdict(self.layout),
-            "outputs": [{name: getattr(one, name) for name in _RECORDED} for one in self.declared],
+            "function": {
+                "rng": self.rng,
+                "layout": None if self.layout is None else asdict(self.layout),
+                "outputs": [{name: getattr(one, name) for name in _RECORDED} for one in self.declared],
+            }
         }
 
 
@@ -236,7 +270,7 @@ def undeclared_experiment(
         name=name,
         version=1,
         parameters=parameters,
-        sums={"row": (COUNT,)},
+        sums={},
         outputs=(),
         evaluate=_not_additive,
         summarise=_not_additive,
@@ -260,3 +294,20 @@ def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
         meaning, named = field.meaning or field.name.replace("_", " "), field.name in headline
         made.append(replace(output, unit=field.unit, meaning=meaning, dims=field.dims, headline=named, coords=None))
     return tuple(made)
+
+
+def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter, ...]) -> FunctionExperiment:
+    """Return the experiment that a store has recorded, which computes nothing."""
+    told = record["function"]
+    outputs = tuple(Output(**{**one, "dims": tuple(one["dims"])}) for one in told["outputs"])
+    empty = undeclared_experiment(record["name"], parameters, outputs, told["rng"])
+    return empty if told["layout"] is None else empty.with_layout(layout_of_json(told["layout"]))
+
+
+def layout_of_record(record: Mapping[str, Any]) -> Layout | None:
+    """Return the layout of results that a store has recorded; None where there is none."""
+    layout = record.get("function", {}).get("layout")
+    try:
+        return None if layout is None else layout_of_json(layout)
+    except (KeyError, TypeError) as error:
+        raise SweepError(f"the record of its experiment cannot be read ({error})") from error

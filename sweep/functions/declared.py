@@ -9,9 +9,9 @@ from typing import Any, TypeVar, cast
 from linksweep.sweep.contract import Output, ResultError, SweepError, shown
 from linksweep.sweep.contract.declaration import RESERVED, TAKEN, name_problem, packages_problems, parameter_problems
 from linksweep.sweep.contract.units import unit_problem
+from linksweep.sweep.functions.results import coordinate_of
 from linksweep.sweep.functions.signature import Signature, signature_of
 from linksweep.sweep.functions.statistics import statistic_problem
-from linksweep.sweep.functions.values import coordinate_of
 
 ATTRIBUTE = "__linksweep__"
 """The attribute of a function that holds its declaration."""

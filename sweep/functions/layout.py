@@ -1,37 +1,26 @@
-"""The layout of a plain function's results: names, types, dimensions with coordinates, units; and how two differ."""
+"""What a plain function returns: the layout of its results (names, types, dimensions with coordinates, units), how two
+differ, and the outputs that are declared of them.
+"""
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from itertools import accumulate, pairwise
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Output, shown, suggest
+from linksweep.sweep.contract import Outcome, Output, ResultError, shown, suggest
 from linksweep.sweep.contract.declaration import name_problem
+from linksweep.sweep.contract.reducer import beyond_floats
 
 Type = Literal["float", "int", "bool", "text", "datetime"]
 
-DTYPES: dict[Type, str] = {"float": "<f8", "int": "<i8", "bool": "<i8", "datetime": "<M8[ns]", "text": "V16"}
-"""How a row holds a value of each type; in place of a text its digest."""
+DTYPES: dict[Type, str] = {"float": "<f8", "int": "<i8", "bool": "?", "datetime": "<M8[ns]", "text": "O"}
+"""How a row holds a value of each type."""
 
 NUMBERS: frozenset[Type] = frozenset({"float", "int"})
 """Types that are joined: the results of all points are floats where one of them is."""
-
-SLOTS: dict[Type, int] = {"float": 1, "int": 1, "bool": 1, "datetime": 1, "text": 2}
-"""How many numbers of a row (8 bytes each) hold one value."""
-
-EXACT_INT = 2**53
-"""Up to here a float holds every integer exactly."""
-
-TAGGED = 52
-"""How many results one number at the head of a row can tell the type of: a bit for each, and one for itself."""
-
-MISSING_INT = int(np.iinfo(np.int64).min)
-"""Stands for a missing integer where some integer of the array is too large for a float to hold exactly."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +34,7 @@ class Coordinate:
 
     def array(self) -> NDArray[Any]:
         """Return the values as a dataset has them."""
-        dtypes = {"float": "f8", "int": "i8", "bool": "bool", "datetime": "M8[ns]", "text": "object"}
-        return np.array(self.values, dtype=dtypes[self.type])
+        return np.array(self.values, dtype=DTYPES[self.type])
 
 
 @dataclass(frozen=True)
@@ -62,10 +50,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Layout:
-    """All results of a point, in their order, with the coordinates of their dimensions.
-
-    Whether a number is an integer is known of each row by itself, not by the layout: `with_head`.
-    """
+    """All results of a point, in their order, with the coordinates of their dimensions."""
 
     fields: tuple[Field, ...]
     coordinates: tuple[Coordinate, ...] = ()
@@ -80,74 +65,21 @@ class Layout:
         return tuple(self.sizes[dim] for dim in field.dims)
 
     @cached_property
-    def width(self) -> int:
-        """Numbers of 8 bytes in a row."""
-        return sum(math.prod(self.shape(field)) * SLOTS[field.type] for field in self.fields)
-
-    @cached_property
-    def places(self) -> dict[str, slice]:
-        """The part of a row that holds each result, in numbers of 8 bytes."""
-        ends = accumulate((math.prod(self.shape(field)) * SLOTS[field.type] for field in self.fields), initial=0)
-        return {field.name: slice(*ends) for field, ends in zip(self.fields, pairwise(ends), strict=True)}
-
-    def values(self, rows: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-        """Return each result from rows (points, width), of shape (points, *shape); in place of texts their digests."""
-        found: dict[str, NDArray[Any]] = {}
-        for field in self.fields:
-            part = np.ascontiguousarray(rows[:, self.places[field.name]])
-            typed = part.view(DTYPES[field.type]).reshape(len(rows), *self.shape(field))
-            found[field.name] = typed.astype(bool) if field.type == "bool" else typed
-        return found
-
-    @cached_property
-    def numbers(self) -> tuple[Field, ...]:
-        """The results that are floats or integers."""
-        return tuple(field for field in self.fields if field.type in NUMBERS)
-
-    @cached_property
-    def head(self) -> int:
-        """How many numbers precede the results in a row (`with_head`)."""
-        return max(1, math.ceil(len(self.numbers) / TAGGED))
+    def dtype(self) -> np.dtype[np.void]:
+        """The type of a row: each result as itself."""
+        return np.dtype([(field.name, DTYPES[field.type], self.shape(field)) for field in self.fields])
 
     @cached_property
     def floats(self) -> "Layout":
         """The same results, all numbers floats."""
-        fields = (replace(field, type="float") if field.type == "int" else field for field in self.fields)
-        return replace(self, fields=tuple(fields))
+        return self.widened(["int"])
 
-    def joined(self, rows: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
-        """Return each result from rows with heads, as `values`: integers where they are in all rows, else floats."""
-        found = self.values(rows[:, self.head :])
-        for field, whole in self._integers(rows[:, : self.head]):
-            integers = found[field.name].view("<i8")
-            found[field.name] = integers if whole.all() else integers.view("<f8").copy()
-            if not whole.all():
-                found[field.name][whole] = integers[whole]
-        return found
-
-    def not_joined(self, rows: NDArray[np.float64], some: NDArray[np.intp]) -> dict[int, str]:
-        """Return which of ``some`` rows have an integer that no float can hold where another of them has a float, and
-        why that is wrong.
-        """
-        found: dict[int, str] = {}
-        for field, whole in self._integers(rows[some, : self.head]):
-            if whole.any() and not whole.all():
-                place = self.places[field.name]
-                part = rows[some[whole], self.head + place.start : self.head + place.stop]
-                integers = np.ascontiguousarray(part).view("<i8")
-                large = _beyond_floats(integers)
-                for row, values, wrong in zip(some[whole].tolist(), integers, large, strict=True):
-                    if wrong.any():
-                        number = int(values[wrong][0])
-                        found[row] = f"{field.name!r} is {number}, which is beyond 2**53, and other points have floats"
-        return found
-
-    def _integers(self, heads: NDArray[np.float64]) -> Iterator[tuple[Field, NDArray[np.bool_]]]:
-        """Yield each result that is a number, and which rows have integers of it, from the heads of the rows."""
-        tags = heads.astype(np.int64) - 1
-        for number, field in enumerate(self.numbers):
-            other = (tags[:, number // TAGGED] >> (number % TAGGED)) & 1
-            yield field, other.astype(bool) ^ (field.type == "int")
+    def widened(self, types: Sequence[Type], names: Iterable[str] | None = None) -> "Layout":
+        """Return the layout in which results of these types, all or those with these ``names``, are floats."""
+        known = {field.name for field in self.fields} if names is None else set(names)
+        change = [field.type in types and field.name in known for field in self.fields]
+        fields = [replace(f, type="float") if now else f for f, now in zip(self.fields, change, strict=True)]
+        return replace(self, fields=tuple(fields)) if any(change) else self
 
     def headline(self, declared: Iterable[Output]) -> set[str]:
         """Return the names of headline results: those declared so, else those without dimensions, else all."""
@@ -235,48 +167,31 @@ def _differences_of_coordinate(expected: Coordinate, found: Coordinate) -> Itera
         )
 
 
-def with_head(row: bytes, found: Layout, expected: Layout) -> bytes:
-    """Return a row that has no `differences` in the order of the expected layout, after numbers that say where it has
-    integers in place of floats, or the reverse: 1 if nowhere.
-    """
-    if found == expected:
-        return expected.head * _ONE + row
-    return _head(found, expected) + b"".join(_parts(row, found, expected))
-
-
-_ONE = np.float64(1.0).tobytes()
-
-
 @lru_cache(maxsize=256)
-def _head(found: Layout, expected: Layout) -> bytes:
-    types = {field.name: field.type for field in found.fields}
-    tags = expected.head * [1]
-    for number, field in enumerate(expected.numbers):
-        if types[field.name] != field.type:
-            tags[number // TAGGED] += 1 << (number % TAGGED)
-    return np.array(tags, dtype="<f8").tobytes()
+def joined(one: Layout, other: Layout) -> Layout:
+    """Return the layout of results of both, between which there are no `differences`: floats where one has floats."""
+    return one.widened(["int"], [field.name for field in other.fields if field.type == "float"])
 
 
-def as_floats(row: bytes, found: Layout, expected: Layout) -> bytes | None:
-    """Return a row that has no `differences` in the order of the expected layout, which has no integers; None where an
-    integer is too large to be a float.
+def as_row(outcome: Outcome, expected: Layout) -> Any:
+    """Return the fields of a result that has no `differences` in the order, and with the floats, of a layout.
+
+    Raises ResultError where an integer is too large to be a float.
     """
-    types = {field.name: field.type for field in found.fields}
-    parts = list(_parts(row, found, expected))
-    for number, field in enumerate(expected.fields):
-        if types[field.name] == "int":
-            whole = np.frombuffer(parts[number], dtype="<i8")
-            if np.any(_beyond_floats(whole)):
-                return None
-            parts[number] = whole.astype("<f8").tobytes()
-    return b"".join(parts)
+    found: Layout = outcome.layout
+    if found is expected or found == expected:
+        return outcome.row
+    values = {field.name: (field.type, value) for field, value in zip(found.fields, outcome.row, strict=True)}
+    row = []
+    for field in expected.fields:
+        kind, value = values[field.name]
+        if field.type == "float" and kind == "int" and (large := beyond_floats(value)) is not None:
+            raise ResultError(f"{field.name!r} is {large}, which is beyond 2**53, and other points have floats")
+        row.append(value)
+    return tuple(row)
 
 
-def _beyond_floats(whole: NDArray[np.int64]) -> NDArray[np.bool_]:
-    return (whole > EXACT_INT) | (whole < -EXACT_INT)
-
-
-def _parts(row: bytes, found: Layout, expected: Layout) -> Iterator[bytes]:
-    """Yield what a row has of each result, in the order of the expected layout."""
-    places = [found.places[field.name] for field in expected.fields]
-    yield from (row[8 * place.start : 8 * place.stop] for place in places)
+def same_value(one: Any, other: Any) -> bool:
+    """Return whether two results are the same; NaN is NaN."""
+    first, second = np.asarray(one), np.asarray(other)
+    return np.array_equal(first, second, equal_nan=first.dtype.kind in "fM" and second.dtype.kind in "fM")

@@ -1,32 +1,302 @@
-"""One result of a plain function, of whatever type, as a row of numbers and texts with their layout."""
+"""Takes what a plain function returned, of whatever type, as the fields of a row with their layout."""
 
+import dataclasses
+import datetime
 import math
-import struct
+import sys
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import NotFiniteError, Output, ResultError, suggest
-from linksweep.sweep.contract.checked import not_finite
-from linksweep.sweep.contract.units import same_unit
+from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, shown, suggest
+from linksweep.sweep.contract.reducer import EXACT_INT, not_finite
+from linksweep.sweep.contract.units import is_quantity, same_unit
 from linksweep.sweep.functions.layout import Coordinate, Field, Layout, Type, problems_of_names
-from linksweep.sweep.functions.named_results import Declared, named_results
-from linksweep.sweep.functions.values import TEXT_BYTES, Value, text_digest, value_of
+
+WHAT_RESULTS_ARE = "results are numbers, strings, truth values, times, arrays of these, or xarray objects"
 
 
-class Flat(NamedTuple):
-    """A point's result: layout, numbers as bytes, texts by their digests, and the random realisations that are kept."""
+class Value(NamedTuple):
+    """One output: type, values, dimensions, the coordinates that come with it, unit, meaning."""
 
-    layout: Layout
-    row: bytes
-    texts: dict[bytes, str]
-    kept: NDArray[np.float64] | None = None
+    type: Type
+    array: NDArray[Any]
+    dims: tuple[str, ...] | None = None
+    coordinates: tuple[Coordinate, ...] = ()
+    unit: str = ""
+    meaning: str = ""
 
 
-def flatten(result: Any, declared: Declared) -> Flat:
-    """Return the result of one point as a row.
+def coordinate_of(dim: str, given: Any) -> Coordinate:
+    """Return a coordinate from values, or from (values, unit); raises ResultError where they cannot be one."""
+    unit = ""
+    if isinstance(given, tuple) and len(given) == 2 and isinstance(given[1], str) and np.ndim(given[0]) == 1:
+        given, unit = given
+    value = value_of(given)
+    if value.array.ndim != 1:
+        raise ResultError(f"the coordinate {dim!r} has the shape {value.array.shape}, expected one dimension")
+    try:
+        return _coordinate(dim, value, unit or value.unit)
+    except ResultError as error:
+        raise ResultError(f"the coordinate {dim!r} {error}") from error
+
+
+def _coordinate(dim: str, value: Value, unit: str) -> Coordinate:
+    array = value.array
+    if (value.type == "float" and not np.isfinite(array).all()) or (value.type == "datetime" and np.isnat(array).any()):
+        raise ResultError("has values that are not finite")
+    plain = array.view("i8") if value.type == "datetime" else array
+    return Coordinate(dim, value.type, tuple(plain.tolist()), "" if value.type == "datetime" else unit)
+
+
+def _coordinate_of_xarray(dim: str, along: Any) -> Coordinate:
+    try:
+        return _coordinate(dim, value_of(along.values), str(along.attrs.get("units", "")))
+    except ResultError as error:
+        raise ResultError(f"along {dim!r} {error}") from error
+
+
+def is_xarray(value: object) -> bool:
+    """Return whether a value is an xarray object, without importing xarray."""
+    xarray = sys.modules.get("xarray")  # while another thread imports it, it has no classes yet, and nobody has a value
+    kinds = tuple(getattr(xarray, name, ()) for name in ("DataArray", "Dataset"))
+    return isinstance(value, kinds)
+
+
+def value_of(value: Any) -> Value:
+    """Return a value of any allowed type; raises ResultError that says why another one is not allowed."""
+    if hasattr(value, "to_xarray") and not isinstance(value, type):
+        value = value.to_xarray()
+    if is_xarray(value):
+        if not hasattr(value, "dims") or hasattr(value, "data_vars"):
+            raise ResultError("is a Dataset; results are not nested: return its variables under names of their own")
+        inner = value_of(value.values)
+        dims = tuple(map(str, value.dims))
+        if twice := [dim for dim in dims if dims.count(dim) > 1]:
+            raise ResultError(f"has the dimension {twice[0]!r} twice")
+        coordinates = [_coordinate_of_xarray(dim, value.coords[dim]) for dim in dims if dim in value.coords]
+        unit, meaning = (str(value.attrs.get(key, "")) for key in ("units", "long_name"))
+        return inner._replace(dims=dims, coordinates=tuple(coordinates), unit=unit, meaning=meaning)
+    if isinstance(value, np.ma.MaskedArray) or hasattr(value, "unmasked"):  # of NumPy or astropy
+        if n := int(np.sum(value.mask)):
+            raise ResultError(f"has {n} masked values; fill them, with NaN where the output declares nan=True")
+        value = value.unmasked if hasattr(value, "unmasked") else value.data
+    unit = ""
+    if is_quantity(value):
+        unit, value = str(value.unit), value.value
+    return Value(*_typed(value), unit=unit)
+
+
+def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
+    """Return the type of a value that is no xarray object, and its array; raises ResultError as `value_of`."""
+    if value is None:
+        raise ResultError("is None")
+    if isinstance(value, int) and not isinstance(value, bool | np.generic):
+        if not -(2**63) <= value < 2**63:
+            raise ResultError(f"is {shown(value)}; integers have 64 bits at most")
+        return "int", np.array(value, dtype="i8")
+    if isinstance(value, str):
+        return "text", _texts(np.array(str(value), dtype=object))
+    if isinstance(value, Mapping):
+        raise ResultError("is a dict; results are not nested: return its entries under names of their own")
+    if isinstance(value, datetime.timedelta | np.timedelta64):
+        raise ResultError("is a duration; return a number and declare its unit")
+    if isinstance(value, list | tuple):
+        return _of_list(value)
+    if isinstance(value, bool | float | complex | datetime.date) or hasattr(value, "__array__"):
+        return _of_array(np.asarray(value))
+    if hasattr(value, "jyear"):  # of astropy
+        raise ResultError("is a Time of astropy; return .utc.datetime64, or a number such as .jyear")
+    raise ResultError(f"is of type {type(value).__name__}; {WHAT_RESULTS_ARE}")
+
+
+def _of_list(value: list[Any] | tuple[Any, ...]) -> tuple[Type, NDArray[Any]]:
+    if any(map(is_quantity, set(map(type, value)))):
+        raise ResultError("is a list of quantities; make one of them: astropy.units.Quantity(...)")
+    try:
+        array = np.asarray(value)
+        elements = np.array(value, dtype=object)
+    except ValueError as error:
+        raise ResultError("has parts of different lengths") from error
+    except OverflowError as error:
+        raise ResultError("has integers of more than 64 bits") from error
+    kinds = {bool if type(e) is np.bool_ else type(e) for e in elements.reshape(-1).tolist()}
+    if kinds & {list, tuple}:
+        raise ResultError("has parts of different lengths")
+    if array.dtype.kind in "fO" and kinds == {int}:
+        raise ResultError("has integers of more than 64 bits")
+    if array.dtype.kind == "f" and any(issubclass(kind, int | np.integer) for kind in kinds):
+        whole = [e for e in elements.reshape(-1).tolist() if isinstance(e, int | np.integer)]
+        if large := [e for e in whole if not -EXACT_INT <= int(e) <= EXACT_INT]:
+            raise ResultError(f"has {large[0]}, an integer beyond 2**53, beside floats, which cannot hold it")
+    if (array.dtype.kind == "U" or array.dtype.kind in "biuf") and len(kinds & {str, bool}) and len(kinds) > 1:
+        raise ResultError(f"mixes values of types {', '.join(sorted(kind.__name__ for kind in kinds))}")
+    return _of_array(elements if array.dtype.kind == "U" else array)
+
+
+def _of_array(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
+    if array.size == 0:
+        raise ResultError(f"has no values: its shape is {array.shape}")
+    kind = array.dtype.kind
+    if kind == "b":
+        return "bool", array
+    if kind in "iu":
+        if kind == "u" and array.max() >= 2**63:
+            raise ResultError(f"has {shown(int(array.max()))}; integers have 63 bits and a sign at most")
+        return "int", array.astype("i8")
+    if kind == "f":
+        if array.dtype.itemsize > 8:
+            raise ResultError(f"is of type {array.dtype}; numbers have 64 bits at most")
+        return "float", array.astype("f8")
+    if kind == "U":
+        return "text", _texts(array.astype(object))
+    if kind == "M":
+        return "datetime", _times(array)
+    if kind == "c":
+        raise ResultError("is complex; return its real and imaginary parts under names of their own")
+    if kind == "m":
+        raise ResultError("is a duration; return a number and declare its unit")
+    if kind == "O":
+        return _of_objects(array)
+    raise ResultError(f"is of type {array.dtype}; {WHAT_RESULTS_ARE}")
+
+
+def _of_objects(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
+    elements = array.reshape(-1).tolist()
+    if all(isinstance(element, str) for element in elements):
+        return "text", _texts(array)
+    if all(isinstance(element, datetime.date) for element in elements):
+        return "datetime", np.array([_time(element) for element in elements], dtype="M8[ns]").reshape(array.shape)
+    strange = next(e for e in elements if not isinstance(e, str))
+    if isinstance(strange, list | tuple | np.ndarray):
+        raise ResultError("has parts of different lengths")
+    kinds = sorted({type(element).__name__ for element in elements})
+    if len(kinds) > 1:
+        raise ResultError(f"mixes values of types {', '.join(kinds)}")
+    number = isinstance(strange, int | float)
+    hint = f"make it an array of numbers, .astype({kinds[0]})" if number else WHAT_RESULTS_ARE
+    raise ResultError(f"holds objects of type {kinds[0]}; {hint}")
+
+
+def _texts(array: NDArray[Any]) -> NDArray[Any]:
+    for text in array.reshape(-1).tolist():
+        _check_text(text)
+    return array
+
+
+def _check_text(text: str) -> None:
+    """Raise ResultError for a text that no file can hold."""
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise ResultError(f"is {text!a}, which has a lone surrogate: no file can hold it") from error
+
+
+def _time(value: datetime.date) -> Any:
+    zone = getattr(value, "tzinfo", None)
+    if zone is not None:
+        raise ResultError(
+            f"is a time with the zone {zone}; results are in UTC without one: "
+            "return it .astimezone(timezone.utc).replace(tzinfo=None)"
+        )
+    exact = value.to_datetime64() if hasattr(value, "to_datetime64") else np.datetime64(value)
+    return _times(np.array(exact))[()]
+
+
+def _times(array: NDArray[Any]) -> NDArray[Any]:
+    """Return times in nanoseconds; raises ResultError for times that 64 bits cannot hold."""
+    try:
+        fine = array.astype("M8[ns]")
+        exact = np.array_equal(fine.astype(array.dtype), array, equal_nan=True)
+    except OverflowError:  # older NumPy wraps around instead
+        exact = False
+    if not exact:
+        raise ResultError("has times beyond the years 1678 to 2261, which nanoseconds of 64 bits can hold")
+    return fine
+
+
+@dataclasses.dataclass(frozen=True)
+class Declared:
+    """What results are checked against: the ``outputs`` that a function declares, the names of its ``parameters``, and
+    the name of a ``single`` result.
+    """
+
+    function: str
+    single: str
+    outputs: tuple[Output, ...] = ()
+    parameters: tuple[str, ...] = ()
+
+    @cached_property
+    def by_name(self) -> dict[str, Output]:
+        """The outputs by name."""
+        return {output.name: output for output in self.outputs}
+
+    @cached_property
+    def coordinates(self) -> dict[str, Coordinate]:
+        """The coordinates that outputs declare, by dimension."""
+        pairs = [(dim, given) for output in self.outputs for dim, given in (output.coords or {}).items()]
+        return {dim: coordinate_of(dim, given) for dim, given in pairs}
+
+    @cached_property
+    def without_dimensions(self) -> bool:
+        """Whether no declared output is an array."""
+        return not any(output.dims for output in self.outputs)
+
+    @cached_property
+    def layouts(self) -> dict[Any, Layout | None]:
+        """The layouts of results of scalars that have occurred, by names and types."""
+        return {}
+
+
+def named_results(result: Any, declared: Declared) -> dict[str, Any]:
+    """Return the outputs by name that a function has returned."""
+    if result is None:
+        raise ResultError(f"{declared.function} returns nothing (None); it must return its results")
+    if hasattr(result, "to_xarray") and not isinstance(result, type):  # of pandas
+        result = result.to_xarray()
+    if isinstance(result, Mapping) and not is_xarray(result):
+        named = dict(result)
+    elif dataclasses.is_dataclass(result) and not isinstance(result, type):
+        named = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
+    elif hasattr(result, "_asdict"):
+        named = dict(result._asdict())
+    elif is_xarray(result):
+        own = dict(result.data_vars) if hasattr(result, "data_vars") else {result.name or declared.single: result}
+        named = own | _beside_dimensions(result, declared)
+    elif isinstance(result, tuple) and len(declared.outputs) > 1:
+        named = _in_order(result, declared)
+    else:
+        return {declared.single: result}
+    if not named:
+        raise ResultError(f"{declared.function} returns no results: an empty {type(result).__name__}")
+    if strange := [name for name in named if not isinstance(name, str)]:
+        raise ResultError(f"{declared.function}: the name {shown(strange[0])} of an output is no text")
+    return named
+
+
+def _in_order(result: tuple[Any, ...], declared: Declared) -> dict[str, Any]:
+    """Return the values of a tuple by the names of the declared outputs, in their order."""
+    names = [output.name for output in declared.outputs]
+    if len(result) != len(names):
+        expected = f"one for each declared output: {', '.join(names)}"
+        raise ResultError(f"{declared.function} returns a tuple of {len(result)} values, expected {expected}")
+    return dict(zip(names, result, strict=True))
+
+
+def _beside_dimensions(result: Any, declared: Declared) -> dict[str, Any]:
+    """Return the non-dimension coordinates: they are results too, unless they repeat a parameter."""
+    return {
+        str(name): array.reset_coords(drop=True)
+        for name, array in result.coords.items()
+        if name not in result.dims and name not in declared.parameters
+    }
+
+
+def flatten(result: Any, declared: Declared) -> Outcome:
+    """Return the result of one point as the fields of a row, with their layout.
 
     Raises ResultError that names every output that is invalid or not as declared, and NotFiniteError.
     """
@@ -58,12 +328,11 @@ def flatten(result: Any, declared: Declared) -> Flat:
     if wrong := problems_of_names(layout, declared.parameters):
         raise ResultError(f"{declared.function}: {'; '.join(wrong)}")
     _check_finite(values, declared)
-    texts: dict[bytes, str] = {}
-    row = b"".join(_bytes(value, texts) for value in values.values())
-    return Flat(layout, row, texts)
+    row = tuple(value.array if value.array.ndim else value.array[()] for value in values.values())
+    return Outcome(row, None, layout)
 
 
-def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Flat]:
+def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Outcome]:
     """Return the result of each of n points or realisations (``noun``) from arrays whose first axis counts them.
 
     Raises ResultError as `flatten`, and for arrays of another length.
@@ -91,63 +360,60 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Fla
     layout = flatten({name: array[0] for name, array in columns.items()}, declared).layout
     values = {field.name: Value(field.type, columns[field.name]) for field in layout.fields}
     _check_finite(values, declared)
-    texts: dict[bytes, str] = {}
-    parts = [np.frombuffer(_bytes(value, texts), dtype=np.uint8).reshape(n, -1) for value in values.values()]
-    return [Flat(layout, row.tobytes(), texts) for row in np.concatenate(parts, axis=1)]
+    elements = (_elements(columns[field.name]) for field in layout.fields)
+    return [Outcome(row, None, layout) for row in zip(*elements, strict=True)]
 
 
-FAST: dict[type, tuple[Type, str]] = {
-    float: ("float", "d"),
-    np.float64: ("float", "d"),
-    int: ("int", "q"),
-    np.int64: ("int", "q"),
-    bool: ("bool", "q"),
-    np.bool_: ("bool", "q"),
-    str: ("text", f"{TEXT_BYTES}s"),
+def _elements(column: NDArray[Any]) -> list[Any]:
+    """Return the values along the first axis: scalars as those of Python, whose pickles are small."""
+    return column.tolist() if column.ndim == 1 and column.dtype.kind != "M" else list(column)
+
+
+FAST: dict[type, Type] = {
+    float: "float",
+    np.float64: "float",
+    int: "int",
+    np.int64: "int",
+    bool: "bool",
+    np.bool_: "bool",
+    str: "text",
 }
-"""How scalars of these types are packed."""
+"""Types of scalars whose layout is known without looking at them."""
 
 
-def _scalars(result: dict[Any, Any], declared: Declared) -> Flat | None:
+def _scalars(result: dict[Any, Any], declared: Declared) -> Outcome | None:
     """Return the row of plain scalars, the quick way; None if anything else is among them."""
     key = tuple(zip(result, map(type, result.values()), strict=True))
     if key not in declared.layouts:
         declared.layouts[key] = _scalar_layout(key, declared)
-    if (found := declared.layouts[key]) is None:
+    if (layout := declared.layouts[key]) is None:
         return None
-    layout, packing = found
-    texts: dict[bytes, str] = {}
-    packed: list[Any] = []
-    for value, field in zip(result.values(), layout.fields, strict=True):
-        if field.type == "float" and not math.isfinite(value):
-            return None
-        if field.type == "text":
-            try:
-                packed.append(text_digest(value))
-            except ResultError:
+    row = tuple(result.values())
+    for value, field in zip(row, layout.fields, strict=True):
+        if field.type == "float":
+            if not math.isfinite(value):
                 return None
-            texts[packed[-1]] = value
-        else:
-            packed.append(value)
-    try:
-        return Flat(layout, packing.pack(*packed), texts)
-    except struct.error:  # an integer of more than 64 bits
-        return None
+        elif field.type == "int":
+            if not -(2**63) <= value < 2**63:
+                return None
+        elif field.type == "text":
+            try:
+                value.encode()
+            except UnicodeEncodeError:
+                return None
+    return Outcome(row, None, layout)
 
 
-def _scalar_layout(types: tuple[tuple[Any, type], ...], declared: Declared) -> tuple[Layout, struct.Struct] | None:
+def _scalar_layout(types: tuple[tuple[Any, type], ...], declared: Declared) -> Layout | None:
     names = [name for name, _ in types]
     if not types or not all(type(name) is str for name in names) or not all(kind in FAST for _, kind in types):
         return None
     if not declared.by_name.keys() <= set(names):
         return None
-    told = [declared.by_name.get(name, Output(name)) for name in names]
+    outputs = [declared.by_name.get(name, Output(name)) for name in names]
     kinds = [FAST[kind] for _, kind in types]
-    fields = (Field(o.name, kind[0], (), o.unit, o.meaning) for o, kind in zip(told, kinds, strict=True))
-    layout = Layout(tuple(fields))
-    if problems_of_names(layout, declared.parameters):
-        return None
-    return layout, struct.Struct("<" + "".join(code for _, code in kinds))
+    layout = Layout(tuple(Field(o.name, kind, (), o.unit, o.meaning) for o, kind in zip(outputs, kinds, strict=True)))
+    return None if problems_of_names(layout, declared.parameters) else layout
 
 
 def _as_declared(name: str, value: Value, declared: Declared) -> Value:
@@ -197,15 +463,3 @@ def _check_finite(values: Mapping[str, Value], declared: Declared) -> None:
     if problems:
         hint = "declare Output(..., nan=True) where that is a value"
         raise NotFiniteError(f"{declared.function}: {'; '.join(problems)} ({hint})")
-
-
-def _bytes(value: Value, texts: dict[bytes, str]) -> bytes:
-    if value.type == "text":
-        digests = []
-        for text in value.array.reshape(-1).tolist():
-            digests.append(text_digest(text))
-            texts[digests[-1]] = text
-        return b"".join(digests)
-    dtype = "<f8" if value.type == "float" else "<i8"
-    array = value.array.view("i8") if value.type == "datetime" else value.array
-    return np.ascontiguousarray(array, dtype=dtype).tobytes()

@@ -8,11 +8,25 @@ an error that cannot promise this is NaN.
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEWEST_SAMPLES, Array, shown, small_sample_factor, suggest
-from linksweep.sweep.functions.layout import Field
+from linksweep.sweep.contract import (
+    FEWEST_SAMPLES,
+    Array,
+    Outcome,
+    Output,
+    ResultError,
+    Rows,
+    shown,
+    small_sample_factor,
+    suggest,
+)
+from linksweep.sweep.functions.layout import NUMBERS, Field, Layout, as_row, differences
 
 MOMENTS = 6
 """What a block keeps of each number of an output: mean, sums of 2nd to 4th powers about it, least and largest value."""
@@ -197,3 +211,149 @@ def _limit(ordered: Array, level: float) -> tuple[int, Array]:
     below, above = (1.0 - inside) * level / rank, inside * (1.0 - level) / (n - rank)
     weight = below / (below + above)
     return rank, (1.0 - weight) * ordered[rank - 1] + weight * ordered[rank]
+
+
+@dataclass(frozen=True)
+class Moments:
+    """The reducer of realisations of a function: a row has their number and the moments of each output, and the row of
+    a point besides the quantiles, with their errors, of the realisations that are kept.
+
+    Attributes:
+        layout: the results of one realisation.
+        declared: the outputs that the function declares, with their statistics.
+    """
+
+    layout: Layout
+    declared: tuple[Output, ...]
+
+    @cached_property
+    def statistics(self) -> dict[str, tuple[str, ...]]:
+        """The statistics of each output, by its name."""
+        declared = {output.name: tuple(dict.fromkeys(output.statistics)) for output in self.declared}
+        return {field.name: declared.get(field.name) or DEFAULT for field in self.layout.fields}
+
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """The type of a row."""
+        moments: list[Any] = [(f.name, "<f8", (MOMENTS, self.size(f))) for f in self.layout.fields]
+        levels = [(f, len(self.levels(f))) for f in self.layout.fields]
+        quantiles: list[Any] = [(f.name, "<f8", (n, 2, self.size(f))) for f, n in levels if n]
+        fields: list[Any] = [("n", "<f8"), ("moments", moments)]
+        return np.dtype([*fields, ("quantiles", quantiles)] if quantiles else fields)
+
+    @cached_property
+    def samples_width(self) -> int:
+        """The numbers of one realisation that quantiles need."""
+        return sum(self.size(field) for field in self.layout.fields if self.levels(field))
+
+    def size(self, field: Field) -> int:
+        """Return how many numbers an output has."""
+        return math.prod(self.layout.shape(field))
+
+    def levels(self, field: Field) -> list[float]:
+        """Return the levels of the quantiles of an output, between 0 and 1."""
+        return [level for name in self.statistics[field.name] if (level := quantile_of(name)) is not None]
+
+    def as_row(self, realisations: int, moments: Sequence[Array]) -> Any:
+        """Return the fields of a row from the moments of all outputs, (MOMENTS, size) each."""
+        row = (float(realisations), tuple(moments))
+        if "quantiles" not in (self.dtype.names or ()):
+            return row
+        kind = self.dtype["quantiles"]
+        return (*row, np.full(kind.itemsize // 8, np.nan).view(kind)[0])  # known when all blocks are there: `close`
+
+    def add(self, total: Rows, block: Rows) -> Rows:
+        """Return the moments of two sets of realisations as one."""
+        if not total["n"].any():
+            return block
+        joined = block.copy()
+        joined["n"] = total["n"] + block["n"]
+        for field in self.layout.fields:
+            for row in range(len(total)):
+                mine, theirs = (rows["moments"][field.name][row] for rows in (total, block))
+                both = merged(mine, float(total["n"][row]), theirs, float(block["n"][row]))
+                joined["moments"][field.name][row] = both
+        return joined
+
+    def close(self, total: Rows, samples: Array) -> Rows:
+        """Return the row of a point with the quantiles of its realisations, (n, samples_width), and their errors."""
+        closed, start = total.copy(), 0
+        for field in self.layout.fields:
+            if levels := self.levels(field):
+                size = self.size(field)
+                closed["quantiles"][field.name][0] = quantiles(levels, samples[:, start : start + size])
+                start += size
+        return closed
+
+    def outputs(self) -> tuple[Output, ...]:
+        """Return the statistics of all outputs, each followed by its error."""
+        headline = self.layout.headline(self.declared)
+        made = []
+        for field in self.layout.fields:
+            meaning = field.meaning or field.name.replace("_", " ")
+            plain = Output(field.name, field.unit, dims=field.dims, headline=field.name in headline, nan=True)
+            for name in self.statistics[field.name]:
+                value = replace(plain, name=f"{field.name}_{name}", meaning=f"{_in_words(name)} of {meaning}")
+                if name == "count":
+                    value = replace(value, unit="")
+                made.append(value)
+                if name not in ("min", "max"):
+                    error = f"one-sigma Monte-Carlo error of {value.name}"
+                    if where := unknown(name, field):
+                        error += f"; not known (NaN) {where}"
+                    made.append(replace(value, name=f"{value.name}_mc_error", meaning=error, headline=False))
+        return tuple(made)
+
+    def finish(self, total: Rows, n: Array, n_cat: Array) -> dict[str, NDArray[Any]]:
+        """Return all statistics and errors, (points, *shape)."""
+        results: dict[str, NDArray[Any]] = {}
+        for field in self.layout.fields:
+            shape = (len(total), *self.layout.shape(field))
+            moments, quantile = total["moments"][field.name], 0
+            for name in self.statistics[field.name]:
+                value: Array
+                error: Array | None
+                if quantile_of(name) is not None:
+                    both = total["quantiles"][field.name][:, quantile]
+                    value, error, quantile = both[:, 0], both[:, 1], quantile + 1
+                else:
+                    value, error = statistic(name, field, moments, total["n"])
+                results[f"{field.name}_{name}"] = value.reshape(shape)
+                if error is not None:
+                    results[f"{field.name}_{name}_mc_error"] = error.reshape(shape)
+        return results
+
+
+def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ...]) -> Outcome:
+    """Return what the realisations of a block leave: their moments, with the realisations that quantiles need.
+
+    Raises ResultError where they differ in more than their values.
+    """
+    layout: Layout = outcomes[0].layout
+    if strange := [field for field in layout.fields if field.type not in NUMBERS | {"bool"}]:
+        name, kind = strange[0].name, strange[0].type
+        raise ResultError(f"{function}: {name!r} is of type {kind}; statistics are made of numbers and truth values")
+    layout = layout.floats
+    rows = []
+    for outcome in outcomes:
+        if wrong := differences(layout, outcome.layout):
+            raise ResultError(f"{function}: one realisation differs from another: {'; '.join(wrong)}")
+        try:
+            rows.append(as_row(outcome, layout))
+        except ResultError as error:
+            beyond = "an integer beyond 2**53 is no number that statistics can be made of"
+            raise ResultError(f"{function}: {beyond}") from error
+    columns = zip(*rows, strict=True)
+    values = [np.array(column, dtype=float).reshape(len(rows), -1) for column in columns]
+    reducer = Moments(layout, declared)
+    kept = [own for field, own in zip(layout.fields, values, strict=True) if reducer.levels(field)]
+    row = reducer.as_row(len(rows), [moments_of(own) for own in values])
+    return Outcome(row, np.concatenate(kept, axis=1) if kept else None, layout)
+
+
+def _in_words(name: str) -> str:
+    level = None if name == "median" else quantile_of(name)
+    if level is not None:
+        return f"{100.0 * level:g} % quantile"
+    words = {"std": "standard deviation", "min": "least", "max": "largest", "count": "number of true"}
+    return words.get(name, name)

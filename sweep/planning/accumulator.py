@@ -1,15 +1,15 @@
-"""The accumulator of a run: the sums of each point so far, and which blocks it still needs."""
+"""The accumulator of a run: what blocks have left of each point so far, and which blocks it still needs."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, Value
-from linksweep.sweep.planning.block import Block, ledger_key
-from linksweep.sweep.planning.block_rows import BlockRows
+from linksweep.sweep.contract import Array, Experiment, Rows, Value
+from linksweep.sweep.contract.block import Block, BlockRows, ledger_key
+from linksweep.sweep.contract.reducer import converted
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
 from linksweep.sweep.planning.plan import Plan, PlanSize, Survey, Work, cost_together
 from linksweep.sweep.planning.point_status import Status
@@ -28,46 +28,47 @@ class _Round:
     parts: range
     group: int = 0
     part: int = 0
-    early: dict[tuple[int, int], Array] = field(default_factory=dict)
+    early: dict[tuple[int, int], Rows] = field(default_factory=dict)
     kept: list[Array] = field(default_factory=list)
     reached: bool = False
 
 
 class Accumulator:
-    """Adds up blocks.
+    """Joins blocks by the reducer of an experiment.
 
-    The blocks of a point are added in their own order, not in order of arrival, so that its sums are bitwise the same
-    however they were computed; only blocks that arrive early are kept.  ``total`` (points, width), ``realisations`` and
-    ``status`` (points,) are indexed like the grid.  What an experiment computes from kept realisations follows the sums
-    in ``total``.
+    The blocks of a point are added in their own order, not in order of arrival, so that the result is bitwise the same
+    however they were computed; only blocks that arrive early are kept.  ``total``, ``realisations`` and ``status``
+    (points,) are indexed like the grid.
     """
 
     def __init__(
         self,
         plan: Plan,
-        rows: Mapping[bytes, int],
-        sums: Array,
+        rows: BlockRows | None = None,
+        held: Rows | None = None,
         failed: Collection[bytes] = (),
         only: Collection[bytes] | None = None,
         samples: Callable[[bytes], Array] | None = None,
     ) -> None:
-        """Start with the ``rows`` of a ledger, their ``sums``, and the points (by digest) that ``failed``.
+        """Start with the ``rows`` of a ledger and what these ``held``, and with the points (by digest) that ``failed``.
 
         With ``only``, no other points than these are computed; ``samples`` returns the kept realisations of the block
         with a key.  Raises SweepError for a plan of too many blocks.
         """
         grid = plan.grid
-        self._samples = samples if grid.study.experiment.further_width else None
-        self.plan, self._rows, self._failed, self._only = plan, BlockRows.of(rows), failed, only
-        experiment = grid.study.experiment
-        self.total = np.zeros((len(grid), experiment.sums_width + experiment.further_width))
+        self.plan, self._failed, self._only = plan, failed, only
+        self._rows = BlockRows(b"") if rows is None else rows
+        self.reducer = grid.study.experiment.reducer
+        self._samples = samples if self.reducer.samples_width else None
+        self.total = np.zeros(len(grid), dtype=self.reducer.dtype)
         self.realisations = np.zeros(len(grid), dtype=np.int64)
         self.status = np.full(len(grid), Status.EXCLUDED, dtype=np.int8)
         self._rounds: dict[int, _Round] = {}
         self._whole = self._only_block()
-        self.survey = replace(self._survey(sums), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
+        held = self.total[:0] if held is None else held
+        self.survey = replace(self._survey(held), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
 
-    def _survey(self, sums: Array) -> Survey:
+    def _survey(self, rows: Rows) -> Survey:
         total = all_held = pending = PlanSize(0, 0, 0, 0.0)
         common = self.plan.grid.study.sampling.common_random_numbers
         groups: defaultdict[tuple[Value, ...], list[tuple[float, PlanSize]]] = defaultdict(list)
@@ -90,10 +91,10 @@ class Accumulator:
             self.plan.check_size(total.blocks)
             return Survey(total, all_held, replace(total, cost=cost_together(groups)) if common else total)
         if self._whole is not None:
-            return self._survey_of_whole_points(self._whole, sums)
+            return self._survey_of_whole_points(self._whole, rows)
         for point in self.plan.grid.points():
             self.status[point.index] = Status.FAILED if point.digest in self._failed else Status.MISSING
-            held, left = self._resume(point, sums)
+            held, left = self._resume(point, rows)
             total += held + left
             all_held += held
             self.plan.check_size(total.blocks)
@@ -110,9 +111,9 @@ class Accumulator:
         blocks = self.plan.blocks(1.0) if alike and self._samples is None else ()
         return blocks[0] if len(blocks) == 1 else None
 
-    def _survey_of_whole_points(self, block: Block, sums: Array) -> Survey:
+    def _survey_of_whole_points(self, block: Block, held_rows: Rows) -> Survey:
         """Add what the ledger holds of points that have one block each, many at a time: a million take seconds."""
-        grid, experiment = self.plan.grid, self.plan.grid.study.experiment
+        grid = self.plan.grid
         indices = grid.indices()
         self.plan.check_size(len(indices))
         held = pending = 0
@@ -125,7 +126,7 @@ class Accumulator:
             done = missing & (rows >= 0)
             self.status[some] = np.where(missing, np.where(done, DONE, MISSING), int(Status.FAILED))
             self.realisations[some] = np.where(rows >= 0, block.realisations, 0)
-            self.total[some[done], : experiment.sums_width] = experiment.alone(sums[rows[done]])
+            self._put(some[done], held_rows[rows[done]])
             held += int(np.count_nonzero(rows >= 0))
             missing &= ~done
             if self._only is not None:
@@ -134,7 +135,7 @@ class Accumulator:
         total, all_held, left = (self.plan.size(1.0, count) for count in (len(indices), held, pending))
         return Survey(total, all_held, left)
 
-    def _resume(self, point: GridPoint, sums: Array) -> tuple[PlanSize, PlanSize]:
+    def _resume(self, point: GridPoint, rows: Rows) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""
         held, left = [0, 0], [0, 0]  # blocks and their realisations
         cost_held = cost_left = 0.0
@@ -152,7 +153,9 @@ class Accumulator:
                     cost_left += cost
                 else:
                     cost_held += cost
-                    more += self.add(point, block, sums[row], None if self._samples is None else self._samples(key))
+                    more += self.add(
+                        point, block, rows[row : row + 1], None if self._samples is None else self._samples(key)
+                    )
             blocks = more
         whole = int(not left[0])
         return PlanSize(whole, held[0], held[1], cost_held), PlanSize(1 - whole, left[0], left[1], cost_left)
@@ -181,9 +184,20 @@ class Accumulator:
     def _is_wanted(self, point: GridPoint) -> bool:
         return self.is_missing(point.index) and (self._only is None or point.digest in self._only)
 
-    def add(self, point: GridPoint, block: Block, row: Array, kept: Array | None = None) -> list[Block]:
-        """Add a block's sums, and realisations that are ``kept``; return blocks that are needed beyond those known."""
-        index, experiment = point.index, self.plan.grid.study.experiment
+    def learn(self, experiment: Experiment) -> None:
+        """Take what is known of an experiment from its first results, or from results of other types."""
+        self.plan = self.plan.of(replace(self.plan.grid.study, experiment=experiment))
+        self.reducer = experiment.reducer
+        dtype = self.reducer.dtype
+        self.total = converted(self.total, dtype)
+        for round_ in self._rounds.values():
+            round_.early = {place: converted(row, dtype) for place, row in round_.early.items()}
+
+    def add(self, point: GridPoint, block: Block, row: Rows, kept: Array | None = None) -> list[Block]:
+        """Add a block's row, (1,), and realisations that are ``kept``; return blocks that are needed beyond those
+        known.
+        """
+        index = point.index
         self.realisations[index] += block.realisations
         if not self.is_missing(index):
             return []
@@ -191,15 +205,14 @@ class Accumulator:
         round_ = self._rounds.get(index)
         if round_ is None:
             round_ = self._rounds[index] = _Round(range(self.plan.parts(cost)))
-        if kept is not None and experiment.further_width:
+        if kept is not None and self.reducer.samples_width:
             round_.kept.append(kept)
         if (block.group, block.part) != (round_.group, round_.part):
             round_.early[block.group, block.part] = row
             return []
-        ready: Array | None = row
+        ready: Rows | None = row
         while ready is not None:
-            sums = self.total[index, : len(ready)]
-            sums[:] = experiment.added(sums, ready)
+            self.total[index : index + 1] = self.reducer.add(self.total[index : index + 1], ready)
             round_.part += 1
             if round_.part == round_.parts.stop:
                 round_.part = round_.parts.start
@@ -211,17 +224,21 @@ class Accumulator:
         """Return whether each work is all that its points need."""
         study = self.plan.grid.study
         whole = study.sampling.n_cat * study.sampling.n_sim
-        simple = study.sampling.precision is None and not study.experiment.further_width
+        simple = study.sampling.precision is None and not self.reducer.samples_width
         return simple and all(work.block.realisations == whole for work in works)
 
-    def add_whole(self, works: Sequence[Work], rows: Array) -> list[GridPoint]:
+    def add_whole(self, works: Sequence[Work], rows: Rows) -> list[GridPoint]:
         """Add the only block of each of some points, many at once; return the points."""
         points = [point for work in works for point in work.points]
-        indices = [point.index for point in points]
+        indices = np.array([point.index for point in points], dtype=np.intp)
         self.realisations[indices] += self.plan.grid.study.sampling.n_cat * self.plan.grid.study.sampling.n_sim
-        self.total[indices, : rows.shape[1]] = self.plan.grid.study.experiment.alone(rows[: len(points)])
+        self._put(indices, rows[: len(points)])
         self.status[indices] = DONE
         return points
+
+    def _put(self, indices: NDArray[np.intp], rows: Rows) -> None:
+        """Set points that have one block each."""
+        self.total[indices] = self.reducer.add(np.zeros(len(rows), dtype=rows.dtype), rows)
 
     def fail(self, index: int) -> None:
         """Mark a point as failed; none of its blocks is given out any more."""
@@ -236,11 +253,10 @@ class Accumulator:
     def _finish_round(self, point: GridPoint, cost: float, round_: _Round) -> list[Block]:
         """Mark a point as done, or begin another round if its precision needs one."""
         parts, kept = round_.parts.stop, round_.kept
+        total = self.total[point.index : point.index + 1]
         if kept:
-            experiment = self.plan.grid.study.experiment
-            self.total[point.index, experiment.sums_width :] = experiment.of_samples(np.concatenate(kept))
-        sums = self.total[point.index : point.index + 1]
-        wanted, reached = wanted_parts(self.plan, cost, parts, sums, round_.reached)
+            total[:] = self.reducer.close(total, np.concatenate(kept))
+        wanted, reached = wanted_parts(self.plan, cost, parts, total, round_.reached)
         if wanted > parts:
             self._rounds[point.index] = _Round(range(parts, wanted), part=parts, kept=kept, reached=reached)
             return list(self._blocks(point))

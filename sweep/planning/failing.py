@@ -14,7 +14,7 @@ def failing(accumulator: Accumulator, indices: Sequence[int]) -> dict[int, Excep
     n = accumulator.realisations[list(indices)].astype(float)
     n_cat = np.full(len(indices), float(accumulator.plan.grid.study.sampling.n_cat))
     try:
-        results = experiment.results(accumulator.total[list(indices)], n, n_cat)
+        results = experiment.reducer.finish(accumulator.total[list(indices)], n, n_cat)
         check_finite(results, experiment.nan_outputs())
     except Exception as error:  # whatever a user's function raises
         if len(indices) == 1:

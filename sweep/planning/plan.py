@@ -7,7 +7,7 @@ from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
 from linksweep.sweep.contract import SweepError, Value
-from linksweep.sweep.planning.block import Block
+from linksweep.sweep.contract.block import Block
 from linksweep.sweep.planning.checked_grid import PointCache
 from linksweep.sweep.planning.grid import Grid, GridPoint
 from linksweep.sweep.studies.study import Study

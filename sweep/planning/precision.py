@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from linksweep.sweep.contract import Array
+from linksweep.sweep.contract import Rows
 from linksweep.sweep.planning.plan import Plan
 
 LARGEST_STEP = 16
@@ -19,9 +19,9 @@ KNOWN_BY = 4096
 """Realisations from which an error that is still not known no longer counts, as where all realisations are alike."""
 
 
-def wanted_parts(plan: Plan, cost: float, parts: int, sums: Array, reached: bool) -> tuple[int, bool]:
+def wanted_parts(plan: Plan, cost: float, parts: int, total: Rows, reached: bool) -> tuple[int, bool]:
     """Return how many parts a point with ``parts`` needs, and whether these reach the precision; ``reached`` says
-    whether those of its last check did.  Only its ``sums`` (1, width) decide, so all runs agree.
+    whether those of its last check did.  Only its ``total`` (1,) decides, so all runs agree.
     """
     study = plan.grid.study
     sampling, precision = study.sampling, study.sampling.precision
@@ -30,7 +30,7 @@ def wanted_parts(plan: Plan, cost: float, parts: int, sums: Array, reached: bool
     n_sim = plan.realisations(cost, parts)
     n_cat = float(sampling.n_cat)
     try:
-        results = study.experiment.results(sums, np.array([n_cat * n_sim]), np.array([n_cat]))
+        results = study.experiment.reducer.finish(total, np.array([n_cat * n_sim]), np.array([n_cat]))
     except Exception:  # raised by a user's function: the point ends here, and `sweep.planning.failing` says why
         return parts, False
     with np.errstate(divide="ignore", invalid="ignore"):

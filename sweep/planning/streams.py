@@ -10,7 +10,7 @@ import struct
 import numpy as np
 
 from linksweep.sweep.contract import GeneratorPair
-from linksweep.sweep.planning.block import Block
+from linksweep.sweep.contract.block import Block
 
 
 def generators(seed: int, name: bytes, catalogue: int, part: int) -> GeneratorPair:

@@ -8,8 +8,8 @@ from itertools import accumulate
 import numpy as np
 
 from linksweep.sweep.contract import Array
+from linksweep.sweep.contract.block import Block
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.block import Block
 from linksweep.sweep.planning.grid import GridPoint
 from linksweep.sweep.planning.plan import MOST_SHARING, TARGET, Plan, Work
 from linksweep.sweep.planning.tuning import TUNED, Tuning

@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from linksweep.sweep.analysis.gaps import with_nan
 from linksweep.sweep.analysis.measured_claims import claims_of
 from linksweep.sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity, varied_parameters
 from linksweep.sweep.analysis.sensitivity import is_sensitivity
@@ -59,7 +58,7 @@ def draw_figure(
             raise SweepError(f"no {kind} of this; possible is {name}")
         figure: Figure = KINDS["scaling"][name].load()(dataset)
         return figure
-    return _study_figure(with_nan(dataset), kind, variables, over, log, linear)
+    return _study_figure(dataset, kind, variables, over, log, linear)
 
 
 # Links and forecasts

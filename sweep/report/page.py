@@ -32,7 +32,6 @@ from linksweep.sweep.analysis.columns import Column
 from linksweep.sweep.analysis.compare import Comparison, caveats, compare, in_readable_unit
 from linksweep.sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
 from linksweep.sweep.analysis.components import condition_warning
-from linksweep.sweep.analysis.gaps import with_nan
 from linksweep.sweep.analysis.headline_table import headline_columns, rows_left_out, tables_with_errors, warnings_of
 from linksweep.sweep.analysis.quantity import headlines, varied_parameters
 from linksweep.sweep.analysis.readable_units import in_readable_units
@@ -218,7 +217,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
     explore; raises SweepError for a dataset whose claims cannot be read.
     """
     names, about, comparisons = headlines(dataset), dataset.attrs, compare(dataset)
-    explored, numbers, left_out = explorer(in_readable_units(with_nan(dataset)), names, room)
+    explored, numbers, left_out = explorer(in_readable_units(dataset), names, room)
     indices = _indices(dataset, names)
     failures, versions = (json.loads(about.get(name, "{}")) for name in ("failures", "versions"))
     title = str(about.get("title", store))

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Rows
+from linksweep.sweep.contract.block import Block, ledger_key
+from linksweep.sweep.contract.reducer import Sums
 from linksweep.sweep.formatting import described
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.block import Block, ledger_key
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
 
@@ -20,7 +21,7 @@ LARGEST = 10**7
 Variable = tuple[tuple[str, ...], Array, dict[str, Any]]
 
 
-def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], sums: Array) -> dict[str, Variable]:
+def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], ledger: Rows) -> dict[str, Variable]:
     """Return ``NAME_mc_covariance_AXIS`` of every result with a Monte-Carlo error, for every axis along which points
     share their random numbers; dimensions of the result and ``AXIS_other``.
 
@@ -36,7 +37,7 @@ def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int],
     with_error = [o for o in outputs.values() if f"{o.name}_mc_error" in outputs and o.name not in plan.grid.study.axes]
     along = {output: _shared_dimensions(plan, output, len(samples)) for output in with_error}
     along = {output: dimensions for output, dimensions in along.items() if dimensions}
-    deviations = _deviations(plan, accumulator, samples, list(along), rows, sums) if along else {}
+    deviations = _deviations(plan, accumulator, samples, list(along), rows, ledger) if along else {}
     return {
         f"{output.name}_mc_covariance_{dimension}": _covariance(plan, deviations[output.name], output, dimension)
         for output, dimensions in along.items()
@@ -70,21 +71,23 @@ def _deviations(
     samples: Sequence[Sequence[Block]],
     outputs: Sequence[Output],
     rows: Mapping[bytes, int],
-    sums: Array,
+    ledger: Rows,
 ) -> dict[str, Array]:
     """Return each result without each of the samples in turn, less the mean, scaled so that products add up to the
     covariance; (points, size of the result, samples), NaN for points that are not done.
     """
     grid, count = plan.grid, len(samples)
-    experiment, n_cat = grid.study.experiment, grid.study.sampling.n_cat
+    experiment, n_cat, reducer = grid.study.experiment, grid.study.sampling.n_cat, accumulator.reducer
+    assert isinstance(reducer, Sums), "only points with sums share random numbers"
     own_n = sum(block.realisations for block in samples[0])
     catalogues = np.full(count, float(max(n_cat - 1, 1)))
     deviations = {o.name: np.full((len(grid), experiment.size_of(o), count), np.nan) for o in outputs}
     for point in grid.points(np.flatnonzero(accumulator.status == Status.DONE)):
-        own = np.array([sums[[rows[ledger_key(point.digest, b)] for b in blocks]].sum(axis=0) for blocks in samples])
+        keys = [[ledger_key(point.digest, block) for block in blocks] for blocks in samples]
+        own = np.array([reducer.flat(ledger[[rows[key] for key in some]]).sum(axis=0) for some in keys])
         n = float(accumulator.realisations[point.index])
-        without = experiment.named(accumulator.total[point.index] - own)
-        results = experiment.summarise(without, np.full(count, n - own_n), catalogues)
+        without = reducer.typed(reducer.flat(accumulator.total[point.index : point.index + 1]) - own)
+        results = reducer.finish(without, np.full(count, n - own_n), catalogues)
         scale = (n - own_n) / np.sqrt(n * own_n * (count - 1.0))  # sqrt((count - 1)/count), if these are all blocks
         for name, mine in deviations.items():
             values = np.reshape(results[name], (count, -1)).T

@@ -11,27 +11,23 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.code.load import Code, SourceFunction, code_differences
-from linksweep.sweep.contract import Array, Named, SweepError, Value
-from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.contract import Named, Rows, SweepError, Value
+from linksweep.sweep.contract.block import DIGEST_BYTES
+from linksweep.sweep.contract.reducer import converted, lost_integers, same_rows
+from linksweep.sweep.functions.adapter import layout_of_record
 from linksweep.sweep.functions.layout import Layout
 from linksweep.sweep.functions.layout import differences as layout_differences
-from linksweep.sweep.functions.record import layout_of_record
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.running.reproduce import study_of
+from linksweep.sweep.running.study_store import create_store, differences, find_store, open_store, replace_store
 from linksweep.sweep.running.writer import Writer
-from linksweep.sweep.stores import failures
 from linksweep.sweep.stores.code import CodeRecord, as_json, records_of
-from linksweep.sweep.stores.create import create_store, find_store, replace_store
-from linksweep.sweep.stores.identity import differences
-from linksweep.sweep.stores.ledger import Ledger
+from linksweep.sweep.stores.ledger import Ledger, Record
 from linksweep.sweep.stores.location import Location, Where, located
 from linksweep.sweep.stores.lock import holder, is_left_over, locked
-from linksweep.sweep.stores.opened import OpenStore
-from linksweep.sweep.stores.root import is_new
-from linksweep.sweep.stores.store import Store
-from linksweep.sweep.stores.texts import Texts
+from linksweep.sweep.stores.store import CODE, OpenStore, Store, is_new
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.record import RECORD, Recorded, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import Study
@@ -43,7 +39,7 @@ KEPT = ("study_name", "study_digest", "study_overrides", "started", "finished", 
 """Attributes of a store that are kept in a store made of it."""
 
 ROWS_AT_ONCE = 10_000
-DIGEST = slice(0, failures.DIGEST_BYTES)
+DIGEST = slice(0, DIGEST_BYTES)
 """The part of a block's key that is the digest of its point."""
 
 
@@ -55,9 +51,8 @@ class _Source:
     attributes: Mapping[str, Any]
     study: Study
     ledger: Ledger
-    failed: Mapping[bytes, failures.Record]
-    sums: Array
-    texts: Texts
+    failed: Mapping[bytes, Record]
+    held: Rows
 
     @cached_property
     def layout(self) -> Layout | None:
@@ -78,22 +73,23 @@ def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, t
     study = _study(first, second, str(place))
     told = {MERGED: json.dumps([_about(source) for source in sources])}
     found = _require_free(place, study, told)
-    rows = _rows(first, second)
+    dtype = study.experiment.reducer.dtype
+    rows = _rows(first, second, dtype)
     failed = _failures(first, second)
     plan = Plan(Grid(study))
     with locked(place):
         made = {**provenance(study), **told, RECORD: recorded(study, plan.costs())}
         if found is not None and not is_new(found.root):
             return found.dataset()
-        store = Store(replace_store(place, study, made) or create_store(place, study, made), study)
+        store = open_store(replace_store(place, study, made) or create_store(place, study, made), study)
         store.keep_copy()
-        _fill(store, sources, rows)
+        _fill(store, sources, rows, dtype)
         for digest, record in failed.items():
             store.fail(digest, record)
         store.flush()
         if records := _codes(sources, rows):
-            store.record_code(as_json(records))
-        accumulator = Accumulator(plan, store.rows, store.sums(), store.failures, samples=store.samples)
+            store.record({CODE: as_json(records)})
+        accumulator = Accumulator(plan, store.rows, store.read(), store.failures, samples=store.samples)
         return Writer(accumulator, store, further=told).write(final=True)
 
 
@@ -115,8 +111,7 @@ def _source(location: Location, trust: bool) -> _Source:
     plain = "function" in _record(opened.attributes)
     study = recorded_study(opened.attributes, str(location)) if plain else study_of(location, trust=trust)
     read = opened.ledger()
-    texts = opened.texts_of(read)
-    return _Source(location, opened.attributes, study, read, read.failures, read.sums(), texts)
+    return _Source(location, opened.attributes, study, read, read.failures, read.read())
 
 
 def _record(attributes: Mapping[str, Any]) -> dict[str, Any]:
@@ -140,8 +135,10 @@ def _require_alike(one: _Source, other: _Source, accept_code: bool) -> None:
         if all(codes):
             was, now = f"in {one.location}", f"in {other.location}"
             found += code_differences(codes[0][-1].code, codes[1][-1].code, was, now)
-    if one.layout is not None and other.layout is not None and one.layout != other.layout:
-        found += layout_differences(one.layout, other.layout) or ["results of other types"]
+    if one.layout is not None and other.layout is not None:
+        found += layout_differences(one.layout, other.layout)
+        types = {} if found else lost_integers(one.held, other.held.dtype) | lost_integers(other.held, one.held.dtype)
+        found += list(types.values())[:1]
     if found:
         raise SweepError([f"cannot be merged with {other.location}: these differ", *found], str(one.location))
 
@@ -151,6 +148,8 @@ def _study(one: _Source, other: _Source, where: str) -> Study:
     first, second = one.study, other.study
     if one.layout is None:
         first = replace(first, experiment=second.experiment)  # no point of it was ever computed
+    else:
+        first = replace(first, experiment=first.experiment.joined(second.experiment))
     document = {key: value for key, value in first.document.items() if key not in _GRID}
     crossed = [_crossed(study) for study in (first, second)]
     same = crossed[0] == crossed[1] and None not in (first.points, second.points) and not first.excluded
@@ -175,7 +174,7 @@ def _study(one: _Source, other: _Source, where: str) -> Study:
         if first.points is not None and len(rows) == len(first.axes[first.points.names[0]]):
             document["points"]["origin"] = dict(first.points.origin)
     attributes = {"study_document": json.dumps(document), "study": "", "study_overrides": "", "study_name": first.name}
-    plain = isinstance(first.experiment, FunctionExperiment)
+    plain = "function" in first.experiment.as_record()
     return study_of_attributes(attributes, where, (Recorded if plain else _Known)(first.experiment))
 
 
@@ -208,11 +207,11 @@ def _written(values: Sequence[Value]) -> list[Any]:
     return [value.name if isinstance(value, Named) else value for value in values]
 
 
-def _rows(one: _Source, other: _Source) -> list[list[bytes]]:
+def _rows(one: _Source, other: _Source, dtype: np.dtype[np.void]) -> list[list[bytes]]:
     """Return the blocks to take from each in the order of their rows; raises SweepError where a block differs."""
     mine, theirs = one.ledger.rows, other.ledger.rows
     for key in mine.keys() & theirs.keys():
-        same = one.sums[mine[key]].tobytes() == other.sums[theirs[key]].tobytes()
+        same = same_rows(converted(one.held[[mine[key]]], dtype), converted(other.held[[theirs[key]]], dtype))
         if same and one.study.keeps_samples:
             same = one.ledger.samples(key).tobytes() == other.ledger.samples(key).tobytes()
         if not same:
@@ -222,7 +221,7 @@ def _rows(one: _Source, other: _Source) -> list[list[bytes]]:
     return [sorted(mine, key=mine.__getitem__), sorted(theirs.keys() - mine.keys(), key=theirs.__getitem__)]
 
 
-def _failures(one: _Source, other: _Source) -> dict[bytes, failures.Record]:
+def _failures(one: _Source, other: _Source) -> dict[bytes, Record]:
     """Return the failures of both, without those of points that the other has computed."""
     done = [{key[DIGEST] for key in source.ledger.rows} for source in (one, other)]
     mine = {digest: record for digest, record in one.failed.items() if digest not in done[1]}
@@ -230,13 +229,13 @@ def _failures(one: _Source, other: _Source) -> dict[bytes, failures.Record]:
     return mine | theirs | mine
 
 
-def _fill(store: Store, sources: Sequence[_Source], rows: Sequence[Sequence[bytes]]) -> None:
+def _fill(store: Store, sources: Sequence[_Source], rows: Sequence[Sequence[bytes]], dtype: np.dtype[np.void]) -> None:
     for source, keys in zip(sources, rows, strict=True):
         at = source.ledger.rows
         for start in range(0, len(keys), ROWS_AT_ONCE):
             part = keys[start : start + ROWS_AT_ONCE]
-            samples = [source.ledger.samples(key) for key in part] if store.study.keeps_samples else []
-            store.append(part, source.sums[[at[key] for key in part]], samples, source.texts)
+            samples = [source.ledger.samples(key) for key in part] if source.study.keeps_samples else []
+            store.append(part, converted(source.held[[at[key] for key in part]], dtype), samples)
 
 
 def _codes(sources: Sequence[_Source], rows: Sequence[Sequence[bytes]]) -> list[CodeRecord]:

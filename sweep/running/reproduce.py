@@ -7,11 +7,8 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.contract import ResultError, SweepError, Value, shown, suggest
-from linksweep.sweep.executing.task import TaskResult, failed
-from linksweep.sweep.executing.worker import function_values, run_block
+from linksweep.sweep.contract import Array, Experiment, ResultError, Rows, SweepError, Value, shown, suggest
 from linksweep.sweep.formatting import first_of
-from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.failing import failing
 from linksweep.sweep.planning.grid import Grid, describe
@@ -19,12 +16,11 @@ from linksweep.sweep.planning.plan import Plan, Work
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.streams import generators_of
 from linksweep.sweep.planning.work_queue import Pending
-from linksweep.sweep.running.first_result import as_rows
 from linksweep.sweep.running.results import assemble
 from linksweep.sweep.running.trust import asking, ours_alone
 from linksweep.sweep.stores.code import differences_of_code
 from linksweep.sweep.stores.location import Where
-from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.document import parse_places, parse_value
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.record import as_recorded
@@ -99,53 +95,34 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
 
 def compute(plan: Plan) -> xr.Dataset:
     """Return the dataset of a plan, computed in this process; an exception of the experiment is not caught."""
-    plan = _with_layout(plan)
-    accumulator = Accumulator(plan, {}, np.empty((0, 0)))
+    accumulator = Accumulator(plan)
     pending = Pending(plan, accumulator)
-    texts: dict[bytes, str] = {}
     with threadpool_limits(1):  # as everywhere, since the last bits depend on it
         while tasks := pending.take(1):
             for work in tasks[0]:
-                result = _as_rows(plan.grid.study, work)
-                texts |= result.texts
+                experiment, rows, kept = _rows(accumulator.plan.grid.study, work)
+                accumulator.learn(experiment)
                 for row, point in enumerate(work.points):
-                    more = accumulator.add(point, work.block, result.sums[row], result.samples.get(row))
+                    more = accumulator.add(point, work.block, rows[row : row + 1], kept[row])
                     pending.add(plan.work((point,), block) for block in more)
     for problem in failing(accumulator, np.flatnonzero(accumulator.status == Status.DONE).tolist()).values():
         raise problem
-    return assemble(plan, accumulator, texts)
+    return assemble(accumulator.plan, accumulator)
 
 
-def _with_layout(plan: Plan) -> Plan:
-    """Return a plan with the layout of the first result, for a plain function that does not declare its outputs."""
-    study = plan.grid.study
-    if not isinstance(study.experiment, FunctionExperiment) or not study.experiment.undeclared:
-        return plan
-    [[work]] = Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))).take(1)
-    first = _computed(study, work).values[0]
-    return plan.of(replace(study, experiment=study.experiment.with_layout(first.layout.floats)))
+def _rows(study: Study, work: Work) -> tuple[Experiment, Rows, list[Array | None]]:
+    """Return the experiment as it is known from what a block left of its points, the rows of these, and what was kept.
 
-
-def _as_rows(study: Study, work: Work) -> TaskResult:
-    result = _computed(study, work)
-    if isinstance(study.experiment, FunctionExperiment):
-        result = as_rows(study.experiment, [work], result)
-    for failure in result.failures.values():
-        raise ResultError(failure.message)
-    return result
-
-
-def _computed(study: Study, work: Work) -> TaskResult:
-    """Return what a worker returns, but raise whatever the experiment raises."""
-    experiment, n_sim = study.experiment, work.block.n_sim
+    Raises ResultError where that is not as in the store, and whatever the experiment raises.
+    """
     points = [point.parameters for point in work.points]
     pairs = generators_of(study.sampling.seed, work.points[0].stream, work.block)
-    result = failed(len(points), experiment.sums_width)
-    if isinstance(experiment, FunctionExperiment):
-        result.values.update(enumerate(function_values(experiment, points, n_sim, pairs)))
-    else:
-        result.sums, _ = run_block(experiment, points, n_sim, pairs)
-    return result
+    outcomes = study.experiment.compute(points, work.block.n_sim, pairs)
+    experiment, fields, refused = study.experiment.learned(dict(enumerate(outcomes)))
+    for why in refused.values():
+        raise ResultError(why)
+    rows = np.array([fields[row] for row in range(len(outcomes))], dtype=experiment.reducer.dtype)
+    return experiment, rows, [outcome.kept for outcome in outcomes]
 
 
 def place_of(study: Study, at: str, where: str) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """The labelled dataset of a study, assembled from the sums in its ledger."""
 
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -9,25 +8,23 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Output, Parameter
+from linksweep.sweep.contract.block import ledger_key
 from linksweep.sweep.formatting import ERRORS, TRUTH, described, short_meaning
-from linksweep.sweep.functions.adapter import FunctionExperiment
-from linksweep.sweep.functions.layout import EXACT_INT, MISSING_INT
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.block import ledger_key
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.stores.snapshot import dask_arrays_only_where_imported
+from linksweep.sweep.stores.snapshot import FILL, MISSING_INT, dask_arrays_only_where_imported
 from linksweep.sweep.studies.study import POINT, printed_rounding
 
 dask_arrays_only_where_imported()  # before the first dataset is made here; `snapshot.decode` does so before one is read
 
 
-def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = MappingProxyType({})) -> xr.Dataset:
-    """Return the dataset of a plan from what its accumulator holds, and the ``texts`` in that by their digests.
+def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
+    """Return the dataset of a plan from what its accumulator holds, as it is stored.
 
     A point has values when all its blocks are there; all others are missing (`typed_array`) with a ``status`` that says
-    why.
+    why.  Missing integers have the number that the encoding names as ``_FillValue``; `masked` has NaN in place of it.
     """
     grid = plan.grid
     study = grid.study
@@ -35,17 +32,19 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
     status, realisations = grid.with_repeats(accumulator.status), grid.with_repeats(accumulator.realisations)
     done = status == Status.DONE
     variables: dict[str, Any] = {}
-    results: Mapping[str, Array] = {}
+    results: Mapping[str, NDArray[Any]] = {}
     if done.any():
-        sums, n = grid.with_repeats(accumulator.total)[done], realisations[done].astype(float)
-        results = experiment.results(sums, n, np.full(len(n), float(study.sampling.n_cat)))
+        total, n = grid.with_repeats(accumulator.total)[done], realisations[done].astype(float)
+        results = accumulator.reducer.finish(total, n, np.full(len(n), float(study.sampling.n_cat)))
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name has these values already
-        values = typed_array(results.get(output.name), done, experiment.shape_of(output), texts)
+        values = typed_array(results.get(output.name), done, experiment.shape_of(output))
         variables[output.name] = _variable(grid, values, output)
         if output.name in results and results[output.name].dtype.kind == "b" and values.dtype.kind == "f":
             variables[output.name][2].update(TRUTH)
+        if values.dtype.kind == "i" and not done.all():
+            variables[output.name] = (*variables[output.name], {FILL: MISSING_INT})
     if not experiment.deterministic:
         over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""
         meaning = f"realisations done{over}"
@@ -56,30 +55,25 @@ def assemble(plan: Plan, accumulator: Accumulator, texts: Mapping[bytes, str] = 
     return xr.Dataset(variables, coords=_coordinates(grid))
 
 
-def typed_array(
-    results: NDArray[Any] | None, done: NDArray[np.bool_], shape: tuple[int, ...], texts: Mapping[bytes, str]
-) -> NDArray[Any]:
+def typed_array(results: NDArray[Any] | None, done: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[Any]:
     """Return an array (points, *shape) with the results (done points, *shape) at the points that are done.
 
-    Floats and times are NaN and NaT elsewhere, texts empty.  Integers and truth values keep their type where all points
-    are done; else they become floats with NaN, or stay integers with `MISSING_INT` where one is beyond 2**53.
-    ``texts`` are those that digests in the results stand for.
+    Elsewhere floats are NaN, times NaT, texts empty, integers `MISSING_INT`; truth values become floats with NaN.
     """
-    missing: Any = np.nan
     if results is None:
-        return np.full((len(done), *shape), missing)
-    if results.dtype.kind == "V":
-        known = [texts[digest.tobytes()] for digest in results.reshape(-1)]
-        results, missing = np.array(known, dtype=object).reshape(results.shape), ""
-    elif results.dtype.kind == "M":
-        missing = np.datetime64("NaT", "ns")
-    elif done.all():
+        return np.full((len(done), *shape), np.nan)
+    if done.all():
         return np.array(results.reshape(len(done), *shape))
-    elif results.dtype.kind == "i" and np.any((results > EXACT_INT) | (results < -EXACT_INT)):
-        missing = MISSING_INT
-    found = np.full((len(done), *shape), missing, dtype=object if isinstance(missing, str) else None)
-    found[done] = results
-    return found
+    missing: Any = {"O": "", "M": np.datetime64("NaT", "ns"), "i": MISSING_INT}.get(results.dtype.kind, np.nan)
+    values = np.full((len(done), *shape), missing, dtype=float if results.dtype.kind == "b" else results.dtype)
+    values[done] = results
+    return values
+
+
+def masked(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a dataset as who opens its store has it: integers of which some are missing are floats with NaN."""
+    gaps = {name: variable for name, variable in dataset.data_vars.items() if FILL in variable.encoding}
+    return dataset.assign({name: variable.where(variable != MISSING_INT) for name, variable in gaps.items()})
 
 
 def assemble_samples(
@@ -146,13 +140,8 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
             if parameter.kind == "str" or isinstance(values[0], str):
                 values = np.array([str(value) for value in values], dtype=object)
             coordinates[name] = (dimension, np.array(values), _attributes(parameter))
-    layout = experiment.layout if isinstance(experiment, FunctionExperiment) else None
-    for coordinate in layout.coordinates if layout is not None else ():
-        about = described(coordinate.unit, coordinate.name.replace("_", " "))
-        coordinates[coordinate.name] = (coordinate.name, coordinate.array(), about)
-    for dimension, labels in experiment.coordinates.items():
-        about = described("", dimension.replace("_", " "))
-        coordinates.setdefault(dimension, (dimension, np.array(labels, dtype=object), about))
+    for dimension, (values, unit) in experiment.dimension_coordinates().items():
+        coordinates.setdefault(dimension, (dimension, values, described(unit, dimension.replace("_", " "))))
     for dimension, units in experiment.component_units.items():
         about = described("", f"unit of each {dimension.replace('_', ' ')}")
         coordinates[f"{dimension}_unit"] = (dimension, np.array(units, dtype=object), about)

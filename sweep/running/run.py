@@ -4,29 +4,23 @@ from collections.abc import Collection, Sequence
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import Run, choose_executor, of_study
 from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources
-from linksweep.sweep.executing.task import Place, TaskResult
-from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.executing.task import Place, RefusedError, TaskResult
 from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.planning.plan import Plan, Survey, Work
 from linksweep.sweep.planning.tuning import TUNED, Tuning
-from linksweep.sweep.planning.work_queue import Pending
 from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
-from linksweep.sweep.running.first_result import Done, as_rows, first_results
+from linksweep.sweep.running.study_store import check_points, create_store, find_store, open_store, replace_store
 from linksweep.sweep.running.subset import part_of_larger
 from linksweep.sweep.running.writer import Taken, Writer
 from linksweep.sweep.stores.code import check_code, record_code
-from linksweep.sweep.stores.create import check_points, create_store, find_store, replace_store
-from linksweep.sweep.stores.location import Where
+from linksweep.sweep.stores.location import Where, writing
 from linksweep.sweep.stores.lock import locked
-from linksweep.sweep.stores.opened import OpenStore
-from linksweep.sweep.stores.store import Store
+from linksweep.sweep.stores.store import OpenStore, Store
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded
 from linksweep.sweep.studies.study import Study
 
@@ -127,28 +121,28 @@ def run_study(
         progress.start(accumulator.survey, place.words, place.workers)
         total = accumulator.survey.total.points
         failing = FailureCount(study, total, total - accumulator.survey.pending.points, most=max_failures)
-        begun, threads = Pending(plan, accumulator, tuning), place.workers or place.threads
-        study, first = first_results(study, begun, run, threads, failing, progress.advance)
-        if first:
-            plan = plan.of(study)
         opened = _opened(store, opened, plan)
         record_code(opened, study, progress.say)
-        accumulator = _accumulator(plan, opened, again) if first else accumulator
         if unused := len(opened.rows) - accumulator.survey.held.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
         writer = Writer(accumulator, opened, interruptions.held, tuning=tuning)
-        return _computed(writer, first, place, run, progress, failing)
+        try:
+            return _computed(writer, place, run, progress, failing)
+        except RefusedError:
+            if found is None and not opened.rows:  # as if nothing had been begun
+                with writing(opened.location):
+                    opened.location.clear()
+            raise
 
 
 def _computed(
     writer: Writer,
-    first: Sequence[Done],
     place: Place,
     run: Run,
     progress: Progress,
     failing: FailureCount,
 ) -> "tuple[xr.Dataset, dict[str, str]]":
-    """Compute what is pending, after the first results; return the dataset and the failures.
+    """Compute what is pending; return the dataset and the failures.
 
     Raises TooManyFailuresError, with what was done in the store, where too many points fail.
     """
@@ -156,20 +150,14 @@ def _computed(
     try:
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
-        for works, result in first:
-            taken = _take(writer, works, result)
-            if result.values:  # else it has been told already
-                failing.take(taken.ended, taken.failed)
-                progress.advance(works, result, taken)
         writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
-        why = failing.too_many()
-        results = iter(()) if why else run(writer.pending.take)
+        why = ""
         if writer.accumulator.survey.pending.blocks:
             writer.write()  # so that there is a labelled, if empty, dataset from the start
         with writer:
-            for given, result in results:
+            for given, result in run(writer.pending.take):
                 works = writer.pending.settle(given, result.seconds, result.cold)
-                taken = _take(writer, works, result)
+                taken = writer.take(works, result)
                 failing.take(taken.ended, taken.failed)
                 writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
                 progress.advance(works, result, taken)
@@ -188,14 +176,6 @@ def _computed(
     return dataset, writer.failures()
 
 
-def _take(writer: Writer, works: Sequence[Work], result: TaskResult) -> Taken:
-    """Put a task's result into the ledger."""
-    experiment = writer.plan.grid.study.experiment
-    if isinstance(experiment, FunctionExperiment):
-        result = as_rows(experiment, works, result)
-    return writer.take(works, result)
-
-
 def _with_store(plan: Plan, found: OpenStore | None, accept_code: bool) -> tuple[Plan, Store | None]:
     """Return a plan, for a plain function with the layout of results that its store has, and the open store.
 
@@ -205,28 +185,19 @@ def _with_store(plan: Plan, found: OpenStore | None, accept_code: bool) -> tuple
         return plan, None
     if plan.grid.study.experiment.undeclared:
         plan = plan.of(as_recorded(plan.grid.study, found.attributes))
-    opened = Store(found, plan.grid.study)
+    opened = open_store(found, plan.grid.study)
     if not accept_code:
         check_code(opened, plan.grid.study)
     return plan, opened
 
 
 def _opened(place: Where, store: Store | None, plan: Plan) -> Store:
-    """Return the store of a plan: the one that is there, or a new one.
-
-    A store without results that was made before their layout was known is begun anew once it is known; its failures
-    are kept.
-    """
+    """Return the store of a plan: the one that is there, or a new one."""
     study = plan.grid.study
-    begun = store is not None and store.study.experiment.undeclared and not study.experiment.undeclared
-    if store is None or begun:
-        told = provenance(study) | {RECORD: recorded(study, plan.costs())}
-        made = replace_store(place, study, told) if begun else create_store(place, study, told)
-        failures = {} if store is None else dict(store.failures)
-        store = Store(made or create_store(place, study, told), study)
+    if store is None:
+        attributes = provenance(study) | {RECORD: recorded(study, plan.costs())}
+        store = open_store(create_store(place, study, attributes), study)
         store.keep_copy()
-        for digest, record in failures.items():
-            store.fail(digest, record)
     store.verify()
     return store
 
@@ -249,5 +220,5 @@ def _clear_failures(store: Store | None, plan: Plan, progress: Progress) -> froz
 
 def _accumulator(plan: Plan, store: Store | None, only: Collection[bytes] | None = None) -> Accumulator:
     if store is None:
-        return Accumulator(plan, {}, np.empty((0, 0)))
-    return Accumulator(plan, store.rows, store.sums(), store.failures, only, store.samples)
+        return Accumulator(plan)
+    return Accumulator(plan, store.rows, store.read(), store.failures, only, store.samples)

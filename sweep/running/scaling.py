@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_factor
 from linksweep.sweep.executing.pools import DEFAULT_POOL, PoolName, Resources, available_cores
-from linksweep.sweep.formatting import described
+from linksweep.sweep.formatting import described, now
 from linksweep.sweep.planning.plan import Survey
 from linksweep.sweep.running.run import Silent, run_study
-from linksweep.sweep.studies.record import now, provenance
+from linksweep.sweep.studies.record import provenance
 from linksweep.sweep.studies.study import Study
 
 KINDS = ("strong", "weak")

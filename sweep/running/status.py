@@ -22,9 +22,7 @@ from linksweep.sweep.running.writer import MAX_FAILURES_NAMED, failures_by_place
 from linksweep.sweep.stores.ledger import Ledger
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.lock import holder
-from linksweep.sweep.stores.opened import UNFINISHED, OpenStore
-from linksweep.sweep.stores.root import is_new
-from linksweep.sweep.stores.store import BLOCKS
+from linksweep.sweep.stores.store import BLOCKS, UNFINISHED, OpenStore, is_new
 from linksweep.sweep.studies.record import recorded_study
 from linksweep.sweep.studies.study import Study
 
@@ -94,7 +92,7 @@ def _of_ledger(opened: OpenStore, ledger: Ledger, same: xr.Dataset | None) -> tu
     if study.sampling.precision is not None:
         raise SweepError("only the experiment can say how many realisations reach a precision")
     try:
-        accumulator = Accumulator(Plan(grid), ledger.rows, ledger.sums(), ledger.failures)
+        accumulator = Accumulator(Plan(grid), ledger.rows, ledger.read(), ledger.failures)
     except (KeyError, TypeError, ValueError) as error:
         raise SweepError(f"the record of its experiment does not fit its points ({error})") from error
     status, realisations = grid.with_repeats(accumulator.status), grid.with_repeats(accumulator.realisations)
@@ -127,7 +125,7 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     floats = len(grid) * sum(study.experiment.size_of(output) for output in study.experiment.outputs)
     samples = study.experiment.samples_width * survey.total.realisations if study.keeps_samples else 0
     result_mb = 8e-6 * (floats + samples)
-    ledger_mb = 8e-6 * (study.experiment.sums_width * survey.total.blocks + samples)
+    ledger_mb = 1e-6 * study.experiment.reducer.dtype.itemsize * survey.total.blocks + 8e-6 * samples
     tasks = math.ceil(survey.pending.cost / TARGET) if study.experiment.cost_unit else None  # else time is not known
     most = survey.pending.blocks if tasks is None else tasks
     cores = max(1, min(workers or available_cores(), available_cores(), most))

@@ -8,7 +8,7 @@ import numpy as np
 from linksweep.sweep.contract import Named, SweepError, Value
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.tables.file import content_digest
 
 if TYPE_CHECKING:

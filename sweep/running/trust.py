@@ -10,10 +10,9 @@ from typing import Any
 
 from linksweep.sweep.code.load import Code, file_of
 from linksweep.sweep.contract import SweepError, shown
-from linksweep.sweep.stores.folder import Folder
-from linksweep.sweep.stores.location import Location
-from linksweep.sweep.stores.origin import was_written_here
-from linksweep.sweep.stores.root import ROOT
+from linksweep.sweep.stores.integrity import ROOT
+from linksweep.sweep.stores.location import Folder, Location
+from linksweep.sweep.stores.store import was_written_here
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT
 
 

@@ -9,20 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.contract import Array
+from linksweep.sweep.contract import Rows
+from linksweep.sweep.contract.block import ledger_key
+from linksweep.sweep.contract.reducer import converted, same_rows
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.task import Batch
 from linksweep.sweep.executing.versions import identity
-from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.block import ledger_key
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.planning.plan import Plan, Work
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.running.first_result import as_rows
+from linksweep.sweep.running.study_store import open_store
 from linksweep.sweep.stores.location import Where
-from linksweep.sweep.stores.opened import OpenStore
-from linksweep.sweep.stores.store import Store
+from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.record import as_recorded
 from linksweep.sweep.studies.study import Study
 
@@ -60,17 +59,17 @@ def verify(study: Study, where: Where, number: int) -> Verified:
     """
     found = OpenStore(where)
     study = as_recorded(study, found.attributes)
-    store, plan = Store(found, study), Plan(Grid(study))
-    sums = store.sums()
-    accumulator = Accumulator(plan, store.rows, sums, store.failures, None, store.samples)
+    store, plan = open_store(found, study), Plan(Grid(study))
+    ledger = store.read()
+    accumulator = Accumulator(plan, store.rows, ledger, store.failures, None, store.samples)
     done = (point for point in plan.grid.points() if accumulator.status[point.index] == Status.DONE)
     chosen = heapq.nsmallest(number, done, key=lambda point: point.digest)
     works = {point.index: _works(plan, point, store.rows) for point in chosen}
 
-    def stored(point: GridPoint) -> Array:
-        return sums[[store.rows[ledger_key(point.digest, work.block)] for work in works[point.index]]]
+    def stored(point: GridPoint) -> Rows:
+        return ledger[[store.rows[ledger_key(point.digest, work.block)] for work in works[point.index]]]
 
-    def computed(points: Sequence[GridPoint]) -> dict[int, Array | str]:
+    def computed(points: Sequence[GridPoint]) -> dict[int, Rows | str]:
         with Children(identity(study.experiment_reference)) as children:
             return {point.index: _computed(study, works[point.index], children) for point in points}
 
@@ -99,31 +98,29 @@ def _works(plan: Plan, point: GridPoint, rows: Container[bytes]) -> list[Work]:
     return [plan.work((point,), block) for block in blocks if ledger_key(point.digest, block) in rows]
 
 
-def _computed(study: Study, works: Sequence[Work], children: Children) -> Array | str:
-    """Return the rows of a point's blocks, (blocks, width), or why it fails."""
-    rows: list[Array] = []
+def _computed(study: Study, works: Sequence[Work], children: Children) -> Rows | str:
+    """Return the rows of a point's blocks, or why it fails."""
+    experiment, dtype = study.experiment, study.experiment.reducer.dtype
+    rows: list[Rows] = []
     while len(rows) < len(works):
-        left = list(works[len(rows) :])
-        result = children.run(Batch(study, left).task())
-        if isinstance(study.experiment, FunctionExperiment):
-            result = as_rows(study.experiment, left[: len(result.seconds)], result)
-        if result.failures or result.refused:
-            return result.refused or next(iter(result.failures.values())).message
-        rows.extend(result.sums)
-    return np.array(rows)
+        result = children.run(Batch(study, list(works[len(rows) :])).task())
+        known, fields, refused = experiment.learned(result.outcomes)
+        if result.failures or refused or result.refused:
+            reasons = [*(failure.message for failure in result.failures.values()), *refused.values()]
+            return result.refused or reasons[0]
+        for row in sorted(fields):  # integers beside which the store has floats are floats
+            rows.append(converted(np.array([fields[row]], dtype=known.reducer.dtype), dtype))
+    return np.concatenate(rows)
 
 
-def _same(study: Study, one: Array | str, other: Array | str) -> bool:
+def _same(study: Study, one: Rows | str, other: Rows | str) -> bool:
     """Return whether two results of a point are the same to the last bit."""
     if isinstance(one, str) or isinstance(other, str):
-        return one == other
-    if one.tobytes() == other.tobytes():
-        return True
-    experiment = study.experiment
-    if not isinstance(experiment, FunctionExperiment) or not experiment.vectorised or one.shape != other.shape:
-        return False
-    count = np.ones(len(one))
-    pairs = zip(*(experiment.results(rows, count, count).values() for rows in (one, other)), strict=True)
+        return bool(one is other or (isinstance(one, str) and isinstance(other, str) and one == other))
+    experiment, count = study.experiment, np.ones(len(one))
+    if same_rows(one, other) or not experiment.vectorised or one.shape != other.shape:
+        return same_rows(one, other)
+    pairs = zip(*(experiment.reducer.finish(rows, count, count).values() for rows in (one, other)), strict=True)
     return all(
         np.allclose(a, b, rtol=experiment.tolerance, atol=0.0, equal_nan=True)
         if a.dtype.kind == "f"

@@ -12,24 +12,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import Experiment, Rows, SweepError
+from linksweep.sweep.contract.block import Block, ledger_key
+from linksweep.sweep.contract.reducer import lost_integers
 from linksweep.sweep.executing.pools import uncollected
 from linksweep.sweep.executing.task import Failure, TaskResult, failure_of
-from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.formatting import host, now
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.block import Block, ledger_key
 from linksweep.sweep.planning.failing import failing
 from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe
-from linksweep.sweep.planning.plan import PlanSize, Work
+from linksweep.sweep.planning.plan import Plan, PlanSize, Work
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.tuning import TUNED, Tuning
 from linksweep.sweep.planning.work_queue import Pending
 from linksweep.sweep.running.covariance import covariances
+from linksweep.sweep.running.study_store import create_store, hold, identity
 from linksweep.sweep.stores.code import codes_of_points, records_of
-from linksweep.sweep.stores.create import RESCUED, create_store, free_beside
-from linksweep.sweep.stores.failures import Record
-from linksweep.sweep.stores.store import Store
-from linksweep.sweep.studies.record import RECORD, host, now, provenance, recorded
+from linksweep.sweep.stores.ledger import Record
+from linksweep.sweep.stores.store import RESCUED, Store, free_beside
+from linksweep.sweep.studies.record import RECORD, provenance, recorded
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -68,7 +69,7 @@ class Writer:
     ) -> None:
         """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
         plan = accumulator.plan
-        self.plan, self.accumulator, self.store = plan, accumulator, store
+        self.accumulator, self.store = accumulator, store
         self.pending = Pending(plan, accumulator, tuning)
         self._held, self._tuning = held, tuning
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
@@ -93,18 +94,24 @@ class Writer:
     def __exit__(self, *_error: object) -> None:
         self._ended.set()
 
+    @property
+    def plan(self) -> Plan:
+        """The plan, with what is known of the experiment from its results."""
+        return self.accumulator.plan
+
     def take(self, works: Sequence[Work], result: TaskResult) -> Taken:
         """Add a task's results."""
         points = [(point, work.block) for work in works for point in work.points]
         keys = [ledger_key(point.digest, block) for point, block in points]
         clock = time.monotonic()
         with self._held(), self._lock:
-            good, ended, added = self._add(works, points, result)
+            result, rows = self._as_rows(result)
+            good, ended, added = self._add(works, points, result, rows)
             failed = {points[row][0].index: failure for row, failure in result.failures.items()}
             failed |= self._refuse_results([p.index for p in ended if self.accumulator.is_done(p.index)])
             self.pending.add(added)
-            samples = [result.samples[row] for row in good if result.samples]
-            self.store.append([keys[row] for row in good], result.sums[good], samples, result.texts)
+            samples = [kept for row in good if (kept := result.outcomes[row].kept) is not None]
+            self.store.append([keys[row] for row in good], rows, samples)
             self._unflushed = True
             if clock - self._flushed > self._tuning.flush_every_s:
                 self.flush()
@@ -115,12 +122,45 @@ class Writer:
             done = replace(done, realisations=sum(points[row][1].realisations for row in good))
         return Taken(done, size_of(added, 0), tuple(ended), failed)
 
+    def _as_rows(self, result: TaskResult) -> tuple[TaskResult, Rows]:
+        """Return the rows of results that are like those before, in order, and a result in which the others fail."""
+        failures = dict(result.failures)
+        outcomes = {row: outcome for row, outcome in result.outcomes.items() if row not in failures}
+        experiment, fields, refused = self.plan.grid.study.experiment.learned(outcomes)
+        if experiment is not self.plan.grid.study.experiment:
+            self._learn(experiment)
+        failures |= {row: Failure("exception", why) for row, why in refused.items()}
+        rows = np.array([fields[row] for row in sorted(fields)], dtype=experiment.reducer.dtype)
+        return replace(result, failures=failures), rows
+
+    def _learn(self, experiment: Experiment) -> None:
+        """Let the store and all rows have the types of results that are known now: those that came were the first, or
+        are floats where others had integers.
+
+        The root document says so before the ledger has such rows, so that what is killed in between can go on.
+        """
+        study = replace(self.plan.grid.study, experiment=experiment)
+        dtype = experiment.reducer.dtype
+        done = np.flatnonzero(self.accumulator.status == Status.DONE)
+        for place, why in lost_integers(self.accumulator.total[done], dtype).items():
+            failure = Failure("exception", f"{experiment.name}: {why}")
+            self._fail(self.plan.grid.point(int(done[place])), failure)
+        keys = self.store.rows.keys_of_rows() if self.store.rows else []
+        drop = [keys[row] for row in lost_integers(self.store.read(), dtype)] if keys else []
+        self.accumulator.learn(experiment)
+        record = {RECORD: recorded(study, self.plan.costs())}
+        self._provenance |= record
+        self.store.record(record)
+        hold(self.store, study, [key for key in drop if key in self.store.rows])
+
     def _add(
-        self, works: Sequence[Work], points: Sequence[tuple[GridPoint, Block]], result: TaskResult
+        self, works: Sequence[Work], points: Sequence[tuple[GridPoint, Block]], result: TaskResult, rows: Rows
     ) -> tuple[list[int], list[GridPoint], list[Work]]:
-        """Add rows to their points; return which are good, the points that have ended, and what these still need."""
+        """Add rows to their points; return which results are good, the points that have ended, and what these still
+        need.
+        """
         if not result.failures and self.accumulator.are_whole(works):
-            whole = self.accumulator.add_whole(works, result.sums)
+            whole = self.accumulator.add_whole(works, rows)
             return list(range(len(whole))), whole, []
         good: list[int] = []
         ended: list[GridPoint] = []
@@ -131,8 +171,9 @@ class Writer:
                 if ends:
                     self._fail(point, failure)
             else:
+                own = rows[len(good) : len(good) + 1]
                 good.append(row)
-                more = self.accumulator.add(point, block, result.sums[row], result.samples.get(row))
+                more = self.accumulator.add(point, block, own, result.outcomes[row].kept)
                 added += [self.plan.work((point,), one) for one in more]
                 ends = self.accumulator.is_done(point.index)
             if ends:
@@ -146,15 +187,14 @@ class Writer:
         with self._held():
             # imports xarray and pandas while the workers compute; interrupted there, they could not be imported again
             with uncollected():
-                from linksweep.sweep.running.results import assemble, assemble_samples, code_variable
+                from linksweep.sweep.running.results import assemble, assemble_samples, code_variable, masked
 
-            self._refuse_what_is_not_joined()
             self.flush()
-        dataset = assemble(self.plan, self.accumulator, self.store.texts)
+        dataset = assemble(self.plan, self.accumulator)
         if study.sampling.keep_samples:
             dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
         if final and study.sampling.common_random_numbers and study.sampling.precision is None:
-            dataset = dataset.assign(covariances(self.plan, self.accumulator, self.store.rows, self.store.sums()))
+            dataset = dataset.assign(covariances(self.plan, self.accumulator, self.store.rows, self.store.read()))
         if len(records := records_of(self.store.attributes)) > 1:
             codes = codes_of_points(self.plan, self.accumulator, self.store.rows, records)
             dataset = dataset.assign(code=code_variable(self.plan, codes))
@@ -163,9 +203,11 @@ class Writer:
         self._long_write = dataset.nbytes > tuning.long_write_bytes or dataset["status"].size > tuning.long_write_points
         with nullcontext() if self._long_write else self._held(), self._lock:
             self.store.write(dataset)
+            if final:
+                self.store.tidy()
         self._written = time.monotonic()
         self._write_took = self._written - begun
-        return dataset
+        return masked(dataset)
 
     def _attributes(self) -> dict[str, Any]:
         """Return the attributes of a dataset of everything taken so far."""
@@ -193,8 +235,8 @@ class Writer:
 
             attributes = self._attributes() | {RESCUED: str(of)}
             with self._held(), self._lock:
-                beside = Store(create_store(free_beside(of), study, attributes), study)
-                beside.write(assemble(self.plan, self.accumulator, self.store.texts).assign_attrs(attributes))
+                beside = Store(create_store(free_beside(of), study, attributes), identity(study))
+                beside.write(assemble(self.plan, self.accumulator).assign_attrs(attributes))
             self._rescued = str(beside.location)
         more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
         sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {self._rescued}"
@@ -240,15 +282,6 @@ class Writer:
         for index, failure in failures.items():
             self._fail(self.plan.grid.point(index), failure)
         return failures
-
-    def _refuse_what_is_not_joined(self) -> None:
-        """Record as failed those finished points of a plain function whose integers floats of other points exclude."""
-        experiment = self.plan.grid.study.experiment
-        if isinstance(experiment, FunctionExperiment):
-            done = np.flatnonzero(self.accumulator.status == Status.DONE)
-            with self._lock:
-                for index, why in experiment.not_joined(self.accumulator.total, done).items():
-                    self._fail(self.plan.grid.point(index), Failure("exception", why))
 
     def _fail(self, point: GridPoint, failure: Failure) -> None:
         self.accumulator.fail(point.index)

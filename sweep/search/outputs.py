@@ -19,7 +19,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import reading_table, with_error
 from linksweep.sweep.search.search import Result, Search, match_tables, read_tables
 from linksweep.sweep.search.tables import MAGNITUDES, MOTIONS, NUMBERS, TYC
-from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.location import Folder
 from linksweep.sweep.tables.columns import unit_of
 
 if TYPE_CHECKING:

@@ -137,6 +137,11 @@ class Bucket:
                     raise
                 time.sleep(0.2)
 
+    def clear(self) -> None:
+        """Remove all objects."""
+        for key in self.keys():
+            self.delete(key)
+
     def keys(self, under: str = "") -> list[str]:
         """Return the names of all objects that begin with ``under``."""
         with self._errors():

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.code.load import SESSION, code_differences, code_of, unsteady
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract.block import ledger_key
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.block import ledger_key
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.stores.store import CODE, Store
@@ -81,7 +81,7 @@ def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
     elif store.next_row:
         for sentence in differences_of_code(store.attributes, study):
             say(f"other code goes on with {store.location}: {sentence}")
-    store.record_code(as_json(records))
+    store.record({CODE: as_json(records)})
 
 
 def continued(records: Sequence[CodeRecord], rows: int, study: Study) -> list[CodeRecord]:

@@ -15,9 +15,8 @@ from typing import Literal
 from uuid import uuid4
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.stores.folder import TAKING
-from linksweep.sweep.stores.location import Location, Where, located, reading, writing
-from linksweep.sweep.studies.record import command_line, host, now
+from linksweep.sweep.formatting import command_line, host, now
+from linksweep.sweep.stores.location import TAKING, Location, Where, located, reading, writing
 
 ATTEMPTS, PAUSE_S = 100, 0.02
 

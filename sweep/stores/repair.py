@@ -1,22 +1,24 @@
 """Checks every file of a store, and sets damaged ones aside so that the next run writes them anew."""
 
-import json
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.stores import chunk_names, snapshot
-from linksweep.sweep.stores.checksums import noting, unsealed
-from linksweep.sweep.stores.create import put_root
-from linksweep.sweep.stores.ledger import Ledger, rows_of
+from linksweep.sweep.stores import snapshot
+from linksweep.sweep.stores.integrity import LEDGER_THEN, ROOT, STORE, Manifest, noting, unsealed
+from linksweep.sweep.stores.ledger import Ledger, path_of
 from linksweep.sweep.stores.location import Location, Where, located, reading, writing
 from linksweep.sweep.stores.lock import holder, locked
-from linksweep.sweep.stores.manifest import MANIFEST, STORE, Manifest
-from linksweep.sweep.stores.opened import UNFINISHED
-from linksweep.sweep.stores.root import COPY, LEDGER_THEN, ROOT, copied, find_root, is_new, manifest_of, readable_copy
-from linksweep.sweep.stores.texts import Texts
+from linksweep.sweep.stores.store import (
+    UNFINISHED,
+    copied,
+    is_new,
+    manifest_of,
+    put_root,
+    read_root,
+    readable_copy,
+    reading_ledger,
+)
 
 CUT_SHORT = "is unfinished: its results are older than its ledger; nothing is damaged, and the same `sweep run` goes on"
 
@@ -65,14 +67,17 @@ def repair(where: Where, *, break_lock: bool = False) -> list[str]:
         for file in (*report.identity, *report.ledger):
             if (content := location.get(file)) is not None:
                 location.parent.put(f"{location.name}.damaged/{file}", content)
-        if COPY in report.identity:
-            ledger.put(COPY, copied(attributes))
-            done.append(f"{COPY} was made anew from {ROOT}")
-        if report.identity or report.ledger:
-            done += _mend(location, ledger, report.ledger)
+        damaged = dict(report.ledger)
+        for file in report.identity.keys() - {ROOT}:
+            ledger.put("study", copied(attributes))
+            done.append(f"{file}, the copy of {ROOT}, was made anew")
+        if report.identity or damaged:
+            done += [f"{file}: the next `sweep run` computes again what was in it" for file in damaged]
+            ledger.mend(damaged)
+            ledger.tidy()
         if ROOT in report.identity:
             put_root(location, {**attributes, LEDGER_THEN: ledger.manifest.model_dump_json()})
-            done.append(f"{ROOT} was made anew from {COPY}; the results are not in it until `sweep run` writes them")
+            done.append(f"{ROOT} was made anew from its copy; the results are not in it until `sweep run` writes them")
         if report.results:
             files = ", ".join(report.results)
             done.append(f"{files}: the next `sweep run` writes the results anew from the ledger")
@@ -84,9 +89,7 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], Ledger]:
     report = Report({}, {}, {})
     root: dict[str, Any] | None = None
     try:
-        root = find_root(location)
-        if root is None:
-            raise SweepError("no store there", str(location))
+        root = read_root(location)
         attributes = root["attributes"]
     except SweepError:
         copy = readable_copy(location)
@@ -97,11 +100,12 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], Ledger]:
         with noting(report.identity, ROOT):
             unsealed(location.get(ROOT), ROOT)
     of_root = Manifest(store=attributes[STORE]) if root is None else manifest_of(root)
-    ledger = Ledger(location, json.loads(attributes["ledger"]), of_root)
-    ledger.verify()
-    report.ledger.update(ledger.damaged | Texts(location, ledger).damaged)
-    if COPY in report.ledger:
-        report.identity[COPY] = report.ledger.pop(COPY)
+    with reading_ledger(location):
+        ledger = Ledger(location, of_root)
+        ledger.verify()
+    report.ledger.update(ledger.damaged)
+    if (copy_file := path_of(ledger.manifest.documents.get("study"))) in report.ledger:
+        report.identity[copy_file] = report.ledger.pop(copy_file)
     if root is not None:
         is_older = _check_results(location, root, report) or ledger.is_ahead or ledger.manifest != of_root
         if not report and not attributes.get("complete"):
@@ -127,38 +131,5 @@ def _check_results(location: Location, root: dict[str, Any], report: Report) -> 
         with noting(report.results, file):
             cut_short |= snapshot.array_document(content, file, root) != files[file]
     for name, document in documents.items():  # array by array: never all in memory
-        report.results.update(snapshot.damaged_chunks(root, location.get_all(chunk_names.chunk_keys({name: document}))))
+        report.results.update(snapshot.damaged_chunks(root, location.get_all(snapshot.chunk_keys({name: document}))))
     return cut_short
-
-
-def _mend(location: Location, ledger: Ledger, damaged: dict[str, str]) -> list[str]:
-    """Make a ledger whole without what was in damaged files, and return what was done."""
-    done = [f"{file}: the next `sweep run` computes again what was in it" for file in damaged]
-    index = ledger.columns["index"]
-    rows = index.read({})
-    _, starts, counts = rows_of(rows)
-    lost = np.zeros(len(rows), dtype=bool)
-    for name, column in ledger.columns.items():
-        if column.description in damaged:
-            location.put(column.description, column.described(len(column.checksums)))
-            done.remove(f"{column.description}: the next `sweep run` computes again what was in it")
-            done.append(f"{column.description} was made anew")
-        for number in (number for number, key in enumerate(column.keys) if key in damaged):
-            first, last = column.place(number)
-            column.write(number, column.empty(last - first))
-            lost |= (starts < last) & (starts + counts > first) if name == "samples" else False
-            lost[first:last] |= name != "samples"
-    rows[lost] = 0
-    for number in range(len(index.checksums)):
-        first, last = index.place(number)
-        if lost[first:last].any():
-            index.write(number, rows[first:last])
-    for file in damaged.keys() & ledger.documents.known.keys():
-        del ledger.documents.known[file]
-    for file in damaged.keys() - {
-        MANIFEST,
-        *(key for c in ledger.columns.values() for key in (c.description, *c.keys)),
-    }:
-        location.delete(file)
-    ledger.flush(again=True)
-    return done

@@ -1,37 +1,52 @@
-"""The labelled dataset as files, and back: readers see each writing of it, a generation, whole or not at all."""
+"""The labelled dataset as files, and back: readers see each writing of it, a generation, whole or not at all.
 
+An array's chunks can have two sets of names, by two encodings of Zarr's specification, and each generation that changes
+the array uses the set that the last one does not.  So the files of the last generation stay as they are until the root
+document, replaced in one step, names those of the new one; a reader who opened the last one can read on until the
+generation after next begins.
+"""
+
+import itertools
 import json
 import math
+import re
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
-import zarr
+import numpy as np
 from zarr.buffer import cpu
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
-from linksweep.sweep.stores.checksums import SEAL, DamagedError, content_checksum, sealed, unsealed
-from linksweep.sweep.stores.chunk_names import ENCODINGS, chunk_key, chunk_places
-from linksweep.sweep.stores.document import MOST_VALUES
-from linksweep.sweep.stores.manifest import ANOTHER, REVISION, STORE, checked_revision
-from linksweep.sweep.stores.root import LEDGER_THEN
+from linksweep.sweep.stores.integrity import (
+    ANOTHER,
+    CHUNKS,
+    LEDGER_THEN,
+    MOST_VALUES,
+    REVISION,
+    SEAL,
+    STORE,
+    DamagedError,
+    checksum,
+    problem_of,
+    sealed,
+    unsealed,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
 
-CHECKSUMS = "chunk_checksums"
-"""The attribute of the root document with the checksums of the chunks that it refers to."""
+FILL = "_FillValue"
 
-CHUNK_VALUES = MOST_VALUES
-"""The most values of a chunk, 8 MB of floats.  Values are counted and not bytes, so that results on the same axes have
-the same chunks whatever their types, as Dask wants.
-"""
+MISSING_INT = int(np.iinfo(np.int64).min)
+"""What a file has in place of a missing integer or time, and says so: `FILL`."""
 
-TIMES = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian", "dtype": "int64"}
+SINCE = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian"}
+TIMES: Mapping[str, Any] = {**SINCE, "dtype": "int64", FILL: MISSING_INT}
 """The encoding of times, to the last nanosecond."""
 
 
@@ -75,7 +90,7 @@ class Encoded:
 
     def checksums(self) -> list[str]:
         """Return the checksums of its chunks, in the order of `chunk_places`."""
-        return [content_checksum(self.chunks[place]) for place in chunk_places(self.document)]
+        return [checksum(self.chunks[place]) for place in chunk_places(self.document)]
 
     def named(self, encoding: int) -> "Encoded":
         """Return the same array with its chunks under one of the two sets of names."""
@@ -96,6 +111,8 @@ def encode(dataset: "xr.Dataset") -> tuple[dict[str, Any], dict[str, Encoded]]:
         encoding[name] = {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "chunks": chunk_shape(variable)}
         if variable.dtype.kind == "M":
             encoding[name] |= TIMES
+        elif FILL in variable.encoding:
+            encoding[name][FILL] = variable.encoding[FILL]
     dataset.drop_encoding().to_zarr(
         MemoryStore(files), mode="w", consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
     )
@@ -116,9 +133,8 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
     import xarray as xr
 
     dask_arrays_only_where_imported()
-    checksums = chunk_checksums(root)
-    if any(not _is_meant(content, checksums.get(key)) for key, content in contents.items()):
-        raise DamagedError(damaged_chunks(root, contents))
+    if damaged := damaged_chunks(root, contents):
+        raise DamagedError(damaged)
     files: dict[str, Any] = {
         key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None
     }
@@ -128,63 +144,28 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
             dataset: xr.Dataset = opened.load()
-    except Exception as error:  # each codec of Zarr raises its own
-        damaged = damaged_chunks(root, contents)
-        raise (DamagedError(damaged) if damaged else ValueError(str(error))) from error
-    for name in (CHECKSUMS, LEDGER_THEN, STORE):
+    except Exception as error:  # of forged documents: each codec of Zarr raises its own
+        raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
+    for name in (CHUNKS, LEDGER_THEN, STORE):
         dataset.attrs.pop(name, None)
     return dataset
 
 
 def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:
     """Return what is wrong, by file, with the ``contents`` of files that `chunk_keys` names."""
-    damaged: dict[str, str] = {}
     checksums = chunk_checksums(root)
-    for name, document in arrays_of(root).items():
-        every = {chunk_key(name, document, place): place for place in chunk_places(document)}
-        places = {key: place for key, place in every.items() if key in contents}
-        if not places:
-            continue
-        files: dict[str, Any] = {"zarr.json": cpu.Buffer.from_bytes(json.dumps(document).encode())}
-        try:
-            array = zarr.open_array(MemoryStore(files), mode="r")
-        except Exception as error:  # a document that was forged
-            damaged |= dict.fromkeys(places, " ".join(str(error).split()) or type(error).__name__)
-            continue
-        for key, place in places.items():
-            if (content := contents[key]) is None:
-                damaged[key] = "it is missing"
-                continue
-            files[key.removeprefix(f"{name}/")] = cpu.Buffer.from_bytes(content)
-            try:
-                _ = array.blocks[place] if place else array[...]
-            except Exception as error:  # each codec of Zarr raises its own
-                damaged[key] = " ".join(str(error).split()) or type(error).__name__
-            else:
-                if not _is_meant(content, checksums.get(key)):
-                    damaged[key] = "it is whole, but not the chunk that the root document means"
-    return damaged
-
-
-def _is_meant(content: bytes | None, checksum: str | None) -> bool:
-    return content is not None and checksum == content_checksum(content)
+    return {key: text for key, content in contents.items() if (text := problem_of(content, checksums.get(key)))}
 
 
 def chunk_checksums(root: Mapping[str, Any]) -> dict[str, str]:
     """Return the checksum of each chunk by the name of its file."""
-    by_name = json.loads(root["attributes"].get(CHECKSUMS, "{}"))
+    by_name = json.loads(root["attributes"].get(CHUNKS, "{}"))
     return {
         chunk_key(name, document, place): checksum
         for name, document in arrays_of(root).items()
         if name in by_name
         for place, checksum in zip(chunk_places(document), by_name[name], strict=True)
     }
-
-
-def root_document(attributes: Mapping[str, Any], documents: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the document of the store's root: attributes, and a copy of the documents of all arrays of the dataset."""
-    copies = {"kind": "inline", "must_understand": False, "metadata": dict(documents)}
-    return {"zarr_format": 3, "node_type": "group", "attributes": dict(attributes), "consolidated_metadata": copies}
 
 
 def array_document(content: bytes | None, file: str, root: Mapping[str, Any]) -> dict[str, Any]:
@@ -195,18 +176,19 @@ def array_document(content: bytes | None, file: str, root: Mapping[str, Any]) ->
     """
     document = unsealed(content, file)
     known = arrays_of(root).get(file.removesuffix("/zarr.json"))
-    told = document["attributes"]
-    revision = checked_revision(told, root["attributes"][STORE], 1)
-    document["attributes"] = {key: value for key, value in told.items() if key not in (SEAL, STORE, REVISION)}
-    if document != known and revision <= root["attributes"]["generation"]:
+    attributes = {key: value for key, value in document["attributes"].items() if key not in (SEAL, STORE, REVISION)}
+    revision, same_store = (document["attributes"].get(key) for key in (REVISION, STORE))
+    document["attributes"] = attributes
+    is_later = type(revision) is int and revision > root["attributes"]["generation"]
+    if same_store != root["attributes"][STORE] or not (document == known or is_later):
         raise ValueError(ANOTHER)
     return document
 
 
 def described(document: Mapping[str, Any], file: str, attributes: Mapping[str, Any]) -> bytes:
     """Return the content of a file ``NAME/zarr.json``, written together with a root document of these attributes."""
-    own = {STORE: attributes[STORE], REVISION: attributes["generation"]}
-    return sealed({**document, "attributes": {**document["attributes"], **own}}, file)
+    about = {STORE: attributes[STORE], REVISION: attributes["generation"]}
+    return sealed({**document, "attributes": {**document["attributes"], **about}}, file)
 
 
 def arrays_of(root: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -215,13 +197,53 @@ def arrays_of(root: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def chunk_shape(variable: "xr.Variable") -> tuple[int, ...]:
-    """Return a shape for chunks of at most `CHUNK_VALUES` that are whole in the last dimensions: a point's values stay
+    """Return a shape for chunks of at most `MOST_VALUES` that are whole in the last dimensions: a point's values stay
     together, and a coordinate is one chunk.
     """
     shape = list(variable.shape)
     for axis in range(variable.ndim):
         rest = math.prod(shape[axis + 1 :])
-        shape[axis] = max(1, min(shape[axis], CHUNK_VALUES // max(1, rest)))
+        shape[axis] = max(1, min(shape[axis], MOST_VALUES // max(1, rest)))
         if shape[axis] > 1:
             break
     return tuple(shape)
+
+
+ENCODINGS = [{"name": name, "configuration": {"separator": "."}} for name in ("default", "v2")]
+
+
+def chunk_keys(documents: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return the names of all files of chunks of arrays, by their documents."""
+    return [chunk_key(name, array, place) for name, array in documents.items() for place in chunk_places(array)]
+
+
+def chunk_key(name: str, document: Mapping[str, Any], place: tuple[int, ...]) -> str:
+    """Return the name of a chunk's file, as the array's document asks."""
+    encoding = document["chunk_key_encoding"]
+    parts = [str(number) for number in place]
+    if encoding["name"] == "v2":
+        return f"{name}/{encoding['configuration']['separator'].join(parts) or '0'}"
+    return f"{name}/{encoding['configuration']['separator'].join(['c', *parts])}"
+
+
+def chunk_places(document: Mapping[str, Any]) -> Iterator[tuple[int, ...]]:
+    """Yield the places of all chunks of an array."""
+    chunk = document["chunk_grid"]["configuration"]["chunk_shape"]
+    return itertools.product(*(range(-(-n // size)) for n, size in zip(document["shape"], chunk, strict=True)))
+
+
+def leftovers(keys: Collection[str], documents: Collection[str]) -> set[str]:
+    """Return the files of the dataset's arrays, and of arrays that it no longer has, among the names of all files."""
+    folders: dict[str, set[str]] = {}
+    for key in keys:
+        folder, separator, _ = key.partition("/")
+        if separator:
+            folders.setdefault(folder, set()).add(key)
+    chunk = re.compile(r"[^/]+/(c|c\.|\d)[\d.]*")
+    known = {name for name in folders if name in documents or all(map(chunk.fullmatch, folders[name]))}
+    return {key for name in known for key in folders[name]}
+
+
+def encoding_of(document: Mapping[str, Any]) -> int:
+    """Return which of the two sets of names an array's chunks have."""
+    return int(document["chunk_key_encoding"]["name"] == "v2")

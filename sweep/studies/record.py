@@ -2,11 +2,9 @@
 
 import json
 import platform
-import shlex
 import subprocess
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,9 +12,8 @@ from typing import Any
 from linksweep.sweep.code.load import Code, SourceFunction
 from linksweep.sweep.code.reach import version_of
 from linksweep.sweep.contract import Experiment, Named, Output, Parameter, SweepError, shown
-from linksweep.sweep.formatting import COMMAND, without_secrets
-from linksweep.sweep.functions.adapter import FunctionExperiment
-from linksweep.sweep.functions.record import experiment_of_record, layout_of_record
+from linksweep.sweep.formatting import command_line, host, now
+from linksweep.sweep.functions.adapter import FunctionExperiment, experiment_of_record, layout_of_record
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.study import POINT_TABLE, Study
 from linksweep.sweep.tables.file import as_json, content_digest
@@ -60,8 +57,8 @@ def recorded(study: Study, costs: Costs | None) -> str:
     record = {name: getattr(experiment, name) for name in _SAME}
     for name in ("parameters", "outputs", "sample_outputs"):
         record[name] = [_declared(one) for one in getattr(experiment, name)]
-    if isinstance(experiment, FunctionExperiment):
-        record |= {"coordinates": {}, "function": experiment.as_record()}
+    if further := experiment.as_record():
+        record |= {"coordinates": {}} | further
     if costs is not None:
         record |= {"cost_axes": costs[0], "costs": {as_json(list(key)): cost for key, cost in costs[1].items()}}
     return json.dumps(record, default=dict)  # mappings that are no dict
@@ -196,21 +193,6 @@ def provenance(study: Study) -> dict[str, Any]:
 def outer_draw_of(attributes: Mapping[Any, Any]) -> str:
     """Return what results with these attributes call draws that several realisations share."""
     return str(attributes.get(OUTER_DRAW, "outer draw" if "experiment" in attributes else "catalogue"))
-
-
-def host() -> str:
-    """Return the name of this machine."""
-    return platform.node()
-
-
-def command_line() -> str:
-    """Return the `sweep` command that this process runs, as a person would type it but for secrets; '' in a script."""
-    return without_secrets(shlex.join(COMMAND))
-
-
-def now() -> str:
-    """Return the time as ISO 8601 in UTC, to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 @cache  # this process computes with the code that it has imported

@@ -13,8 +13,7 @@ import numpy as np
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import to_json
-from linksweep.sweep.stores.folder import Folder
-from linksweep.sweep.stores.location import reading
+from linksweep.sweep.stores.location import Folder, reading
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -104,7 +104,7 @@ def test_the_declaration_is_complete():
     assert len({p.name for p in PARAMETERS}) == len(PARAMETERS)
     written = {p: dict(p.default) if p.kind == "map" else p.default for p in PARAMETERS}
     assert all(raw is None or p.parse(raw) == p.default for p, raw in written.items())
-    assert link.sums_width == 6 + 36 + 1 + 6 + 8 + 6 + 6 + 1 + 3 + 3 + 1 + 6 + 1
+    assert link.reducer.dtype.itemsize // 8 == 6 + 36 + 1 + 6 + 8 + 6 + 6 + 1 + 3 + 3 + 1 + 6 + 1
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,8 @@
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.executing.worker import run_block
+from linksweep.sweep.contract.block import BlockRows, ledger_key
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.block import ledger_key
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.streams import generators_of
@@ -23,15 +22,16 @@ def results_of(document) -> xr.Dataset:
     for point in plan.grid.points():
         together.setdefault(point.stream, []).append(point)
     defaults, seed = study.experiment.defaults(), study.sampling.seed
-    rows, sums = {}, []
+    keys, rows = [], []
     for stream, points in together.items():
         full = [defaults | point.parameters for point in points]
         for block in plan.blocks(max(plan.cost(p.parameters) for p in points)):
-            rows |= {ledger_key(p.digest, block): len(sums) + k for k, p in enumerate(points)}
-            pairs = generators_of(seed, stream, block)
-            sums.extend(run_block(study.experiment, full, block.n_sim, pairs)[0])
-    accumulator = Accumulator(plan, rows, np.array(sums))
+            keys += [ledger_key(p.digest, block) for p in points]
+            outcomes = study.experiment.compute(full, block.n_sim, generators_of(seed, stream, block))
+            rows += [outcome.row for outcome in outcomes]
+    ledger, index = np.array(rows, dtype=study.experiment.reducer.dtype), BlockRows(keys)
+    accumulator = Accumulator(plan, index, ledger)
     dataset = assemble(plan, accumulator)
     if study.sampling.common_random_numbers:
-        dataset = dataset.assign(covariances(plan, accumulator, rows, np.array(sums)))
+        dataset = dataset.assign(covariances(plan, accumulator, index, ledger))
     return dataset.assign_attrs(provenance(study))

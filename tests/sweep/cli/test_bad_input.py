@@ -579,10 +579,10 @@ def loop_of_links(place: Path) -> None:
 FOREIGN: dict[Callable[[Path], None], str] = {
     foreign_directory: "is not a store of linksweep (foreign or half-made)",
     plain_file: "is a file, not a Zarr store",
-    half_made: "zarr.json and its copy blocks/zarr.json are both damaged",
+    half_made: "zarr.json and its copy in blocks are both damaged",
     truncated_metadata: "is not a store of linksweep (foreign or half-made)",
     foreign_zarr: "is not a store of linksweep (foreign or half-made)",
-    newer_format: "has store format 99; this version of linksweep reads format 4. It is newer",
+    newer_format: "has store format 99; this version of linksweep reads format 5. It is newer",
 }
 
 
@@ -690,11 +690,11 @@ def garble_identity(store: Path) -> None:
 
 
 def garble_ledger_metadata(store: Path) -> None:
-    (store / "blocks" / "index" / "zarr.json").write_text("{")
+    (store / "blocks" / "zarr.json").write_text("{")
 
 
 def flip_ledger_byte(store: Path) -> None:
-    chunk = next(p for p in sorted((store / "blocks" / "sums").rglob("*")) if p.is_file() and p.name != "zarr.json")
+    chunk = next((store / "blocks").glob("rows.*"))
     content = bytearray(chunk.read_bytes())
     content[len(content) // 2] ^= 0xFF
     chunk.write_bytes(content)

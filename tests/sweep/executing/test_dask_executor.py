@@ -6,7 +6,6 @@ import time
 from types import SimpleNamespace
 
 import distributed
-import numpy as np
 import pytest
 from distributed.comm import CommClosedError
 
@@ -38,7 +37,7 @@ class Ended:
     status = "finished"
 
     def __init__(self, works):
-        self.answer = Answer("somewhere", [], [], failed(len(works), 2))
+        self.answer = Answer("somewhere", [], [], failed(len(works)))
 
     def add_done_callback(self, call):
         call(self)
@@ -107,7 +106,7 @@ def run(monkeypatch, loop):
         client.loop = loop
         study = study_from_dict(STUDY)
         plan = Plan(make_grid(study))
-        pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+        pending = Pending(plan, Accumulator(plan))
         workers = DaskWorkers(client, "a client", study.experiment_reference, print)
         workers.prepare()
         return [len(works) for works, _ in of_study(study, DaskDriver(workers, NO_LIMITS))(pending.take)]

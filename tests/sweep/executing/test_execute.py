@@ -49,7 +49,7 @@ def written(path, places):
 def test_the_study_puts_deadly_blocks_beside_innocent_ones():
     """What the next test needs: some blocks a point, and many points' blocks in a task."""
     plan = Plan(make_grid(study_from_dict(document(range(20)))))
-    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    pending = Pending(plan, Accumulator(plan))
     tasks = pending.take(1)
     pending.settle(tasks[0], np.array([1e-4]))
     tasks += pending.take(1000)

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
-import zarr
 
 from tests.patience import PATIENCE_S
+from tests.sweep.opening import rows_on_disk
 from tests.sweep.outside import Outside, below, command_of, listening, wait_until, workers_below
 
 LONG = ("--set", "n_sim=20000", "--set", "n_cat=6")
@@ -25,10 +25,7 @@ def results(store):
 def started_to_write(store: Path, process):
     def rows():
         assert process.poll() is None, process.communicate()[1]
-        try:
-            return zarr.open_array(store, path="blocks/index", mode="r")[:].any()
-        except (FileNotFoundError, ValueError):
-            return False
+        return rows_on_disk(store) > 0
 
     wait_until(rows, "the first results")
 

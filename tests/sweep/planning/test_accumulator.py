@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from linksweep.sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract.block import Block, BlockRows, ledger_key
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.block import Block, ledger_key
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
@@ -49,6 +49,11 @@ experiment = Experiment(
 )
 
 
+def row(sums, accumulator):
+    """What a block leaves of a point."""
+    return np.array([tuple(sums)], dtype=accumulator.reducer.dtype)
+
+
 def plan_of(headlines=("a", "b"), **sampling):
     study = study_from_dict(
         {"title": "", "experiment": f"{__file__}:experiment", "sampling": {"n_sim": 100} | sampling}
@@ -59,13 +64,13 @@ def plan_of(headlines=("a", "b"), **sampling):
 
 def rounds(plan):
     """Return the realisations that a point has after each round, as it asks for them."""
-    accumulator = Accumulator(plan, {}, np.empty((0, 0)))
+    accumulator = Accumulator(plan)
     (point,) = plan.grid.points()
     blocks, reached = list(accumulator.missing(point)), []
     while blocks:
         more = []
         for block in blocks:
-            more += accumulator.add(point, block, np.array([float(block.realisations)]))
+            more += accumulator.add(point, block, row([block.realisations], accumulator))
         reached.append(int(accumulator.realisations[0]))
         blocks = more
     assert accumulator.status[0] == Status.DONE
@@ -98,7 +103,7 @@ def test_blocks_are_added_in_their_own_order_whatever_that_of_their_arrival():
     random = np.random.default_rng(1)
     values, expected, totals = {}, np.zeros(1), set()
     for seed in range(20):
-        accumulator = Accumulator(plan, {}, np.empty((0, 0)))
+        accumulator = Accumulator(plan)
         blocks = list(accumulator.missing(point))
         while blocks:
             for block in blocks:
@@ -107,7 +112,9 @@ def test_blocks_are_added_in_their_own_order_whatever_that_of_their_arrival():
                     expected += values[block]
             arrived = np.random.default_rng(seed).permutation(len(blocks))
             blocks = [
-                more for place in arrived for more in accumulator.add(point, blocks[place], values[blocks[place]])
+                more
+                for place in arrived
+                for more in accumulator.add(point, blocks[place], row(values[blocks[place]], accumulator))
             ]
         totals.add(accumulator.total.tobytes())
     assert len(values) > 30
@@ -119,7 +126,7 @@ def test_a_failed_point_is_given_out_no_more_and_never_done(given_before):
     study = study_from_dict({"title": "", "experiment": COINS, "sampling": {"n_sim": 160}, "axes": {"coins": [1, 2]}})
     costly = replace(study.experiment, cost=lambda point: 2.0**24)  # ten blocks of 16 realisations, a task each
     plan = Plan(make_grid(replace(study, experiment=costly)))
-    accumulator = Accumulator(plan, {}, np.empty((0, 0)))
+    accumulator = Accumulator(plan)
     pending = Pending(plan, accumulator)
     first, second = plan.grid.points()
     before = [work for task in pending.take(given_before) for work in task]
@@ -128,7 +135,7 @@ def test_a_failed_point_is_given_out_no_more_and_never_done(given_before):
     after = [work for task in pending.take(10**6) for work in task]
     assert {point.digest for work in after for point in work.points} == {second.digest}
     for block in plan.blocks(2.0**24):  # those that were under way
-        assert accumulator.add(first, block, np.ones(2)) == []
+        assert accumulator.add(first, block, row((1.0, 1.0), accumulator)) == []
     assert accumulator.status[first.index] == Status.FAILED
 
 
@@ -205,10 +212,10 @@ def test_a_survey_of_many_points_is_that_of_one_after_the_other(name, only_faile
     digests = [point.digest for point in plan.grid.points()]
     [block] = plan.blocks(1.0)
     held, failed = digests[::2], digests[1:3]
-    rows = {ledger_key(digest, block): row for row, digest in enumerate(held)}
-    width = plan.grid.study.experiment.sums_width
-    sums = np.random.default_rng(1).normal(size=(len(rows), width))
-    given = (plan, rows, sums, failed, frozenset(failed) if only_failed else None)
+    rows = BlockRows([ledger_key(digest, block) for digest in held])
+    dtype = plan.grid.study.experiment.reducer.dtype
+    left = np.random.default_rng(1).normal(size=(len(held), dtype.itemsize // 8)).view(dtype).reshape(-1)
+    given = (plan, rows, left, failed, frozenset(failed) if only_failed else None)
     fast = Accumulator(*given)
     monkeypatch.setattr(Accumulator, "_only_block", lambda self: None)
     slow = Accumulator(*given)

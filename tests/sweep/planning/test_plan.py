@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract.block import BlockRows, ledger_key
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.block import ledger_key
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan
 from linksweep.sweep.planning.tuning import TUNED
@@ -28,7 +28,7 @@ def plan_of(document, **sampling):
 
 def work_of(plan):
     """All work of a plan, in order."""
-    nothing = Accumulator(plan, {}, np.empty((0, 0)))
+    nothing = Accumulator(plan)
     return [work for task in Pending(plan, nothing).take(10**6) for work in task]
 
 
@@ -110,7 +110,7 @@ def given_out(pending, seconds_of, workers=1):
 
 def test_tasks_hold_all_work_in_order(coins):
     plan = plan_of(coins, n_sim=300_000)
-    batches = given_out(Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))), lambda point: 1e-4)
+    batches = given_out(Pending(plan, Accumulator(plan)), lambda point: 1e-4)
     expected = [
         ledger_key(point.digest, block)
         for point in plan.grid.points()
@@ -130,7 +130,7 @@ def points_of(coins, count):
 def test_tasks_are_of_about_a_second_and_enough_for_all(coins, seconds, workers):
     """Whatever the experiment declares as its cost: here one random number for each realisation."""
     plan = points_of(coins, 5000)
-    tasks = given_out(Pending(plan, Accumulator(plan, {}, np.empty((0, 0)))), lambda point: seconds, workers)
+    tasks = given_out(Pending(plan, Accumulator(plan)), lambda point: seconds, workers)
     assert sum(map(len, tasks)) == 5000
     assert all(len(task) == 1 or len(task) * seconds <= 1.01 * TASK_S for task in tasks)
     most = TUNED.most_blocks
@@ -142,7 +142,7 @@ def test_tasks_are_of_about_a_second_and_enough_for_all(coins, seconds, workers)
 
 def test_tasks_become_shorter_where_points_become_slower(coins):
     plan = points_of(coins, 5000)
-    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    pending = Pending(plan, Accumulator(plan))
     tasks = given_out(pending, lambda point: 1e-4 if point.index < 2500 else 0.3)
     slow = [task for task in tasks if task[0].points[0].index >= 2500]
     assert max(map(len, slow[20:])) <= 4
@@ -150,7 +150,7 @@ def test_tasks_become_shorter_where_points_become_slower(coins):
 
 def test_what_a_worker_did_not_come_to_is_pending_again(coins):
     plan = points_of(coins, 200)
-    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    pending = Pending(plan, Accumulator(plan))
     [first] = pending.take(1)
     pending.settle(first, np.array([1e-6]))
     [task] = pending.take(1)
@@ -165,7 +165,7 @@ def test_work_that_is_put_back_is_shared_among_all_like_other_work(coins):
     sizes = []
     for put_back in (0, 60):
         plan = points_of(coins, 2000)
-        pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+        pending = Pending(plan, Accumulator(plan))
         [first] = pending.take(1)
         pending.settle(first, np.array([0.02]))
         for number in range(put_back):  # again and again: nothing of it is lost
@@ -181,7 +181,7 @@ def test_work_of_points_that_share_a_draw_is_put_back_whole():
     """A worker that stops inside of it has not done it: there is a second for each point."""
     study = load_study("quasars", ["n_cat=3", "n_sim=64", "common_random_numbers=true"])
     plan = Plan(make_grid(study))
-    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    pending = Pending(plan, Accumulator(plan))
     tasks = pending.take(3)
     assert [len(task) for task in tasks] == [1, 1, 1]
     several = tasks[0] + tasks[1] + tasks[2]
@@ -216,7 +216,7 @@ def test_a_block_is_bounded(coins):
 def test_the_survey_counts_what_is_pending(coins):
     plan = plan_of(coins)
     keys = keys_of(coins)
-    survey = Accumulator(plan, {key: row for row, key in enumerate(keys[:3])}, np.ones((3, 2))).survey
+    survey = Accumulator(plan, BlockRows(keys[:3]), np.ones(3, plan.grid.study.experiment.reducer.dtype)).survey
     assert survey.total.points == 6
     assert survey.total.realisations == 6 * 20_000
     assert survey.total.blocks == len(keys)
@@ -233,8 +233,8 @@ def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, held)
     plan = Plan(make_grid(study))
     blocks = [(point, block) for point in plan.grid.points() for block in plan.blocks(plan.cost(point.parameters))]
     keys = [ledger_key(point.digest, block) for point, block in blocks if block.group < held]
-    sums = np.ones((len(keys), study.experiment.sums_width))
-    accumulator = Accumulator(plan, {key: row for row, key in enumerate(keys)}, sums)
+    left = np.ones(len(keys), study.experiment.reducer.dtype)
+    accumulator = Accumulator(plan, BlockRows(keys), left)
     pending, given = Pending(plan, accumulator), 0.0
     while tasks := pending.take(1):
         given += sum(work.cost for work in tasks[0])
@@ -245,7 +245,7 @@ def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, held)
 @pytest.mark.parametrize("threads", [2, slow(5_000)])
 def test_tasks_are_longer_on_more_threads_than_tasks_may_end_in_a_second(coins, threads):
     plan = points_of(coins, 30_000)
-    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))))
+    pending = Pending(plan, Accumulator(plan))
     first = [task for _ in range(threads * TASKS_IN_FLIGHT) for task in pending.take(1)]
     seconds = np.full(1, 10.0)
     pending.settle(first[0], seconds)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linksweep.sweep.planning.block import Block
+from linksweep.sweep.contract.block import Block
 from linksweep.sweep.planning.streams import generators, generators_of
 
 SEEDS = st.sampled_from([0, 5, 2**32, 2**64 - 1]) | st.integers(0, 2**64 - 1)

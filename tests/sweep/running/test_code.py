@@ -7,8 +7,7 @@ import pytest
 
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.reproduce import reproduce
-from linksweep.sweep.stores.opened import OpenStore
-from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.stores.store import OpenStore, open_dataset
 from tests.sweep.user import write_experiment, write_study
 from tests.tiers import slow
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from linksweep.sweep.contract import Experiment, Outcome
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.checked_grid import make_grid
@@ -124,7 +125,7 @@ def test_a_larger_study_keeps_the_numbers_of_the_smaller_one(coins, tmp_path):
 
 def test_a_finished_study_is_not_computed_again(coins, tmp_path, monkeypatch):
     first, _ = run(coins, tmp_path / "s.zarr")
-    monkeypatch.setattr("linksweep.sweep.executing.worker.run_block", None)  # would raise
+    monkeypatch.setattr(Experiment, "compute", None)  # would raise
     again, failures = run(coins, tmp_path / "s.zarr")
     assert not failures
     xr.testing.assert_identical(first.drop_attrs(), again.drop_attrs())
@@ -139,7 +140,7 @@ def test_work_in_flight_is_bounded(coins, tmp_path, monkeypatch):
     study = study_from_dict(coins | {"sampling": {"n_sim": 5, "n_cat": 8}})
     monkeypatch.setattr("linksweep.sweep.planning.plan.TARGET", 1.0)  # one catalogue a block
     plan = Plan(make_grid(study))
-    pending = Pending(plan, Accumulator(plan, {}, np.empty((0, 0))), Tuning(most_blocks=1))
+    pending = Pending(plan, Accumulator(plan), Tuning(most_blocks=1))
     drawn = 0
 
     def take(count):
@@ -162,9 +163,7 @@ def test_dask_gives_the_bits_of_the_serial_reference(coins, tmp_path, pool):
 
 
 def test_a_point_of_nothing_but_nan_has_failed(coins, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "linksweep.sweep.executing.worker.run_block", lambda *arguments: (np.full((1, 2), np.nan), None)
-    )
+    monkeypatch.setattr(Experiment, "compute", lambda *arguments: [Outcome((np.nan, np.nan))])
     dataset, failures = run(coins, tmp_path / "s.zarr")
     assert set(failures.values()) == {"share is NaN"}
     assert (dataset["status"] == 2).all()

@@ -8,15 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-import zarr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import linksweep
 from linksweep import Output, SweepError, experiment
-from linksweep.sweep.functions.layout import Layout
 from linksweep.sweep.running.reproduce import reproduce
-from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.store import OpenStore
 from tests.tiers import examples, slow
 
 T = np.linspace(0.0, 160.0, 81)
@@ -110,12 +108,19 @@ def test_points_that_are_not_like_the_first_fail_by_name_and_the_rest_goes_on(tm
     assert "4 points failed" in caplog.text
 
 
-def test_large_integers_stay_exact_beside_points_that_failed(tmp_path):
+def test_integers_beside_points_that_failed_are_missing_there_and_exact_in_the_file(tmp_path):
     def large(k: int):
-        return {"y": 2**60 + k // (k != 1)}
+        return {"y": 2**60 + k // (k != 1), "n": k // (k != 1), "t": np.datetime64("2024-01-01") + k // (k != 1)}
 
     ds = run(large, tmp_path / "s.zarr", axes={"k": range(3)})
-    assert ds.y.values.tolist() == [2**60, np.iinfo(np.int64).min, 2**60 + 2]
+    np.testing.assert_array_equal(ds.n, [0.0, np.nan, 2.0])
+    plain = xr.open_zarr(tmp_path / "s.zarr").load()
+    for name in ("y", "n", "t"):
+        assert plain[name].isnull().values.tolist() == [False, True, False]
+        assert plain[name].identical(ds[name])
+    exact = xr.open_zarr(tmp_path / "s.zarr", mask_and_scale=False)
+    assert exact.y.dtype == np.int64
+    assert exact.y.values.tolist() == [2**60, exact.y.attrs["_FillValue"], 2**60 + 2]
 
 
 def test_where_every_point_fails_the_store_says_why_and_goes_on_later(tmp_path):
@@ -349,9 +354,8 @@ def test_a_precision_takes_the_same_realisations_in_every_run(tmp_path, pool):
         "store": tmp_path / "q.zarr",
     }
     ds = linksweep.run(queue, pool=pool, workers=1 if pool == "serial" else 2, **study)
-    index = zarr.open_group(tmp_path / "q.zarr", path="blocks")["index"][:]
-    keys = index[index.any(axis=1)]
-    assert len(keys) == len(np.unique(keys, axis=0))
+    keys = OpenStore(tmp_path / "q.zarr").ledger().rows.keys_of_rows()
+    assert len(keys) == len(set(keys))
     assert ds.n_sim_done.values.tolist() == [3584, 1536, 1536]
     assert linksweep.run(queue, **study).drop_attrs().identical(ds.drop_attrs())
 
@@ -552,25 +556,18 @@ def test_workers_join_as_one_process_does(tmp_path):
     assert serial.half.values.tolist() == [k / 2 for k in range(12)]
 
 
-def test_a_store_of_integers_that_an_older_version_made_goes_on_with_floats(tmp_path, monkeypatch):
-    """Its layout says int, and its rows do not say what they hold."""
-
+def test_a_store_of_integers_goes_on_with_floats(tmp_path):
     def steps(k: int):
-        return {"n": k, "half": k / 2 if k % 2 else k // 2}
+        return {"n": k, "half": k / 2 if k % 2 else 2**53 + k if k > 8 else k // 2}
 
-    with monkeypatch.context() as older:
-        older.setattr(Layout, "floats", property(lambda layout: layout))
-        run(steps, tmp_path / "s.zarr", axes={"k": [0, 2]})
-    ds = run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 2, 3]})
-    assert (
-        json.loads(OpenStore(tmp_path / "s.zarr").attributes["experiment_record"])["function"]["layout"]["fields"][1][
-            "type"
-        ]
-        == "int"
-    )
-    assert ds.half.values.tolist() == [0.0, 0.5, 1.0, 1.5]
-    assert ds.n.dtype == np.int64
-    assert ds.n.values.tolist() == [0, 1, 2, 3]
+    first = run(steps, tmp_path / "s.zarr", axes={"k": [0, 2, 10]})
+    assert (first.half.dtype, first.half.values.tolist()) == (np.int64, [0, 1, 2**53 + 10])
+    ds = run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 2, 3, 10]})
+    assert ds.half.values[:4].tolist() == [0.0, 0.5, 1.0, 1.5]
+    assert "beyond 2**53" in json.loads(ds.attrs["failures"])["k=10"]
+    assert ds.n.values[:4].tolist() == [0, 1, 2, 3]
+    whole = run(steps, tmp_path / "whole.zarr", axes={"k": [0, 1, 2, 3, 10]})
+    xr.testing.assert_identical(ds.drop_attrs(), whole.drop_attrs())
 
 
 def test_a_first_integer_does_not_decide_for_realisations(tmp_path):

@@ -495,7 +495,7 @@ def test_what_was_finished_before_is_kept(tmp_path, start_sweep, sweep):
     (tmp_path / "study.toml").write_text(sleepers(0.3, sheep=8))
     store = tmp_path / "s.zarr"
     process = start_sweep("run", tmp_path / "study.toml", "-o", store, "--pool", "serial", start_new_session=True)
-    wait_for((store / "blocks" / "index" / "c").exists)
+    wait_for((store / "blocks" / "zarr.json").exists)
     returned, err = stopped(process, signal.SIGTERM)
     assert returned == 143, err
     assert int(xr.open_zarr(store)["n_sim_done"].sum()) > 0

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import linksweep
+from linksweep.sweep.stores.integrity import MANIFEST
 from linksweep.sweep.stores.lock import holder
-from linksweep.sweep.stores.manifest import MANIFEST
 from tests.patience import PATIENCE_S
 
 MODEL = """
@@ -51,7 +51,7 @@ def started(tmp_path):
 
 def _has_some(store):
     from linksweep.sweep.contract import SweepError
-    from linksweep.sweep.stores.opened import OpenStore
+    from linksweep.sweep.stores.store import OpenStore
 
     try:
         return len(OpenStore(store).ledger().rows) > 0 and (store / "status" / "zarr.json").exists()

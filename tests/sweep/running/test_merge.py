@@ -9,9 +9,9 @@ import pytest
 import linksweep
 from linksweep import SweepError
 from linksweep.sweep.running.merge import MERGED, merge
-from linksweep.sweep.stores.folder import Folder
-from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.location import Folder
 from linksweep.sweep.stores.repair import check
+from linksweep.sweep.stores.store import OpenStore
 from tests.tiers import slow
 
 MODEL = (

@@ -8,7 +8,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import SweepError
-from linksweep.sweep.stores.opened import OpenStore
+from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
 from tests.tiers import slow
 

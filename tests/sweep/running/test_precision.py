@@ -80,8 +80,7 @@ def test_the_numbers_do_not_depend_on_who_computes_them(tmp_path, resources):
 
 def test_a_run_stopped_between_rounds_goes_on_to_the_same_numbers(tmp_path, monkeypatch):
     whole, _ = run_study(study(), tmp_path / "whole.zarr", SERIAL)
-    from linksweep.sweep.executing.worker import run_block
-
+    compute = Experiment.compute
     for stop_at in (1, 4, 5, 9, 13):
         blocks = []
 
@@ -89,9 +88,9 @@ def test_a_run_stopped_between_rounds_goes_on_to_the_same_numbers(tmp_path, monk
             blocks.append(1)
             if len(blocks) > stop_at:
                 raise KeyboardInterrupt
-            return run_block(*arguments)
+            return compute(*arguments)
 
-        monkeypatch.setattr("linksweep.sweep.executing.worker.run_block", stopped)
+        monkeypatch.setattr(Experiment, "compute", stopped)
         with pytest.raises(RunInterruptedError):
             run_study(study(), tmp_path / "s.zarr", SERIAL)
         monkeypatch.undo()

@@ -10,9 +10,9 @@ import pytest
 from click.testing import CliRunner
 
 from linksweep.sweep.cli import main
+from linksweep.sweep.contract.block import Block
 from linksweep.sweep.executing.task import TaskResult
 from linksweep.sweep.formatting import in_words, per_second
-from linksweep.sweep.planning.block import Block
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
 from linksweep.sweep.running.failures import failed_points
@@ -186,7 +186,7 @@ def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeyp
     for second in range(1, seconds + 1):
         clock = float(second)
         before = len(told)
-        progress.advance([work], TaskResult(np.zeros((1, 2)), np.ones(1)), taken)
+        progress.advance([work], TaskResult(np.ones(1)), taken)
         if len(told) > before:
             spoken.append(second)
     gaps = np.diff(spoken)
@@ -220,7 +220,7 @@ def summary_of(study, seconds, blocks):
     for point in make_grid(study).points():
         work = Work((point,), Block(0, 0, 0, 1, 1), 1.0)
         for _ in range(blocks):
-            result = TaskResult(np.zeros((1, 2)), np.array([seconds[point.index] / blocks]))
+            result = TaskResult(np.array([seconds[point.index] / blocks]))
             taken = Taken(PlanSize(1, 1, 1, 1.0), PlanSize(0, 0, 0, 0.0), (), {})
             progress.advance([work], result, taken)
     return progress.summary(100.0)

@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from linksweep.sweep.executing import worker
+from linksweep.sweep.contract import Experiment
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.planning.tuning import Tuning
 from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
 
@@ -51,7 +52,7 @@ def test_a_failed_point_is_recorded_with_its_traceback_and_left_alone(broken, tm
     store, mend = broken
     report = json.loads(sweep("status", store, "--json")[1])
     assert report["failures"]["metal=tin,coins=5"] == "ZeroDivisionError: no tin coins left"
-    records = json.loads((store / "failures" / "zarr.json").read_text())["attributes"]["failures"]
+    records = OpenStore(store).ledger().failures
     assert all("fragile.py" in r["traceback"] and r["kind"] == "exception" for r in records.values())
     mend()
     code, _, err = sweep("run", tmp_path / "coins.toml", "-o", store)
@@ -80,7 +81,7 @@ def test_retry_computes_the_failed_points_and_only_those(broken, tmp_path, sweep
 @pytest.mark.slow
 def test_retry_leaves_what_is_only_missing(coins, tmp_path, monkeypatch):
     study = study_from_dict(coins)
-    run_block = worker.run_block
+    compute = Experiment.compute
     begun = []
 
     def stopped(experiment, points, *rest):
@@ -89,9 +90,9 @@ def test_retry_leaves_what_is_only_missing(coins, tmp_path, monkeypatch):
             raise ValueError("no")
         if points[0]["coins"] == 20:
             raise KeyboardInterrupt
-        return run_block(experiment, points, *rest)
+        return compute(experiment, points, *rest)
 
-    monkeypatch.setattr("linksweep.sweep.executing.worker.run_block", stopped)
+    monkeypatch.setattr(Experiment, "compute", stopped)
     with pytest.raises(RunInterruptedError):
         run_study(study, tmp_path / "s.zarr", Resources(pool="serial"), tuning=Tuning(most_blocks=1))
     monkeypatch.undo()

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 import xarray as xr
-import zarr
 
 from tests.patience import PATIENCE_S
+from tests.sweep.opening import rows_on_disk
 from tests.sweep.outside import Outside
 from tests.tiers import slow
 
@@ -60,13 +60,6 @@ def long_reference(link_study, tmp_path, sweep):
     code, _, err = sweep("run", link_study, "-o", tmp_path / "serial.zarr", "--pool", "serial", *LONG)
     assert code == 0, err
     return results(tmp_path / "serial.zarr")
-
-
-def rows_on_disk(store: Path) -> int:
-    try:
-        return int(zarr.open_array(store, path="blocks/index", mode="r")[:].any(axis=1).sum())
-    except (FileNotFoundError, ValueError):
-        return 0
 
 
 def wait_for_rows(store: Path, process: subprocess.Popen) -> int:

@@ -15,23 +15,23 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.tuning import Tuning
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.stores import folder, ledger_arrays
-from linksweep.sweep.stores.checksums import sealed, unsealed
-from linksweep.sweep.stores.folder import Folder
-from linksweep.sweep.stores.location import located
+from linksweep.sweep.stores import ledger
+from linksweep.sweep.stores import location as folder
+from linksweep.sweep.stores.integrity import sealed, unsealed
+from linksweep.sweep.stores.location import Folder, located
 from linksweep.sweep.stores.repair import check, repair
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.studies.record import provenance
-from tests.sweep.opening import create_or_resume, existing_store
+from tests.sweep.opening import create_or_resume, existing_store, parts_of
 from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
 
 
 def small_chunks(monkeypatch, rows=4):
-    monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", rows)
-    monkeypatch.setattr(ledger_arrays, "CHUNK_BYTES", {"index": 16, "sums": 16, "samples": 2**15})
+    monkeypatch.setattr(ledger, "FEWEST_RECORDS", rows)
+    monkeypatch.setattr(ledger, "PART_BYTES", {"rows": 16, "samples": 2**15, "texts": 16})
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def test_any_two_files_exchanged_are_found_or_harmless(two_writings):
     _, store = two_writings
     wanted = open_dataset(store)
     files = sorted(path for path in store.rglob("*") if path.is_file())
-    assert len([file for file in files if "blocks/sums/c" in str(file)]) > 1
+    assert len([file for file in files if "blocks/rows" in str(file)]) > 1
     used = in_use(store)
     found = exchanged = 0
     for one, other in itertools.combinations(files, 2):
@@ -78,23 +78,24 @@ def test_any_two_files_exchanged_are_found_or_harmless(two_writings):
 
 def in_use(store):
     """The files that the root document means, and those of the ledger; the rest is of the writing before."""
-    from linksweep.sweep.stores import chunk_names, snapshot
+    from linksweep.sweep.stores import snapshot
 
     root = json.loads((store / "zarr.json").read_text())
     arrays = snapshot.arrays_of(root)
     ledger_files = {p.relative_to(store).as_posix() for p in (store / "blocks").rglob("*") if p.is_file()}
-    return {"zarr.json", *(f"{name}/zarr.json" for name in arrays), *chunk_names.chunk_keys(arrays), *ledger_files}
+    return {"zarr.json", *(f"{name}/zarr.json" for name in arrays), *snapshot.chunk_keys(arrays), *ledger_files}
 
 
 def test_exchanged_chunks_of_the_ledger_are_repaired_to_the_same_bits(two_writings):
     study, store = two_writings
     wanted = open_dataset(store)
-    one, other = (store / "blocks" / "sums" / "c" / str(number) / "0" for number in (0, 1))
+    names = parts_of(store)[:2]
+    one, other = (store / name for name in names)
     contents = one.read_bytes(), other.read_bytes()
     one.write_bytes(contents[1])
     other.write_bytes(contents[0])
-    assert set(check(store).ledger) == {"blocks/sums/c/0/0", "blocks/sums/c/1/0"}
-    with pytest.raises(SweepError, match="blocks/sums/c/0/0 is damaged"):
+    assert set(check(store).ledger) == set(names)
+    with pytest.raises(SweepError, match=f"{names[0]} is damaged"):
         existing_store(store, study)
     repair(store)
     again, _ = run_study(study, store, SERIAL)
@@ -114,12 +115,12 @@ def test_samples_of_another_block_are_found(tmp_path, monkeypatch):
         }
     )
     run_study(study, tmp_path / "s.zarr", SERIAL)
-    chunks = tmp_path / "s.zarr" / "blocks" / "samples" / "c"
-    shutil.copy(chunks / "1" / "0", chunks / "0" / "0")
-    assert "blocks/samples/c/0/0" in check(tmp_path / "s.zarr").ledger
-    with pytest.raises(SweepError, match="blocks/samples/c/0/0 is damaged"):
+    first, second = parts_of(tmp_path / "s.zarr", "samples")[:2]
+    shutil.copy(tmp_path / "s.zarr" / second, tmp_path / "s.zarr" / first)
+    assert first in check(tmp_path / "s.zarr").ledger
+    with pytest.raises(SweepError, match=f"{first} is damaged"):
         existing_store(tmp_path / "s.zarr", study).verify()
-    (chunks / "0" / "0").unlink()
+    (tmp_path / "s.zarr" / first).unlink()
     repair(tmp_path / "s.zarr")  # rows whose samples are lost do not count as done
     held = existing_store(tmp_path / "s.zarr", study).rows
     assert 0 < len(held) < len(json.loads((tmp_path / "s.zarr" / "zarr.json").read_text())) + 10
@@ -155,7 +156,7 @@ def test_a_copy_made_during_a_run_is_whole_or_refused(tmp_path, coins):
     document = coins | {"sampling": {"n_sim": 600, "n_cat": 20, "seed": 7}}
     wanted, _ = run_study(study_from_dict(document), tmp_path / "whole.zarr", SERIAL)
     whole = existing_store(tmp_path / "whole.zarr", study_from_dict(document))
-    expected = {key: whole.sums()[row].tobytes() for key, row in whole.rows.items()}
+    expected = {key: whole.read()[row].tobytes() for key, row in whole.rows.items()}
     (tmp_path / "runs").mkdir()
     process = subprocess.Popen(
         [sys.executable, "-W", "ignore", "-c", RUN, str(tmp_path / "runs"), json.dumps(document)],
@@ -182,7 +183,7 @@ def test_a_copy_made_during_a_run_is_whole_or_refused(tmp_path, coins):
                 except SweepError:
                     held = None
                 if held is not None:
-                    assert all(expected[key] == held.sums()[row].tobytes() for key, row in held.rows.items())
+                    assert all(expected[key] == held.read()[row].tobytes() for key, row in held.rows.items())
             done = dataset["status"].values == 1
             assert np.array_equal(dataset["share"].values[done], wanted["share"].values[done])
             assert np.isnan(dataset["share"].values[~done]).all()
@@ -255,7 +256,6 @@ def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request
 def test_a_store_of_the_first_moment_is_unfinished(tmp_path, coins, sweep):
     study = study_from_dict(coins)
     create_or_resume(tmp_path / "s.zarr", study, provenance(study))
-    (tmp_path / "s.zarr" / "blocks" / "zarr.json").unlink()
     code, out, _ = sweep("check", tmp_path / "s.zarr")
     assert code == 0
     assert "is unfinished" in out
@@ -272,8 +272,9 @@ def test_a_flipped_root_is_damaged_wherever_the_bit(place, coins, step):
     create_or_resume(place, study, provenance(study))
     location = located(place)
     root = location.get("zarr.json")
-    for copy in (location.get("blocks/zarr.json"), None):
-        if copy is None:
+    existing_store(place, study).flush()
+    for copy in (True, False):
+        if not copy:
             location.delete("blocks/zarr.json")
         for at in range(0, len(root), step):
             location.put("zarr.json", root[:at] + bytes([root[at] ^ 4]) + root[at + 1 :])

@@ -1,13 +1,9 @@
 """The record of failed points in a store."""
 
-import json
-
 import pytest
-import zarr
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.stores.checksums import sealed
-from linksweep.sweep.stores.failures import MAX_TRACEBACKS, TRACEBACK_BYTES
+from linksweep.sweep.stores.ledger import MAX_TRACEBACKS, TRACEBACK_BYTES
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.studies.record import provenance
 from tests.sweep.opening import create_or_resume
@@ -65,21 +61,11 @@ def test_the_ends_of_so_many_tracebacks_are_kept_and_every_message(tmp_path, stu
     assert TRACEBACK_BYTES - 2 < len(texts[0].encode()) <= TRACEBACK_BYTES
 
 
-def test_the_record_is_plain_json_in_a_group(tmp_path, study):
-    store = open_store(tmp_path / "s.zarr", study)
-    store.fail(digest(1), record(1))
-    store.flush()
-    assert dict(zarr.open_group(tmp_path / "s.zarr", path="failures").attrs["failures"]) == {digest(1).hex(): record(1)}
-
-
 @pytest.mark.parametrize("failures", [{"xy": {}}, {"00": {}}, {digest(1).hex(): "text"}, ["list"]])
-def test_a_damaged_record_is_named(tmp_path, study, failures):
+def test_a_forged_record_is_named(tmp_path, study, failures, monkeypatch):
     store = open_store(tmp_path / "s.zarr", study)
     store.fail(digest(1), record(1))
+    monkeypatch.setattr("linksweep.sweep.stores.store.failures_as_json", lambda known: {"failures": failures})
     store.flush()
-    file = tmp_path / "s.zarr" / "failures" / "zarr.json"
-    document = json.loads(file.read_text())
-    document["attributes"]["failures"] = failures
-    file.write_bytes(sealed(document, "failures/zarr.json"))
-    with pytest.raises(SweepError, match=r"failures/zarr.json is damaged \(it is no record of failed points"):
+    with pytest.raises(SweepError, match=r"blocks/failures\.\d+\.0 is damaged \(it is no record of failed points"):
         open_store(tmp_path / "s.zarr", study)

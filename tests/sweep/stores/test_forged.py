@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import linksweep
 from linksweep.sweep.cli import main
-from linksweep.sweep.stores.checksums import sealed
+from linksweep.sweep.stores.integrity import sealed
 from tests.tiers import slow
 
 MODEL = "def model(x: float = 1.0, k: int = 1):\n    return {'y': x * k, 'name': f'{x:g}'}\n"
@@ -89,7 +89,7 @@ def test_every_command_gives_a_sentence(tmp_path, monkeypatch, trials):
             assert done.exit_code in (0, 1, 2), said
 
 
-@pytest.mark.parametrize("field", ["title", "ledger", "generation", "study_meaning", "manifest"])
+@pytest.mark.parametrize("field", ["title", "generation", "study_meaning", "manifest"])
 def test_the_field_is_named(tmp_path, field):
     (tmp_path / "model.py").write_text(MODEL)
     linksweep.run(f"{tmp_path}/model.py:model", tmp_path / "s.zarr", axes={"x": [1.0]}, pool="serial")

@@ -13,11 +13,11 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.running.status import status_report
-from linksweep.sweep.stores import chunk_names, snapshot
-from linksweep.sweep.stores.checksums import unsealed
+from linksweep.sweep.stores import snapshot
+from linksweep.sweep.stores.integrity import unsealed
 from linksweep.sweep.stores.location import located
-from linksweep.sweep.stores.opened import OpenStore
 from linksweep.sweep.stores.repair import check, repair
+from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.stores.test_binding import small_chunks
 from tests.tiers import slow
@@ -51,12 +51,9 @@ def restored(store, files):
 def in_use(store):
     """The files that the root document means, and those of the ledger; the rest is of the writing before."""
     opened = OpenStore(store)
-    arrays, ledger = snapshot.arrays_of(opened.root), opened.ledger()
-    chunks = {key for column in ledger.columns.values() for key in (column.description, *column.keys)}
+    arrays = snapshot.arrays_of(opened.root)
     described = {f"{name}/zarr.json" for name in arrays}
-    return {"zarr.json", "blocks/manifest/zarr.json", *described, *chunk_names.chunk_keys(arrays), *chunks} | set(
-        ledger.manifest.documents
-    )
+    return {"zarr.json", *described, *snapshot.chunk_keys(arrays), *opened.ledger().files}
 
 
 def named(report):
@@ -106,7 +103,7 @@ def damage(rng, files, earlier):
 
 def means_the_same(key, one, other):
     """Whether files are equal, or describe the same array of results: that description is written again by each run."""
-    if one is None or one == other or not key.endswith("/zarr.json") or key.startswith(("blocks/", "failures/")):
+    if one is None or one == other or not key.endswith("/zarr.json") or key.startswith("blocks/"):
         return one == other
     try:
         documents = [unsealed(content, key) for content in (one, other)]
@@ -165,10 +162,8 @@ def _is_told(store, differing, wanted, trial):
         problems += error.problems
     else:
         assert report["blocks in the ledger"] == len(OpenStore(store).ledger().rows), trial
-        read = {
-            f for f in differing if f.startswith("blocks/") and not f.startswith(("blocks/texts/", "blocks/samples/c"))
-        }
-        missing = {f for f in differing if located(store).get(f) is None and f.startswith(("blocks/", "failures/"))}
+        read = {f for f in differing if f.startswith("blocks/") and not f.startswith("blocks/samples")}
+        missing = {f for f in differing if located(store).get(f) is None and f.startswith("blocks/")}
         assert "zarr.json" in differing or not read | missing, trial
     assert "zarr.json" in differing or all(any(file in told for file in differing) for told in problems), trial
 

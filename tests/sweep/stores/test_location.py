@@ -6,8 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.stores.folder import Folder
-from linksweep.sweep.stores.location import located
+from linksweep.sweep.stores.location import Folder, located
 
 
 def test_files_come_back_as_they_were_put(place):

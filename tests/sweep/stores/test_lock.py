@@ -15,7 +15,8 @@ import xarray as xr
 import zarr
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.stores import folder, lock
+from linksweep.sweep.stores import location as folder
+from linksweep.sweep.stores import lock
 from linksweep.sweep.stores.location import located
 from linksweep.sweep.stores.lock import Holder, holder, locked
 from tests.patience import PATIENCE_S

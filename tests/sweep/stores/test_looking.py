@@ -13,8 +13,8 @@ from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.reproduce import reproduce, study_of
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.running.status import status_report
-from linksweep.sweep.stores.checksums import sealed
-from linksweep.sweep.stores.folder import Folder
+from linksweep.sweep.stores.integrity import sealed
+from linksweep.sweep.stores.location import Folder
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_from_dict
 
@@ -71,11 +71,10 @@ def evil(tmp_path, coins):
     (place / "x.py").write_text(code)
     document = coins | {"experiment": f"{place / 'x.py'}:experiment", "sampling": {"n_sim": 100, "n_cat": 2}}
     run_study(study_from_dict(document), store, SERIAL)
-    for file in ("zarr.json", "blocks/zarr.json"):
-        root = json.loads((store / file).read_text())
-        stored = root["attributes"]["study_document"]
-        root["attributes"]["study_document"] = stored.replace(str(place), str(store))
-        (store / file).write_bytes(sealed(root, file))
+    root = json.loads((store / "zarr.json").read_text())
+    stored = root["attributes"]["study_document"]
+    root["attributes"]["study_document"] = stored.replace(str(place), str(store))
+    (store / "zarr.json").write_bytes(sealed(root, "zarr.json"))
     (store / "x.py").write_text(code)
     (store / "study.toml").write_text(STUDY)
     marker.unlink()
@@ -132,7 +131,9 @@ def test_a_store_from_elsewhere_asks_once(tmp_path, coins):
 @pytest.mark.parametrize("who", ["host", "user"])
 def test_another_host_or_user_is_elsewhere(tmp_path, coins, monkeypatch, who):
     run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
-    monkeypatch.setattr(f"linksweep.sweep.stores.origin.{'host' if who == 'host' else '_user'}", lambda: "another")
+    monkeypatch.setattr(
+        f"linksweep.sweep.stores.store.{'host' if who == 'host' else 'getpass.getuser'}", lambda: "another"
+    )
     with pytest.raises(SweepError, match=r"coins.py, and the store was not written here"):
         study_of(tmp_path / "s.zarr")
 

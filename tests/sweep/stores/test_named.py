@@ -4,7 +4,7 @@ import os
 import subprocess
 import sys
 
-from linksweep.sweep.stores.named import short_name, store_named
+from linksweep.sweep.stores.location import short_name, store_named
 
 
 def test_the_name_of_a_study_is_that_of_its_store(tmp_path, monkeypatch):

@@ -11,14 +11,13 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.tuning import Tuning
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.stores import ledger_arrays
-from linksweep.sweep.stores.folder import Folder
-from linksweep.sweep.stores.location import located
+from linksweep.sweep.stores import ledger
+from linksweep.sweep.stores.location import Folder, located
 from linksweep.sweep.stores.lock import locked
 from linksweep.sweep.stores.repair import check, repair
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_from_dict
-from tests.sweep.opening import create_or_resume, existing_store
+from tests.sweep.opening import create_or_resume, existing_store, parts_of
 from tests.sweep.stores.test_integrity import in_use
 from tests.tiers import slow
 
@@ -29,6 +28,11 @@ SAMPLES = {
     "fixed": {"catalogue": "quasars", "v_max": 15.0},
     "sampling": {"n_sim": 600, "n_cat": 20, "seed": 5, "keep_samples": True},
 }
+
+
+def small_parts(monkeypatch, records, samples=2**19):
+    monkeypatch.setattr(ledger, "FEWEST_RECORDS", records)
+    monkeypatch.setattr(ledger, "PART_BYTES", {"rows": 16, "samples": samples, "texts": 16})
 
 
 def flip(content):
@@ -46,8 +50,7 @@ DAMAGE = {"a bit flipped": flip, "cut": cut, "lost": None}
 @pytest.fixture(params=["coins", slow("samples")])
 def whole(request, tmp_path, coins, monkeypatch):
     """A study and a store of it, with several chunks of each array of the ledger, and a failure."""
-    monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", 8 if request.param == "coins" else 3)
-    monkeypatch.setattr(ledger_arrays, "CHUNK_BYTES", {"index": 16, "sums": 16, "samples": 2**19})
+    small_parts(monkeypatch, 8 if request.param == "coins" else 3)
     study = study_from_dict(coins if request.param == "coins" else SAMPLES)
     run_study(study, tmp_path / "whole.zarr", SERIAL)
     store = existing_store(tmp_path / "whole.zarr", study)
@@ -78,7 +81,7 @@ def test_every_file_may_be_damaged(whole, tmp_path, change, step):
     wanted, used = open_dataset(store), in_use(store)
     assert not check(store)
     files = [file for file in files_of(store) if study.title == "Coins" or file.startswith(("zarr.json", "blocks/"))]
-    assert sum(file.startswith("blocks/sums/c/") for file in files) > 2
+    assert sum(file.startswith("blocks/rows") for file in files) > 2
     files = files[list(DAMAGE.values()).index(change) :: step]
     for file in files:
         copy = tmp_path / "copy.zarr"
@@ -116,8 +119,7 @@ def test_every_file_may_be_damaged(whole, tmp_path, change, step):
 @pytest.mark.parametrize("document", ["coins", pytest.param("samples", marks=pytest.mark.slow)])
 def test_killed_before_any_writing_of_a_file_it_goes_on(document, turns, tmp_path, coins, monkeypatch):
     """A run that writes often ends before its n-th file, for n from the first to the last; what is there is whole."""
-    monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", 2)
-    monkeypatch.setattr(ledger_arrays, "CHUNK_BYTES", {"index": 16, "sums": 16, "samples": 2**19})
+    small_parts(monkeypatch, 2)
     often = Tuning(most_blocks=1, flush_every_s=-1.0)
     study = study_from_dict(coins if document == "coins" else SAMPLES)
     written = []
@@ -149,15 +151,14 @@ def test_killed_before_any_writing_of_a_file_it_goes_on(document, turns, tmp_pat
 def test_only_what_was_lost_is_computed_again(whole, monkeypatch):
     study, store = whole
     rows = len(existing_store(store, study).rows)
-    (store / "blocks" / "sums" / "c" / "1" / "0").write_bytes(b"")
+    (store / parts_of(store)[1]).write_bytes(b"")
     repair(store)
-    held = existing_store(store, study).rows
-    assert rows - json.loads(existing_store(store, study).attributes["ledger"])["sums"][0] == len(held)
+    assert len(existing_store(store, study).rows) == rows - 8
 
 
 def test_a_store_whose_two_documents_are_damaged_says_what_to_do(whole):
     study, store = whole
-    for file in ("zarr.json", "blocks/zarr.json"):
+    for file in ("zarr.json", "blocks/zarr.json"):  # which names the copy of the other
         (store / file).write_bytes(cut((store / file).read_bytes()))
     for action in (check, repair, open_dataset, lambda store: run_study(study, store, SERIAL)):
         with pytest.raises(
@@ -190,8 +191,9 @@ def test_a_store_in_a_bucket_is_repaired_too(bucket, coins):
     study = study_from_dict(coins)
     wanted, _ = run_study(study, f"{bucket}/s.zarr", SERIAL)
     place = located(f"{bucket}/s.zarr")
-    place.put("blocks/sums/c/0/0", flip(place.get("blocks/sums/c/0/0")))
-    assert set(check(place).ledger) == {"blocks/sums/c/0/0"}
+    [name] = parts_of(place)
+    place.put(name, flip(place.get(name)))
+    assert set(check(place).ledger) == {name}
     repair(place)
     assert not check(place)
     assert existing_store(place, study).rows == {}
@@ -206,19 +208,20 @@ def test_the_commands(tmp_path, link_study, sweep):
     assert sweep(*quick)[0] == 0
     assert sweep("check", store)[:2] == (0, "every file is as it was written\n")
     assert sweep("check", store, "--repair")[:2] == (0, "every file is as it was written\n")
-    chunk = store / "blocks" / "sums" / "c" / "0" / "0"
+    [name] = parts_of(store)
+    chunk = store / name
     chunk.write_bytes(flip(chunk.read_bytes()))
     code, out, err = sweep("check", store)
-    assert (code, "blocks/sums/c/0/0: " in out, "--repair` repairs" in err) == (1, True, True)
+    assert (code, f"{name}: " in out, "--repair` repairs" in err) == (1, True, True)
     code, out, _ = sweep("check", store, "--json")
-    assert (code, set(json.loads(out)["ledger"])) == (1, {"blocks/sums/c/0/0"})
+    assert (code, set(json.loads(out)["ledger"])) == (1, {name})
     code, _, err = sweep(*quick)
     assert code == 2
-    assert "blocks/sums/c/0/0 is damaged" in err
+    assert f"{name} is damaged" in err
     assert "--repair` repairs" in err
     code, out, err = sweep("check", store, "--repair")
     assert code == 0, err
-    assert "blocks/sums/c/0/0: the next `sweep run` computes again" in out
+    assert f"{name}: the next `sweep run` computes again" in out
     assert sweep(*quick)[0] == 0
     assert sweep("check", store)[0] == 0
 
@@ -226,13 +229,12 @@ def test_the_commands(tmp_path, link_study, sweep):
 @pytest.mark.slow
 def test_an_unchanged_value_of_samples_survives_a_lost_index(tmp_path, monkeypatch):
     """Rows after a lost chunk of the index still speak of their own samples."""
-    monkeypatch.setattr(ledger_arrays, "FEWEST_ROWS", 2)
-    monkeypatch.setattr(ledger_arrays, "CHUNK_BYTES", {"index": 16, "sums": 16, "samples": 2**17})
+    small_parts(monkeypatch, 2, 2**17)
     study = study_from_dict(SAMPLES)
     run_study(study, tmp_path / "s.zarr", SERIAL)
     before = existing_store(tmp_path / "s.zarr", study)
     samples = {key: before.samples(key) for key in before.rows}
-    (tmp_path / "s.zarr" / "blocks" / "index" / "c" / "0" / "0").unlink()
+    (tmp_path / "s.zarr" / parts_of(tmp_path / "s.zarr")[0]).unlink()
     repair(tmp_path / "s.zarr")
     after = create_or_resume(tmp_path / "s.zarr", study, {})
     assert 0 < len(after.rows) < len(samples)

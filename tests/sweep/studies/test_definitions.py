@@ -15,8 +15,7 @@ from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.running.reproduce import reproduce
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.stores.opened import OpenStore
-from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.stores.store import OpenStore, open_dataset
 from linksweep.sweep.studies.reader import load_study, study_from_dict, study_of_attributes
 
 CURVES = """\

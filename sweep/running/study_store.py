@@ -1,24 +1,83 @@
-"""Describes and compares what a store's numbers mean, in the terms of its root document."""
+"""The store of a study: whether what is there can go on with it, in the terms of the root document, and opening it."""
 
 import json
 from collections.abc import Mapping
 from typing import Any
 
-from linksweep.sweep.contract import Named
-from linksweep.sweep.stores.ledger_arrays import shapes_of
-from linksweep.sweep.stores.root import FORMAT
+from linksweep.sweep.contract import Named, SweepError
+from linksweep.sweep.stores import store as stores
+from linksweep.sweep.stores.location import Where
+from linksweep.sweep.stores.store import OpenStore, Store
 from linksweep.sweep.studies.study import Study
 from linksweep.sweep.studies.values import DESIGNS
 from linksweep.sweep.tables.file import content_digest
 
+RESERVED = {"blocks"}
+"""Names in a store that are not those of arrays."""
+
+
+def find_store(where: Where, study: Study) -> OpenStore | None:
+    """Return the store at a place, None where the place is free.
+
+    Raises SweepError where something else is there, or results that cannot be mixed with this study's.
+    """
+    names = {*study.axes, *study.experiment.coordinates}
+    names |= {output.name for output in (*study.experiment.outputs, *study.experiment.sample_outputs)}
+    if taken := sorted(RESERVED & names):
+        raise SweepError(f"no axis or result can be named {', '.join(taken)}: a store has a group of that name")
+    opened = stores.find_store(where)
+    if opened is not None and (different := differences(opened.attributes, study)):
+        raise SweepError(
+            ["holds results of a different study, which would be mixed up; give another store with -o", *different],
+            str(opened.location),
+        )
+    return opened
+
+
+def open_store(opened: OpenStore, study: Study) -> Store:
+    """Return the open store of a study; raises SweepError where files of its ledger are damaged, or where it has rows
+    of another version of the experiment.
+    """
+    store = Store(opened, identity(study))
+    hold(store, study)
+    return store
+
+
+def hold(store: Store, study: Study, drop: Any = ()) -> None:
+    """Let the ledger of a store have rows as the experiment makes them, once their type is known."""
+    if not study.experiment.undeclared:
+        width = study.experiment.samples_width if study.keeps_samples else 0
+        store.hold(study.experiment.reducer.dtype, width, drop)
+
+
+def create_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore:
+    """Make the store of a study at a free place, in one step, in which nothing is done yet."""
+    return stores.create_store(where, {**attributes, **identity(study)})
+
+
+def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore | None:
+    """Begin the store that is there anew, as `linksweep.sweep.stores.store.replace_store`, for a study."""
+    return stores.replace_store(where, {**attributes, **identity(study)})
+
+
+def check_points(opened: OpenStore, study: Study) -> None:
+    """Raise SweepError where rows of a study's table of points differ from those of a store."""
+    if changed := changed_points(opened.attributes, study):
+        raise SweepError(
+            [
+                "holds a table of other points; a table may only grow at its end: give another store with -o, or "
+                "--fresh replaces this one",
+                *changed,
+            ],
+            str(opened.location),
+        )
+
 
 def identity(study: Study) -> dict[str, Any]:
-    """Return the attributes of a store that say what its numbers mean and how its ledger is laid out."""
+    """Return the attributes of a store that say what its numbers mean."""
     return {
-        "linksweep_format": FORMAT,
         "study_meaning": json.dumps(study.meaning(), default=content_digest),
         "study_axes": json.dumps(list(study.axes)),
-        "ledger": json.dumps(shapes_of(study.experiment, keep_samples=study.keeps_samples)),
     }
 
 

@@ -1,0 +1,231 @@
+"""What a block of work leaves of a point, how two blocks are joined, and what comes out at the end."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from linksweep.sweep.contract.errors import shown, suggest
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.void]
+"""What blocks left of points: a NumPy structured array of `Reducer.dtype`, one element for each."""
+
+FEWEST_SAMPLES = 5
+"""Fewest independent samples (catalogues, mostly) whose scatter gives an error: with fewer it is not known."""
+
+EXACT_INT = 2**53
+"""Up to here a float holds every integer exactly."""
+
+
+class ResultError(ValueError):
+    """What a function of an experiment returned is not what is declared."""
+
+
+class NotFiniteError(ResultError):
+    """Numbers are NaN or infinite where that is not allowed."""
+
+
+class Outcome(NamedTuple):
+    """What a block left of one point: the fields of a row, with the realisations that are ``kept``, (n, width), and for
+    results that nobody declared with the ``layout`` that says what the fields are.
+    """
+
+    row: Any
+    kept: Array | None = None
+    layout: Any = None
+
+
+class Reducer(Protocol):
+    """What a block of work leaves of a point, how two blocks are joined, and what comes out at the end."""
+
+    @property
+    def dtype(self) -> np.dtype[np.void]:
+        """The type of a row, with a field for each quantity."""
+        ...
+
+    @property
+    def samples_width(self) -> int:
+        """How many floats of each realisation the result of a point needs besides its row."""
+        ...
+
+    def add(self, total: Rows, block: Rows) -> Rows:
+        """Return the rows of points, (points,), with one block more each; ``total`` is zero before the first."""
+        ...
+
+    def close(self, total: Rows, samples: Array) -> Rows:
+        """Return the row of a point, (1,), with what its samples (n, samples_width) add at the end."""
+        ...
+
+    def finish(self, total: Rows, n: Array, n_cat: Array) -> dict[str, NDArray[Any]]:
+        """Return every output, (points, *shape), from rows over ``n`` realisations of ``n_cat`` catalogues, (points,).
+
+        Raises ResultError for outputs that are not as declared, and whatever an experiment raises.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Adds up sums of 64-bit floats, of these ``shapes``; a function makes outputs of their shapes from them."""
+
+    shapes: Mapping[str, tuple[int, ...]]
+    outputs: Mapping[str, tuple[int, ...]]
+    summarise: Callable[[Mapping[str, Array], Array, Array], Mapping[str, Any]]
+    samples_width: int = 0
+
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """A field of floats for each sum."""
+        return np.dtype([(name, "<f8", tuple(shape)) for name, shape in self.shapes.items()])
+
+    def add(self, total: Rows, block: Rows) -> Rows:
+        """Return sums with those of one block more."""
+        return self.typed(self.flat(total) + self.flat(block))
+
+    def close(self, total: Rows, samples: Array) -> Rows:
+        """Return the sums as they are."""
+        return total
+
+    def finish(self, total: Rows, n: Array, n_cat: Array) -> dict[str, NDArray[Any]]:
+        """Return every output from sums."""
+        expected = {name: (len(total), *shape) for name, shape in self.outputs.items()}
+        given = self.summarise({name: total[name] for name in self.shapes}, n, n_cat)
+        return checked("summarise", given, "output", expected)
+
+    def flat(self, rows: Rows) -> Array:
+        """Return sums as one array of floats, (rows, width)."""
+        return np.ascontiguousarray(rows).view("<f8").reshape(len(rows), self.dtype.itemsize // 8)
+
+    def typed(self, flat: Array) -> Rows:
+        """Return floats, (rows, width), as rows."""
+        return np.ascontiguousarray(flat, dtype="<f8").view(self.dtype).reshape(len(flat))
+
+
+def converted(rows: Rows, dtype: np.dtype[np.void]) -> Rows:
+    """Return rows with the fields of another type, zero where they had none of that name."""
+    if rows.dtype == dtype:
+        return rows
+    found = np.zeros(len(rows), dtype=dtype)
+    for name in set(rows.dtype.names or ()) & set(dtype.names or ()):
+        found[name] = rows[name]
+    return found
+
+
+def lost_integers(rows: Rows, dtype: np.dtype[np.void]) -> dict[int, str]:
+    """Return which rows have an integer that the floats of a new type cannot hold, and why that is wrong."""
+    lost: dict[int, str] = {}
+    for name in set(rows.dtype.names or ()) & set(dtype.names or ()):
+        if rows.dtype[name].base.kind == "i" and dtype[name].base.kind == "f":
+            whole = rows[name].reshape(len(rows), -1)
+            for row in np.flatnonzero(_beyond(whole).any(axis=1)).tolist():
+                number = beyond_floats(whole[row])
+                lost[row] = f"{name!r} is {number}, which is beyond 2**53, and other points have floats"
+    return lost
+
+
+def beyond_floats(value: Any) -> int | None:
+    """Return the first of some integers that no float holds exactly, None where there is none."""
+    whole = np.asarray(value).reshape(-1)
+    wrong = _beyond(whole)
+    return int(whole[wrong][0]) if wrong.any() else None
+
+
+def _beyond(whole: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return (whole > EXACT_INT) | (whole < -EXACT_INT)
+
+
+def same_rows(one: Rows, other: Rows) -> bool:
+    """Return whether rows are of one type and have the same bits, and the same texts."""
+    if one.dtype != other.dtype or one.shape != other.shape:
+        return False
+    if not one.dtype.hasobject:
+        return one.tobytes() == other.tobytes()
+    fields = one.dtype.names or ()
+    return all(
+        one[name].tolist() == other[name].tolist()
+        if one.dtype[name].hasobject
+        else one[name].tobytes() == other[name].tobytes()
+        for name in fields
+    )
+
+
+def small_sample_factor(samples: ArrayLike) -> Array:
+    """Return the factor that enlarges a variance from the scatter of so many independent samples.
+
+    For normal samples, the error of their mean over the root of that variance then has variance one; without the factor
+    it is Student's t with n - 1 degrees of freedom, of variance (n - 1)/(n - 3).  NaN below `FEWEST_SAMPLES`, 1 for
+    infinitely many.
+    """
+    count = np.asarray(samples, dtype=float)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = 1.0 + 2.0 / (count - 3.0)
+    return np.where(count >= FEWEST_SAMPLES, factor, np.nan)
+
+
+def checked(
+    who: str, given: object, noun: str, expected: Mapping[str, tuple[int, ...]], beside: Sequence[str] = ()
+) -> dict[str, Array]:
+    """Return what the function ``who`` has ``given`` as arrays of 64-bit floats of exactly the ``expected`` names and
+    shapes; names ``beside`` them are allowed, and ignored.
+
+    The first axis of a shape counts points; it may be missing if there is only one.  Nothing is broadcast.
+    Raises ResultError that names everything that is wrong.
+    """
+    if not isinstance(given, Mapping):
+        raise ResultError(f"{who} returns a {type(given).__name__}, not a mapping of {noun}s by name")
+    problems = []
+    for name in given:
+        if name not in expected and name not in beside:
+            missing = [known for known in expected if known not in given]
+            problems.append(f"{who} returns {shown(name)}, which is no declared {noun}{suggest(str(name), missing)}")
+    arrays: dict[str, Array] = {}
+    for name, shape in expected.items():
+        try:
+            arrays[name] = _array(given[name], shape)
+        except KeyError:
+            problems.append(f"{who} does not return the {noun} {name!r}")
+        except ResultError as error:
+            problems.append(f"{who}: the {noun} {name!r} {error}")
+    if problems:
+        raise ResultError("; ".join(problems))
+    return arrays
+
+
+def check_finite(arrays: Mapping[str, Array], may_be_nan: Sequence[str]) -> None:
+    """Raise NotFiniteError that says how many values of which array are NaN or infinite."""
+    bounded = {name: array for name, array in arrays.items() if name not in may_be_nan}
+    phrases = [not_finite(name, array, is_one=array.size == 1) for name, array in bounded.items()]
+    if problems := [phrase for phrase in phrases if phrase]:
+        raise NotFiniteError("; ".join(problems))
+
+
+def not_finite(name: str, array: Array, is_one: bool) -> str | None:
+    """Return a phrase on how many values are NaN or infinite, or which of the two a single one (``is_one``) is; None if
+    all are finite.
+    """
+    finite = np.isfinite(array)
+    if finite.all():
+        return None
+    bad = array[~finite]
+    nan = int(np.isnan(bad).sum())
+    if is_one:
+        return f"{name} is {'NaN' if nan else 'infinite'}"
+    counts = [f"{n} {word}" for n, word in ((nan, "NaN"), (bad.size - nan, "infinite")) if n]
+    return f"{name} has {' and '.join(counts)} of {array.size} values"
+
+
+def _array(given: Any, shape: tuple[int, ...]) -> Array:
+    """Return one result as an array of this shape."""
+    try:
+        array = np.asarray(given)
+    except ValueError as error:  # lists of different lengths
+        raise ResultError(f"has parts of different lengths, expected the shape {shape}") from error
+    if array.dtype.kind not in "biuf":
+        raise ResultError(f"is of type {array.dtype}, expected real numbers")
+    if array.shape != shape and not (shape[0] == 1 and array.shape == shape[1:]):
+        raise ResultError(f"has the shape {array.shape}, expected {shape}")
+    return array.astype(np.float64, copy=False).reshape(shape)

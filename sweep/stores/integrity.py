@@ -1,0 +1,320 @@
+"""What a store promises of its files: a damaged, exchanged, rolled-back or foreign one is found.
+
+Every file that is read is named in a document with a checksum of its content; the two documents that are named nowhere,
+the root and the manifest of the ledger, have a seal: a checksum of themselves with their name.  The manifest is
+replaced in one step after everything else was written, and counts up; what it does not name is as if it had never been
+written.  So a process that is killed at any instant leaves a ledger that is merely shorter.  The root has the manifest
+of its own writing: that of the ledger can only be the same or a later one.
+"""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from hashlib import blake2b
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, Json, ValidationError, model_validator
+
+FORMAT = 5
+
+ROOT, MANIFEST = "zarr.json", "blocks/zarr.json"
+
+SEAL, STORE, REVISION = "checksum", "store_id", "revision"
+"""Attributes of a sealed document: its checksum, which store it is of, and which writing."""
+
+LEDGER_THEN = "manifest"
+"""The attribute of the root document with the manifest of the ledger at the time of writing."""
+
+CHUNKS = "chunk_checksums"
+"""The attribute of the root document with the checksums of the chunks that it refers to."""
+
+ANOTHER = "it is whole, but of another writing or another store"
+MISSING = "it is missing"
+
+MOST_VALUES = 2**20
+"""The most values of a chunk of results, 8 MB of floats.  Values are counted and not bytes, so that results on the same
+axes have the same chunks whatever their types, as Dask wants.
+"""
+
+MOST_BYTES = 2**31
+"""The most bytes of a row, or of one part, of the ledger."""
+
+
+class DamagedError(ValueError):
+    """Files that are not what was written; ``files`` maps their names to what is wrong."""
+
+    def __init__(self, files: dict[str, str]) -> None:
+        super().__init__("; ".join(f"{file}: {problem}" for file, problem in files.items()))
+        self.files = files
+
+
+@contextmanager
+def noting(damaged: dict[str, str], file: str | None = None) -> Iterator[None]:
+    """Go on after a DamagedError, whose files are added to ``damaged``, and after an error that the content of ``file``
+    causes: one that is forged may be too large or too deep.
+    """
+    try:
+        yield
+    except DamagedError as error:
+        damaged.update(error.files)
+    except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, RecursionError) as error:
+        if file is None:
+            raise
+        damaged[file] = str(error) or type(error).__name__
+
+
+def checksum(content: bytes) -> str:
+    """Return the checksum of the content of a file."""
+    return blake2b(content, digest_size=16).hexdigest()
+
+
+def problem_of(content: bytes | None, expected: str | None) -> str | None:
+    """Return what is wrong with a file by the checksum that is expected, None if nothing is."""
+    return MISSING if content is None else None if checksum(content) == expected else "its content is another one"
+
+
+def sealed(document: Mapping[str, Any], file: str) -> bytes:
+    """Return a document, with its checksum, as it is stored in a file of this name."""
+    plain = json.loads(json.dumps(document))
+    plain["attributes"].pop(SEAL, None)
+    plain["attributes"][SEAL] = _digest(file, plain)
+    return json.dumps(plain).encode()
+
+
+def unsealed(content: bytes | None, file: str) -> dict[str, Any]:
+    """Return the document that was stored in a file of this name; raises ValueError where it is missing, no JSON, or
+    not what was stored there.
+    """
+    if content is None:
+        raise ValueError(MISSING)
+    try:
+        document: dict[str, Any] = json.loads(content)
+        seal = document["attributes"].pop(SEAL)
+        same = seal == _digest(file, document)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+    except (TypeError, KeyError, AttributeError) as error:
+        raise ValueError("it has no checksum") from error
+    if not same:
+        raise ValueError("its checksum does not match its content and name")
+    document["attributes"][SEAL] = seal
+    return document
+
+
+def group_document(attributes: Mapping[str, Any], arrays: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Return the document of a Zarr group, with a copy of those of its ``arrays``."""
+    copies = {"kind": "inline", "must_understand": False, "metadata": dict(arrays or {})}
+    more = {} if arrays is None else {"consolidated_metadata": copies}
+    return {"zarr_format": 3, "node_type": "group", "attributes": dict(attributes)} | more
+
+
+def _digest(file: str, document: Mapping[str, Any]) -> str:
+    return checksum(f"{file}\n{json.dumps(document, sort_keys=True)}".encode())
+
+
+# What the documents may say: every field that is read, with its type and its limits.  A store may come from a stranger,
+# and a checksum can be forged; nothing else needs to look twice at what it has read.
+
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+Size = Annotated[int, Field(gt=0, lt=2**48)]
+Object = dict[str, Any]
+Texts = dict[str, str]
+Name = Annotated[str, Field(pattern=r"^[^/]+$", max_length=255)]
+FileName = Annotated[str, Field(pattern=r"^[a-z]+\.\d{1,18}\.\d{1,9}$")]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(strict=True)
+
+
+class File(BaseModel):
+    """A file of the ledger: its name in the folder of the ledger, its checksum, and how many records it has."""
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    name: FileName
+    checksum: str
+    records: Annotated[int, Field(ge=0, lt=2**40)] = 0
+
+
+class Manifest(BaseModel):
+    """What counts of the ledger of a ``store``: the type of its rows, the floats of a kept realisation, the files of
+    its columns, and its documents by their kind.
+    """
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    store: str
+    revision: Count = 0
+    row: list[Any] = []
+    samples_width: Annotated[int, Field(ge=0, lt=2**28)] = 0
+    columns: dict[Literal["rows", "samples", "texts"], list[File]] = {}
+    documents: dict[Literal["failures", "study"], File] = {}
+
+    def sealed(self) -> bytes:
+        """Return the content of the file `MANIFEST`."""
+        return sealed(group_document({"manifest": self.model_dump()}), MANIFEST)
+
+
+def read_manifest(content: bytes | None) -> Manifest:
+    """Return the manifest in a ledger's file; raises ValueError where it is missing or damaged."""
+    try:
+        return Manifest.model_validate(unsealed(content, MANIFEST)["attributes"].get("manifest"))
+    except ValidationError as error:
+        raise ValueError("it is no manifest of a ledger") from error
+
+
+def newest(content: bytes | None, of_root: Manifest) -> Manifest:
+    """Return the manifest in a ledger's file; raises ValueError where it is damaged, or older than that ``of_root``."""
+    if content is None and not of_root.revision:
+        return of_root  # a run that has just begun
+    manifest = read_manifest(content)
+    is_older = manifest.revision <= of_root.revision and manifest != of_root
+    if is_older or manifest.store != of_root.store:
+        raise ValueError(ANOTHER)
+    return manifest
+
+
+class _Chunks(_Part):
+    chunk_shape: list[Size]
+
+
+class _Grid(_Part):
+    name: Literal["regular"]
+    configuration: _Chunks
+
+
+class _Separator(_Part):
+    separator: Literal["."]
+
+
+class _Encoding(_Part):
+    name: Literal["default", "v2"]
+    configuration: _Separator
+
+
+class _Codec(_Part):
+    name: Literal["bytes", "vlen-utf8", "zstd", "crc32c"]
+
+
+class _Array(_Part):
+    shape: list[Count]
+    chunk_grid: _Grid
+    chunk_key_encoding: _Encoding
+    codecs: list[_Codec]
+    dimension_names: list[Name] = []
+    attributes: Object
+
+    @property
+    def chunks(self) -> int:
+        """How many chunks there are; raises ValueError where there cannot be such chunks."""
+        sizes = self.chunk_grid.configuration.chunk_shape
+        if len({len(self.shape), len(sizes), len(self.dimension_names)}) > 1 or math.prod(sizes) > MOST_VALUES:
+            raise ValueError("an array with such chunks is never written")
+        return math.prod(-(-n // size) for n, size in zip(self.shape, sizes, strict=True))
+
+
+class _Arrays(_Part):
+    metadata: dict[Name, _Array]
+
+
+class _Layout(_Part):
+    fields: list[Object]
+    coordinates: list[Object]
+
+
+class _Function(_Part):
+    outputs: list[Object]
+    layout: _Layout | None
+
+
+class _Record(_Part):
+    name: str
+    parameters: list[Object]
+    outputs: list[Object]
+    sample_outputs: list[Object]
+    function: _Function | None = None
+
+
+class _Meaning(_Part):
+    fixed: Object
+
+
+class _Points(_Part):
+    parameters: list[str]
+
+
+class _Code(_Part):
+    first_row: Count
+    code: Texts
+
+
+class _Attributes(_Part):
+    store_id: str
+    generation: Count
+    complete: Literal[0, 1] = 0
+    study_meaning: Json[_Meaning]
+    study_axes: Json[list[str]]
+    manifest: Json[Manifest] = Manifest(store="")
+    chunk_checksums: Json[dict[Name, list[str]]] = {}
+    experiment_record: Json[_Record] | None = None
+    study_document: Json[Object] | None = None
+    merged: Json[list[Object]] = []
+    code: Json[list[_Code]] = []
+    point_table: Json[_Points] | None = None
+    failures: Json[Texts] = {}
+    warnings: Json[list[str]] = []
+    versions: Json[Object] = {}
+    defined: Json[dict[str, Texts]] = {}
+    claims: Json[list[Object]] = []
+    conclusion: Json[Object] | None = None
+    shared_axes: Json[list[str]] = []
+    citation: Json[list[str]] = []
+    title: str = ""
+    study: str = ""
+    study_name: str = ""
+    study_digest: str = ""
+    study_overrides: str = ""
+    started: str = ""
+    finished: str = ""
+    experiment: str = ""
+    function: str = ""
+    seed: int = 0
+    n_sim: Size = 1
+    n_cat: Size = 1
+    precision: Annotated[float, Field(gt=0)] = 1
+    points: Count = 0
+    points_done: Count = 0
+    blocks: Count = 0
+    error_convention: Count = 0
+    common_random_numbers: Literal[0, 1] = 0
+
+
+class _Root(_Part):
+    attributes: _Attributes
+    consolidated_metadata: _Arrays
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        arrays, checksums = self.consolidated_metadata.metadata, self.attributes.chunk_checksums
+        if {name: array.chunks for name, array in arrays.items()} != {n: len(found) for n, found in checksums.items()}:
+            raise ValueError("it has other checksums than chunks")
+        return self
+
+
+def check_root(document: Mapping[str, Any]) -> None:
+    """Raise ValueError, which names the first field, for a root document that linksweep does not write."""
+    _check(_Root, document)
+
+
+def check_attributes(attributes: Mapping[str, Any]) -> None:
+    """Raise ValueError for attributes of a root document that linksweep does not write."""
+    _check(_Attributes, {**attributes, "generation": 0})
+
+
+def _check(kind: type[BaseModel], found: Any) -> None:
+    try:
+        kind.model_validate(found)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{where}: {first['msg']}" if where else first["msg"]) from error
