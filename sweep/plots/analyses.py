@@ -17,6 +17,7 @@ from linksweep.sweep.plots.style import (
     label,
     legend,
     logarithmic,
+    marks,
     new_figure,
     series,
     symbol,
@@ -49,8 +50,8 @@ def _marks(axes: Axes, dataset: xr.Dataset, kinds: list[str]) -> None:
     for number, kind in enumerate(kinds):
         places = np.arange(len(order)) + 0.14 * (0.5 * (len(kinds) - 1) - number)
         error = dataset[f"{kind}_error"].values[order] if f"{kind}_error" in dataset else None
-        style = {**series(number), "linestyle": "none", "markersize": 4.5, "elinewidth": 1.0}
-        axes.errorbar(dataset[kind].values[order], places, xerr=error, label=WORDS[kind], **style)
+        style = marks(number, 4.5, elinewidth=1.0, label=WORDS[kind])
+        axes.errorbar(dataset[kind].values[order], places, xerr=error, **style)
     axes.set_yticks(range(len(names)), ["+".join(symbol(part) for part in str(name).split("+")) for name in names])
     axes.set_ylim(-0.6, len(names) - 0.4)
     unit = units_of(dataset[kinds[0]].attrs)

@@ -18,11 +18,10 @@ from linksweep.sweep.analysis.laws import fit_power_law
 from linksweep.sweep.analysis.lines import lines
 from linksweep.sweep.analysis.quantity import error_bar, numeric_axes, prediction_name, require_axis, standard_error
 from linksweep.sweep.analysis.readable_units import in_readable_units
-from linksweep.sweep.analysis.selection import places_along
 from linksweep.sweep.contract import Array, SweepError
 from linksweep.sweep.formatting import is_truth, units_of, with_error, with_micro_signs, with_unit
 from linksweep.sweep.plots import GridFigure
-from linksweep.sweep.plots.panels import Layout, arrange, draw_panels
+from linksweep.sweep.plots.panels import Layout, arrange, draw_panels, series_of
 from linksweep.sweep.plots.style import (
     BAND,
     COLOURS,
@@ -46,6 +45,7 @@ from linksweep.sweep.plots.style import (
     legend,
     legend_below,
     logarithmic,
+    marks,
     new_figure,
     number_text,
     quantity_label,
@@ -111,13 +111,11 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
     closed-form prediction, which is known at the points alone, on bars of its catalogue error.  Open symbols are
     published values with half a unit of their last digit.
     """
-    others = [str(d) for d in dataset[variable].dims if d != dataset[over].dims[0]]
-    everything = [dataset.isel(place) for place in places_along(dataset, others)]
-    seen = [one for one in everything if np.isfinite(one[variable].values).any()]  # the others are excluded
+    named = series_of(dataset, variable, str(dataset[over].dims[0]))
+    seen = [one for _, one in named]
     offsets = _offsets(dataset[variable], seen)
-    for one, offset in zip(seen, offsets, strict=True):
-        words = ", ".join(value_text(dataset, d, one[d].item()) for d in others if dataset.sizes[d] > 1)
-        _draw_series(axes, one, variable, over, words, numbers.setdefault(words, len(numbers)), offset)
+    for (name, one), offset in zip(named, offsets, strict=True):
+        _draw_series(axes, one, variable, over, name, numbers.setdefault(name, len(numbers)), offset)
     colour = COLOURS[0] if len(numbers) == 1 else "0.35"
     if any(_is_known(one, prediction_name(one, variable)) for one in seen):
         axes.plot([], [], color=colour, label=PREDICTED, markersize=WIDEST_DASH, **DASH)
@@ -169,9 +167,8 @@ def _draw_series(axes: Axes, one: xr.Dataset, variable: str, over: str, name: st
     one, x = one.isel({one[over].dims[0]: order}), x[order]
     y, error = one[variable].values.astype(float), error_bar(one, variable)
     sigma = None if error is None else error.values
-    style: dict[str, Any] = {**mark, "markersize": 3.5, "linestyle": "none", "elinewidth": 0.8, "zorder": 3}
     words = name or (COMPUTED if standard_error(one, variable) is None else SIMULATED)
-    moved = [axes.errorbar(x, y, yerr=sigma, label=words, **style)]
+    moved = [axes.errorbar(x, y, yerr=sigma, label=words, **marks(number, 3.5, elinewidth=0.8, zorder=3))]
     predicted, published = prediction_name(one, variable), f"{variable}_published"
     if _is_numeric(one[over]) and len(x) > 1 and not is_truth(one[variable]):
         axes.plot(x, y, color=colour, linewidth=0.8, alpha=0.6, zorder=2, label=JOINED)
@@ -257,7 +254,7 @@ def _draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over
     exponents = result["expected"].values.reshape(-1) if "expected" in result else np.full(len(grid), np.nan)
     guides: set[str] = set()
     for number, i in enumerate(np.flatnonzero(grid.used.any(axis=1)).tolist()):
-        used, style = grid.used[i], {**series(number), "markersize": 3.5, "linestyle": "none"}
+        used, style = grid.used[i], marks(number, 3.5)
         x, y, errors, place = grid.x[used], grid.value[i, used], grid.errors_of(i), grid.place(i)
         words = ", ".join(value_text(dataset, d, place[d]) for d in grid.dims if grid.grid.sizes[d] > 1)
         error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from linksweep.sweep.analysis.readable_units import in_readable_units
+from linksweep.sweep.analysis.selection import places_along
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.plots.style import (
     COLOURS,
@@ -94,6 +95,20 @@ def _separation(array: xr.DataArray, dimension: str) -> float:
     medians = np.abs(array.median([d for d in array.dims if d != dimension], skipna=True).values)
     medians = medians[np.isfinite(medians) & (medians > 0.0)]
     return float(medians.max() / medians.min()) if medians.size else 1.0
+
+
+def series_of(dataset: xr.Dataset, variable: str, *along: str) -> list[tuple[str, xr.Dataset]]:
+    """Return what has a colour of its own: the part of a dataset for every combination of the dimensions of a variable,
+    except those it is drawn ``along``, that has a value, with its name; raises SweepError for more parts than colours.
+    """
+    others = [str(d) for d in dataset[variable].dims if d not in along]
+    everything = [dataset.isel(place) for place in places_along(dataset, others)]
+    parts = [one for one in everything if np.isfinite(one[variable].values).any()]  # a study may exclude the others
+    if len(parts) > len(COLOURS):
+        sizes = ", ".join(f"{d} ({dataset.sizes[d]})" for d in others)
+        raise SweepError(f"{variable} has {sizes}, too many to tell apart; fix some with --at AXIS=VALUE")
+    named = [d for d in others if d in dataset.coords and dataset.sizes[d] > 1]
+    return [(", ".join(value_text(dataset, d, one[d].item()) for d in named), one) for one in parts]
 
 
 def draw_panels(

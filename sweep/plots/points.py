@@ -2,7 +2,7 @@
 samples of a single point.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -15,12 +15,11 @@ from matplotlib.patches import Ellipse
 from scipy.special import chdtri
 
 from linksweep.sweep.analysis.quantity import main_quantity, numeric_axes, quantities, standard_error, varied_parameters
-from linksweep.sweep.analysis.selection import places_along
 from linksweep.sweep.contract import Array, SweepError, shown, suggest
 from linksweep.sweep.formatting import prefixed, with_error, written
 from linksweep.sweep.plots import GridFigure
 from linksweep.sweep.plots.grid import colour_limits, one_axis
-from linksweep.sweep.plots.panels import Layout, draw_panels
+from linksweep.sweep.plots.panels import Layout, draw_panels, series_of
 from linksweep.sweep.plots.style import (
     COLOURS,
     add_bar,
@@ -30,11 +29,10 @@ from linksweep.sweep.plots.style import (
     label,
     legend,
     legend_below,
+    marks,
     new_figure,
     quantity_label,
-    series,
     symbol,
-    value_text,
     wanted_width,
 )
 from linksweep.sweep.studies.study import POINT
@@ -74,16 +72,16 @@ def _points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str
 
 def _draw_points(axes: Axes, dataset: xr.Dataset, variable: str, parameter: str) -> None:
     """Draw a variable over a parameter, one colour for every combination of the other dimensions."""
-    error = standard_error(dataset, variable)
-    for number, (place, text) in enumerate(_told_apart(dataset, variable, (POINT,), "at each point")):
-        y, x = dataset[variable].isel(place).values.astype(float), _positions(axes, dataset, parameter, "x")
-        size, alpha = (3.0, 0.8) if len(x) <= FEW_POINTS else (2.0, 0.4)
-        style = {**series(number), "label": text or variable, "linestyle": "none", "markersize": size, "alpha": alpha}
-        style |= {"markeredgewidth": 0.0, "rasterized": len(x) > MOST_VECTORS}
-        if error is not None and len(x) <= FEW_POINTS:
-            axes.errorbar(x, y, yerr=error.isel(place).values, elinewidth=0.7, **style)
-        else:
+    x, few = _positions(axes, dataset, parameter, "x"), dataset.sizes[POINT] <= FEW_POINTS
+    for number, (name, one) in enumerate(series_of(dataset, variable, POINT)):
+        y, error = one[variable].values.astype(float), standard_error(one, variable) if few else None
+        size, alpha = (3.0, 0.8) if few else (2.0, 0.4)
+        style = marks(number, size, alpha=alpha, markeredgewidth=0.0, rasterized=len(x) > MOST_VECTORS)
+        style["label"] = name or variable
+        if error is None:
             axes.plot(x, y, **style)
+        else:
+            axes.errorbar(x, y, yerr=error.values, elinewidth=0.7, **style)
     fit_scale(axes, "y", dataset[variable])
     axes.set_label(variable)  # for the caption
     axes.set_xlabel(label(dataset[parameter], parameter))
@@ -150,8 +148,8 @@ def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> N
     """
     along, array, x = str(dataset[over].dims[0]), dataset[variable], dataset[over].values.astype(float)
     many = array.sizes[POINT] > FEW_CURVES
-    for number, (place, words) in enumerate(_told_apart(dataset, variable, (POINT, along), f"beside {over}")):
-        y = array.isel(place).transpose(POINT, along).values.astype(float)
+    for number, (words, one) in enumerate(series_of(dataset, variable, POINT, along)):
+        y = one[variable].transpose(POINT, along).values.astype(float)
         y, colour = y[np.isfinite(y).any(axis=1)], COLOURS[number]
         if not many:
             axes.plot(x, y.T, color=colour, linewidth=0.9, alpha=0.8)
@@ -168,22 +166,6 @@ def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> N
     finish(axes)
     if many or array.ndim > 2:
         legend(axes)
-
-
-def _told_apart(
-    dataset: xr.Dataset, variable: str, along: Collection[str], where: str
-) -> list[tuple[dict[str, int], str]]:
-    """Return the place of every combination of the dimensions of a variable, except those it is drawn ``along``, each
-    with its name; raises SweepError if there are more of them than colours.
-    """
-    array = dataset[variable]
-    others = [str(d) for d in array.dims if d not in along]
-    places = list(places_along(array, others))
-    if len(places) > len(COLOURS):
-        sizes = ", ".join(f"{d} ({array.sizes[d]})" for d in others)
-        raise SweepError(f"{variable} has {sizes} {where}, too many to tell apart; fix some with --at AXIS=VALUE")
-    named = [d for d in others if d in dataset.coords]
-    return [(place, ", ".join(value_text(dataset, d, dataset[d][place[d]].item()) for d in named)) for place in places]
 
 
 def _positions(axes: Axes, dataset: xr.Dataset, parameter: str, which: str, few_ticks: bool = False) -> Array:

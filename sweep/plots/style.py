@@ -37,29 +37,11 @@ BAND: Mapping[str, Any] = {"alpha": 0.22, "linewidth": 0.0}
 # Endings of pictures, with the metadata to leave out, because they would make two files of one picture differ.
 FORMATS = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 
-# What differs from the defaults of matplotlib; with the salt the same picture gives the same SVG.
-RC: Mapping[Any, Any] = {
-    **{"svg.hashsalt": "linksweep", "axes.formatter.use_mathtext": True, "mathtext.fontset": "dejavusans"},
-    **{"font.size": 9.0, "axes.titlesize": 9.0, "legend.fontsize": 8.0, "axes.linewidth": 0.6},
-    **dict.fromkeys(("xtick.major.width", "ytick.major.width"), 0.6),
-    **dict.fromkeys(("xtick.minor.width", "ytick.minor.width"), 0.4),
-}
-
-
-def _letters(size: float, small: float, title: float) -> dict[str, float]:
-    sizes = dict.fromkeys(("font.size", "axes.titlesize", "axes.labelsize"), size)
-    return (
-        sizes
-        | dict.fromkeys(("xtick.labelsize", "ytick.labelsize", "legend.fontsize"), small)
-        | {"figure.titlesize": title}
-    )
-
-
-# Sizes of letters in points, as printed or shown: a figure is made in its final width.
-STYLES: Mapping[str, Mapping[Any, Any]] = {
-    "paper": _letters(8.0, 7.0, 8.5),
-    "talk": _letters(14.0, 12.0, 15.0) | {"axes.linewidth": 1.0, "lines.markersize": 8.0},
-}
+# Style sheets of matplotlib: what all figures have, and sizes of letters for a paper or a talk.
+BASE, PAPER, TALK = (
+    mpl.rc_params_from_file(str(Path(__file__).parent / "styles" / f"{name}.mplstyle"), use_default_template=False)
+    for name in ("base", "paper", "talk")
+)
 TALK_MM = 250.0  # the default width of a figure in the style of a talk
 
 # Sizes in letters, that is, in units of the font's size: the average width of a letter, the least width of a panel with
@@ -75,17 +57,14 @@ def settings(width: float | None = None, style: str | None = None) -> Iterator[N
 
     ``width`` is that of figures in mm, by default each kind's own; ``style`` is "paper" or "talk".
     """
-    if style is None and width is not None:
-        style = "paper"
-    ours = (mpl.rcParamsDefault, RC, *STYLES.values())
-    changed = {k for k in {**RC, **STYLES["talk"]} if not any(k in one and mpl.rcParams[k] == one[k] for one in ours)}
     if width is None and style == "talk":
         width = TALK_MM
+    wanted = BASE | (TALK if style == "talk" else PAPER if style or width else {})
+    ours = (mpl.rcParamsDefault, BASE, PAPER, TALK)
+    unchanged = [k for k in wanted if any(k in one and mpl.rcParams[k] == one[k] for one in ours)]
     token = _width.set(None if width is None else width / 25.4)
     try:
-        with mpl.rc_context():
-            wanted = {**RC, **(STYLES[style] if style else {})}
-            mpl.rcParams.update({key: value for key, value in wanted.items() if key not in changed})
+        with mpl.rc_context({key: wanted[key] for key in unchanged}):
             yield
     finally:
         _width.reset(token)
@@ -415,6 +394,11 @@ MOVED = "markers moved sideways, lines not"
 def series(number: int) -> dict[str, Any]:
     """Return colour and marker of the ``number``-th series of a panel."""
     return {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
+
+
+def marks(number: int, size: float, **options: Any) -> dict[str, Any]:
+    """Return the style of the marks of the ``number``-th series, which no line joins."""
+    return {**series(number), "linestyle": "none", "markersize": size, **options}
 
 
 def finish(axes: Axes, grid: bool = True) -> None:

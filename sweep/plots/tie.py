@@ -36,6 +36,7 @@ from linksweep.sweep.plots.style import (
     legend,
     legend_below,
     logarithmic,
+    marks,
     new_figure,
     series,
     symbol,
@@ -136,8 +137,8 @@ def solution_figure(dataset: xr.Dataset) -> Figure:
         factor, unit = _readable(values, stored)
         for number, kind in enumerate(kinds):
             x = np.arange(len(panel)) + 0.6 * ((number + 0.5) / len(kinds) - 0.5)
-            style = {**series(number), "linestyle": "none", "markersize": 3.5, "elinewidth": 1.0}
-            axes.errorbar(x, factor * values, yerr=factor * np.nan_to_num(errors[number]), label=kind, **style)
+            style = marks(number, 3.5, elinewidth=1.0, label=kind)
+            axes.errorbar(x, factor * values, yerr=factor * np.nan_to_num(errors[number]), **style)
         axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
         names = [symbols[k] for k in panel]
         upright = len(panel) > 12 or any("[" in name for name in names)
@@ -163,7 +164,7 @@ def bin_figure(dataset: xr.Dataset) -> Figure:
     middle = 0.5 * (left + right)
     for number, component in enumerate("xyz"):
         x = middle + 0.08 * (number - 1) * (right - left)
-        style = {**series(number), "linestyle": "none", "markersize": 4.5, "label": rf"$\omega_{component}$"}
+        style = marks(number, 4.5, label=rf"$\omega_{component}$")
         axes.errorbar(x, factor * values[:, number], yerr=factor * errors[:, number], **style)
     for edge in {*left.tolist(), *right.tolist()}:
         is_open = edge not in low and edge not in high
@@ -282,7 +283,7 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
         chosen = [name for name in fields if name.startswith(part)]
         for number, field in enumerate(chosen):
             one, kind, x = dataset.sel(field=field), field.partition(" ")[2], degree + 0.06 * (2 * number - 1)
-            style = {**series(number), "markersize": 5.0, "linestyle": "none"}
+            style = marks(number, 5.0)
             signal, noise = (1000.0 * np.sqrt(one[name].values) for name in ("power", "power_noise"))
             upper.plot(x, signal, label=kind, **style)
             upper.plot(degree, noise, color=style["color"], markersize=WIDEST_DASH, label=f"noise, {kind}", **DASH)
@@ -507,8 +508,6 @@ def _angles(axes: Any, x: Array, y: Array, east: Array, north: Array) -> Array:
 
 # Forecasts
 
-CURVE: dict[str, Any] = {"markersize": 4.0, "linewidth": 1.2}
-
 
 def epoch_figure(dataset: xr.Dataset) -> Figure:
     """Return the errors of the unknowns against the epoch of one more position of every source."""
@@ -522,8 +521,8 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
     for axes, (stored, panel) in zip(grid, panels.items(), strict=True):
         factor, unit = _readable(dataset["error"].values[:, panel], stored)
         for number, k in enumerate(panel[: len(COLOURS)]):
-            points = {**series(number), **CURVE, "linestyle": "none"}  # nothing was computed between the epochs
-            axes.plot(epochs, factor * errors_then[:, k], label=symbols[k], **points)
+            style = marks(number, 4.0, label=symbols[k])  # nothing was computed between the epochs
+            axes.plot(epochs, factor * errors_then[:, k], **style)
             for _, errors, line in stages:
                 axes.axhline(factor * errors[k], color=COLOURS[number], linestyle=line, linewidth=0.9)
         axes.set_xlabel(in_lines("epoch of the new position of each source [yr]", each))
@@ -563,7 +562,7 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
         grid[0].set_title("orange: chosen")
         steps = dataset["step_error"].values
         for number, k in enumerate(wanted[: len(COLOURS)]):
-            grid[1].plot(steps[:, k] / steps[0, k], label=symbols[k], **series(number), **CURVE)
+            grid[1].plot(steps[:, k] / steps[0, k], label=symbols[k], markersize=4.0, linewidth=1.2, **series(number))
         grid[1].set_xticks(range(len(chosen) + 1), ["none", *chosen], rotation=90, fontsize=7)
         grid[1].set(xlabel="observed, one after the other", ylabel="error relative to none")
         grid[1].legend(loc="best", frameon=False)
