@@ -12,7 +12,7 @@ from linksweep.core.errors import ErrorModel
 from linksweep.core.frames import along, exact_differences, stored_differences
 from linksweep.core.link import OBSERVABLES, UnlikeError, combined_error, measured
 from linksweep.core.scenario import Scenario
-from linksweep.core.shared import Prefixes
+from linksweep.core.setup import Prefixes
 from linksweep.core.systematics import DrawnField, Field, ZonalErrors
 from linksweep.core.unknowns import ORIENTATION, SPIN
 

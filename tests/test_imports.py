@@ -61,7 +61,7 @@ ONLY_IN = {
             "linksweep.sweep.tie",
         ),
     },
-    "erfa": {"linksweep.core.tie.motion"},
+    "erfa": {"linksweep.core.tie.astrometry"},
     "pygaia": {"linksweep.core.missions"},
 }
 # The platform knows nothing of astrometry; of the core, the experiment and what it is made of know the contract.

@@ -1,16 +1,26 @@
-"""Five-parameter astrometry of many objects as measured, where anything but the position may be missing."""
+"""Five-parameter astrometry of many objects as measured, where anything but the position may be missing; its exact
+motion between epochs; and reference rows minus the satellite's parameters at the rows' epochs.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any
 
+import erfa
 import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.constants import ARCSEC
+from linksweep.core.frames import triad
 
 PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))
 """The two parameters of each correlation, in the order of the Gaia archive."""
+
+J2000 = 2451545.0
+DAYS_PER_YEAR = 365.25
+KEPT_EPOCHS = 10_000
 
 
 @dataclass(frozen=True)
@@ -46,24 +56,23 @@ class Astrometry:
     def taken(self, part: Indices | slice | Flags) -> "Astrometry":
         """Return some of the objects."""
 
-        def of(array: Any) -> Any:
+        def some(array: Any) -> Any:
             if array is None or isinstance(part, slice) or part.dtype == np.bool_:
                 return None if array is None else array[..., part]
             return np.take(array, part, axis=-1)  # half the time of indexing
 
-        columns = {name: of(column) for name, column in self.columns.items()}
-        arrays = {name: of(array) for name, array in vars(self).items() if name != "columns"}
-        return Astrometry(**arrays, columns=columns)
+        columns = {name: some(column) for name, column in self.columns.items()}
+        return Astrometry(**{k: some(v) for k, v in vars(self).items() if k != "columns"}, columns=columns)
 
     def covariance(self) -> Array:
         """Return the covariance of the five parameters, zero where one is missing; shape (N, 5, 5)."""
         sigma = np.where(self.present, self.errors, 0.0).T
-        found = np.zeros((len(self), 5, 5))
-        found[:, range(5), range(5)] = sigma**2
+        covariance = np.zeros((len(self), 5, 5))
+        covariance[:, range(5), range(5)] = sigma**2
         if self.correlations is not None:
             for correlation, (i, j) in zip(self.correlations, PAIRS, strict=True):
-                found[:, i, j] = found[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
-        return found
+                covariance[:, i, j] = covariance[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
+        return covariance
 
 
 def joined(*tables: Astrometry) -> Astrometry:
@@ -71,8 +80,9 @@ def joined(*tables: Astrometry) -> Astrometry:
 
     def together(name: str, *shape: int, kind: type = float) -> Any:
         """Concatenate an array of each table, zeros for a table without it."""
-        each = ((getattr(table, name), (*shape, len(table))) for table in tables)
-        return np.concatenate([np.zeros(size, kind) if given is None else given for given, size in each], axis=-1)
+        arrays = [getattr(table, name) for table in tables]
+        sizes = [(*shape, len(table)) for table in tables]
+        return np.concatenate([np.zeros(n, kind) if a is None else a for a, n in zip(arrays, sizes, strict=True)], -1)
 
     in_frames = any(table.frame is not None for table in tables)
     return Astrometry(
@@ -128,15 +138,144 @@ def kinds(rows: Astrometry) -> NDArray[np.str_]:
         if len(half):
             raise ValueError(f"only one coordinate of the {what} has a value and an error in {named_rows(half)}")
     position, parallax, motion = present[0], present[2], present[3]
-    found = np.empty(len(rows), dtype="U24")
+    kind = np.empty(len(rows), dtype="U24")
     for (a, b, c), name in KINDS.items():
-        found[(position == a) & (parallax == b) & (motion == c)] = name
+        kind[(position == a) & (parallax == b) & (motion == c)] = name
     if rows.apparent is not None:
-        found[(found == "position") & rows.apparent] = "single epoch"
-    return found
+        kind[(kind == "position") & rows.apparent] = "single epoch"
+    return kind
 
 
 def named_rows(rows: Indices) -> str:
     """Return rows counted from 1, at most five of them."""
     more = f" and {len(rows) - 5} more" if len(rows) > 5 else ""
     return f"row {', '.join(str(row + 1) for row in rows[:5])}{more}"
+
+
+def propagated(values: Array, radial_velocity: Array | None, epoch: Array, new_epoch: Array) -> Array:
+    """Return (ra, dec, parallax, pmra, pmdec) at another epoch; all (5, N) in rad and rad/yr, epochs in Julian years.
+
+    Uniform motion in space with light time (ERFA `pmsafe`).  ``radial_velocity`` is in km/s.  A missing value (NaN)
+    counts as zero here and stays missing; a parallax that is not positive stays as it is and means a great distance.
+    """
+    moved = values.copy()
+    moving = np.flatnonzero(new_epoch != epoch)
+    if not len(moving):
+        return moved
+    ra, dec, parallax, pmra, pmdec = np.where(np.isfinite(values[:, moving]), values[:, moving], 0.0)
+    distant = parallax <= 0.0
+    velocity = np.zeros(len(moving)) if radial_velocity is None else np.nan_to_num(radial_velocity[moving])
+    velocity[distant] = 0.0
+    # the ufunc itself, because erfa.pmsafe warns about every distance that it has to assume
+    ra2, dec2, motion_ra, motion_dec, parallax2, _, _ = erfa.ufunc.pmsafe(
+        ra,
+        dec,
+        pmra / np.cos(dec),
+        pmdec,
+        np.maximum(parallax, 0.0) / ARCSEC,
+        velocity,
+        J2000,
+        (epoch[moving] - 2000.0) * DAYS_PER_YEAR,
+        J2000,
+        (new_epoch[moving] - 2000.0) * DAYS_PER_YEAR,
+    )
+    known = np.isfinite(values[:, moving])
+    # at an assumed distance the parallax that comes back is not that of the star
+    near = ~distant & (np.abs(parallax2 * ARCSEC - parallax) < 0.1 * np.abs(parallax))
+    moved[:2, moving] = ra2, dec2
+    moved[2, moving] = np.where(near & known[2], parallax2 * ARCSEC, values[2, moving])
+    moved[3, moving] = np.where(known[3], motion_ra * np.cos(dec2), np.nan)
+    moved[4, moving] = np.where(known[4], motion_dec, np.nan)
+    return moved
+
+
+@lru_cache(maxsize=4)
+def _earth(epochs: bytes) -> Array:
+    """Return the Earth from the barycentre in au, shape (3, N); it takes most of the time of small problems."""
+    # the ufunc itself, because erfa.epv00 warns about epochs before 1900, where it is off by 1e-5 au
+    _, earth, _ = erfa.ufunc.epv00(J2000, (np.frombuffer(epochs) - 2000.0) * DAYS_PER_YEAR)
+    return np.moveaxis(np.asarray(earth["p"]), -1, 0)
+
+
+def parallax_factors(ra: Array, dec: Array, epoch: Array) -> Array:
+    """Return (p.s, q.s) with s from the Earth to the barycentre in au: the displacement by parallax; shape (2, N)."""
+    to_barycentre = -(_earth if len(epoch) < KEPT_EPOCHS else _earth.__wrapped__)(epoch.tobytes())
+    p, q, _ = triad(ra, dec)
+    return np.stack([np.sum(p * to_barycentre, axis=0), np.sum(q * to_barycentre, axis=0)])
+
+
+def offsets(ra: Array, dec: Array, from_ra: Array, from_dec: Array) -> Array:
+    """Return (d alpha*, d dec) of positions as seen from others, in their tangent plane; shape (2, N), rad.
+
+    No large numbers are subtracted except the angles themselves, and 24 h is not a discontinuity.
+    """
+    d_ra = ra - from_ra
+    east = np.cos(dec) * np.sin(d_ra)
+    north = np.sin(dec - from_dec) + 2.0 * np.cos(dec) * np.sin(from_dec) * np.sin(0.5 * d_ra) ** 2
+    return np.stack([east, north])
+
+
+@dataclass(frozen=True)
+class Differences:
+    """R rows: ``values`` f (R, 5), zero where absent, ``partials`` M (R, 5, 5), ``covariance`` V (R, 5, 5) and which
+    of the five are ``present`` (R, 5).
+
+    ``by_frames`` (R, 5, 5 F) are the derivatives of f by the changes of the source's five parameters in the satellite's
+    frame, and then in those of F - 1 further missions: M, and -M for the mission's frame that the row is in.
+    """
+
+    values: Array
+    partials: Array
+    covariance: Array
+    present: Flags
+    by_frames: Array
+
+
+def differences(
+    satellite: Astrometry, rows: Astrometry, source: Indices, spin: Array | None = None, frames: int = 1
+) -> Differences:
+    """Return rows - satellite.  ``source`` (R,) says to which source of the satellite a row belongs.
+
+    A row without an epoch has that of its source.  f is the row minus the exact propagation of the satellite's
+    parameters, and for the position of a single epoch minus the parallax times its factors.  A motion or parallax
+    that the satellite lacks counts as zero here; it is free in the solution, so nothing depends on that.  ``spin`` is
+    a known (5, S) displacement of the sources' parameters that is taken out.  ``frames`` is 1 more than the number of
+    missions whose rows are in frames of their own.
+    """
+    star = satellite.taken(source)
+    epoch = np.where(np.isfinite(rows.epoch), rows.epoch, star.epoch)
+    start = np.nan_to_num(np.where(np.isfinite(star.epoch), star.epoch, epoch), nan=2000.0)
+    years = np.where(np.isfinite(epoch), epoch - start, 0.0)
+    moved = propagated(star.values, star.radial_velocity, start, start + years)
+    moved[2:] = np.nan_to_num(moved[2:])
+    present = rows.present
+    apparent = np.zeros(len(rows), dtype=bool) if rows.apparent is None else rows.apparent
+    apparent = apparent & present[0] & ~present[2] & ~present[3]
+
+    partials = np.zeros((len(rows), 5, 5))
+    partials[:, range(5), range(5)] = 1.0
+    partials[:, 0, 3] = partials[:, 1, 4] = years
+    with np.errstate(invalid="ignore"):
+        values = rows.values - moved
+        values[:2] = offsets(rows.values[0], rows.values[1], moved[0], moved[1])
+    if np.any(apparent):
+        at = np.flatnonzero(apparent)
+        factors = parallax_factors(moved[0, at], moved[1, at], epoch[at])
+        partials[at, :2, 2] = factors.T
+        values[:2, at] -= factors * moved[2, at]
+    if spin is not None:
+        values -= np.einsum("rij,jr->ir", partials, spin[:, source])
+    partials = partials * present.T[:, :, None]
+    by_frames = partials
+    if frames > 1:
+        by_frames = np.concatenate([partials, np.zeros((len(rows), 5, 5 * frames - 5))], axis=2)
+        for number in range(1, frames) if rows.frame is not None else ():
+            here = rows.frame == number
+            by_frames[here, :, 5 * number : 5 * number + 5] = -partials[here]
+    return Differences(
+        values=np.where(present, values, 0.0).T,
+        partials=partials,
+        covariance=rows.covariance(),
+        present=present.T,
+        by_frames=by_frames,
+    )

@@ -8,11 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from linksweep.core.arrays import Array
+from linksweep.core.tie.astrometry import Differences, differences
 from linksweep.core.tie.clips import row_separations
-from linksweep.core.tie.differences import Differences, differences
-from linksweep.core.tie.elimination import Eliminated, eliminate
-from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.sums import NormalSums
+from linksweep.core.tie.problem import Eliminated, NormalSums, Problem, eliminate
 
 BLOCK = 8192
 """Sources, counted over all draws that are made together: the random numbers depend on it."""

@@ -9,9 +9,8 @@ import numpy as np
 from linksweep.core.arrays import Array, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry, joined
-from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.problem import NormalSums, Problem
 from linksweep.core.tie.solution import inverted
-from linksweep.core.tie.sums import NormalSums
 from linksweep.core.unknowns import Unknowns
 
 Criterion = Literal["A", "D"]

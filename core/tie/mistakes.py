@@ -17,12 +17,10 @@ from scipy.special import chdtr, chdtrc, chdtri
 from linksweep.core.arrays import Flags, Indices
 from linksweep.core.constants import MAS
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds
-from linksweep.core.tie.differences import differences
-from linksweep.core.tie.influence import discrepancies
-from linksweep.core.tie.normal_sums import source_sums
+from linksweep.core.tie.astrometry import PAIRS, Astrometry, differences, kinds
+from linksweep.core.tie.problem import source_sums
 from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.solution import Solution, solve
+from linksweep.core.tie.solution import Solution, discrepancies, solve
 
 EXCESS, DEFICIT, ABSURD = 30.0, 0.5, 1000.0
 """chi2 over its expectation above and below which it is said first, and above which a link is not given unasked.

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from linksweep.core.arrays import Array, Flags, Indices
 from linksweep.core.constants import MAS
-from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.sums import NormalSums
+from linksweep.core.tie.problem import NormalSums, Problem
 
 BLOCK = 4096
 """Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache."""

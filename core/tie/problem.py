@@ -1,16 +1,292 @@
-"""The tables of a link and what is asked of them, and the rows of some sources eliminated."""
+"""The tables of a link, what is asked of them, and the five parameters of each source eliminated from its rows.
 
+With f the differences of a source's rows, M their derivatives by its five parameters, V the rows' covariance and C that
+of the satellite, the covariance of f is D = V + M C M'.  The elimination leaves W = M' D^-1 M, w = M' D^-1 f and
+yy = f' D^-1 f, which with J = M' V^-1 M and g = M' V^-1 f are (I + J C)^-1 J, (I + J C)^-1 g and
+sum f' V^-1 f - g' C w.  This form needs neither C nor V nor J to be invertible: only a difference must have an error.
+A parameter that the satellite lacks is free: it is eliminated from W as an unknown of its source.  Millions of sources
+have one row each, of their own epoch; for these there is a closed form.
+"""
+
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, Literal, Self
 
 import numpy as np
 
-from linksweep.core.arrays import Array, Indices
+from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.constants import MAS
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import Astrometry
-from linksweep.core.tie.differences import differences
-from linksweep.core.tie.elimination import Eliminated, Weights, eliminate, eliminate_simple
+from linksweep.core.tie.astrometry import PAIRS, Astrometry, Differences, differences, offsets
 from linksweep.core.unknowns import Objects, Unknowns
+
+Weights = Literal["covariance", "variance", "equal"]
+
+UNDETERMINED = 1e-12
+"""Eigenvalue of a scaled 5 x 5 matrix below which a free parameter is not determined by the rows."""
+
+
+@dataclass(frozen=True)
+class NormalSums:
+    """Sums of G sources or groups: N (G, K, K), b (G, K), yy (G,), numbers of observations n (G,), the averages of yy
+    (G,), and the covariance of b (G, K, K), None where it is N because the weights are the best.
+    """
+
+    normal: Array
+    right: Array
+    squares: Array
+    count: Array
+    expected: Array
+    spread: Array | None = None
+
+    @classmethod
+    def zeros(cls, groups: int, k: int, with_spread: bool, **further: Any) -> Self:
+        """Return sums that are zero, to be filled in; ``further`` fields are those of a subclass."""
+        squares, count, expected = np.zeros((3, groups))
+        spread = np.zeros((groups, k, k)) if with_spread else None
+        return cls(np.zeros((groups, k, k)), np.zeros((groups, k)), squares, count, expected, spread, **further)
+
+    def __len__(self) -> int:
+        return len(self.right)
+
+    def taken(self, part: slice | Flags | Indices) -> Self:
+        """Return the sums of some sources."""
+
+        def some(array: Array) -> Array:  # indexing with row numbers takes several times longer than np.take
+            return array[part] if isinstance(part, slice) or part.dtype == np.bool_ else np.take(array, part, axis=0)
+
+        return self._mapped(some)
+
+    def scaled(self, factors: Array | Flags) -> Self:
+        """Return the same with the weight of each source multiplied by a factor (G,)."""
+        each = factors[:, None, None]
+        return replace(
+            self,
+            normal=self.normal * each,
+            right=self.right * factors[:, None],
+            squares=self.squares * factors,
+            expected=self.expected * factors,
+            spread=self.right_covariance * each**2,
+        )
+
+    def plus(self, other: Self) -> Self:
+        """Return the sums of both, group by group."""
+        return self._mapped(np.add, other)
+
+    def followed_by(self, other: Self) -> Self:
+        """Return the groups of both, one after the other."""
+        return self._mapped(lambda one, two: np.concatenate([one, two]), other)
+
+    def _mapped(self, each: Callable[..., Array], *others: Self) -> Self:
+        """Return a function of every array of these sums and of others."""
+        sums = [dict(vars(one)) for one in (self, *others)]
+        if any(one["spread"] is not None for one in sums):
+            for one, arrays in zip((self, *others), sums, strict=True):
+                arrays["spread"] = one.right_covariance
+        names = [name for name, array in sums[0].items() if isinstance(array, np.ndarray)]
+        return replace(self, **{name: each(*(arrays[name] for arrays in sums)) for name in names})
+
+    @property
+    def right_covariance(self) -> Array:
+        """The covariance of b; shape (G, K, K)."""
+        return self.normal if self.spread is None else self.spread
+
+
+@dataclass(frozen=True)
+class Eliminated(NormalSums):
+    """The sums W, w and yy of S sources, numbers of observations less those of free parameters, and M' G D G' M for
+    weights G other than the best.  ``parameters`` are the P parameters of the matrices: some of the five of each frame.
+    """
+
+    parameters: tuple[int, ...] = ()
+
+    def onto(self, rows: tuple[int, ...]) -> tuple[Array, Array, Array]:
+        """Return W (S, r, r), w (S, r) and M' G D G' M (S, r, r) of some parameters, zero for those without weight."""
+        if rows == self.parameters:
+            return self.normal, self.right, self.right_covariance
+        both = [(i, self.parameters.index(row)) for i, row in enumerate(rows) if row in self.parameters]
+        into, at = [i for i, _ in both], [k for _, k in both]
+        sources, size = range(len(self.right)), len(rows)
+        weight, spread = np.zeros((2, len(sources), size, size))
+        for whole, known in ((weight, self.normal), (spread, self.right_covariance)):
+            whole[np.ix_(sources, into, into)] = known[np.ix_(sources, at, at)]
+        right = np.zeros((len(sources), size))
+        right[:, into] = self.right[:, at]
+        return weight, right, spread
+
+
+def eliminate(
+    rows: Differences, source: Indices, covariance: Array, free: Flags, weights: Weights = "covariance"
+) -> Eliminated:
+    """Return what is left of S sources.
+
+    P is five for each frame.  ``source`` (R,) is that of each row; ``covariance`` C (S, 5, 5) and ``free`` (S, 5), true
+    for parameters without an error, whose rows and columns in C are zero.  Weights are those of the covariance D, of
+    its diagonal, or equal (an error of 1 mas and 1 mas/yr in each difference).  Raises LinkError where differences of a
+    source have no error.
+    """
+    n_sources, size = len(covariance), rows.by_frames.shape[-1]
+    result = Eliminated.zeros(n_sources, size, weights != "covariance", parameters=tuple(range(size)))
+    for sources, places in _alike(rows.present, source, n_sources):
+        _observed(result, rows, covariance, sources, places, weights)
+    which = free @ (1 << np.arange(5))
+    for one in np.unique(which[which > 0]):
+        sources = np.flatnonzero(which == one)
+        _free(result, sources, np.flatnonzero(free[sources[0]]))
+    return result
+
+
+def _alike(present: Flags, source: Indices, n_sources: int) -> Iterator[tuple[Indices, Indices]]:
+    """Yield sources with equally many rows, single rows also of the same kind; and their rows (sources, rows each)."""
+    order = np.argsort(source, kind="stable")
+    n_rows = np.bincount(source, minlength=n_sources)
+    first = np.cumsum(n_rows) - n_rows
+    key = 32 * n_rows.astype(np.int64)
+    single = np.flatnonzero(n_rows == 1)
+    key[single] += present[order[first[single]]] @ (1 << np.arange(5))
+    for one in np.unique(key[n_rows > 0]):
+        sources = np.flatnonzero(key == one)
+        yield sources, order[first[sources][:, None] + np.arange(n_rows[sources[0]])]
+
+
+def _observed(
+    result: Eliminated, rows: Differences, covariance: Array, sources: Indices, places: Indices, weights: Weights
+) -> None:
+    """Fill in W, w, yy of sources that are alike; parameters that a row lacks have zero derivatives and differences."""
+    n, n_rows = places.shape
+    size = 5 * n_rows
+    present = rows.present[places].reshape(n, size)
+    used = np.flatnonzero(present.any(axis=0))
+    if not len(used):
+        return
+    partials = rows.partials[places].reshape(n, size, 5)[:, used]
+    present = present[:, used]
+    whole = partials @ covariance[sources] @ partials.swapaxes(1, 2)
+    for row in range(n_rows):
+        here = np.flatnonzero(used // 5 == row)
+        inside = used[here] % 5
+        whole[:, here[:, None], here] += rows.covariance[places[:, row]][:, inside[:, None], inside]
+    diagonal = range(len(used))
+    whole[:, diagonal, diagonal] += np.where(present, 0.0, MAS**2)
+    variance = whole[:, diagonal, diagonal]
+    if np.any(variance <= 0.0):
+        raise LinkError(f"source {sources[np.argwhere(variance <= 0.0)[0][0]]} has a difference without any error")
+
+    values = rows.values[places].reshape(n, size)[:, used]
+    both = np.concatenate([rows.by_frames[places].reshape(n, size, -1)[:, used], values[..., None]], axis=2)
+    if weights == "covariance":
+        weighted = _solved(whole, variance, both, sources)
+        result.expected[sources] = np.sum(present, axis=1)
+    else:
+        assumed = variance if weights == "variance" else np.full_like(variance, MAS**2)
+        weighted = both / assumed[..., None]
+        result.expected[sources] = np.sum(np.where(present, variance / assumed, 0.0), axis=1)
+        result.right_covariance[sources] = weighted[..., :-1].swapaxes(1, 2) @ whole @ weighted[..., :-1]
+    products = both.swapaxes(1, 2) @ weighted
+    weight = products[:, :-1, :-1]
+    result.normal[sources] = 0.5 * (weight + weight.swapaxes(1, 2))
+    result.right[sources] = products[:, :-1, -1]
+    result.squares[sources] = products[:, -1, -1]
+    result.count[sources] = np.sum(present, axis=1)
+
+
+def _solved(whole: Array, variance: Array, right: Array, sources: Indices) -> Array:
+    """Return D^-1 times the right-hand sides, D scaled to a diagonal of 1."""
+    scale = 1.0 / np.sqrt(variance)
+    scaled = whole * scale[:, :, None] * scale[:, None, :]
+    right = right * scale[..., None]
+    if scaled.shape[1] <= 2:  # in closed form, for millions of sources
+        cross = scaled[:, 0, -1] if scaled.shape[1] == 2 else np.zeros(len(scaled))
+        determinant = (1.0 - cross) * (1.0 + cross)
+        regular = determinant > UNDETERMINED
+    else:
+        regular = np.linalg.eigvalsh(scaled)[:, 0] > UNDETERMINED / 1e3
+    if not np.all(regular):
+        first = sources[np.flatnonzero(~regular)[0]]
+        raise LinkError(f"the differences of source {first} have a combination without any error")
+    if scaled.shape[1] <= 2:
+        solved = (right - cross[:, None, None] * right[:, ::-1]) / determinant[:, None, None]
+    else:
+        solved = np.asarray(np.linalg.solve(scaled, right), dtype=np.float64)
+    return np.asarray(solved * scale[..., None])
+
+
+def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:
+    """Eliminate parameters that the satellite lacks, as far as the rows determine them."""
+    weight = result.normal[sources]
+    block = weight[:, columns[:, None], columns]
+    diagonal = np.einsum("nkk->nk", block)
+    scale = np.where(diagonal > 0.0, 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)), 0.0)
+    values, vectors = np.linalg.eigh(block * scale[:, :, None] * scale[:, None, :])
+    seen = values > UNDETERMINED
+    inverse = (vectors * np.where(seen, 1.0 / np.where(seen, values, 1.0), 0.0)[:, None, :]) @ vectors.swapaxes(1, 2)
+    inverse *= scale[:, :, None] * scale[:, None, :]
+
+    keep = np.tile(np.eye(weight.shape[-1]), (len(sources), 1, 1))  # w of the free solution is keep @ w
+    keep[:, :, columns] -= weight[:, :, columns] @ inverse
+    keep[:, columns, :] = 0.0
+    right, spread = result.right[sources], result.right_covariance[sources]
+    result.squares[sources] -= np.einsum("nk,nkl,nl->n", right[:, columns], inverse, right[:, columns])
+    result.expected[sources] -= np.einsum("nkl,nlk->n", inverse, spread[:, columns[:, None], columns])
+    result.count[sources] -= np.sum(seen, axis=1)
+    result.normal[sources] = keep @ weight @ keep.swapaxes(1, 2)
+    result.right[sources] = np.einsum("nij,nj->ni", keep, right)
+    if result.spread is not None:
+        result.spread[sources] = keep @ spread @ keep.swapaxes(1, 2)
+
+
+def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array | None) -> Eliminated | None:
+    """Return what `eliminate` returns for the best weights, if row i is the only one of source i, all rows are
+    positions at the sources' epochs or all are motions, and the satellite has both coordinates; None otherwise.
+
+    All rows are in the reference's frame.  The row is then the difference itself: W is the inverse of V + C, and
+    nothing is eliminated.
+    """
+    has = np.isfinite(rows.errors)
+    if np.all(has[3]) and not np.any(has[0]):
+        pair = (3, 4)
+    elif np.all(has[0]) and not np.any(has[3]) and _same_epoch(satellite, rows):
+        pair = (0, 1)
+    else:
+        return None
+    inside, absent = list(pair), [row for row in range(5) if row not in pair]
+    complete = np.all(rows.present[inside]) and np.all(satellite.present[inside])
+    if rows.frame is not None or np.any(has[absent]) or not complete:
+        return None
+    if pair == (0, 1):
+        values = offsets(*rows.values[:2], *satellite.values[:2])
+    else:
+        values = rows.values[inside] - satellite.values[inside]
+    if taken_out is not None:
+        values = values - taken_out[inside]
+    first, second, cross = (
+        _covariance(satellite, i, j) + _covariance(rows, i, j) for i, j in (pair[:1] * 2, pair[1:] * 2, pair)
+    )
+    determinant = first * second - cross**2
+    if not np.all((first > 0.0) & (second > 0.0) & (determinant > UNDETERMINED * first * second)):
+        return None  # the general form names the source
+    weight = np.empty((len(rows), 2, 2))
+    weight[:, 0, 0], weight[:, 1, 1] = second / determinant, first / determinant
+    weight[:, 0, 1] = weight[:, 1, 0] = -cross / determinant
+    right = np.stack([weight[:, k, 0] * values[0] + weight[:, k, 1] * values[1] for k in range(2)], axis=1)
+    two = np.full(len(rows), 2.0)
+    squares = right[:, 0] * values[0] + right[:, 1] * values[1]
+    return Eliminated(weight, right, squares, two, two, parameters=pair)
+
+
+def _same_epoch(satellite: Astrometry, rows: Astrometry) -> bool:
+    mean = rows.apparent is None or not np.any(rows.apparent)
+    return mean and bool(np.all(np.isnan(rows.epoch) | np.isnan(satellite.epoch) | (rows.epoch == satellite.epoch)))
+
+
+def _covariance(table: Astrometry, i: int, j: int) -> Array:
+    product = table.errors[i] * table.errors[j]
+    if i == j:
+        return np.asarray(product)
+    if table.correlations is None:
+        return np.zeros(len(table))
+    return np.asarray(np.nan_to_num(table.correlations[PAIRS.index((i, j))]) * product)
 
 
 @dataclass(frozen=True)
@@ -31,22 +307,27 @@ class Problem:
 
     def sources(self, part: Indices) -> tuple[Objects, Array, Eliminated]:
         """Return the objects, years and eliminated rows of some sources."""
-        chosen = _as_slice(part)
-        own = self._needed.taken(chosen)
+        consecutive = len(part) and part[-1] - part[0] == len(part) - 1 and np.all(np.diff(part) == 1)
+        # a slice needs no copy
+        chosen = slice(int(part[0]), int(part[-1]) + 1) if consecutive else part
+        star = self._needed.taken(chosen)
         if self._one_each:
             rows, source = self.rows.taken(chosen), np.arange(len(part))
         else:
-            rows_of, counts = self._rows_of(part)
-            rows, source = self.rows.taken(rows_of), np.repeat(np.arange(len(part)), counts)
-        objects, years = self.objects(own)
-        taken_out = self.taken_out(own)
+            order, first = self._order
+            counts = first[part + 1] - first[part]
+            source = np.repeat(np.arange(len(part)), counts)
+            inside = np.arange(len(source)) - np.repeat(np.cumsum(counts) - counts, counts)
+            rows = self.rows.taken(order[np.repeat(first[part], counts) + inside])
+        objects, years = self.objects(star)
+        taken_out = self.taken_out(star)
         if self.weights == "covariance" and len(rows) == len(part) and np.array_equal(source, np.arange(len(part))):
-            simple = eliminate_simple(own, rows, taken_out)
+            simple = eliminate_simple(star, rows, taken_out)
             if simple is not None:
                 return objects, years, simple
-        found = differences(own, rows, source, taken_out, self.unknowns.frames)
+        found = differences(star, rows, source, taken_out, self.unknowns.frames)
         try:
-            left = eliminate(found, source, own.covariance(), ~own.present.T, self.weights)
+            left = eliminate(found, source, star.covariance(), ~star.present.T, self.weights)
         except LinkError as error:
             raise LinkError(_named(str(error), self.satellite, part)) from None
         return objects, years, left
@@ -60,19 +341,19 @@ class Problem:
             self, satellite=self.satellite.taken(sources), rows=self.rows.taken(rows), source=place[self.source[rows]]
         )
 
-    def objects(self, own: Astrometry) -> tuple[Objects, Array]:
+    def objects(self, star: Astrometry) -> tuple[Objects, Array]:
         """Return the data for derivatives, and the epoch of each source minus that of the unknowns."""
-        ra, dec = own.values[:2]
-        pmra, pmdec = np.nan_to_num(own.values[3:])
-        objects = Objects(ra, dec, pmra, pmdec, own.columns)
-        return objects, np.where(np.isfinite(own.epoch), own.epoch - self.epoch, 0.0)
+        ra, dec = star.values[:2]
+        pmra, pmdec = np.nan_to_num(star.values[3:])
+        objects = Objects(ra, dec, pmra, pmdec, star.columns)
+        return objects, np.where(np.isfinite(star.epoch), star.epoch - self.epoch, 0.0)
 
-    def taken_out(self, own: Astrometry) -> Array | None:
+    def taken_out(self, star: Astrometry) -> Array | None:
         """Return what the known unknowns do to the parameters of sources; shape (5, S)."""
         if self.known is None:
             return None
         known, values = self.known
-        return np.asarray(np.einsum("nik,k->in", known.matrix(*self.objects(own)), values))
+        return np.asarray(np.einsum("nik,k->in", known.matrix(*self.objects(star)), values))
 
     @cached_property
     def _needed(self) -> Astrometry:
@@ -92,26 +373,11 @@ class Problem:
         n_rows = np.bincount(self.source, minlength=len(self.satellite))
         return np.argsort(self.source, kind="stable"), np.concatenate([[0], np.cumsum(n_rows)])
 
-    def _rows_of(self, part: Indices) -> tuple[Indices, Indices]:
-        """Return the rows of some sources, source by source, and how many each has."""
-        order, first = self._order
-        counts = first[part + 1] - first[part]
-        ends = np.cumsum(counts)
-        inside = np.arange(ends[-1] if len(ends) else 0) - np.repeat(ends - counts, counts)
-        return order[np.repeat(first[part], counts) + inside], counts
 
-
-def _as_slice(part: Indices) -> Indices | slice:
-    """Return consecutive rising indices as a slice, which needs no copy."""
-    if len(part) and part[-1] - part[0] == len(part) - 1 and np.all(np.diff(part) == 1):
-        return slice(int(part[0]), int(part[-1]) + 1)
-    return part
-
-
-def _named(message: str, own: Astrometry, part: Indices) -> str:
+def _named(message: str, star: Astrometry, part: Indices) -> str:
     """Replace the number of a source within a block by its name, or its number in the table."""
     words = message.split()
     at = words.index("source") + 1
     number = int(words[at])
-    words[at] = repr(str(own.names[part[number]])) if own.names is not None else str(part[number] + 1)
+    words[at] = repr(str(star.names[part[number]])) if star.names is not None else str(part[number] + 1)
     return " ".join(words)

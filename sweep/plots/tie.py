@@ -21,7 +21,7 @@ from scipy.special import chdtrc, ndtri
 
 from linksweep.core.arrays import Array
 from linksweep.core.constants import DEGREE
-from linksweep.core.tie.influence import LARGE_SHARE
+from linksweep.core.tie.solution import LARGE_SHARE
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import prefixed, written
 from linksweep.sweep.plots.grid import DASH, WIDEST_DASH

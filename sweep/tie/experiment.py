@@ -6,10 +6,9 @@ import numpy as np
 
 from linksweep.core.arrays import Array
 from linksweep.core.constants import MAS
-from linksweep.core.tie.clips import Clip, clipped
+from linksweep.core.tie.clips import Clip, clipped, sources_of
 from linksweep.core.tie.draws import Draw, Simulation
 from linksweep.core.tie.solution import Solution, solve
-from linksweep.core.tie.sources import sources_of
 from linksweep.sweep.contract import Experiment, Point, SweepError
 from linksweep.sweep.tie.design import Design, design_of
 from linksweep.sweep.tie.parameters import (

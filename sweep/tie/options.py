@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from linksweep.core.tie.elimination import Weights
+from linksweep.core.tie.problem import Weights
 from linksweep.core.unknowns import require_mission_name
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import split_assignment

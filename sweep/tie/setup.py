@@ -13,8 +13,8 @@ from linksweep.core.constants import GALACTIC_AXES, MAS
 from linksweep.core.frames import triad
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import KINDS, PAIRS, Astrometry, joined, kinds, named_rows
+from linksweep.core.tie.clips import SourceTable
 from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.sources import SourceTable
 from linksweep.core.unknowns import Rotation, SpinByBin, Unknowns, parse_unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tables.reader import read_table as read_file

@@ -12,7 +12,7 @@ from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, N
 from linksweep.core.experiment import link, scenario
 from linksweep.core.missions import MISSIONS, PyGaia
 from linksweep.core.setup import Noise
-from linksweep.core.shared import Prefixes
+from linksweep.core.setup import Prefixes
 from linksweep.core.simulate import simulate
 
 CATALOGUE = synthetic(np.random.default_rng(1), 50, 5.0, 15.0)

@@ -20,7 +20,7 @@ from linksweep.core.parameters import OUTPUTS, PARAMETERS
 from linksweep.core.scenario import errors_at_limit, has_errors
 from linksweep.core.simulate import simulate
 from linksweep.core.unknowns import GLIDE_LABELS, LABELS
-from linksweep.core.user_mission import mission_from_table
+from linksweep.core.missions import mission_from_table
 from linksweep.sweep.contract import Named
 from linksweep.sweep.tables.file import table_file
 

@@ -15,7 +15,7 @@ from linksweep.core.link import POLE_LIMIT, LinkError
 from linksweep.core.noise import Tile, tile_objects
 from linksweep.core.noisy_design import ELEMENTS, SMALL_ANGLE, NoisyDesign, NoisySums
 from linksweep.core.setup import Draw, prepare
-from linksweep.core.shared import Prefixes
+from linksweep.core.setup import Prefixes
 from tests.core.reference import design_matrix, solve
 from tests.tiers import examples
 

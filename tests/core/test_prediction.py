@@ -16,7 +16,7 @@ from linksweep.core.fixed_design import fixed_designs, neglected
 from linksweep.core.link import inverse_and_condition
 from linksweep.core.missions.calibrate import IN_CODE, PublishedSigma, curve_of, fit, published_model
 from linksweep.core.setup import Draw, prepare
-from linksweep.core.shared import Prefixes
+from linksweep.core.setup import Prefixes
 from linksweep.core.spin_variance import draw_skies, spin_variance
 from tests.core.reference import design_matrix, solve
 

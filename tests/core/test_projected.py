@@ -13,7 +13,7 @@ from linksweep.core.experiment import evaluate, link, scenario
 from linksweep.core.fixed_design import Projected, fixed_designs, neglected
 from linksweep.core.link import LinkError
 from linksweep.core.setup import Draw, prepare
-from linksweep.core.shared import Prefixes
+from linksweep.core.setup import Prefixes
 from linksweep.core.simulate import simulate
 from tests.core.reference import design_matrix, solve
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from linksweep.core.constants import MAS
 from linksweep.core.frames import exact_differences, stored_differences, triad
-from linksweep.core.shared import PART, Prefixes, parts
+from linksweep.core.setup import PART, Prefixes, parts
 from tests.core.reference import design_matrix
 from tests.tiers import examples
 

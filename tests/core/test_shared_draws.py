@@ -15,7 +15,7 @@ from linksweep.core.missions import FunctionCurve, Mission
 from linksweep.core.noise import ROWS, TILE, chunks, tile_objects, tiles
 from linksweep.core.parameters import SHARED
 from linksweep.core.setup import Noise
-from linksweep.core.shared import SharedSums
+from linksweep.core.setup import SharedSums
 from linksweep.core.simulate import simulate
 from tests.tiers import examples
 

@@ -17,7 +17,7 @@ from linksweep.core.harmonics import terms, toroidal, turned
 from linksweep.core.link import LinkError
 from linksweep.core.missions import MISSIONS
 from linksweep.core.setup import Draw, prepare
-from linksweep.core.shared import Prefixes
+from linksweep.core.setup import Prefixes
 from linksweep.core.simulate import simulate
 from linksweep.core.systematics import Field, Systematics, ZonalErrors, parse_pattern, pattern_field, rms
 from linksweep.sweep.contract import SweepError

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linksweep.core.missions import MISSIONS
-from linksweep.core.user_mission import mission_from_table
+from linksweep.core.missions import mission_from_table
 from linksweep.sweep.contract import DefinitionError, SweepError
 from tests.tiers import examples
 

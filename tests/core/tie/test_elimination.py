@@ -8,13 +8,10 @@ from scipy.linalg import block_diag, lstsq
 
 from linksweep.core.constants import MAS
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import Astrometry
-from linksweep.core.tie.differences import differences
-from linksweep.core.tie.elimination import eliminate
-from linksweep.core.tie.influence import bootstrap, discrepancies, expected_discrepancies
-from linksweep.core.tie.normal_sums import group_sums, source_counts, source_discrepancies, source_sums
-from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.solution import solve
+from linksweep.core.tie.astrometry import Astrometry, differences
+from linksweep.core.tie.problem import group_sums, source_counts, source_discrepancies, source_sums
+from linksweep.core.tie.problem import Problem, eliminate
+from linksweep.core.tie.solution import bootstrap, discrepancies, expected_discrepancies, solve
 from linksweep.core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
 
@@ -36,7 +33,7 @@ def mixed(n=12, seed=4, per_source=3):
     rows = len(source)
     epoch = rng.uniform(1990.0, 2020.0, rows)
     own = satellite.taken(source)
-    from linksweep.core.tie.motion import propagated
+    from linksweep.core.tie.astrometry import propagated
 
     values = propagated(own.values, own.radial_velocity, own.epoch, epoch)
     errors = rng.uniform(0.1, 1.0, (5, rows)) * MAS

@@ -7,12 +7,10 @@ import pytest
 from scipy.linalg import block_diag, lstsq
 
 from linksweep.core.constants import MAS
-from linksweep.core.tie.astrometry import joined
+from linksweep.core.tie.astrometry import differences, joined, propagated
 from linksweep.core.tie.clips import separation
-from linksweep.core.tie.differences import differences
 from linksweep.core.tie.draws import Simulation
-from linksweep.core.tie.motion import propagated
-from linksweep.core.tie.normal_sums import group_sums, source_discrepancies, source_sums
+from linksweep.core.tie.problem import group_sums, source_discrepancies, source_sums
 from linksweep.core.tie.problem import Problem
 from linksweep.core.tie.solution import solve
 from linksweep.core.unknowns import parse_unknowns, require_mission_name

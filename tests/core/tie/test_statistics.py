@@ -11,14 +11,11 @@ from linksweep.core.constants import MAS
 from linksweep.core.harmonics import terms
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, positive_definite
-from linksweep.core.tie.clips import MEDIAN_RAYLEIGH, clipped, parse_clip, separation
+from linksweep.core.tie.clips import MEDIAN_RAYLEIGH, SourceTable, clipped, parse_clip, separation, sky_cells
 from linksweep.core.tie.forecast import Goal, choose, with_new_rows
-from linksweep.core.tie.influence import leave_one_out
-from linksweep.core.tie.normal_sums import add_products, group_sums, source_sums
-from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.solution import solve
-from linksweep.core.tie.sources import SourceTable, sky_cells
-from linksweep.core.tie.sums import NormalSums
+from linksweep.core.tie.problem import add_products, group_sums, source_sums
+from linksweep.core.tie.problem import NormalSums, Problem
+from linksweep.core.tie.solution import leave_one_out, solve
 from linksweep.core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
 from tests.core.tie.test_elimination import mixed
@@ -107,7 +104,7 @@ def _with_noise(rng, table):
 
 
 def _model(problem):
-    from linksweep.core.tie.differences import differences
+    from linksweep.core.tie.astrometry import differences
 
     found = differences(problem.satellite, problem.rows, problem.source)
     values = problem.rows.values - found.values.T
@@ -199,7 +196,7 @@ def test_huber_weights_are_those_of_its_own_solution():
     problem = with_outliers()
     table = SourceTable(problem)
     found = clipped(parse_clip("huber:1.5"), table.as_sources(), lambda: separation(problem))
-    from linksweep.core.tie.influence import discrepancies
+    from linksweep.core.tie.solution import discrepancies
 
     residual = np.sqrt(discrepancies(table.sums, found.solution.estimate) / table.sums.count)
     np.testing.assert_allclose(found.factors, np.minimum(1.0, 1.5 / residual), atol=1e-9)
@@ -222,7 +219,7 @@ def test_streamed_sources_give_what_kept_ones_give(monkeypatch):
     problem = with_outliers()
     table = SourceTable(problem)
     kept = clipped(parse_clip("median:5"), table.as_sources(), lambda: separation(problem))
-    monkeypatch.setattr("linksweep.core.tie.sources.KEPT_NUMBERS", 0)
+    monkeypatch.setattr("linksweep.core.tie.clips.KEPT_NUMBERS", 0)
     streamed_table = SourceTable(problem)
     assert not streamed_table.single
     streamed = clipped(parse_clip("median:5"), streamed_table.as_sources(), lambda: separation(problem))
@@ -333,7 +330,7 @@ def test_products_are_those_of_single_sources():
 
 
 def test_errors_of_cells_take_no_pass_of_their_own(monkeypatch):
-    from linksweep.core.tie import sources
+    from linksweep.core.tie import clips as sources
 
     monkeypatch.setattr(sources, "KEPT_NUMBERS", 0)
     passes = []

@@ -8,7 +8,7 @@ import pytest
 
 import linksweep
 from linksweep.core.constants import MAS
-from linksweep.core.tie.motion import propagated
+from linksweep.core.tie.astrometry import propagated
 from linksweep.sweep.report.page import report_of
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import gaia

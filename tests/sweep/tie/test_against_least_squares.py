@@ -316,7 +316,7 @@ def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypa
     tables = drawn_tables(folder, 8, n=30, far=(3, 7))
     options = {"clip": clip, "weights": weights, "errors": "formal,scaled,cells"}
     plain = linked(tables, **options)
-    monkeypatch.setattr("linksweep.core.tie.sources.KEPT_NUMBERS", 0)
+    monkeypatch.setattr("linksweep.core.tie.clips.KEPT_NUMBERS", 0)
     monkeypatch.setattr("linksweep.core.tie.normal_sums.BLOCK", 4)
     monkeypatch.setattr("linksweep.core.tie.normal_sums.GATHERED", 11)
     link = linked(tables, **options)

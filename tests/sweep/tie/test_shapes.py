@@ -8,8 +8,7 @@ from astropy.table import MaskedColumn, Table
 
 from linksweep import tie
 from linksweep.core.constants import MAS
-from linksweep.core.tie.astrometry import Astrometry
-from linksweep.core.tie.motion import parallax_factors, propagated
+from linksweep.core.tie.astrometry import Astrometry, parallax_factors, propagated
 from linksweep.core.unknowns import Objects, parse_unknowns
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import NAMES, gaia

@@ -12,10 +12,10 @@ import linksweep
 from linksweep import SweepError, load_study
 from linksweep.core.constants import MAS
 from linksweep.core.missions import MISSIONS
+from linksweep.core.tie.astrometry import differences
 from linksweep.core.tie.clips import separation
-from linksweep.core.tie.differences import differences
 from linksweep.core.tie.draws import Simulation
-from linksweep.core.tie.normal_sums import source_sums
+from linksweep.core.tie.problem import source_sums
 from linksweep.core.tie.problem import Problem
 from linksweep.core.unknowns import Objects, Rotation, parse_unknowns
 from linksweep.sweep.executing.pools import Resources

@@ -12,7 +12,7 @@ from astropy.time import Time
 from linksweep import SweepError, tie
 from linksweep.core.constants import ARCSEC, DEGREE, MAS
 from linksweep.core.tie.astrometry import PAIRS, kinds
-from linksweep.core.tie.motion import propagated
+from linksweep.core.tie.astrometry import propagated
 from linksweep.sweep.tie.matching import match
 from linksweep.sweep.tie.options import TableOptions
 from linksweep.sweep.tie.tables import hipparcos_correlations as correlations
@@ -171,7 +171,7 @@ def test_columns_and_missing_epochs(tmp_path):
 def test_matching_by_name_and_by_position_with_proper_motion(tmp_path):
     made = stars(6, pm=3000.0)
     left = read_table(gaia(tmp_path / "a.ecsv", made))
-    from linksweep.core.tie.motion import propagated
+    from linksweep.core.tie.astrometry import propagated
 
     moved = propagated(made.values, made.radial_velocity, made.epoch, made.epoch - 20.0)
     from dataclasses import replace
