@@ -18,7 +18,7 @@ import numpy as np
 from linksweep.core.constants import MAS
 from linksweep.core.tie.astrometry import Astrometry
 from linksweep.core.tie.solution import jackknife
-from linksweep.core.tie.normal_sums import group_sums
+from linksweep.core.tie.problem import group_sums
 from linksweep.core.tie.problem import Problem
 from linksweep.core.tie.clips import SourceTable
 from linksweep.core.unknowns import parse_unknowns

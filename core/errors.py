@@ -16,8 +16,7 @@ from linksweep.core.arrays import Array
 from linksweep.core.catalogue import SIDES, Catalogue, OwnErrors
 from linksweep.core.catalogues import CATALOGUES, CatalogueKind
 from linksweep.core.constants import MAS
-from linksweep.core.missions import CurveError, FunctionCurve, Mission
-from linksweep.core.missions import mission_of
+from linksweep.core.missions import CurveError, FunctionCurve, Mission, mission_of
 from linksweep.sweep.contract import Named, Point
 
 PROBES = 100

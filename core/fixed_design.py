@@ -20,8 +20,7 @@ import numpy as np
 
 from linksweep.core.arrays import Array, product_sum, transposed_product
 from linksweep.core.link import LinkError, hold, inverse_and_condition, require_off_poles
-from linksweep.core.setup import Setup
-from linksweep.core.setup import Prefixes, SharedSums, origin, parts
+from linksweep.core.setup import Prefixes, Setup, SharedSums, origin, parts
 from linksweep.core.systematics import DrawnField
 from linksweep.core.unknowns import ORIENTATION, link_unknowns
 

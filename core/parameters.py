@@ -2,8 +2,7 @@
 
 from linksweep.core.catalogues import CATALOGUES
 from linksweep.core.errors import error_kinds
-from linksweep.core.missions import MISSIONS
-from linksweep.core.missions import mission_from_table
+from linksweep.core.missions import MISSIONS, mission_from_table
 from linksweep.sweep.contract import Output, Parameter
 
 PM = "mas / yr"

@@ -13,8 +13,7 @@ from linksweep.core.link import LinkError
 from linksweep.core.noise import ROWS, chunks, stacked_catalogue, tiles
 from linksweep.core.noisy_design import NoisyDesign, NoisySums
 from linksweep.core.scenario import Scenario
-from linksweep.core.setup import Draw, prepare
-from linksweep.core.setup import Prefixes, SharedSums
+from linksweep.core.setup import Draw, Prefixes, SharedSums, prepare
 from linksweep.core.unknowns import ALWAYS, GLIDE, GLIDE_LABELS, ORIENTATION, SPIN
 
 Streams = tuple[np.random.Generator, np.random.Generator]

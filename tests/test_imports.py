@@ -80,7 +80,7 @@ KNOWS_THE_CONTRACT = {
         "linksweep.core.checks",
         "linksweep.core.experiment",
     ),
-    *("linksweep.core.missions", "linksweep.core.user_mission", "linksweep.core.catalogues", "linksweep.core.errors"),
+    *("linksweep.core.missions", "linksweep.core.catalogues", "linksweep.core.errors"),
 }
 # The search is a command beside the platform.
 SEARCH_MAY_USE = {

@@ -15,8 +15,16 @@ from linksweep.core.arrays import Array, Flags, Indices
 from linksweep.core.constants import MAS
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Differences, differences
-from linksweep.core.tie.problem import BLOCK, group_sums, source_counts, source_discrepancies, source_sums, weight_sizes
-from linksweep.core.tie.problem import NormalSums, Problem
+from linksweep.core.tie.problem import (
+    BLOCK,
+    NormalSums,
+    Problem,
+    group_sums,
+    source_counts,
+    source_discrepancies,
+    source_sums,
+    weight_sizes,
+)
 from linksweep.core.tie.solution import Solution, discrepancies, solve
 
 DIVISIONS = 6

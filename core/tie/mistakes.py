@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, chdtri
 
-from linksweep.core.arrays import Flags, Indices
+from linksweep.core.arrays import Array, Flags, Indices
 from linksweep.core.constants import MAS
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, differences, kinds
-from linksweep.core.tie.problem import source_sums
-from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.problem import NormalSums, Problem, source_sums
 from linksweep.core.tie.solution import Solution, discrepancies, solve
 
 EXCESS, DEFICIT, ABSURD = 30.0, 0.5, 1000.0
@@ -248,16 +247,16 @@ def _deficit(problem: Problem, tables: Sequence[str], groups: Sequence[_Group]) 
     for group in groups:
         wholes = [part for part in _wholes(problem, tables) if part.table in ("satellite", group.part.table)]
         for part in (group.part, *wholes[::-1]):
-            ways: tuple[tuple[str, Rows], ...] = (("", group.rows), ALL)
-            for which, rows in ways:
+            for which, rows in (("", group.rows), ALL):
                 for factor, unit in sorted(LARGER.items(), reverse=True):
                     trial = _applied(problem, part, _scaled(rows, factor, errors=True))
                     try:
                         found = None if trial is None else _groups(trial, solve(source_sums(trial)), tables)
                     except LinkError:
                         continue
-                    known = (one for one in found or () if one.words == group.words)
-                    if any(0.1 < one.squares / one.expected < EXCESS for one in known):
+                    if any(
+                        0.1 < one.squares / one.expected < EXCESS for one in found or () if one.words == group.words
+                    ):
                         what = which or group.words.removeprefix("the ").partition(" of ")[0]
                         return f"the likely cause: errors of {what} of {part.words} too large, {unit}"
     return ""
@@ -278,7 +277,7 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[_Cause]:
         early = "early" if shift > 0.0 else "late"
         yield _Cause(f"epochs of {part.words} {round(abs(shift), 2):.3g} years too {early}", found)
     if part.table != "satellite" and np.count_nonzero(part.at) > 2:
-        along, across = (_ratio(_applied(problem, part, _freed(problem, turned))) for turned in (False, True))
+        along, across = (_ratio(_applied(problem, part, _freed(problem, turned=turned))) for turned in (False, True))
         if explains(along) and not explains(across):
             epochs = np.unique(problem.rows.epoch[part.at & problem.rows.present[0]])
             all_equal = f"equal ({epochs[0]:g}), but they were measured at different ones"
@@ -292,22 +291,16 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
     factor = np.ones((5, len(dec if table == "satellite" else problem.source)))
     factor[3] = np.cos(dec if table == "satellite" else dec[problem.source])
 
-    def multiplied(table: Astrometry) -> Astrometry:
-        return replace(table, values=table.values * factor, errors=table.errors * factor)
-
-    def divided(table: Astrometry) -> Astrometry:
-        return replace(table, values=table.values / factor, errors=table.errors / factor)
-
-    def exchanged(table: Astrometry) -> Astrometry:
-        order = [0, 1, 2, 4, 3]
-        return replace(table, values=table.values[order], errors=table.errors[order])
+    def both(change: Callable[[Array], Array]) -> Change:
+        return lambda table: replace(table, values=change(table.values), errors=change(table.errors))
 
     def toggled(table: Astrometry) -> Astrometry:
         return table if table.apparent is None else replace(table, apparent=~table.apparent)
 
-    yield f"pmra of {{}} is mu_alpha, without cos(dec): say --without-cos-dec {table}", 0, multiplied
-    yield "pmra of {} has a factor cos(dec) too many", 0, divided
-    yield "pmra and pmdec of {} exchanged", 0, exchanged
+    cos_dec = f"pmra of {{}} is mu_alpha, without cos(dec): say --without-cos-dec {table}"
+    yield cos_dec, 0, both(lambda array: array * factor)
+    yield "pmra of {} has a factor cos(dec) too many", 0, both(lambda array: array / factor)
+    yield "pmra and pmdec of {} exchanged", 0, both(lambda array: array[[0, 1, 2, 4, 3]])
     for name, rows in NOT_POSITIONS.items():
         yield f"{name} of {{}} with reversed sign", 0, _scaled(rows, -1.0, values=True)
     if table != "satellite":
@@ -403,8 +396,12 @@ def _typical(problem: Problem | None) -> bool:
     if problem is None:
         return False
     sums = source_sums(problem)
-    each = discrepancies(sums, solve(sums).estimate)[sums.count > 0] / sums.count[sums.count > 0]
-    return bool(0.1 < np.median(each) < GOOD)
+    return bool(0.1 < np.median(_each(sums, solve(sums))[sums.count > 0]) < GOOD)
+
+
+def _each(sums: NormalSums, solution: Solution) -> Array:
+    """Return chi2 of each source over its number of observations."""
+    return discrepancies(sums, solution.estimate) / np.maximum(sums.count, 1.0)
 
 
 def _shift(problem: Problem, part: _Part) -> tuple[float, float]:
@@ -438,8 +435,7 @@ def _outliers(problem: Problem, ratio: float) -> tuple[Indices, float]:
     dropped: list[int] = []
     for _ in range(min(3, len(sums) // 4)):
         try:
-            each = discrepancies(sums, solve(sums.taken(kept)).estimate) / np.maximum(sums.count, 1.0)
-            dropped.append(int(np.argmax(np.where(kept, each, -1.0))))
+            dropped.append(int(np.argmax(np.where(kept, _each(sums, solve(sums.taken(kept))), -1.0))))
             kept[dropped[-1]] = False
             left = solve(sums.taken(kept)).scale ** 2
         except LinkError:
@@ -452,13 +448,13 @@ def _outliers(problem: Problem, ratio: float) -> tuple[Indices, float]:
 def _exchanged(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> Iterator[_Cause]:
     """Yield pairs of the sources that fit worst whose rows belong to one another."""
     sums = source_sums(problem)
-    each = discrepancies(sums, solve(sums).estimate) / np.maximum(sums.count, 1.0)
+    worst = np.argsort(-_each(sums, solve(sums)))[:6].tolist()
     for part in _wholes(problem, tables)[1:]:
-        for pair in combinations(np.argsort(-each)[:6].tolist(), 2):
+        for pair in combinations(worst, 2):
             place = np.arange(len(problem.satellite))
             place[list(pair)] = pair[::-1]
             source = np.where(part.at, place[problem.source], problem.source)
-            found = _ratio(replace(problem, source=source))
-            if found < EXCESS and found < 0.1 * ratio:
+            left = _ratio(replace(problem, source=source))
+            if left < EXCESS and left < 0.1 * ratio:
                 one, other = names[list(pair)]
-                yield _Cause(f"the names {one} and {other} exchanged in {part.words}", found)
+                yield _Cause(f"the names {one} and {other} exchanged in {part.words}", left)

@@ -56,15 +56,6 @@ def test_positions_are_isotropic(draw):
     assert is_isotropic(catalogue.ra, catalogue.dec)
 
 
-def test_isotropic_skies_come_from_no_zone_and_no_contrast():
-    """Not another law: with both at zero the Galactic height is the uniform number itself."""
-    rng = np.random.default_rng(8)
-    longitude, sin_b = rng.uniform(0.0, 2.0 * np.pi, 1000), rng.uniform(-1.0, 1.0, 1000)
-    r = GALACTIC_AXES @ triad(*Sky(0.0, 0.0).positions(np.random.default_rng(8), 1000)).r
-    np.testing.assert_allclose(r[2], sin_b, atol=1e-15)
-    np.testing.assert_allclose(np.arctan2(r[1], r[0]) % (2.0 * np.pi), longitude, atol=1e-12)
-
-
 @pytest.mark.parametrize(("zone_deg", "contrast"), UNEVEN)
 def test_uneven_skies_have_their_fractions_and_are_uniform_on_each_side(zone_deg, contrast):
     n_obj = 20_000
@@ -110,33 +101,6 @@ def test_moduli_of_proper_motions_have_their_law_and_mean(distribution, law):
     assert abs(modulus.mean() - 1.0) < 4 * law.std() / np.sqrt(n_obj)
 
 
-def test_a_rayleigh_modulus_is_that_of_two_normal_components():
-    catalogue = synthetic(np.random.default_rng(10), 20_000, 6.0, 13.0, ALL_SKY, MAS, "rayleigh")
-    for component in (catalogue.pmra, catalogue.pmdec):
-        assert stats.kstest(component / (MAS * np.sqrt(2.0 / np.pi)), "norm").pvalue > P_VALUE
-
-
-def test_constant_moduli_differ_only_in_direction():
-    catalogue = drawn(n_obj=100, mean_pm=3.0, pm_distribution="constant")
-    np.testing.assert_allclose(np.hypot(catalogue.pmra, catalogue.pmdec), 3.0 * MAS, rtol=1e-12)
-    assert np.ptp(catalogue.pmra) > 5.0 * MAS
-
-
-def test_synthetic_objects_stand_still_by_default_and_end_at_15_mag():
-    catalogue = drawn(n_obj=1000)
-    assert not np.any([catalogue.pmra, catalogue.pmdec])
-    assert 14.9 < catalogue.v_mag.max() < 15.0
-
-
-def test_the_sky_of_a_synthetic_catalogue():
-    sky = Sky(0.5, 0.2)
-    catalogue = synthetic(np.random.default_rng(10), 100, 5.0, 15.0, sky)
-    ra, dec = sky.positions(np.random.default_rng(10), 100)
-    np.testing.assert_array_equal([catalogue.ra, catalogue.dec], [ra, dec])
-    by_parameters = drawn(10, n_obj=100, zone_of_avoidance=0.5 / DEGREE, sky_contrast=0.2)
-    np.testing.assert_allclose(by_parameters.dec, dec, rtol=1e-9)
-
-
 @pytest.mark.parametrize("limit", [11.5, 12.5, 13.5])
 def test_galaxy_magnitudes_are_a_truncated_normal(limit):
     catalogue = galaxies(np.random.default_rng(11), 20_000, limit)
@@ -144,12 +108,6 @@ def test_galaxy_magnitudes_are_a_truncated_normal(limit):
     assert stats.kstest(catalogue.v_mag, law.cdf).pvalue > P_VALUE
     assert catalogue.v_mag.max() <= limit
     assert not np.any([catalogue.pmra, catalogue.pmdec])
-
-
-def test_there_are_116_galaxies_to_magnitude_13_5():
-    catalogue = drawn(catalogue="galaxies")
-    assert len(catalogue) == 116
-    assert 13.2 < catalogue.v_mag.max() <= 13.5
 
 
 def test_radio_stars_are_those_of_the_table():
@@ -169,17 +127,6 @@ def test_radio_stars_are_drawn_with_replacement_and_stay_whole():
     np.testing.assert_array_equal(rows(catalogue), rows(stars)[which])
     assert stats.chisquare(np.bincount(which, minlength=11)).pvalue > P_VALUE
     assert abs(stats.spearmanr(which[1:], which[:-1]).statistic) < 4 / np.sqrt(n_obj)  # one after the other
-
-
-def test_radio_stars_at_their_own_positions():
-    stars = radio_stars()
-    catalogue = drawn(12, catalogue="radio-stars", n_obj=50, positions="own", zone_of_avoidance=80.0)
-    everything = np.column_stack([stars.ra, stars.dec, rows(stars)])
-    which = np.argmax(catalogue.v_mag[:, None] == stars.v_mag, axis=1)
-    np.testing.assert_array_equal(np.column_stack([catalogue.ra, catalogue.dec, rows(catalogue)]), everything[which])
-    elsewhere = drawn(12, catalogue="radio-stars", n_obj=50)
-    np.testing.assert_array_equal(rows(elsewhere), rows(catalogue))
-    assert not np.any(np.isin(elsewhere.ra, stars.ra))
 
 
 def test_take_and_moved_to_keep_the_columns_of_an_object_together():

@@ -11,8 +11,7 @@ from linksweep.core.constants import MAS
 from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import link, scenario
 from linksweep.core.missions import MISSIONS, PyGaia
-from linksweep.core.setup import Noise
-from linksweep.core.setup import Prefixes
+from linksweep.core.setup import Noise, Prefixes
 from linksweep.core.simulate import simulate
 
 CATALOGUE = synthetic(np.random.default_rng(1), 50, 5.0, 15.0)
@@ -28,16 +27,6 @@ def with_own_errors(n_obj=50, correlated=True):
     return replace(
         CATALOGUE.take(np.arange(n_obj)), sigma=rng.uniform(0.2, 3.0, (4, n_obj)) * MAS, correlation=correlation
     )
-
-
-def test_no_errors():
-    np.testing.assert_array_equal(NO_ERRORS.standard_errors(CATALOGUE), np.zeros((4, 50)))
-
-
-def test_normal_errors():
-    expected = np.repeat([[2.0], [2.0], [3.0], [3.0]], 50, axis=1) * MAS
-    np.testing.assert_allclose(NormalErrors(2.0, 3.0).standard_errors(CATALOGUE), expected, rtol=1e-15)
-    np.testing.assert_allclose(NormalErrors(2.0, 3.0, 0.5).standard_errors(CATALOGUE), expected / 2, rtol=1e-15)
 
 
 @pytest.mark.parametrize("name", [n for n, m in MISSIONS.items() if not isinstance(m.curve_pm_mas_yr, PyGaia)])
@@ -58,13 +47,6 @@ def test_catalogue_errors_are_those_of_the_objects():
     assert CatalogueErrors().correlation(stars) is None
     with pytest.raises(ValueError, match="has no errors of its own"):
         CatalogueErrors().standard_errors(CATALOGUE)
-
-
-@pytest.mark.parametrize("model", [NO_ERRORS, NormalErrors(1.0, 2.0), MagnitudeErrors(MISSIONS["amex"])])
-def test_other_models_ignore_what_the_catalogue_says_of_its_errors(model):
-    catalogue = with_own_errors()
-    np.testing.assert_array_equal(model.standard_errors(catalogue), model.standard_errors(CATALOGUE))
-    assert model.correlation(catalogue) is None
 
 
 @pytest.mark.parametrize("correlated", [False, True])
@@ -102,13 +84,6 @@ def test_scales_multiply():
     point |= {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
     assert scenario(point).reference_errors == CatalogueErrors(14.0, "reference")
     assert scenario(point).satellite_errors == CatalogueErrors(10.0, "satellite")
-
-
-def test_mission_length_and_model_reach_the_satellite():
-    point = link.defaults() | {"n_obj": 50, "model": "gaia", "mission_length": 10.0, "error_scale": 2.0}
-    expected = MagnitudeErrors(MISSIONS["gaia"], 10.0, 2.0)
-    assert scenario(point).satellite_errors == expected
-    assert scenario(point).reference_errors == NO_ERRORS
 
 
 @pytest.mark.slow

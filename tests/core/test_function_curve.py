@@ -18,14 +18,6 @@ class Known:
         return self.function(*arguments)
 
 
-@pytest.mark.parametrize("shape", [(), (1,), (5,), (2, 3)])
-def test_values_in_any_shape_times_the_factor(shape):
-    v_mag = np.linspace(9.0, 20.0, int(np.prod(shape, dtype=int))).reshape(shape)
-    curve = FunctionCurve(Known(lambda v: 0.1 * v), 0.001).times(3.0)
-    np.testing.assert_allclose(curve(v_mag), 0.0003 * v_mag, rtol=1e-14)
-    assert curve(v_mag).shape == shape
-
-
 def test_the_function_gets_one_dimension_of_its_own():
     seen = []
 

@@ -10,7 +10,6 @@ from linksweep.core.catalogue import Sky
 from linksweep.core.catalogues import synthetic
 from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from linksweep.core.errors import NO_ERRORS, NormalErrors
-from linksweep.core.experiment import link, scenario
 from linksweep.core.frames import position, triad
 from linksweep.core.link import LinkError
 from linksweep.core.scenario import Scenario, TrueVector
@@ -69,12 +68,6 @@ def test_columns_are_the_derivative_of_proper_motions_by_the_glide():
         d_ra, d_dec = (ahead - behind) / (2 * step)
         np.testing.assert_allclose(design[2:, :, 6 + k], [d_ra * np.cos(dec), d_dec], atol=1e-8)
     np.testing.assert_array_equal(design[:2, :, 6:], 0.0)  # no position moves
-
-
-def test_the_other_columns_do_not_change():
-    rng = np.random.default_rng(3)
-    catalogue = rng.uniform(0.1, 1.2, (4, 20))
-    np.testing.assert_array_equal(design_matrix(*catalogue, glide=True)[..., :6], design_matrix(*catalogue))
 
 
 def test_a_glide_is_no_spin_but_both_together_need_three_objects():
@@ -138,12 +131,3 @@ def test_noise_does_not_change_the_leak(reference):
     )
     mc_error = np.sqrt(sums["predicted_variance"] / n_sim)
     assert np.all(np.abs(sums["error"] / n_sim - leak["error"])[3:] < 4 * mc_error[3:])
-
-
-def test_glide_of_a_study():
-    """4 microarcsec/yr towards the Galactic centre unless it says another, and none without aberration."""
-    point = link.defaults() | {"n_obj": 10}
-    assert scenario(point).aberration == (0.0, 0.0, 0.0)
-    np.testing.assert_allclose(scenario(point | {"aberration": True}).aberration, GLIDE, rtol=1e-12)
-    given = scenario(point | {"aberration": True, "glide": (1.0, 2.0, -3.0)}).aberration
-    np.testing.assert_allclose(given, np.array([1.0, 2.0, -3.0]) * MICROARCSEC, rtol=1e-12)

@@ -13,9 +13,8 @@ from linksweep.core.errors import CatalogueErrors
 from linksweep.core.experiment import link, scenario
 from linksweep.core.link import POLE_LIMIT, LinkError
 from linksweep.core.noise import Tile, tile_objects
-from linksweep.core.noisy_design import ELEMENTS, SMALL_ANGLE, NoisyDesign, NoisySums
-from linksweep.core.setup import Draw, prepare
-from linksweep.core.setup import Prefixes
+from linksweep.core.noisy_design import ELEMENTS, NoisyDesign, NoisySums
+from linksweep.core.setup import Draw, Prefixes, prepare
 from tests.core.reference import design_matrix, solve
 from tests.tiers import examples
 
@@ -145,12 +144,6 @@ def test_both_ways_to_sin_and_cos_agree(sigma_mas):
     assert np.all(np.abs(errors[0] - errors[1]) < 1e-11 * sigma)
 
 
-def test_the_limit_of_a_small_angle():
-    """The terms left out are below the last bit of one."""
-    assert SMALL_ANGLE**5 / 120 < 2**-53
-    assert SMALL_ANGLE**6 / 720 < 2**-53
-
-
 def test_an_object_that_its_error_carries_over_the_pole_is_named_as_by_the_design_matrix():
     rng = np.random.default_rng(5)
     objects = catalogue(rng, 40, 0.0, 1.0, 1.0, 0.0, False)
@@ -181,16 +174,6 @@ def test_objects_of_one_place_do_not_determine_the_link():
     objects = catalogue(np.random.default_rng(6), 20, 0.0, 1e-6, 1.0, 0.0, False).take(np.zeros(20, dtype=np.intp))
     with pytest.raises(LinkError, match="rank deficient"):
         all_at_once(set_up(objects), np.zeros((2, 20, 4, 3)))
-
-
-def test_a_satellite_without_errors_needs_no_normals():
-    rng = np.random.default_rng(7)
-    setup = set_up(catalogue(rng, 30, 10.0, 1.0, 3.0, 0.0, True), satellite_scale=0.0)
-    reference = Tile(0, rng.standard_normal((30, 4, 5)))
-    (alone, _), (beside, _) = (
-        summed(setup, satellite, reference) for satellite in (None, Tile(0, rng.standard_normal((30, 4, 5))))
-    )
-    np.testing.assert_array_equal(alone, beside)
 
 
 def summed(setup, satellite, reference):

@@ -12,8 +12,7 @@ from linksweep.core.errors import CatalogueErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, scenario
 from linksweep.core.fixed_design import Projected, fixed_designs, neglected
 from linksweep.core.link import LinkError
-from linksweep.core.setup import Draw, prepare
-from linksweep.core.setup import Prefixes
+from linksweep.core.setup import Draw, Prefixes, prepare
 from linksweep.core.simulate import simulate
 from tests.core.reference import design_matrix, solve
 

@@ -85,18 +85,6 @@ def test_seven_stand_at_the_brightest_magnitude_and_the_others_follow_the_first_
     assert is_log_linear(v_mag[v_mag > BRIGHTEST_MAG], BRIGHTEST_MAG, 14.0, 7, 28)
 
 
-def test_v_max_between_half_magnitudes_cuts_the_last_bin():
-    v_mag = drawn(4, 18.3).v_mag
-    assert len(v_mag) == round(3453 * (5542 / 3453) ** 0.6)
-    assert is_log_linear(v_mag[3453:], 18.0, 18.3, 3453, len(v_mag))
-
-
-def test_no_quasar_is_fainter_than_the_limit_where_the_count_is_rounded_up():
-    assert quasar_count(13.3) == 13  # of 12.8
-    faintest = [drawn(seed, 13.3).v_mag.max() for seed in range(50)]
-    assert 13.2 < max(faintest) <= 13.3
-
-
 @pytest.mark.parametrize(("v_max", "fraction"), [(16.5, 0.57), (19.0, 0.054)])
 def test_completed_counts_are_those_of_the_paper_over_its_completeness(v_max, fraction):
     assert completeness(v_max) == pytest.approx(fraction, rel=1e-12)
@@ -114,26 +102,6 @@ def test_completeness_is_log_linear_and_one_at_the_bright_end():
     assert knee == pytest.approx(15.9, abs=0.01)
 
 
-def test_completed_counts_grow_with_the_limit_to_three_quarters_of_a_million():
-    counts = np.array([quasar_count(v, completed=True) for v in np.linspace(12.8, 20.0, 200)])
-    assert np.all(np.diff(counts) >= 0)
-    assert all(quasar_count(v, completed=True) == quasar_count(v) for v in V_MAX[V_MAX < 15.9])
-    assert counts[-1] == pytest.approx(740_000, rel=0.01)
-
-
-def test_completed_magnitudes_follow_the_completed_counts():
-    v_mag = drawn(3, 18.0, completed=True).v_mag
-    counts = [quasar_count(v, completed=True) for v in V_MAX]
-    for k in range(1, 9):
-        assert is_log_linear(v_mag[counts[k - 1] : counts[k]], V_MAX[k - 1], V_MAX[k], counts[k - 1], counts[k])
-
-
-def test_counts_reach_the_scenario():
-    point = link.defaults() | {"catalogue": "quasars", "v_max": 17.0, "counts": "completed", "sky_contrast": 0.3}
-    expected = drawn(5, 17.0, True, Sky(contrast=0.3))
-    np.testing.assert_array_equal(columns(scenario(point).draw_catalogue(np.random.default_rng(5))), columns(expected))
-
-
 def test_n_obj_draws_that_many_different_quasars():
     point = link.defaults() | {"catalogue": "quasars", "v_max": 17.0, "n_obj": 400}
     chosen = columns(scenario(point).draw_catalogue(np.random.default_rng(5)))
@@ -142,12 +110,6 @@ def test_n_obj_draws_that_many_different_quasars():
     assert len(index) == 400
     np.testing.assert_array_equal(chosen, everything[:, index])
     assert stats.kstest(index / 1156, "uniform").pvalue > P_VALUE  # from all of them, not the brightest
-
-
-def test_n_obj_of_all_quasars_is_the_whole_catalogue():
-    point = link.defaults() | {"catalogue": "quasars", "v_max": 15.0}
-    whole, all_88 = (scenario(point | {"n_obj": n}).draw_catalogue(np.random.default_rng(6)) for n in (None, 88))
-    np.testing.assert_array_equal(columns(whole), columns(all_88))
 
 
 def test_default_limit_is_the_end_of_the_counts():

@@ -12,9 +12,8 @@ from linksweep.core.arrays import transposed_product
 from linksweep.core.errors import NO_ERRORS, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, samples, scenario
 from linksweep.core.missions import FunctionCurve, Mission
-from linksweep.core.noise import ROWS, TILE, chunks, tile_objects, tiles
+from linksweep.core.noise import ROWS, tile_objects, tiles
 from linksweep.core.parameters import SHARED
-from linksweep.core.setup import Noise
 from linksweep.core.setup import SharedSums
 from linksweep.core.simulate import simulate
 from tests.tiers import examples
@@ -185,12 +184,6 @@ def test_random_directions_are_the_same_for_catalogues_of_any_size():
     assert np.abs(estimates[0] - 1.0).max() > 0.1
 
 
-@given(n_sim=st.integers(1, 5000))
-def test_chunks_add_up(n_sim):
-    assert sum(chunks(n_sim)) == n_sim
-    assert max(chunks(n_sim)) <= ROWS
-
-
 @given(
     rows=st.integers(1, ROWS),
     n_obj=st.integers(0, 300),
@@ -228,13 +221,3 @@ def test_tiles_are_the_streams_object_by_object(rows, n_obj, fewer, stack):
         expected = np.einsum("...nic,...nir->...cr", columns[..., :size, :, :], plain[..., :size, :, :])
         np.testing.assert_allclose(total(), expected, rtol=1e-9, atol=1e-9 * np.sqrt(size))
     assert len(terms) <= -(-n_obj // tile_objects(rows)) + 1  # of what they share, once
-
-
-def test_a_tile_stays_in_cache_whatever_the_rows():
-    assert all(tile_objects(rows) * 4 * rows <= TILE for rows in range(1, ROWS + 1))
-    assert tile_objects(1) == TILE // 4  # and a single realisation is drawn for many objects at a time
-
-
-def test_noise_without_correlations_is_not_copied():
-    normals = np.ones((3, 4, 2))
-    assert Noise(np.ones((3, 4)), None).standardised(normals, 0) is normals

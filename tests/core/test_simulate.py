@@ -6,10 +6,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from linksweep.core.catalogue import Sky
-from linksweep.core.catalogues import quasars, synthetic
+from linksweep.core.catalogues import synthetic
 from linksweep.core.constants import MAS
 from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.frames import exact_differences, triad
@@ -223,14 +221,6 @@ def test_memory_does_not_grow_with_the_number_of_realisations(reference_errors, 
     assert peak(many) < 1.05 * peak(few)
 
 
-def test_prediction_for_quasars_is_near_the_closed_form():
-    point = scenario(1, draw_catalogue=partial(quasars, v_max=17.0, sky=Sky()))
-    v_mag = quasars(np.random.default_rng(2), 17.0, Sky()).v_mag
-    closed_form = 1.5 / np.sum(MISSIONS["amex"].sigma_pm_mas_yr(v_mag) ** -2.0)
-    # a few bright quasars weigh most, so the variance of one sky scatters by 10 % about that of an isotropic one
-    assert run(point, 1)["predicted_variance"][3:].mean() == pytest.approx(closed_form, rel=0.3)
-
-
 def test_errors_that_cannot_be_weighed():
     with pytest.raises(LinkError, match=r"negative standard error"):
         run(scenario(10, satellite_errors=NormalErrors(-1.0, 1.0)), 1)
@@ -254,24 +244,6 @@ def test_samples_are_the_estimates_that_are_added_up(solve_glide, reference_erro
     error = estimates - [*TRUTH_MAS, *(-GLIDE / MAS)][: estimates.shape[1]]
     assert estimates.shape == (n_sim, 9 if solve_glide else 6)
     assert_sums(sums, error.sum(axis=0), error.T @ error, np.ones(9), n_sim)
-
-
-def test_random_directions_are_isotropic_and_keep_the_length():
-    n_draws, length = 20_000, 3.0 * MAS
-    true, rng = TrueVector((0.0, length, 0.0), random_direction=True), np.random.default_rng(5)
-    vectors = np.array([true.draw(rng) for _ in range(n_draws)])
-    np.testing.assert_allclose(np.linalg.norm(vectors, axis=1), length, rtol=1e-14)
-    for component in vectors.T / length:  # uniform on the sphere: each is uniform between -1 and 1
-        assert stats.kstest((component + 1.0) / 2.0, "uniform").pvalue > 1e-3
-    outer = vectors.T @ vectors / (n_draws * length**2)
-    assert np.all(np.abs(outer - np.eye(3) / 3) < 4 * np.sqrt(4 / 45 / n_draws))  # variance of r_x^2
-
-
-def test_fixed_and_zero_vectors_are_themselves():
-    rng = np.random.default_rng(6)
-    np.testing.assert_array_equal(TrueVector(tuple(EPSILON)).draw(rng), EPSILON)
-    assert rng.bit_generator.state == np.random.default_rng(6).bit_generator.state
-    np.testing.assert_array_equal(TrueVector((0.0, 0.0, 0.0), random_direction=True).draw(rng), 0.0)
 
 
 def test_random_directions_are_the_catalogues_and_the_link_finds_them():

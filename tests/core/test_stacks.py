@@ -13,7 +13,6 @@ from linksweep.core.constants import DEGREE, MAS
 from linksweep.core.errors import CatalogueErrors, NormalErrors
 from linksweep.core.experiment import evaluate, evaluate_catalogues, link
 from linksweep.core.link import LinkError, UnlikeError
-from linksweep.core.noise import Generators, stacked_catalogue
 from linksweep.core.scenario import scenario
 from linksweep.core.simulate import can_stack, simulate, simulate_stack
 from tests.tiers import examples
@@ -80,10 +79,6 @@ def test_what_cannot_be_stacked_is_computed_one_by_one(changes):
     point = link.defaults() | {"n_obj": 30} | changes
     assert not can_stack(scenario(point), 10)
     assert_same_bits(evaluate_catalogues([point], 10, streams(3)), one_by_one(point, 10, 3))
-
-
-def test_a_single_realisation_is_not_stacked():
-    assert not can_stack(scenario(link.defaults() | {"n_obj": 30}), 1)
 
 
 def test_points_that_share_their_draws_are_computed_together_catalogue_by_catalogue():
@@ -154,25 +149,3 @@ def test_a_catalogue_that_does_not_determine_the_link_says_so():
 def same_place(rng):
     found = objects(rng)
     return replace(found, ra=found.ra * 0.0 + 1.0, dec=found.dec * 0.0 + 0.5)
-
-
-def test_the_same_objects_for_all_are_repeated():
-    rows = objects(np.random.default_rng(3))
-    found = stacked_catalogue(lambda rng: rows, [np.random.default_rng(k) for k in range(3)])
-    np.testing.assert_array_equal(found.ra, np.tile(rows.ra, 3))
-
-
-def test_some_of_the_objects_are_those_of_each_generator():
-    rows = objects(np.random.default_rng(3), 40)
-    rows = replace(rows, sigma=np.arange(160.0).reshape(4, 40), correlation=np.arange(640.0).reshape(40, 4, 4))
-    rngs = [np.random.default_rng(k) for k in range(3)]
-    found = stacked_catalogue(lambda rng: rows.some(rng, 15), rngs)
-    expected = [rows.some(np.random.default_rng(k), 15) for k in range(3)]
-    np.testing.assert_array_equal(found.sigma, np.concatenate([e.sigma for e in expected], axis=1))
-    np.testing.assert_array_equal(found.correlation, np.concatenate([e.correlation for e in expected]))
-
-
-def test_generators_are_asked_in_their_order():
-    several = Generators([np.random.default_rng(k) for k in range(3)])
-    expected = [np.random.default_rng(k).normal(1.0, 2.0, size=4) for k in range(3)]
-    np.testing.assert_array_equal(several.normal(1.0, 2.0, size=4), expected)

@@ -13,11 +13,8 @@ from linksweep.core.errors import CatalogueErrors, Errors, FlooredErrors, Magnit
 from linksweep.core.experiment import cost, evaluate, link, samples, scenario, summarise
 from linksweep.core.fixed_design import fixed_designs
 from linksweep.core.frames import triad
-from linksweep.core.harmonics import terms, toroidal, turned
-from linksweep.core.link import LinkError
 from linksweep.core.missions import MISSIONS
-from linksweep.core.setup import Draw, prepare
-from linksweep.core.setup import Prefixes
+from linksweep.core.setup import Draw, Prefixes, prepare
 from linksweep.core.simulate import simulate
 from linksweep.core.systematics import Field, Systematics, ZonalErrors, parse_pattern, pattern_field, rms
 from linksweep.sweep.contract import SweepError
@@ -85,14 +82,6 @@ def test_a_floor_dilutes_the_correlations_of_an_object():
     total, correlation = floored.standard_errors(own).T, floored.correlation(own)
     expected = covariance + np.diag([1.0, 1.0, 4.0, 4.0]) * MAS**2
     np.testing.assert_allclose(correlation * total[:, :, None] * total[:, None, :], expected, rtol=1e-12)
-
-
-def test_a_floor_is_all_there_is_of_exact_errors():
-    floored = results(
-        400, **NORMAL, satellite_sigma_pos=0.0, satellite_sigma_pm=0.0, satellite_floor_pos=1.0, satellite_floor_pm=1.0
-    )
-    plain = results(400, **NORMAL)
-    np.testing.assert_allclose(floored["sigma"], plain["sigma"], rtol=1e-12)
 
 
 # underestimated errors
@@ -209,15 +198,6 @@ def test_what_zonal_errors_do_to_the_link_is_predicted(satellite_errors):
     np.testing.assert_allclose(fixed_designs([setup], Prefixes())[0].predicted_variance(), expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("reference_errors", ["none", "normal"])
-@pytest.mark.parametrize("satellite_errors", ["none", "normal"])
-def test_zonal_errors_of_a_study_scatter_as_predicted(satellite_errors, reference_errors):
-    sides = {"satellite_errors": satellite_errors, "reference_errors": reference_errors}
-    found = results(600, **sides, zonal_pos=2.0, zonal_pm=3.0, zonal_length=60.0, epsilon_size=0.0)
-    statistic = 600 * np.square(found["sigma"] / found["sigma_rms_predicted"])
-    assert np.all(np.abs(stats.norm.isf(stats.chi2(600).sf(statistic))) < 4.5)
-
-
 def test_many_objects_do_not_beat_zonal_errors():
     """The rotation in a field of RMS s: 3 C_1/(8 pi) s^2 of variance in each component, however many objects."""
     errors = scenario(point(zonal_pm=1.0, zonal_length=60.0)).zonal
@@ -291,17 +271,6 @@ def test_the_leak_of_known_fields_is_predicted():
     expected = np.einsum("kni,in->k", gain_of(setup)[:, :, 2:], f)
     assert np.abs(expected[3:]).min() > 0.01 * MAS
     np.testing.assert_allclose(fixed_designs([setup], Prefixes())[0].bias, expected, atol=1e-7 * MAS)
-
-
-@pytest.mark.parametrize("reference_errors", ["none", "normal"])
-def test_the_rms_prediction_holds_for_a_study_with_all_of_them(reference_errors):
-    found = results(800, **NORMAL, **ALL_OF_THEM, reference_errors=reference_errors, satellite_floor_pm=0.5,
-                    satellite_floor_pos=0.5, satellite_error_ratio=1.5, zonal_pm=0.5, zonal_length=70.0)  # fmt: skip
-    scatter = np.sqrt(np.diag(found["covariance"]) / 800)
-    assert np.all(np.abs(found["bias"] - found["bias_predicted"]) < 4.5 * scatter)
-    assert np.abs(found["bias_predicted"][3:]).max() > 20 * scatter[3:].max()
-    error = np.hypot(found["sigma_predicted"] ** 2, 2 * found["bias"] * found["sigma_predicted"]) / found["sigma"]
-    assert np.all(np.abs(found["sigma"] - found["sigma_rms_predicted"]) < 4.5 * error / np.sqrt(800))
 
 
 def test_a_magnitude_equation_turns_the_sky_by_three_eighths_pi():
@@ -415,31 +384,6 @@ def test_a_study_is_told_what_is_wrong(fixed, sentence):
     assert sentence in problems(**fixed)
 
 
-def test_magnitudes_must_be_there(tmp_path):
-    path = tmp_path / "sky.csv"
-    path.write_text("ra,dec\n" + "\n".join(f"{30 * k},{10 * k - 45}" for k in range(9)))
-    file = {"catalogue": "file", "file": str(path), "satellite_errors": "normal", "omega_slope": [0.0, 0.0, 1.0]}
-    assert "need a magnitude column" in problems(**file)
-
-
-def test_the_projected_method_refuses_what_it_cannot_draw():
-    for changes in ({"zonal_pm": 1.0}, {"satellite_error_ratio": 2.0}):
-        with pytest.raises(LinkError, match="equal those in the weights"):
-            simulate([scenario(point(method="projected", **changes))], 1, *generators())
-
-
 def test_zonal_errors_cost_more():
     assert cost(point(zonal_pm=1.0, zonal_length=6.0)) > cost(point(zonal_pm=1.0)) > cost(point())
     assert cost(point(satellite_errors="none", zonal_pm=1.0)) > 0.0
-
-
-def test_harmonics_in_use_are_orthonormal():
-    """By quadrature: what power and RMS rest on."""
-    x, weight = np.polynomial.legendre.leggauss(12)
-    ra, dec = (g.ravel() for g in np.meshgrid(2 * np.pi * np.arange(24) / 24, np.arcsin(x)))
-    area = np.repeat(weight, 24) * 2 * np.pi / 24
-    fields = toroidal(3, ra, dec)
-    both = np.concatenate([fields, turned(fields)])
-    gram = np.einsum("aij,bij,j->ab", both, both, area)
-    norms = [1.0 if term.order == 0 else 2.0 for degree in (1, 2, 3) for term in terms("t", degree)]
-    np.testing.assert_allclose(gram, np.diag([*norms, *norms]), atol=1e-12)

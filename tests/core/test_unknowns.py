@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-import linksweep.core.unknowns as unknowns_module
 from linksweep.core.constants import MAS
 from linksweep.core.frames import position, triad, turned
 from linksweep.core.harmonics import terms, toroidal
@@ -126,24 +125,6 @@ def test_the_design_of_many_realisations_at_once_is_that_of_each():
     flat = (objects.ra, objects.dec, objects.pmra, objects.pmdec)
     together = design_matrix(*(values.reshape(3, 4) for values in flat), glide=True)
     assert np.array_equal(together.reshape(4, 12, -1), design_matrix(*flat, glide=True))
-
-
-def test_a_block_of_unknowns_is_an_entry_of_the_table(monkeypatch):
-    """A constant in the declinations of the southern sky: its labels, rows and derivatives, and nothing else."""
-
-    class South:
-        name, labels, rows, rate = "south", ("south_dec",), (1,), False
-
-        def derivatives(self, objects):
-            return np.where(objects.dec < 0.0, 1.0, 0.0)[None, None]
-
-    monkeypatch.setitem(unknowns_module.KNOWN, "south", lambda asked: South())
-    objects = sky(20)
-    together = parse_unknowns("spin,south")
-    assert together.labels[-1] == "south_dec"
-    assert np.array_equal(together.matrix(objects)[:, 1, -1], objects.dec < 0.0)
-    with pytest.raises(ValueError, match=r"known are .*south"):
-        parse_unknowns("north")
 
 
 def test_a_rate_moves_the_position_of_a_source_with_another_epoch():

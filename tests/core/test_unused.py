@@ -77,17 +77,6 @@ def test_what_changes_nothing_is_refused_by_name(fixed, sentence):
     assert found.startswith(sentence)
 
 
-@pytest.mark.parametrize("name", ["counts", "mean_pm", "zone_of_avoidance"])
-def test_what_does_not_apply_to_a_file_is_refused(name, table):
-    value = {"counts": "catalogue", "mean_pm": 3.0, "zone_of_avoidance": 0.0}[name]
-    assert f"{name} = {value!r} changes nothing" in problems(catalogue="file", file=table, **{name: value})[0]
-
-
-def test_a_column_that_the_link_does_not_read_is_refused(table):
-    (found,) = problems(catalogue="file", file=table, columns={"ref_epoch": "ref_epoch"})
-    assert "ref_epoch is no quantity" in found
-
-
 def test_an_axis_is_refused_where_it_changes_nothing_unless_those_points_are_excluded():
     axes = {"catalogue": ["synthetic", "quasars"], "mean_pm": [0.0, 50.0]}
     (found,) = problems(axes, n_obj=20)
@@ -167,8 +156,3 @@ def test_a_bright_limit_of_galaxies_and_files(table):
     one = make_grid(study({"v_min": [9.0, 15.0]}, catalogue="file", file=table))
     sizes = [len(CATALOGUES["file"].objects(p.parameters)) for p in one.points()]
     assert sizes == [20, np.sum(np.linspace(9.0, 19.0, 20) >= 15.0)]
-
-
-def test_two_bright_limits_of_quasars_give_two_rows():
-    rows = [link.defaults() | {"catalogue": "quasars", "v_max": 17.0, "v_min": v} for v in (5.0, 16.0)]
-    assert sums(rows[0])["predicted_variance"][0, 5] < 0.9 * sums(rows[1])["predicted_variance"][0, 5]

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.core.missions import MISSIONS
-from linksweep.core.missions import mission_from_table
+from linksweep.core.missions import MISSIONS, mission_from_table
 from linksweep.sweep.contract import DefinitionError, SweepError
 from tests.tiers import examples
 
@@ -80,13 +79,6 @@ def test_a_table_is_log_linear_and_constant_on_the_bright_side():
     assert own.faint_limit_mag == 18.0
 
 
-def test_the_mission_length():
-    own = mission(TABLE)
-    np.testing.assert_allclose(own.sigma_pm_mas_yr(V, 16.0), own.sigma_pm_mas_yr(V) / 8.0, rtol=1e-14)
-    np.testing.assert_allclose(own.sigma_pos_mas(V, 16.0), own.sigma_pos_mas(V) / 2.0, rtol=1e-14)
-    np.testing.assert_array_equal(own.sigma_pm_mas_yr(V, 4.0), own.sigma_pm_mas_yr(V))
-
-
 def test_forms_can_be_mixed_and_a_function_is_in_the_unit():
     own = mission(
         {"nominal_length": 1.0, "unit": "uas", "sigma_pm": "curves.py:power", "sigma_pos": [[9, 50], [20, 80]]}
@@ -97,15 +89,6 @@ def test_forms_can_be_mixed_and_a_function_is_in_the_unit():
     ratio = mission({"nominal_length": 1.0, "sigma_pm": "curves.py:power", "position_ratio": 2.0})
     np.testing.assert_allclose(ratio.sigma_pos_mas(V), 2.0 * 10.0 ** (0.2 * (V - 15.0)), rtol=1e-14)
     assert ratio.faint_limit_mag == math.inf
-
-
-@pytest.mark.parametrize(
-    ("change", "limit"),
-    [({}, 18.0), ({"faint_limit": 17}, 17.0), ({"position_ratio": None, "sigma_pos": [[9, 0.1], [16, 0.2]]}, 16.0)],
-)
-def test_where_a_mission_ends(change, limit):
-    table = {key: value for key, value in (TABLE | change).items() if value is not None}
-    assert mission(table).faint_limit_mag == limit
 
 
 def test_identity_is_what_decides_the_numbers():
@@ -166,18 +149,6 @@ def test_identity_is_what_decides_the_numbers():
 def test_what_is_wrong_is_said_of_its_key(change, expected):
     table = {key: value for key, value in (TABLE | change).items() if value is not None}
     assert problems(table) == [expected]
-
-
-@pytest.mark.parametrize("wrong", [0.3, [], [[9, 1], {"at": 9}], [1, 2], {"at": 9}, True])
-def test_what_is_no_form_of_a_curve(wrong):
-    ((key, sentence),) = problems(TABLE | {"sigma_pm": wrong})
-    assert key == "sigma_pm"
-    assert "must be [[magnitude, sigma], ...], [{ at = magnitude, sigma = ..., slope = ... }, ...]" in sentence
-
-
-def test_all_mistakes_are_told_at_once():
-    wrong = {"nominal_length": -1, "sigma_pm": [[9, 1], [8, 1], [7, 0]], "sigma_pos": 3, "unit": "deg", "size": 1}
-    assert [key for key, _ in problems(wrong)] == ["size", "nominal_length", "unit", "sigma_pm", "sigma_pos"]
 
 
 anything = st.recursive(

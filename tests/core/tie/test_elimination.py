@@ -9,8 +9,7 @@ from scipy.linalg import block_diag, lstsq
 from linksweep.core.constants import MAS
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry, differences
-from linksweep.core.tie.problem import group_sums, source_counts, source_discrepancies, source_sums
-from linksweep.core.tie.problem import Problem, eliminate
+from linksweep.core.tie.problem import Problem, eliminate, group_sums, source_counts, source_discrepancies, source_sums
 from linksweep.core.tie.solution import bootstrap, discrepancies, expected_discrepancies, solve
 from linksweep.core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
@@ -198,8 +197,8 @@ def test_groups_add_up_to_the_sources_in_blocks_of_any_size(monkeypatch):
     problem = mixed()
     sums = source_sums(problem)
     group = np.arange(12) % 3
-    monkeypatch.setattr("linksweep.core.tie.normal_sums.BLOCK", 2)
-    monkeypatch.setattr("linksweep.core.tie.normal_sums.GATHERED", 5)
+    monkeypatch.setattr("linksweep.core.tie.problem.BLOCK", 2)
+    monkeypatch.setattr("linksweep.core.tie.problem.GATHERED", 5)
     grouped = group_sums(problem, group, 3)
     for one in range(3):
         np.testing.assert_allclose(grouped.normal[one], sums.normal[group == one].sum(axis=0), rtol=1e-10)

@@ -13,8 +13,7 @@ from linksweep.core.constants import MAS
 from linksweep.core.frames import position, triad
 from linksweep.core.tie import astrometry as differences_module
 from linksweep.core.tie.astrometry import Astrometry, kinds, parallax_factors, propagated
-from linksweep.core.tie.problem import source_sums
-from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import solve
 from linksweep.core.unknowns import Rotation, Unknowns, parse_unknowns
 from tests.core.tie.made import seen_by_satellite, stars

@@ -13,8 +13,7 @@ from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, positive_definite
 from linksweep.core.tie.clips import MEDIAN_RAYLEIGH, SourceTable, clipped, parse_clip, separation, sky_cells
 from linksweep.core.tie.forecast import Goal, choose, with_new_rows
-from linksweep.core.tie.problem import add_products, group_sums, source_sums
-from linksweep.core.tie.problem import NormalSums, Problem
+from linksweep.core.tie.problem import NormalSums, Problem, add_products, group_sums, source_sums
 from linksweep.core.tie.solution import leave_one_out, solve
 from linksweep.core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars

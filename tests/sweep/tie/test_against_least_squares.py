@@ -317,8 +317,8 @@ def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypa
     options = {"clip": clip, "weights": weights, "errors": "formal,scaled,cells"}
     plain = linked(tables, **options)
     monkeypatch.setattr("linksweep.core.tie.clips.KEPT_NUMBERS", 0)
-    monkeypatch.setattr("linksweep.core.tie.normal_sums.BLOCK", 4)
-    monkeypatch.setattr("linksweep.core.tie.normal_sums.GATHERED", 11)
+    monkeypatch.setattr("linksweep.core.tie.problem.BLOCK", 4)
+    monkeypatch.setattr("linksweep.core.tie.problem.GATHERED", 11)
     link = linked(tables, **options)
     assert "cook_distance" not in link
     for name in ("estimate", "errors", "covariances", "chi2", "chi2_expected", "dof", "discrepancy", "weight_factor"):
