@@ -13,10 +13,9 @@ from matplotlib.patheffects import withStroke
 from linksweep.core.arrays import Array
 from linksweep.core.constants import DEGREE, GALACTIC_AXES
 from linksweep.core.frames import position
-from linksweep.core.missions import MISSIONS, CurveError, MissionUnavailableError
+from linksweep.core.missions import MISSIONS, CurveError, MissionUnavailableError, mission_of
 from linksweep.core.missions.calibrate import IN_CODE, Model, all_skies, fit, published_numbers
 from linksweep.core.scenario import scenario
-from linksweep.core.missions import mission_of
 from linksweep.sweep.contract import Named, SweepError, shown, suggest
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.streams import generators

@@ -11,8 +11,7 @@ from linksweep.core.arrays import Array
 from linksweep.core.constants import MAS
 from linksweep.core.tie.clips import Clip, parse_clip
 from linksweep.core.tie.forecast import Goal, choose, released, scaled_from, scaling_notes, with_new_rows
-from linksweep.core.tie.problem import source_sums
-from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.sweep.contract import Point, SweepError
 from linksweep.sweep.tie.options import Options, TableOptions, parse_bins
 from linksweep.sweep.tie.parameters import PARAMETERS, TABLE

@@ -10,8 +10,7 @@ from linksweep.core.arrays import Array
 from linksweep.core.constants import MAS
 from linksweep.core.link import LinkError
 from linksweep.core.tie.forecast import Criterion, Goal, choose, released, scaled_from, scaling_notes, with_new_rows
-from linksweep.core.tie.problem import source_sums
-from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import inverted
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tie.options import Options

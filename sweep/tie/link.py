@@ -10,9 +10,8 @@ import numpy as np
 
 from linksweep.core.arrays import Array
 from linksweep.core.constants import MAS
-from linksweep.core.tie.astrometry import kinds
+from linksweep.core.tie.astrometry import differences, kinds
 from linksweep.core.tie.clips import separation
-from linksweep.core.tie.astrometry import differences
 from linksweep.core.unknowns import PARAMETERS, SpinByBin
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped

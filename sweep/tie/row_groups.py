@@ -18,8 +18,7 @@ from linksweep.core.arrays import Array, Flags, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry
 from linksweep.core.tie.clips import DIVISIONS, Heaviest, Sources, heaviest, separation, sky_cells
-from linksweep.core.tie.problem import group_sums, source_counts, source_discrepancies
-from linksweep.core.tie.problem import NormalSums, Problem
+from linksweep.core.tie.problem import NormalSums, Problem, group_sums, source_counts, source_discrepancies
 from linksweep.core.tie.solution import Solution, solve
 from linksweep.core.unknowns import Unknowns
 from linksweep.sweep.contract import SweepError

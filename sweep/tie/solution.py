@@ -12,11 +12,18 @@ from threadpoolctl import threadpool_limits
 from linksweep.core.arrays import Array, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import kinds
-from linksweep.core.tie.clips import Clipped, Sources, clipped, parse_clip
-from linksweep.core.tie.solution import LARGE_SHARE, Influence, bootstrap, influence, jackknife, sandwich, shares
+from linksweep.core.tie.clips import Clipped, Sources, SourceTable, clipped, parse_clip
 from linksweep.core.tie.mistakes import DEFICIT, GOOD, Misfit, misfit
-from linksweep.core.tie.solution import Solution
-from linksweep.core.tie.clips import SourceTable
+from linksweep.core.tie.solution import (
+    LARGE_SHARE,
+    Influence,
+    Solution,
+    bootstrap,
+    influence,
+    jackknife,
+    sandwich,
+    shares,
+)
 from linksweep.core.unknowns import Harmonics, Unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tie.row_groups import RowGroupTable

@@ -15,8 +15,7 @@ from linksweep.core.missions import MISSIONS
 from linksweep.core.tie.astrometry import differences
 from linksweep.core.tie.clips import separation
 from linksweep.core.tie.draws import Simulation
-from linksweep.core.tie.problem import source_sums
-from linksweep.core.tie.problem import Problem
+from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.unknowns import Objects, Rotation, parse_unknowns
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
