@@ -11,8 +11,7 @@ from astropy.time import Time
 
 from linksweep import SweepError, tie
 from linksweep.core.constants import ARCSEC, DEGREE, MAS
-from linksweep.core.tie.astrometry import PAIRS, kinds
-from linksweep.core.tie.astrometry import propagated
+from linksweep.core.tie.astrometry import PAIRS, kinds, propagated
 from linksweep.sweep.tie.matching import match
 from linksweep.sweep.tie.options import TableOptions
 from linksweep.sweep.tie.tables import hipparcos_correlations as correlations
