@@ -26,11 +26,16 @@ class Identity:
 
 def identity(reference: str, digest: str | None = None) -> Identity:
     """Return the versions by which this process would compute an experiment; raises SweepError as `load_experiment`."""
-    return _identity(reference, digest or source_digest(reference))
+    digest = digest or source_digest(reference)
+    return _versions(reference, None) if digest is None else _identity(reference, digest)  # a module may be reloaded
 
 
 @lru_cache(maxsize=64)  # workers compare it with every task
-def _identity(reference: str, digest: str | None) -> Identity:
+def _identity(reference: str, digest: str) -> Identity:
+    return _versions(reference, digest)
+
+
+def _versions(reference: str, digest: str | None) -> Identity:
     experiment = load_experiment(reference, digest=digest)
     deciding = {name: version_of(name) for name in DECIDING}
     deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"

@@ -71,17 +71,12 @@ def check_code(store: Store, study: Study) -> None:
 
 
 def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
-    """Record which code makes the blocks from now on, and tell the user if it has changed or was not known."""
+    """Record which code makes the blocks from now on, and tell the user if it has changed."""
     records = continued(records_of(store.attributes), store.next_row, study)
-    if CODE not in store.attributes:
-        if not records[-1].code:
-            return  # linksweep's own experiments are known by its version
-        if store.next_row:
-            say(f"{store.location} does not say which code made it; it is taken to be today's")
-    elif store.next_row:
-        for sentence in differences_of_code(store.attributes, study):
-            say(f"other code goes on with {store.location}: {sentence}")
-    store.record({CODE: as_json(records)})
+    for sentence in differences_of_code(store.attributes, study) if store.next_row else ():
+        say(f"other code goes on with {store.location}: {sentence}")
+    if records[-1].code or CODE in store.attributes:  # linksweep's own experiments are known by their version
+        store.record({CODE: as_json(records)})
 
 
 def continued(records: Sequence[CodeRecord], rows: int, study: Study) -> list[CodeRecord]:

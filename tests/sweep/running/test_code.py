@@ -5,7 +5,6 @@ import shutil
 
 import pytest
 
-from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.reproduce import reproduce
 from linksweep.sweep.stores.store import OpenStore, open_dataset
 from tests.sweep.user import write_experiment, write_study
@@ -132,23 +131,6 @@ def test_reproduce_says_that_the_code_is_another(folder, sweep):
     assert code == 1
     assert named in err
     assert "differs from s.zarr in mean" in err
-
-
-def test_a_store_without_a_record_is_adopted_and_says_so(folder, sweep, monkeypatch):
-    import linksweep.sweep.running.run as running
-    from linksweep.sweep.studies.reader import load_study
-
-    with monkeypatch.context() as patched:  # as 0.1 wrote it
-        patched.setattr(running, "record_code", lambda *arguments: None)
-        running.run_study(load_study(str(folder / "s.toml")), folder / "old.zarr", Resources(pool="serial"))
-    assert "code" not in OpenStore(folder / "old.zarr").attributes
-    write_study(folder, "rate = [1.0, 2.0, 3.0]")
-    code, _, err = sweep("run", "s.toml", "-o", "old.zarr", cwd=folder)
-    assert code == 0
-    assert "does not say which code made it; it is taken to be today's" in err
-    change(folder, "helper")
-    (folder / "helper.py").write_text("def value(rate):\n    return 5.0\n")
-    assert sweep("run", "s.toml", "-o", "old.zarr", cwd=folder)[0] == 2
 
 
 def test_versions_of_declared_packages_count(folder, sweep):
