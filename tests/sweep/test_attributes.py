@@ -1,7 +1,6 @@
 """What xarray makes of the attributes of results: labels that are short, and brackets only around units."""
 
 import pytest
-import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -56,14 +55,6 @@ def test_xarray_draws_over_coordinates_of_text(store_of):
     assert axes.get_xlabel() == "limiting magnitude V [mag]"
     assert [label.get_text() for label in axes.get_yticklabels()] == ["amex", "gaia"]
     pyplot.close(figure)
-
-
-def test_a_store_that_was_written_with_the_whole_meaning_is_read(store_of):
-    new = open_dataset(store_of("quasars"))
-    old = new["sigma_spin"].attrs | {"long_name": "RMS error of the spin, over its three components"}
-    old.pop("description")
-    assert meaning_of(old) == meaning_of(new["sigma_spin"].attrs)
-    assert isinstance(new, xr.Dataset)
 
 
 @pytest.mark.parametrize("name", sorted(built_in_studies()))

@@ -72,11 +72,6 @@ def test_a_bad_study_offers_what_every_study_has(tmp_path, content):
     assert "n_sim=" in offered(tmp_path, "sweep", "run", "bad.toml", "--set", "n")
 
 
-@pytest.mark.slow
-def test_options(tmp_path):
-    assert "--workers" in offered(tmp_path, "sweep", "run", "quasars", "--w")
-
-
 def test_it_knows_the_keys_of_the_sampling():
     assert set(SAMPLING) == set(Sampling.model_fields)
 

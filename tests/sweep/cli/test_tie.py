@@ -1,8 +1,6 @@
 """The commands tie and forecast as users type them."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -144,12 +142,3 @@ def test_wrong_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, argum
     assert message in found.output
     assert "Traceback" not in found.output
     assert not list(tmp_path.iterdir())
-
-
-def test_help_imports_nothing_heavy():
-    code = (
-        "import sys; from linksweep.sweep.cli import main; main(['tie', '--help'], standalone_mode=False); "
-        "print({'astropy', 'erfa', 'scipy', 'xarray'} & set(sys.modules))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "set()"

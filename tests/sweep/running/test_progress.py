@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract.block import Block
 from linksweep.sweep.executing.task import TaskResult
-from linksweep.sweep.formatting import in_words, per_second
+from linksweep.sweep.formatting import in_words
 from linksweep.sweep.planning.checked_grid import make_grid
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
 from linksweep.sweep.running.failures import failed_points
@@ -109,13 +109,6 @@ def test_verbose_tells_each_point(study):
     ]
 
 
-def test_quiet_and_verbose_contradict_each_other(study, tmp_path):
-    refused = run("-q", "-v")
-    assert refused.exit_code == 2
-    assert "--quiet and --verbose contradict" in refused.stderr
-    assert not (tmp_path / "results").exists()
-
-
 def test_the_log_has_everything_with_times_and_tracebacks_and_grows(study, tmp_path):
     assert run("--quiet", "--log", "run.log").exit_code == 1
     first = (tmp_path / "run.log").read_text()
@@ -196,20 +189,6 @@ def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeyp
     assert gaps[-1] in (600, 601)
     assert len(spoken) < 200
     assert told[1] == "0/6 points (0 % of the work), about 23 h 59 min left, 1 realisations/s"
-
-
-@pytest.mark.parametrize(
-    ("number", "seconds", "words"),
-    [
-        (2, 7.0, "0.29 points/s"),
-        (0, 3.0, "0 points/s"),
-        (99, 10.0, "9.9 points/s"),
-        (999, 100.0, "10 points/s"),
-        (12_345, 1.0, "12,345 points/s"),
-    ],
-)
-def test_speeds(number, seconds, words):
-    assert per_second(number, seconds, "points") == words
 
 
 def summary_of(study, seconds, blocks):
