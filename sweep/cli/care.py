@@ -12,6 +12,7 @@ import click
 
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
 from linksweep.sweep.cli.options import ACCEPT_CODE, BREAK_LOCK, JSON, STORE, TRUST, arg, flag, opt, place
+from linksweep.sweep.cli.options import output as output_option
 from linksweep.sweep.cli.output import print_table, print_whole
 from linksweep.sweep.cli.run import print_verified
 from linksweep.sweep.formatting import WIDTH, to_json
@@ -154,7 +155,7 @@ def reproduce(
 def merge(
     store: "Location" = STORE,
     other: "Location" = arg(callback=place),
-    output: "Location" = opt("The new store.", "-o", "--output", required=True, callback=place),
+    output: "Location" = output_option("The new store.", type=str, required=True, callback=place),
     accept_code: bool = ACCEPT_CODE,
     trust: bool = TRUST,
     as_json: bool = JSON,

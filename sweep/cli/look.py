@@ -17,14 +17,17 @@ from linksweep.sweep.cli.options import (
     STORES,
     At,
     arg,
+    choice,
     flag,
     group,
     json_or,
     link_in,
     many,
     opt,
+    parsed,
     part_of,
 )
+from linksweep.sweep.cli.options import output as output_option
 from linksweep.sweep.cli.output import (
     drawing_styles,
     print_sentences,
@@ -87,7 +90,7 @@ def _answer(name: str) -> list[str]:
 @command("Look", "Print results as a table, CSV, ECSV or JSON")
 def show(
     store: "Location" = STORE,
-    table_format: str = opt("", "--format", type=click.Choice(["text", "csv", "ecsv"]), default="text"),
+    table_format: str = choice("", ("text", "csv", "ecsv"), "--format", default="text"),
     at: At = AT,
     as_json: bool = JSON,
 ) -> None:
@@ -109,15 +112,14 @@ def show(
         print_table(part, table_format, with_components=True)
 
 
-def _millimetres(_context: click.Context, _parameter: click.Parameter, value: str | None) -> float | None:
-    if value is None:
-        return None
+@parsed
+def _millimetres(text: str) -> float:
     try:
-        width = float(value.strip().removesuffix("mm"))
+        width = float(text.strip().removesuffix("mm"))
     except ValueError:
         width = 0.0
     if not 40.0 <= width <= 1000.0:
-        raise click.BadParameter(f"{value!r}: must be from 40mm to 1000mm, like 88mm or 180mm")
+        raise ValueError(f"{text!r}: must be from 40mm to 1000mm, like 88mm or 180mm")
     return width
 
 
@@ -126,10 +128,8 @@ class Drawing:
     """What is drawn, as the command line names it."""
 
     source: str | None = arg(required=False)
-    kind: str | None = opt(
-        f"What to draw: {', '.join(ALL_KINDS)}.  [default: what suits the results]",
-        type=click.Choice(ALL_KINDS),
-        metavar="KIND",
+    kind: str | None = choice(
+        f"What to draw: {', '.join(ALL_KINDS)}.  [default: what suits the results]", ALL_KINDS, metavar="KIND"
     )
     variables: At = many("The quantity; several become panels.  [default: the main result]", "--variable")
     over: At = many("The axis to draw along; give both for a map, or two components of a scatter.")
@@ -186,11 +186,9 @@ def plot(
         metavar="MM",
         callback=_millimetres,
     ),
-    style: str | None = opt("Sizes of letters and lines.  [default: paper]", type=click.Choice(["paper", "talk"])),
+    style: str | None = choice("Sizes of letters and lines.  [default: paper]", ("paper", "talk")),
     caption: bool = flag("Write NAME.txt beside the picture: caption and alternative text."),
-    output: Path | None = opt(
-        "Picture to write: .png, .svg or .pdf.  [default: NAME.png]", "-o", "--output", type=FILE
-    ),
+    output: Path | None = output_option("Picture to write: .png, .svg or .pdf.  [default: NAME.png]"),
 ) -> None:
     """Draw the results in SOURCE, a store, in the way that suits them: curves with errors, prediction and published
     values, small panels, a map, a fitted law, a scatter of kept samples.  For a link or a forecast of real tables there
@@ -270,10 +268,8 @@ class AskedStores:
 @command("Look", "Write one HTML page with everything")
 def report(
     asked: AskedStores = group(AskedStores),
-    output: Path | None = opt(
-        "The page; an earlier report there is replaced, nothing else is.  [default: NAME-report.html]",
-        *("-o", "--output"),
-        type=FILE,
+    output: Path | None = output_option(
+        "The page; an earlier report there is replaced, nothing else is.  [default: NAME-report.html]"
     ),
 ) -> None:
     """Write one HTML page about the results in STORE: the answer, figures, tables, an interactive view, a comparison
@@ -301,9 +297,9 @@ def fit(
     store: "Location" = STORE,
     over: str | None = opt("The axis to fit along.  [default: the only one with several numbers]"),
     variable: str | None = opt("What to fit.  [default: the main result]"),
-    law: str = opt(
+    law: str = choice(
         "power: variable ~ over^p; levelling: variable^2 = plateau^2 + c exp(-rate x over).",
-        type=click.Choice(["power", "levelling"]),
+        ("power", "levelling"),
         default="power",
     ),
     expect: float | None = opt("Exponent to test.  [default: that of a claim of the study]", type=float),
@@ -398,7 +394,7 @@ def sensitivity(
     store: "Location" = STORE,
     variable: str | None = opt("What varies.  [default: the main result]"),
     at: At = AT,
-    output: Path | None = opt("Write .csv, .json or .zarr, or draw .png, .svg, .pdf.", "-o", "--output", type=FILE),
+    output: Path | None = output_option("Write .csv, .json or .zarr, or draw .png, .svg, .pdf."),
     as_json: bool = JSON,
 ) -> None:
     """Estimate how much of the variance of a result in STORE is due to each parameter, with errors.
@@ -445,7 +441,7 @@ def sensitivity(
 @command("Compare", "Compare with published numbers and claims")
 def compare(
     asked: AskedStores = group(AskedStores),
-    table_format: str = opt("", "--format", type=click.Choice(["text", "csv"]), default="text"),
+    table_format: str = choice("", ("text", "csv"), "--format", default="text"),
     as_json: bool = JSON,
 ) -> None:
     """Compare the results in STORE with the published numbers and claims of its study.

@@ -5,7 +5,7 @@ A shell asks at each press of a key, so that nothing heavy is imported here.
 
 import inspect
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -42,6 +42,30 @@ def arg(**more: Any) -> Any:
     return lambda name: click.Argument([name], **more)
 
 
+def choice(help: str, choices: Iterable[str], *names: str, **more: Any) -> Any:  # noqa: A002
+    """Declare an option with one of some words as its value."""
+    return opt(help, *names, type=click.Choice(list(choices)), **more)
+
+
+def output(help: str, **more: Any) -> Any:  # noqa: A002
+    """Declare ``-o``, a file to be written if ``more`` does not say otherwise."""
+    return opt(help, "-o", "--output", **{"type": FILE} | more)
+
+
+def parsed(parse: Callable[[str], Any]) -> Any:
+    """Return a callback of an option that parses its value; its ValueError is a usage error."""
+
+    def callback(context: Context, _parameter: Parameter, value: str | None) -> Any:
+        if value is None or context.resilient_parsing:
+            return None
+        try:
+            return parse(value)
+        except ValueError as error:
+            raise click.BadParameter(str(error)) from error
+
+    return callback
+
+
 many = partial(opt, multiple=True)
 flag = partial(opt, is_flag=True)
 
@@ -76,26 +100,24 @@ def call(declared: _Group, values: Mapping[str, Any]) -> Any:
     return declared.make(**{n: call(one, values) if isinstance(one, _Group) else values[n] for n, one in options})
 
 
-def place(context: Context, _parameter: Parameter, value: str | None) -> "Location | None":
-    """Turn what names a store into its place; nothing while a shell completes."""
-    if value is None or context.resilient_parsing:
-        return None
+@parsed
+def place(text: str) -> "Location":
+    """Return the place of a store; raises ValueError for an empty text."""
     from linksweep.sweep.stores.location import located
 
-    if value == "":
-        raise click.BadParameter("is empty; give the path of a store, or s3://BUCKET/NAME")
-    return located(value)
+    if not text:
+        raise ValueError("is empty; give the path of a store, or s3://BUCKET/NAME")
+    return located(text)
 
 
-def _named(context: Context, parameter: Parameter, value: Any) -> Any:
-    """Turn what names an existing store, or the study whose store it is, or several of these, into places."""
-    if isinstance(value, tuple):
-        return tuple(_named(context, parameter, one) for one in value)
-    if not value or context.resilient_parsing:
-        return place(context, parameter, value)
+@parsed
+def _named(text: Any) -> Any:
+    """Return the place of what names an existing store, or the study whose store it is, or of several of these."""
     from linksweep.sweep.stores.location import store_named
 
-    return store_named(value)
+    if "" in (text if isinstance(text, tuple) else (text,)):
+        raise ValueError("is empty; give the path of a store, or s3://BUCKET/NAME")
+    return tuple(map(store_named, text)) if isinstance(text, tuple) else store_named(text)
 
 
 def _built_in() -> dict[str, Path]:
@@ -170,8 +192,8 @@ class AskedStudy:
     points: str | None = opt("Compute the points in this table: a column for each parameter.", metavar="FILE")
     design: str | None = opt(f"Compute a design of points, {DESIGNS}", metavar="NAME:N")
     ranges: Sequence[str] = many(RANGES, "--range", metavar="NAME=SPEC")
-    output: "Location | None" = opt(
-        "The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]", "-o", "--output", callback=place
+    output: "Location | None" = output(
+        "The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]", type=str, callback=place
     )
     trust: bool = TRUST
 

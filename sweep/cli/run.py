@@ -13,7 +13,7 @@ import click
 
 from linksweep.sweep.cli import options
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, a_signal_ends_the_command, command, end_stopped
-from linksweep.sweep.cli.options import FILE, WORKERS, flag, group, opt
+from linksweep.sweep.cli.options import FILE, WORKERS, choice, flag, group, opt, parsed
 from linksweep.sweep.cli.output import drawing_styles, print_sentences, print_table, save_figure
 from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
 from linksweep.sweep.formatting import COMMAND, WIDTH, counted, harmless, in_words, to_json, without_secrets
@@ -31,7 +31,7 @@ POOL_HELP = (
     f"What to run on here: {', '.join(pool.words for pool in POOLS.values())}.  "
     f"[default: {DEFAULT_POOL}; serial if small]"
 )
-WITH_WORKERS = click.Choice([name for name, pool in POOLS.items() if pool.has_workers])
+WITH_WORKERS = [name for name, pool in POOLS.items() if pool.has_workers]
 
 MEMORY_AT_LEAST = 200 * 10**6
 """Bytes that a worker needs for itself."""
@@ -40,23 +40,22 @@ DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client"
 """The second does not pass its messages on to the first."""
 
 
-def _bytes(_context: click.Context, _parameter: click.Parameter, value: str | None) -> int | None:
-    if value is None:
-        return None
+@parsed
+def _bytes(text: str) -> int:
     from dask.utils import parse_bytes
 
     try:
-        number = int(parse_bytes(value))
+        number = int(parse_bytes(text))
     except ValueError as error:
-        raise click.BadParameter(f"{value!r} is no number of bytes; write 2GB or 500MiB") from error
+        raise ValueError(f"{text!r} is no number of bytes; write 2GB or 500MiB") from error
     if number < MEMORY_AT_LEAST:
-        raise click.BadParameter(f"{value!r} is less than the {MEMORY_AT_LEAST // 10**6} MB that a worker needs itself")
+        raise ValueError(f"{text!r} is less than the {MEMORY_AT_LEAST // 10**6} MB that a worker needs itself")
     return number
 
 
 def resources(
     workers: int | None = opt("Local workers.  [default: one per core]", type=WORKERS),
-    pool: "PoolName | None" = opt(POOL_HELP, type=click.Choice(list(POOLS))),
+    pool: "PoolName | None" = choice(POOL_HELP, POOLS),
     scheduler: str | None = opt("Use the Dask scheduler at this address, e.g. tcp://host:8786.", metavar="ADDRESS"),
     tls_ca: Path | None = opt("For a tls:// scheduler: the authority's certificate.", type=EXISTING),
     tls_cert: Path | None = opt("For a tls:// scheduler: our certificate.", type=EXISTING),
@@ -170,15 +169,11 @@ def _logged(watching: Watching) -> Iterator[None]:
             raise
 
 
-def _max_failures(_context: click.Context, _parameter: click.Parameter, value: str | None) -> "MaxFailures | None":
-    if value is None:
-        return None
+@parsed
+def _max_failures(text: str) -> "MaxFailures":
     from linksweep.sweep.running.failures import MaxFailures
 
-    try:
-        return MaxFailures.of(value)
-    except ValueError as error:
-        raise click.BadParameter(str(error)) from error
+    return MaxFailures.of(text)
 
 
 @dataclass(frozen=True)
@@ -313,10 +308,11 @@ def plan(
         click.echo(click.wrap_text(text, WIDTH, f"{key:14}", 14 * " "))
 
 
-def _counts(_context: click.Context, _parameter: click.Parameter, value: str) -> tuple[int, ...]:
-    words = value.split(",")
+@parsed
+def _counts(text: str) -> tuple[int, ...]:
+    words = text.split(",")
     if not all(word.strip().isdecimal() and len(word) < 6 for word in words):
-        raise click.BadParameter(f"{value!r} is no list of numbers of workers; write 1,2,4")
+        raise ValueError(f"{text!r} is no list of numbers of workers; write 1,2,4")
     return tuple(map(int, words))
 
 
@@ -324,15 +320,13 @@ def _counts(_context: click.Context, _parameter: click.Parameter, value: str) ->
 def scaling(
     study: str = options.STUDY,
     workers: tuple[int, ...] = opt("Numbers of workers, from 1 up.", default="1,2", callback=_counts),
-    pool: Any = opt("Workers are processes, or threads of this one.", type=WITH_WORKERS, default=DEFAULT_POOL),
+    pool: Any = choice("Workers are processes, or threads of this one.", WITH_WORKERS, default=DEFAULT_POOL),
     repetitions: int = opt(
         "How often to time every run; 5 or more give errors.", type=click.IntRange(1, 1000), default=3
     ),
     settings: Sequence[str] = options.SETTINGS,
     axes: Sequence[str] = options.AXES,
-    output: Path | None = opt(
-        "The measurements, as Zarr.  [default: results/NAME-scaling.zarr]", "-o", "--output", type=FILE
-    ),
+    output: Path | None = options.output("The measurements, as Zarr.  [default: results/NAME-scaling.zarr]"),
     figure: Path | None = opt("Also draw them with the ideal lines: .png, .svg, .pdf.", type=FILE),
     trust: bool = options.TRUST,
     as_json: bool = options.JSON,

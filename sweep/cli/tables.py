@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
-from linksweep.sweep.cli.options import FILE, JSON, arg, flag, group, many, opt, passed
+from linksweep.sweep.cli.options import FILE, JSON, arg, choice, flag, group, many, opt, passed
+from linksweep.sweep.cli.options import output as output_option
 from linksweep.sweep.cli.output import print_whole
 from linksweep.sweep.cli.run import resources as run_on
 from linksweep.sweep.formatting import split_assignment, to_json
@@ -98,13 +99,11 @@ def _tables(
     satellite_epoch: float | None = year("Epoch of the satellite's table, instead of a column."),
     reference_epoch: float | None = year("Epoch of the reference's rows, instead of a column."),
     mission_epoch: Sequence[str] = many("Epoch of a mission's table, instead of a column.", metavar="NAME=YEAR"),
-    positions: Any = opt(
+    positions: Any = choice(
         "Reference positions without parallax: displaced by it, or mean.  [default: what the table says]",
-        type=click.Choice(["single-epoch", "mean"]),
+        ["single-epoch", "mean"],
     ),
-    zero_errors: Any = opt(
-        "What an error of 0 means.", type=click.Choice(["error", "missing", "exact"]), default="error"
-    ),
+    zero_errors: Any = choice("What an error of 0 means.", ("error", "missing", "exact"), default="error"),
     without_cos_dec: Sequence[str] = table("The table whose pmra is mu_alpha, without cos(dec)."),
     extragalactic: Sequence[str] = table("The table with mean positions of quasars, which hold at any epoch."),
     jitter: Sequence[str] = many("Added in quadrature to rows of a kind, or of all.", metavar="KIND=MAS[:MAS_YR]"),
@@ -145,9 +144,7 @@ def _tables(
 
 MATCHING = passed(
     by=opt("Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]", metavar="HOW"),
-    weights=opt(
-        "Weights of the differences.", type=click.Choice(["covariance", "variance", "equal"]), default="covariance"
-    ),
+    weights=choice("Weights of the differences.", ("covariance", "variance", "equal"), default="covariance"),
     epoch=year("Epoch of the orientation.  [default: the satellite's]"),
     aberration=opt(
         "Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.", type=float, default=0.0, metavar="UAS_YR"
@@ -165,7 +162,7 @@ LINK = passed(
     ),
     resamples=opt("Number of bootstrap resamples.", type=click.IntRange(2), default=1000),
     seed=opt("Seed of the bootstrap.", type=click.IntRange(0), default=0),
-    sign=opt("Sign of everything that is printed and stored.", type=click.Choice(SIGNS), default=SIGNS[0]),
+    sign=choice("Sign of everything that is printed and stored.", SIGNS, default=SIGNS[0]),
     accept_misfit=flag("Give the link, and write it, although chi2 is more than 1000 times its expectation."),
 )
 FORECAST = passed(
@@ -176,7 +173,7 @@ FORECAST = passed(
     number=opt(
         "Choose the N best sources.", "--choose", type=click.IntRange(0), default=0, show_default=False, metavar="N"
     ),
-    criterion=opt("Trace or determinant of the covariance.", type=click.Choice(["A", "D"]), default="A"),
+    criterion=choice("Trace or determinant of the covariance.", ("A", "D"), default="A"),
     all_sources=flag("Sources without any row of the reference are candidates too."),
 )
 SEARCH = passed(
@@ -194,9 +191,7 @@ SEARCH = passed(
     ),
     epoch=opt("Julian year of the galaxy positions.", type=float, default=2000.0),
     ref_epoch=many("Epoch of the stars, instead of a column ref_epoch.", metavar="[NAME=]YEAR"),
-    missing_pm=opt(
-        "What to do with stars that have no proper motion.", type=click.Choice(["error", "zero"]), default="error"
-    ),
+    missing_pm=choice("What to do with stars that have no proper motion.", ("error", "zero"), default="error"),
     merge_radius_arcsec=opt(
         "Entries of two catalogues this close are one galaxy.  [default: the sum of their match radii]",
         *("--merge-radius",),
@@ -235,7 +230,7 @@ SEARCH = passed(
 class Target:
     """Where a link or a forecast goes: to the terminal, as JSON or text, into a store, and into figures."""
 
-    output: Path | None = opt("Write the labelled result.", "-o", "--output", type=FILE, metavar="STORE.zarr")
+    output: Path | None = output_option("Write the labelled result.", metavar="STORE.zarr")
     figures: Path | None = opt(
         "Draw every figure that `sweep plot STORE.zarr --kind KIND` has, as KIND.png.",
         type=click.Path(path_type=Path, file_okay=False),
@@ -353,7 +348,7 @@ def match(
     galaxies: tuple[Path, ...] = arg(nargs=-1, required=True, type=FILE),
     supplement: Path | None = opt("More stars, whose matches are a class of their own.", type=FILE),
     search: dict[str, Any] = SEARCH,
-    output: Path = opt("The matches as ECSV.", "-o", "--output", type=FILE, default=Path("results/matches.ecsv")),
+    output: Path = output_option("The matches as ECSV.", default=Path("results/matches.ecsv")),
     table: Path | None = opt("Also the paper's 46-byte table.", type=FILE),
     figure: Path | None = opt("Also draw an all-sky map: .png, .svg or .pdf.", type=FILE),
     overwrite: bool = flag("Replace files that exist."),
