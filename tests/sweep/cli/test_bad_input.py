@@ -430,8 +430,8 @@ def attributes(store, change):
     (store / "zarr.json").write_text(json.dumps(metadata))
 
 
-def flip(folder, files="c/**/*"):
-    chunk = next(p for p in sorted(folder.glob(files)) if p.is_file())
+def flip(folder, files="*"):
+    chunk = next(p for p in sorted(folder.rglob(files)) if p.is_file() and p.name != "zarr.json")
     content = bytearray(chunk.read_bytes())
     content[len(content) // 2] ^= 0xFF
     chunk.write_bytes(content)
