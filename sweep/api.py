@@ -18,8 +18,8 @@ from linksweep.sweep.formatting import harmless
 from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.running.failures import MaxFailures, failed_points
 from linksweep.sweep.running.progress import NotebookProgress, TerminalProgress, in_notebook
+from linksweep.sweep.running.reproduce import verify as verified
 from linksweep.sweep.running.run import Progress, Silent, run_study
-from linksweep.sweep.running.verify import verify as verified
 from linksweep.sweep.stores.location import Where, default_store, located, store_named
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.document import reference_in

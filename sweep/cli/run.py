@@ -227,7 +227,7 @@ def print_verified(study: "Study", store: "Location", points: int, shown: bool =
     """Compute some points of a store again, and say to standard error which differ; return whether any does.  That none
     does is only said if ``shown``.
     """
-    from linksweep.sweep.running.verify import verify
+    from linksweep.sweep.running.reproduce import verify
 
     again = verify(study, store, points)
     for sentence in again.differing:

@@ -73,6 +73,8 @@ class _Routes(io.TextIOBase):
     def restore(self) -> None:
         """Undo what a captured thread has changed about the process."""
         with self._lock:
+            if not self._threads:
+                return
             if self._folder is not None and _working_folder() != self._folder:
                 with suppress(OSError):  # it may be gone
                     os.chdir(self._folder)

@@ -40,7 +40,8 @@ class Task:
     ``source_digest`` identifies the sources of the experiment, which were provided or are in its file.  After
     ``enough_s`` seconds, if that is more than `sweep.executing.worker.ENOUGH_S`, a worker returns what it has.
     ``time_limit_s`` is for a block of one point; with it the process must be one that may be ended.  A
-    ``repeatable`` experiment is to return the same results whenever it is called.
+    ``repeatable`` experiment is to return the same results whenever it is called.  With ``caught`` false what it
+    raises is raised, and what it prints is printed.
     """
 
     experiment_reference: str
@@ -51,6 +52,7 @@ class Task:
     source_digest: str | None = None
     enough_s: float = 0.0
     repeatable: bool = False
+    caught: bool = True
 
     def seed_of(self, unit: PointBlock) -> int:
         """Return where the global generators of a process start for a unit: apart from its own generators."""

@@ -4,6 +4,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import chain, groupby
 from typing import Any
@@ -89,7 +90,7 @@ def _run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
         if together is not None:
             yield together
             return
-    with captured() as said:
+    with captured() if task.caught else nullcontext(Captured()) as said:
         several = takes_several(experiment, task)
         for units in alike(task.units) if several else [task.units]:
             known = catalogues_together(experiment, task, units) if several else None
@@ -154,7 +155,7 @@ def _try(
     except TimeLimitError:
         reason = too_long(task, traceback.format_exc())
     except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
-        if is_interruption(error):
+        if is_interruption(error) or not task.caught:
             raise
         reason = failure_of(error)
     else:

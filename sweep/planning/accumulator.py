@@ -7,13 +7,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, Experiment, Rows, Value
+from linksweep.sweep.contract import Array, Experiment, Rows, Value, check_finite
 from linksweep.sweep.contract.block import Block, BlockRows, ledger_key
 from linksweep.sweep.contract.reducer import converted
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
-from linksweep.sweep.planning.plan import Plan, PlanSize, Survey, Work, cost_together
+from linksweep.sweep.planning.plan import Plan, PlanSize, Survey, Work, cost_together, wanted_parts
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.planning.precision import wanted_parts
 
 MISSING, DONE = int(Status.MISSING), int(Status.DONE)
 """As integers: NumPy compares arrays with them ten times as fast as with members of an enumeration."""
@@ -239,6 +238,20 @@ class Accumulator:
     def _put(self, indices: NDArray[np.intp], rows: Rows) -> None:
         """Set points that have one block each."""
         self.total[indices] = self.reducer.add(np.zeros(len(rows), dtype=rows.dtype), rows)
+
+    def failing(self, indices: Sequence[int]) -> dict[int, Exception]:
+        """Return those of the points whose results cannot be computed or are not finite, and why."""
+        study = self.plan.grid.study
+        n, n_cat = self.realisations[list(indices)].astype(float), np.full(len(indices), float(study.sampling.n_cat))
+        try:
+            results = study.experiment.reducer.finish(self.total[list(indices)], n, n_cat)
+            check_finite(results, study.experiment.nan_outputs())
+        except Exception as error:  # whatever a user's function raises
+            if len(indices) == 1:
+                return {indices[0]: error}
+            half = len(indices) // 2
+            return self.failing(indices[:half]) | self.failing(indices[half:])
+        return {}
 
     def fail(self, index: int) -> None:
         """Mark a point as failed; none of its blocks is given out any more."""

@@ -1,8 +1,11 @@
-"""The pending work of a run, given out in tasks of about a second, as measured, in the order of the grid."""
+"""The pending work of a run, given out in tasks of about a second, as measured, in the order of the grid; no
+result depends on how.
+"""
 
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import accumulate
 
 import numpy as np
@@ -12,7 +15,6 @@ from linksweep.sweep.contract.block import Block
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import GridPoint
 from linksweep.sweep.planning.plan import MOST_SHARING, TARGET, Plan, Work
-from linksweep.sweep.planning.tuning import TUNED, Tuning
 
 TASK_S = 1.0
 """Seconds of work that a task aims at."""
@@ -29,6 +31,33 @@ KEPT = 0.7
 
 TASKS_IN_FLIGHT = 4
 """Tasks at the executor for each thread: enough that none waits, few enough that no grid makes a large graph."""
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """The size of tasks, and how often a run writes.
+
+    Args:
+        most_blocks: the most blocks in one task, which bounds the size of its messages.
+        flush_every_s: seconds after which new results are made durable, when others arrive.
+        latest_flush_s: seconds after which they are made durable even if no others arrive.
+        write_every_s: seconds after which the dataset is written again during a run.
+        write_share: the share of a run's time that these writes may take.
+        long_write_bytes: size of a dataset that takes a second or more to write: an interruption does not wait for it.
+        long_write_points: the same, in points.
+    """
+
+    most_blocks: int = 1000
+    flush_every_s: float = 1.0
+    latest_flush_s: float = 2.0
+    write_every_s: float = 5.0
+    write_share: float = 0.05
+    long_write_bytes: int = 2**26
+    long_write_points: int = 100_000
+
+
+TUNED = Tuning()
+"""What runs use."""
 
 
 def task_seconds(threads: float) -> float:

@@ -1,25 +1,30 @@
-"""Makes the study of an existing store again, and computes one of its points again in this process."""
+"""Makes the study of an existing store again, and computes some of its points again: one in this process, or a few, one
+by one in new processes, in two orders, since results must not depend on what a process has computed before.
+"""
 
+import heapq
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.contract import Array, Experiment, ResultError, Rows, SweepError, Value, shown, suggest
+from linksweep.sweep.contract import ResultError, SweepError, Value, shown, suggest
+from linksweep.sweep.executing.children import Children
+from linksweep.sweep.executing.task import Task, TaskResult
+from linksweep.sweep.executing.versions import identity
+from linksweep.sweep.executing.worker import run_task
 from linksweep.sweep.formatting import first_of
-from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.failing import failing
-from linksweep.sweep.planning.grid import Grid, describe
-from linksweep.sweep.planning.plan import Plan, Work
+from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.planning.streams import generators_of
-from linksweep.sweep.planning.work_queue import Pending
-from linksweep.sweep.running.results import assemble
+from linksweep.sweep.running.run import Session
 from linksweep.sweep.running.trust import asking, ours_alone
 from linksweep.sweep.stores.code import differences_of_code
-from linksweep.sweep.stores.location import Where
+from linksweep.sweep.stores.location import Where, located
 from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.document import parse_places, parse_value
 from linksweep.sweep.studies.reader import study_of_attributes
@@ -27,6 +32,22 @@ from linksweep.sweep.studies.record import as_recorded
 from linksweep.sweep.studies.study import POINT, Study
 
 MAX_NAMED = 10
+
+MOST_EXPLAINED = 3
+"""Points that differ and are computed twice more, each time in a process of their own, to find the cause."""
+
+RANDOM = (
+    "another result each time it is computed: it draws random numbers that are not those of its argument rng, or reads "
+    "a clock or something that changes"
+)
+STATE = (
+    "a result that depends on the points computed before it in the same process: the function keeps state between "
+    "calls, for instance in a global variable, a mutable default or a cache"
+)
+STORED = (
+    "always the same result now, but another one than in the store: state of the process that computed it, or what the "
+    "function reads has changed since"
+)
 
 
 @dataclass(frozen=True)
@@ -66,6 +87,14 @@ def study_to_look_at(store: Where) -> Study:
     return study_of_attributes(OpenStore(store).attributes, str(store), ours_alone())
 
 
+@dataclass(frozen=True)
+class Verified:
+    """How many points were computed again, and a sentence for each that differs."""
+
+    points: int
+    differing: list[str]
+
+
 def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     """Compute the point at ``NAME=VALUE,...`` again, serially, in this process.
 
@@ -74,74 +103,125 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     opened = OpenStore(store)
     study = _study_of(opened, trust)
     place = place_of(study, at, str(store))
-    own = {name: value for name, value in place.items() if value != study.experiment.defaults()[name]}
-    alone = replace(study, axes={}, zipped=(), points=None, fixed={**study.fixed, **own}, published=None)
-    result = compute(Plan(Grid(as_recorded(alone, opened.attributes))))
+    with threadpool_limits(1):  # as everywhere, since the last bits depend on it
+        result, failures = _alone(as_recorded(study, opened.attributes), place, _raising)
+    for message in failures.values():
+        raise ResultError(message)
     axes = study.dimensions
     indices = {name: rows.index(tuple(place[axis] for axis in axes[name])) for name, rows in Grid(study).rows.items()}
     stored = opened.dataset().isel(indices)
     status = Status(int(stored["status"]))
-    other_code = differences_of_code(opened.attributes, study)
     differences = None
     if status == Status.DONE:
-        pairs = {name: (stored[name].values, result[name].values) for name in map(str, result) if name in stored}
-        differences = {
-            name: (was, now)
-            for name, (was, now) in pairs.items()
-            if not np.array_equal(was, now, equal_nan=was.dtype.kind == "f")
-        }
-    return Reproduction(describe(study, place), result, status.word, differences, other_code)
+        pairs = _pairs(stored, result)
+        differences = {name: pair for name, pair in pairs.items() if not _equal(*pair)}
+    return Reproduction(
+        describe(study, place), result, status.word, differences, differences_of_code(opened.attributes, study)
+    )
 
 
-def compute(plan: Plan) -> xr.Dataset:
-    """Return the dataset of a plan, computed in this process; an exception of the experiment is not caught."""
-    accumulator = Accumulator(plan)
-    pending = Pending(plan, accumulator)
-    with threadpool_limits(1):  # as everywhere, since the last bits depend on it
-        while tasks := pending.take(1):
-            for work in tasks[0]:
-                experiment, rows, kept = _rows(accumulator.plan.grid.study, work)
-                accumulator.learn(experiment)
-                for row, point in enumerate(work.points):
-                    more = accumulator.add(point, work.block, rows[row : row + 1], kept[row])
-                    pending.add(plan.work((point,), block) for block in more)
-    for problem in failing(accumulator, np.flatnonzero(accumulator.status == Status.DONE).tolist()).values():
-        raise problem
-    return assemble(accumulator.plan, accumulator)
+def verify(study: Study, where: Where, number: int) -> Verified:
+    """Compute ``number`` finished points of a store again, chosen by their digests: alone in new processes, in their
+    order and in the reverse order, and compare every bit with what is stored.
 
-
-def _rows(study: Study, work: Work) -> tuple[Experiment, Rows, list[Array | None]]:
-    """Return the experiment as it is known from what a block left of its points, the rows of these, and what was kept.
-
-    Raises ResultError where that is not as in the store, and whatever the experiment raises.
+    Results of a vectorised function are compared within its tolerance.  Raises SweepError as `OpenStore`, and for a
+    function that cannot be sent to another process.
     """
-    points = [point.parameters for point in work.points]
-    pairs = generators_of(study.sampling.seed, work.points[0].stream, work.block)
-    outcomes = study.experiment.compute(points, work.block.n_sim, pairs)
-    experiment, fields, refused = study.experiment.learned(dict(enumerate(outcomes)))
-    for why in refused.values():
-        raise ResultError(why)
-    rows = np.array([fields[row] for row in range(len(outcomes))], dtype=experiment.reducer.dtype)
-    return experiment, rows, [outcome.kept for outcome in outcomes]
+    opened = OpenStore(where)
+    study = as_recorded(study, opened.attributes)
+    grid = Grid(study)
+    dataset = opened.dataset().transpose(*grid.dimensions, ...)
+    done = np.intersect1d(np.flatnonzero(dataset["status"].values == Status.DONE), grid.indices())
+    chosen = heapq.nsmallest(number, grid.points(done), key=lambda point: point.digest)
+
+    def stored(point: GridPoint) -> xr.Dataset:
+        places = np.unravel_index(point.index, grid.shape) if grid.shape else ()
+        return dataset.isel(dict(zip(grid.dimensions, map(int, places), strict=True)))
+
+    def computed(points: Sequence[GridPoint]) -> dict[int, xr.Dataset | str]:
+        results: dict[int, xr.Dataset | str] = {}
+        with Children(identity(study.experiment_reference)) as children:
+            for point in points:
+                result, failures = _alone(study, point.parameters, children.run)
+                results[point.index] = next(iter(failures.values()), result)
+        return results
+
+    differing: list[str] = []
+    forward, backward = computed(chosen), computed(chosen[::-1])
+    for point in chosen:
+        seen = [stored(point), forward[point.index], backward[point.index]]
+        if all(_same(study, seen[0], other) for other in seen[1:]):
+            continue
+        cause = "other results than in the store"
+        if len(differing) < MOST_EXPLAINED:
+            first, second = (computed([point])[point.index] for _ in range(2))
+            if not _same(study, first, second):
+                cause = RANDOM
+            else:
+                cause = STORED if all(_same(study, first, other) for other in seen[1:]) else STATE
+        failed = next((f"; computed again it fails: {one}" for one in seen[1:] if isinstance(one, str)), "")
+        differing.append(f"{describe(study, point.parameters)} has {cause}{failed}")
+    return Verified(len(chosen), differing)
+
+
+def _alone(
+    study: Study, parameters: dict[str, Any], compute: Callable[[Task], TaskResult]
+) -> tuple[xr.Dataset, dict[str, str]]:
+    """Return the dataset of a point in a session of its own, and why it failed if it did."""
+    swept = {name: value for name, value in parameters.items() if value != study.experiment.defaults()[name]}
+    alone = replace(study, axes={}, zipped=(), points=None, fixed={**study.fixed, **swept}, published=None)
+
+    def execute(take: Callable[[int], Sequence[Any]]) -> Iterator[tuple[Any, TaskResult]]:
+        while jobs := take(1):
+            result = compute(jobs[0].task())
+            yield jobs[0], replace(result, refused="")  # what differs between two calls is found by comparing
+
+    with tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True) as folder:
+        session = Session.open(Grid(alone), located(Path(folder) / "point.zarr"))
+        session.compute(execute)
+        return session.publish(), session.failures()
+
+
+def _raising(task: Task) -> TaskResult:
+    """Compute a task without catching or capturing anything, for the debugger."""
+    return run_task(replace(task, caught=False, repeatable=False))
+
+
+def _pairs(one: xr.Dataset, other: xr.Dataset) -> dict[str, tuple[Any, Any]]:
+    """Return the values of each variable that both have."""
+    return {name: (one[name].values, other[name].values) for name in map(str, other) if name in one}
+
+
+def _equal(one: Any, other: Any) -> bool:
+    return np.array_equal(one, other, equal_nan=one.dtype.kind in "fM")
+
+
+def _same(study: Study, one: xr.Dataset | str, other: xr.Dataset | str) -> bool:
+    """Return whether two results of a point are the same to the last bit, or to the tolerance of a vectorised one."""
+    if isinstance(one, str) or isinstance(other, str):
+        return isinstance(one, str) and isinstance(other, str) and one == other
+    tolerance = study.experiment.tolerance if study.experiment.vectorised else 0.0
+    return all(
+        _equal(a, b)
+        or (a.dtype.kind == "f" and a.shape == b.shape and np.allclose(a, b, rtol=tolerance, atol=0.0, equal_nan=True))
+        for a, b in _pairs(one, other).values()
+    )
 
 
 def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
     """Return a point's parameters from ``NAME=VALUE,...``; raises SweepError that says what is wrong or missing."""
     problems: list[str] = []
-    given: dict[str, Any] = {}
+    wanted: dict[str, Any] = {}
     for name, text in parse_places([at] if at.strip() else []).items():
-        if name == POINT and study.points is not None:
-            given |= _row(study, text, problems)
-        elif name not in study.axes:
-            hint = suggest(name, list(study.axes)) if study.axes else ""
-            problems.append(f"--at {name}: is not an axis{hint or f'; axes are {_listed(study.axes)}'}")
-        else:
-            given[name] = _on_axis(study, name, text, problems)
+        try:
+            wanted |= _on_axis(study, name, text)
+        except ValueError as error:
+            problems.append(f"--at {error}")
     grid = Grid(study)
     fitting: dict[str, list[tuple[Value, ...]]] = {}
     for dimension, rows in grid.rows.items():
-        wanted = {k: given[name] for k, name in enumerate(grid.dimensions[dimension]) if name in given}
-        fitting[dimension] = [row for row in dict.fromkeys(rows) if all(row[k] == v for k, v in wanted.items())]
+        places = {k: wanted[name] for k, name in enumerate(grid.dimensions[dimension]) if name in wanted}
+        fitting[dimension] = [row for row in dict.fromkeys(rows) if all(row[k] == v for k, v in places.items())]
     if not problems:
         problems += [
             f"--at: {dimension} needs a value, one of {_listed(study.axes.get(dimension) or range(len(rows)))}"
@@ -160,25 +240,20 @@ def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
     return parameters
 
 
-def _row(study: Study, text: str, problems: list[str]) -> dict[str, Any]:
-    """Return the parameters of a row of a table of points, which are counted from 0."""
-    assert study.points is not None, "asked before"
-    rows = len(study.axes[study.points.names[0]])
-    if not text.isdecimal() or int(text) >= rows:
-        problems.append(f"--at {POINT} = {shown(text)}: must be the number of a point, from 0 to {rows - 1}")
-        return {}
-    return {name: study.axes[name][int(text)] for name in study.points.names}
-
-
-def _on_axis(study: Study, name: str, text: str, problems: list[str]) -> Any:
-    try:
-        value = study.experiment.parameter(name).parse(parse_value(text))
-    except ValueError as error:
-        problems.append(f"--at {error}")
-        return None
+def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
+    """Return the value on an axis that a text names, or those of a row of a table, from 0; raises ValueError."""
+    if name == POINT and study.points is not None:
+        rows = len(study.axes[study.points.names[0]])
+        if not text.isdecimal() or int(text) >= rows:
+            raise ValueError(f"{POINT} = {shown(text)}: must be the number of a point, from 0 to {rows - 1}")
+        return {axis: study.axes[axis][int(text)] for axis in study.points.names}
+    if name not in study.axes:
+        hint = suggest(name, list(study.axes)) if study.axes else ""
+        raise ValueError(f"{name}: is not an axis{hint or f'; axes are {_listed(study.axes)}'}")
+    value = study.experiment.parameter(name).parse(parse_value(text))
     if value not in study.axes[name]:
-        problems.append(f"--at {name} = {shown(value)}: not on the axis, which has {_listed(study.axes[name])}")
-    return value
+        raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {_listed(study.axes[name])}")
+    return {name: value}
 
 
 def _listed(values: Any) -> str:

@@ -1,26 +1,27 @@
-"""Runs a study: lets an executor compute what the ledger lacks of the plan, and writes it into the store."""
+"""Runs a study in a session: its grid, its store and its pending work, opened once, computed and published."""
 
-from collections.abc import Collection, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.executor import Run, choose_executor, of_study
+from linksweep.sweep.executing.executor import choose_executor, of_study
 from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources
-from linksweep.sweep.executing.task import Place, RefusedError, TaskResult
+from linksweep.sweep.executing.task import Executor, RefusedError, TaskResult
 from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan, Survey, Work
-from linksweep.sweep.planning.tuning import TUNED, Tuning
+from linksweep.sweep.planning.work_queue import TUNED, Tuning
 from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
 from linksweep.sweep.running.study_store import check_points, create_store, find_store, open_store, replace_store
-from linksweep.sweep.running.subset import part_of_larger
 from linksweep.sweep.running.writer import Taken, Writer
 from linksweep.sweep.stores.code import check_code, record_code
 from linksweep.sweep.stores.location import Where, writing
 from linksweep.sweep.stores.lock import locked
-from linksweep.sweep.stores.store import OpenStore, Store
+from linksweep.sweep.stores.store import Store
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded
 from linksweep.sweep.studies.study import Study
 
@@ -59,16 +60,178 @@ class Silent(Progress):
     """Watches nothing."""
 
 
+class Session:
+    """A study, its grid, its store and its pending work.
+
+    `open` reads them and writes nothing, `compute` lets an executor do what is pending and keeps it as it comes, and
+    `publish` writes the labelled dataset.  Whoever computes holds the lock of the store.
+    """
+
+    def __init__(self, plan: Plan, where: Where, store: Store | None, failed: frozenset[bytes] | None = None) -> None:
+        """Start with the open ``store`` if there is one; only points that ``failed`` are pending if these are given."""
+        self._where, self.store, self._is_new = where, store, store is None
+        if store is None:
+            self.accumulator = Accumulator(plan)
+        else:
+            ledger = store.rows, store.read(), store.failures
+            self.accumulator = Accumulator(plan, *ledger, failed, store.samples)
+        self.larger: Session | None = None
+        self._too_many = ""
+        self._writer: Writer | None = None
+
+    @classmethod
+    def open(
+        cls, grid: Grid, where: Where, *, accept_code: bool = False, retry: bool = False, fresh: bool = False
+    ) -> "Session":
+        """Open the study of a grid and its store, if there is one.
+
+        With ``retry`` the failures of these points are forgotten and nothing else is pending; with ``fresh`` the store
+        begins anew.  Raises SweepError for a store that cannot go on with this study, and for one that other code made
+        unless ``accept_code``.
+        """
+        plan, store, failed = Plan(grid), None, None
+        found = replace_store(where, grid.study, provenance(grid.study)) if fresh else find_store(where, grid.study)
+        if found is not None:
+            if grid.study.experiment.undeclared:
+                plan = plan.of(as_recorded(grid.study, found.attributes))
+            store = open_store(found, plan.grid.study)
+            if not accept_code:
+                check_code(store, plan.grid.study)
+        if retry:
+            digests = {point.digest for point in grid.points()} if store is not None else set()
+            failed = frozenset(digests if store is None else store.failures.keys() & digests)
+            if store is not None:
+                store.clear_failures(failed)
+        session = cls(plan, where, store, failed)
+        session.larger = None if retry else session._larger()
+        if found is not None and session.larger is None:
+            check_points(found, grid.study)
+        return session
+
+    @property
+    def study(self) -> Study:
+        """The study, with what is known of its results."""
+        return self.accumulator.plan.grid.study
+
+    @property
+    def survey(self) -> Survey:
+        """How much there is, and how much of it is pending."""
+        return self.accumulator.survey
+
+    def _larger(self) -> "Session | None":
+        """Return the session of the same points as the store has them, if all are done there and its dataset has more
+        than them: more points, realisations or catalogues, or a finer precision.  Then it is to be left as it is.
+        """
+        study, plan = self.study, self.accumulator.plan
+        if self.store is None or study.excluded or study.keeps_samples or "points" not in self.store.attributes:
+            return None
+        stored, asked = self.store.attributes, study.sampling
+        same = self
+        if not study.experiment.deterministic:
+            numbers = {key: stored[key] for key in study.numbers()} | {"precision": stored.get("precision")}
+            mine = {key: getattr(asked, key) for key in numbers}
+            if numbers["precision"] is None and asked.precision is None:
+                enough = all(numbers[key] >= mine[key] for key in study.numbers())
+            else:  # these decide how many realisations a point has
+                finer = (numbers["precision"] or 1.0) <= (asked.precision or 0.0)
+                enough = finer and all(numbers[key] == mine[key] for key in study.numbers())
+            if not enough:
+                return None
+            if numbers != mine:
+                as_stored = replace(study, sampling=asked.model_copy(update=numbers))
+                same = Session(plan.of(as_stored), self._where, self.store)
+        more = same is not self or stored["points"] > len(plan.grid)
+        return same if more and not same.survey.pending.blocks and not same.survey.failed else None
+
+    def compute(
+        self,
+        execute: Executor,
+        progress: "Progress | None" = None,
+        max_failures: MaxFailures | None = None,
+        held: Callable[[], AbstractContextManager[None]] = nullcontext,
+        tuning: Tuning = TUNED,
+    ) -> None:
+        """Compute what is pending, and keep it as it comes; end early where more than ``max_failures`` fail.
+
+        ``held`` gives contexts in which interruptions wait.  Raises SweepError for results that are refused, and
+        whatever the executor raises, with everything that was finished in the store.
+        """
+        progress = progress or Silent()
+        total, pending = self.survey.total.points, self.survey.pending
+        failing = FailureCount(self.study, total, total - pending.points, most=max_failures)
+        writer = self._writer = Writer(self.accumulator, self._begun(progress), held, tuning=tuning)
+        most_blocks = writer.pending.most_blocks
+        with self._kept(writer):
+            writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
+            results = of_study(self.study, execute)(writer.pending.take)  # workers begin while this process writes
+            if pending.blocks:
+                writer.write()  # so that there is a labelled, if empty, dataset from the start
+            with writer:
+                for given, result in results:
+                    works = writer.pending.settle(given, result.seconds, result.cold)
+                    taken = writer.take(works, result)
+                    failing.take(taken.ended, taken.failed)
+                    writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
+                    progress.advance(works, result, taken)
+                    if too_many := failing.too_many():
+                        self._too_many = too_many
+                        break
+
+    def publish(self, progress: "Progress | None" = None) -> "xr.Dataset":
+        """Write the dataset of everything that was computed, and return it.
+
+        Raises TooManyFailuresError where that was ended early.
+        """
+        writer = self._writer
+        assert writer is not None, "it is computed first"
+        with self._kept(writer):
+            dataset = writer.write(final=not self._too_many)
+        writer.require_whole()
+        (progress or Silent()).written()
+        if self._too_many:
+            raise TooManyFailuresError(f"stopped: {self._too_many}; {GOES_ON}", str(writer.store.location))
+        return dataset
+
+    def failures(self) -> dict[str, str]:
+        """Return the points that failed, by their place on the axes, and why."""
+        return {} if self._writer is None else self._writer.failures()
+
+    def _begun(self, progress: "Progress") -> Store:
+        """Return the store, a new one if need be, which is found whole and says which code continues it."""
+        study, plan = self.study, self.accumulator.plan
+        store = self.store
+        if store is None:
+            attributes = provenance(study) | {RECORD: recorded(study, plan.costs())}
+            store = self.store = open_store(create_store(self._where, study, attributes), study)
+            store.keep_copy()
+        store.verify()
+        record_code(store, study, progress.say)
+        if unused := len(store.rows) - self.survey.held.blocks:
+            progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
+        return store
+
+    @contextmanager
+    def _kept(self, writer: Writer) -> Iterator[None]:
+        """Make everything that was taken durable where an exception leaves this block."""
+        try:
+            yield
+        except BaseException as error:
+            if isinstance(error, RefusedError) and self._is_new and not writer.store.rows:
+                with writing(writer.store.location):
+                    writer.store.location.clear()  # as if nothing had been begun
+                raise
+            with suppress(SweepError):
+                writer.stop() if isinstance(error, KeyboardInterrupt) else writer.flush()
+            writer.require_whole(error.problems if isinstance(error, SweepError) else ())
+            raise
+
+
 def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[Plan, Survey]:
     """Return the plan of a study and what of it is pending in its store, writing nothing; raises SweepError for bad
     input, and for a store that other code made unless ``accept_code``.
     """
-    plan = Plan(make_grid(study))
-    found = find_store(store, study)
-    plan, opened = _with_store(plan, found, accept_code)
-    if study.points is not None and found is not None and part_of_larger(found, plan.grid) is None:
-        check_points(found, study)
-    return plan, _accumulator(plan, opened).survey
+    session = Session.open(make_grid(study), store, accept_code=accept_code)
+    return session.accumulator.plan, session.survey
 
 
 def run_study(
@@ -94,131 +257,38 @@ def run_study(
     reason, and RunInterruptedError on SIGINT, SIGTERM and SIGHUP.
     """
     progress = progress or Silent()
-    plan = Plan(make_grid(study))
-    for sentence in plan.grid.warnings:
+    grid = make_grid(study)
+    for sentence in grid.warnings:
         progress.say(f"warning: {sentence}")
     with watched() as interruptions, ExitStack() as stack:
         try:
             stack.enter_context(locked(store, break_lock=break_lock))
         except SweepError:  # a store that cannot be locked can still be read
-            found = None if fresh else find_store(store, study)
-            if retry or found is None or (part := part_of_larger(found, plan.grid)) is None:
+            larger = None if retry or fresh else Session.open(grid, store, accept_code=accept_code).larger
+            if larger is None:
                 raise
-            return _left_alone(part, store, progress)
-        found = replace_store(store, study, provenance(study)) if fresh else find_store(store, study)
-        plan, opened = _with_store(plan, found, accept_code)
-        study = plan.grid.study
-        if not retry and found is not None and (part := part_of_larger(found, plan.grid)) is not None:
-            return _left_alone(part, store, progress)
-        if found is not None:
-            check_points(found, study)
-        again = _clear_failures(opened, plan, progress) if retry else None
-        accumulator = _accumulator(plan, opened, again)
-        pending = accumulator.survey.pending
-        where = choose_executor(study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say)
+            return _left_alone(larger, progress)
+        session = Session.open(grid, store, accept_code=accept_code, retry=retry, fresh=fresh)
+        if session.larger is not None:
+            return _left_alone(session.larger, progress)
+        pending = session.survey.pending
+        if retry and not pending.blocks:
+            progress.say(f"no point in {store} has failed")
+        where = choose_executor(
+            session.study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say
+        )
         place, execute = stack.enter_context(where)
-        run = of_study(study, execute)
-        progress.start(accumulator.survey, place.words, place.workers)
-        total = accumulator.survey.total.points
-        failing = FailureCount(study, total, total - accumulator.survey.pending.points, most=max_failures)
-        opened = _opened(store, opened, plan)
-        record_code(opened, study, progress.say)
-        if unused := len(opened.rows) - accumulator.survey.held.blocks:
-            progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
-        writer = Writer(accumulator, opened, interruptions.held, tuning=tuning)
-        try:
-            return _computed(writer, place, run, progress, failing)
-        except RefusedError:
-            if found is None and not opened.rows:  # as if nothing had been begun
-                with writing(opened.location):
-                    opened.location.clear()
-            raise
-
-
-def _computed(
-    writer: Writer,
-    place: Place,
-    run: Run,
-    progress: Progress,
-    failing: FailureCount,
-) -> "tuple[xr.Dataset, dict[str, str]]":
-    """Compute what is pending; return the dataset and the failures.
-
-    Raises TooManyFailuresError, with what was done in the store, where too many points fail.
-    """
-    most_blocks = writer.pending.most_blocks
-    try:
+        progress.start(session.survey, place.words, place.workers)
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
-        writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
-        why = ""
-        if writer.accumulator.survey.pending.blocks:
-            writer.write()  # so that there is a labelled, if empty, dataset from the start
-        with writer:
-            for given, result in run(writer.pending.take):
-                works = writer.pending.settle(given, result.seconds, result.cold)
-                taken = writer.take(works, result)
-                failing.take(taken.ended, taken.failed)
-                writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
-                progress.advance(works, result, taken)
-                if why := failing.too_many():
-                    break
-        dataset = writer.write(final=not why)
-    except BaseException as error:
-        with suppress(SweepError):
-            writer.stop() if isinstance(error, KeyboardInterrupt) else writer.flush()
-        writer.require_whole(error.problems if isinstance(error, SweepError) else ())
-        raise
-    writer.require_whole()
-    progress.written()
-    if why:
-        raise TooManyFailuresError(f"stopped: {why}; {GOES_ON}", str(writer.store.location))
-    return dataset, writer.failures()
+        session.compute(execute, progress, max_failures, interruptions.held, tuning)
+        return session.publish(progress), session.failures()
 
 
-def _with_store(plan: Plan, found: OpenStore | None, accept_code: bool) -> tuple[Plan, Store | None]:
-    """Return a plan, for a plain function with the layout of results that its store has, and the open store.
+def _left_alone(session: Session, progress: Progress) -> "tuple[xr.Dataset, dict[str, str]]":
+    assert session.store is not None, "it is larger"
+    from linksweep.sweep.running.results import masked
 
-    Raises SweepError for a store that other code made unless ``accept_code``.
-    """
-    if found is None:
-        return plan, None
-    if plan.grid.study.experiment.undeclared:
-        plan = plan.of(as_recorded(plan.grid.study, found.attributes))
-    opened = open_store(found, plan.grid.study)
-    if not accept_code:
-        check_code(opened, plan.grid.study)
-    return plan, opened
-
-
-def _opened(place: Where, store: Store | None, plan: Plan) -> Store:
-    """Return the store of a plan: the one that is there, or a new one."""
-    study = plan.grid.study
-    if store is None:
-        attributes = provenance(study) | {RECORD: recorded(study, plan.costs())}
-        store = open_store(create_store(place, study, attributes), study)
-        store.keep_copy()
-    store.verify()
-    return store
-
-
-def _left_alone(part: "xr.Dataset", store: Where, progress: Progress) -> "tuple[xr.Dataset, dict[str, str]]":
-    progress.say(f"{store} holds more than this study asks for; it is left as it is, and these are its points")
-    return part, {}
-
-
-def _clear_failures(store: Store | None, plan: Plan, progress: Progress) -> frozenset[bytes]:
-    """Forget the failures of a plan's points, and return their digests; say so where there are none."""
-    failed: frozenset[bytes] = frozenset()
-    if store is not None:
-        failed = frozenset(store.failures.keys() & {point.digest for point in plan.grid.points()})
-        store.clear_failures(failed)
-    if not failed:
-        progress.say(f"no point in {store.location if store else 'the store'} has failed")
-    return failed
-
-
-def _accumulator(plan: Plan, store: Store | None, only: Collection[bytes] | None = None) -> Accumulator:
-    if store is None:
-        return Accumulator(plan)
-    return Accumulator(plan, store.rows, store.read(), store.failures, only, store.samples)
+    where = session.store.location
+    progress.say(f"{where} holds more than this study asks for; it is left as it is, and these are its points")
+    return masked(Writer(session.accumulator, session.store).assembled(final=True)), {}

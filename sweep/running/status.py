@@ -1,25 +1,20 @@
 """Reports what a store holds and what a plan would do, as plain mappings for people and scripts."""
 
-import json
 import math
 import time
 from typing import Any
 
 import numpy as np
-import xarray as xr
-from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Named, SweepError
 from linksweep.sweep.executing.pools import available_cores
-from linksweep.sweep.formatting import units_of
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import TARGET, Plan
 from linksweep.sweep.planning.point_status import Status, count_status
 from linksweep.sweep.running.progress import by_axis
 from linksweep.sweep.running.run import plan_study
-from linksweep.sweep.running.writer import MAX_FAILURES_NAMED, failures_by_place
-from linksweep.sweep.stores.ledger import Ledger
+from linksweep.sweep.running.writer import failures_by_place
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.lock import holder
 from linksweep.sweep.stores.store import BLOCKS, UNFINISHED, OpenStore, is_new
@@ -33,25 +28,38 @@ PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git
 def status_report(store: Where) -> dict[str, Any]:
     """Return the progress and provenance of a store, as its ledger has it, which is newer than its dataset.
 
-    Nothing that the store names is imported: what an experiment declares, the store has recorded.  Where it has not,
-    the progress is that of the last writing, and a ``note`` says so.  Raises SweepError if there is no store.
+    Nothing that the store names is imported: what an experiment declares, the store has recorded.  With a precision
+    only the experiment can say what is left: the progress is that of the last writing, and a ``note`` says so.  Raises
+    SweepError if there is no store.
     """
     opened = OpenStore(store)
-    attributes = opened.attributes
-    ledger = opened.ledger()
+    attributes, ledger = opened.attributes, opened.ledger()
+    study = recorded_study(attributes, str(opened.location))
+    grid = Grid(study)
+    dataset = None if is_new(opened.root) else opened.dataset().transpose(*grid.dimensions, ...)
     whole = bool(attributes.get("complete")) and attributes.get(BLOCKS) == len(ledger.rows)
-    dataset = None if is_new(opened.root) else opened.dataset()
     note: dict[str, str] = {} if dataset is not None else {"note": UNFINISHED}
-    try:
-        axes, units, status, realisations, failures = _of_ledger(opened, ledger, dataset if whole else None)
-    except SweepError as error:
-        if dataset is None:
-            raise SweepError(f"{UNFINISHED} ({'; '.join(error.problems)})", str(opened.location)) from error
-        axes, units, status, realisations = _of_dataset(dataset)
-        failures = json.loads(attributes.get("failures", "{}"))
-        if len(failures) >= MAX_FAILURES_NAMED:  # there may be more, which the records beside the ledger have
-            failures = {record["place"]: record["message"] for record in ledger.failures.values()}
-        note = {"note": f"as of the last writing: {'; '.join(error.problems)}"}
+    if dataset is not None and (whole or study.sampling.precision is not None):  # which takes less time
+        status = dataset["status"].values
+        realisations = dataset["n_sim_done"].values if "n_sim_done" in dataset else (status == Status.DONE).astype(int)
+        failures = {record["place"]: record["message"] for record in ledger.failures.values()}
+        if not whole:
+            note = {"note": "as of the last writing: only the experiment can say how many realisations are needed"}
+    elif study.sampling.precision is not None:
+        raise SweepError(UNFINISHED, str(opened.location))
+    else:
+        try:
+            accumulator = Accumulator(Plan(grid), ledger.rows, ledger.read(), ledger.failures)
+        except (KeyError, TypeError, ValueError) as error:
+            reason = f"the record of its experiment does not fit its points ({error})"
+            raise SweepError(reason, str(opened.location)) from error
+        status = grid.with_repeats(accumulator.status).reshape(grid.shape)
+        realisations = grid.with_repeats(accumulator.realisations).reshape(grid.shape)
+        failures = failures_by_place(grid, accumulator.status, ledger.failures)
+    axes = {
+        dimension: [dict(zip(grid.dimensions[dimension], map(_plain, row), strict=True)) for row in rows]
+        for dimension, rows in grid.rows.items()
+    }
     random = "n_sim" in attributes
     wanted = int(attributes["n_sim"]) * int(attributes["n_cat"]) if random else 1
     return {
@@ -64,56 +72,14 @@ def status_report(store: Where) -> dict[str, Any]:
         "blocks in the ledger": len(ledger.rows),
         **({"realisations done": int(realisations.sum())} if random else {}),
         "axes": by_axis(axes, status, realisations, wanted),
-        "units": units,
+        "units": {name: study.experiment.parameter(name).unit for name in study.axes},
         "failures": failures,
         "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")},
     }
 
 
-Progress = tuple[dict[str, list[dict[str, Any]]], dict[str, str], NDArray[np.int8], NDArray[np.int64]]
-"""The values along each dimension, the units of the axes, and the status and the realisations of each point."""
-
-
-def _of_ledger(opened: OpenStore, ledger: Ledger, same: xr.Dataset | None) -> tuple[*Progress, dict[str, str]]:
-    """Return the progress by the ledger, or by a dataset that says the ``same``, which takes less time, and the points
-    that failed by their place.
-
-    Raises SweepError where the store has not recorded what that needs.
-    """
-    study = recorded_study(opened.attributes, str(opened.location))
-    grid = Grid(study)
-    axes = {
-        dimension: [dict(zip(grid.dimensions[dimension], map(_plain, row), strict=True)) for row in rows]
-        for dimension, rows in grid.rows.items()
-    }
-    units = {name: study.experiment.parameter(name).unit for name in study.axes}
-    if same is not None:
-        return axes, units, *_points_of(same.transpose(*grid.dimensions, ...)), {}  # it is complete
-    if study.sampling.precision is not None:
-        raise SweepError("only the experiment can say how many realisations reach a precision")
-    try:
-        accumulator = Accumulator(Plan(grid), ledger.rows, ledger.read(), ledger.failures)
-    except (KeyError, TypeError, ValueError) as error:
-        raise SweepError(f"the record of its experiment does not fit its points ({error})") from error
-    status, realisations = grid.with_repeats(accumulator.status), grid.with_repeats(accumulator.realisations)
-    failures = failures_by_place(grid, accumulator.status, ledger.failures)
-    return axes, units, status.reshape(grid.shape), realisations.reshape(grid.shape), failures
-
-
-def _points_of(dataset: xr.Dataset) -> tuple[NDArray[np.int8], NDArray[np.int64]]:
-    status = dataset["status"].values
-    return status, dataset["n_sim_done"].values if "n_sim_done" in dataset else (status == Status.DONE).astype(int)
-
-
 def _plain(value: Any) -> Any:
     return value.name if isinstance(value, Named) else value
-
-
-def _of_dataset(dataset: xr.Dataset) -> Progress:
-    dimensions = [str(dimension) for dimension in dataset["status"].dims]
-    axes = {d: [{d: value} for value in dataset[d].values.tolist()] for d in dimensions}
-    units = {d: units_of(dataset[d].attrs) for d in dimensions}
-    return axes, units, *_points_of(dataset)
 
 
 def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:

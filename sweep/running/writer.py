@@ -19,12 +19,10 @@ from linksweep.sweep.executing.pools import uncollected
 from linksweep.sweep.executing.task import Failure, TaskResult, failure_of
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.failing import failing
 from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe
 from linksweep.sweep.planning.plan import Plan, PlanSize, Work
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.planning.tuning import TUNED, Tuning
-from linksweep.sweep.planning.work_queue import Pending
+from linksweep.sweep.planning.work_queue import TUNED, Pending, Tuning
 from linksweep.sweep.running.covariance import covariances
 from linksweep.sweep.running.study_store import create_store, hold, identity
 from linksweep.sweep.stores.code import codes_of_points, records_of
@@ -183,22 +181,13 @@ class Writer:
     def write(self, final: bool = False) -> "xr.Dataset":
         """Write the labelled dataset of everything taken so far, and return it."""
         begun = time.monotonic()
-        study = self.plan.grid.study
         with self._held():
             # imports xarray and pandas while the workers compute; interrupted there, they could not be imported again
             with uncollected():
-                from linksweep.sweep.running.results import assemble, assemble_samples, code_variable, masked
+                from linksweep.sweep.running.results import masked
 
             self.flush()
-        dataset = assemble(self.plan, self.accumulator)
-        if study.sampling.keep_samples:
-            dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
-        if final and study.sampling.common_random_numbers and study.sampling.precision is None:
-            dataset = dataset.assign(covariances(self.plan, self.accumulator, self.store.rows, self.store.read()))
-        if len(records := records_of(self.store.attributes)) > 1:
-            codes = codes_of_points(self.plan, self.accumulator, self.store.rows, records)
-            dataset = dataset.assign(code=code_variable(self.plan, codes))
-        dataset.attrs = self._attributes()
+        dataset = self.assembled(final)
         tuning = self._tuning
         self._long_write = dataset.nbytes > tuning.long_write_bytes or dataset["status"].size > tuning.long_write_points
         with nullcontext() if self._long_write else self._held(), self._lock:
@@ -208,6 +197,21 @@ class Writer:
         self._written = time.monotonic()
         self._write_took = self._written - begun
         return masked(dataset)
+
+    def assembled(self, final: bool = False) -> "xr.Dataset":
+        """Return the labelled dataset of everything taken so far."""
+        from linksweep.sweep.running.results import assemble, assemble_samples, code_variable
+
+        study = self.plan.grid.study
+        dataset = assemble(self.plan, self.accumulator)
+        if study.sampling.keep_samples:
+            dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
+        if final and study.sampling.common_random_numbers and study.sampling.precision is None:
+            dataset = dataset.assign(covariances(self.plan, self.accumulator, self.store.rows, self.store.read()))
+        if len(records := records_of(self.store.attributes)) > 1:
+            codes = codes_of_points(self.plan, self.accumulator, self.store.rows, records)
+            dataset = dataset.assign(code=code_variable(self.plan, codes))
+        return dataset.assign_attrs(self._attributes())
 
     def _attributes(self) -> dict[str, Any]:
         """Return the attributes of a dataset of everything taken so far."""
@@ -277,7 +281,7 @@ class Writer:
 
     def _refuse_results(self, indices: list[int]) -> dict[int, Failure]:
         """Record those finished points as failed whose results are not what the experiment declares; return why."""
-        found = failing(self.accumulator, indices) if indices else {}
+        found = self.accumulator.failing(indices) if indices else {}
         failures = {index: failure_of(error) for index, error in found.items()}
         for index, failure in failures.items():
             self._fail(self.plan.grid.point(index), failure)

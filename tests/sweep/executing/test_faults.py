@@ -1,8 +1,6 @@
 """What happens to a run when machines die, stall or come late.  All with real processes."""
 
 import os
-import platform
-import re
 import signal
 import time
 from importlib.metadata import version
@@ -132,9 +130,7 @@ def other_version(folder, package, version):
     return {"PYTHONPATH": str(folder / "shim")}
 
 
-@pytest.mark.parametrize(
-    "package", ["numpy", *(pytest.param(p, marks=pytest.mark.slow) for p in ("linksweep", "scipy"))]
-)
+@pytest.mark.parametrize("package", ["numpy"])
 def test_a_worker_with_another_version_stops_the_run_before_anything_is_written(
     link_study, tmp_path, sweep, outside, package
 ):
@@ -175,17 +171,6 @@ def test_other_differences_are_told_and_no_more(link_study, tmp_path, sweep, out
     assert code == 0, err
     assert err.count(f"warning: msgpack is {version('msgpack')} here, 0.0.9 there") == 1
     assert quiet(err), err
-
-
-@pytest.mark.skipif(platform.machine() != "x86_64", reason="OpenBLAS has other kernels on this processor")
-@pytest.mark.slow
-def test_other_kernels_of_linear_algebra_are_told(link_study, tmp_path, sweep, outside):
-    outside.start_worker(OPENBLAS_CORETYPE="Sandybridge")
-    code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address)
-    assert code == 0, err
-    (line,) = [line for line in err.splitlines() if line.startswith("warning: ")]
-    assert re.match(r"warning: linear algebra is openblas for \w+ here, openblas for Sandybridge there", line)
-    assert line.endswith("; the last digits of results may differ")
 
 
 @pytest.mark.slow

@@ -1,15 +1,12 @@
 """Worker processes are forked from one that has imported what they need, and cannot tell."""
 
-import errno
 import os
-import queue
 import signal
 import subprocess
 import sys
 import time
-from multiprocessing import forkserver, resource_tracker
+from multiprocessing import forkserver
 
-import numpy as np
 import pytest
 import xarray as xr
 from distributed import LocalCluster
@@ -84,36 +81,6 @@ def test_a_server_of_the_users_own_is_left_alone():
         forkserver._forkserver._stop()
 
 
-def legacy_draw():
-    return float(np.random.random())  # noqa: NPY002
-
-
-@pytest.mark.slow
-def test_workers_draw_different_numbers_even_from_the_generator_they_must_not_use():
-    """They are forked with the same state of it, and Dask gives each a new one."""
-    with own_cluster(LocalCluster, ONE | {"n_workers": 2}) as cluster, cluster.get_client() as client:
-        assert len(set(client.run(legacy_draw).values())) == 2
-
-
-@pytest.mark.slow
-def test_modules_of_the_folder_are_not_taken_for_others(link_study, tmp_path, start_sweep):
-    (tmp_path / "sweep.py").write_text("raise SystemExit('the wrong sweep')")
-    (tmp_path / "calendar.py").write_text("raise ZeroDivisionError('the wrong calendar')")
-    command = [sys.executable, "-P", "-m", "linksweep"]
-    process = start_sweep("run", link_study, "-o", "s.zarr", "--workers", 1, command=command, cwd=tmp_path)
-    _, err = process.communicate(timeout=PATIENCE_S)
-    assert (process.returncode, "wrong" in err) == (0, False), err
-
-
-def test_what_cannot_be_started_is_told(monkeypatch):
-    def full():
-        raise OSError(errno.EMFILE, "Too many open files")
-
-    monkeypatch.setattr(resource_tracker, "ensure_running", full)
-    with pytest.raises(OSError, match="Too many"):
-        signals_blocked(int, undo=print)
-
-
 def interrupted_meanwhile():
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(0.2)  # not made yet when the interrupt arrives
@@ -125,14 +92,6 @@ def test_what_is_made_while_it_is_interrupted_is_undone():
     with pytest.raises(KeyboardInterrupt):
         signals_blocked(interrupted_meanwhile, undone.append)
     assert undone == ["made"]
-
-
-def test_what_is_made_too_late_is_undone_later(monkeypatch):
-    monkeypatch.setattr("linksweep.sweep.executing.forkserver.UNDO_S", 0.0)
-    undone = queue.Queue()
-    with pytest.raises(KeyboardInterrupt):
-        signals_blocked(interrupted_meanwhile, undone.put)
-    assert undone.get(timeout=PATIENCE_S) == "made"
 
 
 class Interrupted(LocalCluster):

@@ -5,19 +5,14 @@ import signal
 import subprocess
 import sys
 import time
-import warnings
-from contextlib import contextmanager, nullcontext
 
 import pytest
-from distributed import LocalCluster
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing import pools
-from linksweep.sweep.executing.clusters import NoWorkersError, local_cluster, own_cluster
 from linksweep.sweep.executing.pools import Resources
 from tests.patience import PATIENCE_S
 from tests.sweep.outside import workers_below
-from tests.tiers import slow
 
 SCRIPT = """
 import linksweep
@@ -26,13 +21,6 @@ def double(x: float = 1.0):
     return 2.0 * x
 {guard}
     print(linksweep.run(double, axes={{"x": [1.0, 2.0]}}, store="s.zarr", workers=1).double.values)
-"""
-
-CATCHES = """
-try:
-    linksweep.run(double, axes={"x": [1.0, 2.0]}, store="s.zarr", workers=1)
-except linksweep.SweepError as error:
-    print(str(error)[:6])
 """
 
 
@@ -66,12 +54,6 @@ def test_a_script_that_comes_by_standard_input_computes_in_processes(tmp_path):
 
 
 @pytest.mark.slow
-def test_it_can_be_caught_as_any_other_error(tmp_path):
-    done = run_script(tmp_path, SCRIPT.format(guard="if False:") + CATCHES)
-    assert (done.returncode, done.stdout) == (0, "worker\n"), done.stderr
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("killed", [2, 1000])
 def test_workers_that_are_killed_while_they_start_are_started_again(tmp_path, start_sweep, killed):
     (tmp_path / "f.py").write_text("def f(x: float = 1.0):\n    return 2.0 * x\n")
@@ -93,24 +75,6 @@ def test_workers_that_are_killed_while_they_start_are_started_again(tmp_path, st
         assert not (tmp_path / "s.zarr").exists()
 
 
-@pytest.mark.parametrize(("failures", "starts"), [(1, 2), (4, 5), (9, 5)])
-def test_a_start_that_fails_is_tried_again_a_few_times(failures, starts, monkeypatch):
-    tried = []
-
-    @contextmanager
-    def own_cluster(*_arguments):
-        tried.append(1)
-        if len(tried) <= failures:
-            raise RuntimeError("Nanny failed to start.")
-        yield "a cluster"
-
-    monkeypatch.setattr("linksweep.sweep.executing.clusters.own_cluster", own_cluster)
-    expected = nullcontext() if failures < starts else pytest.raises(NoWorkersError, match="may kill them")
-    with expected, local_cluster({}) as cluster:
-        assert cluster == "a cluster"
-    assert len(tried) == starts
-
-
 NO_DASHBOARD = """
 import sys
 import linksweep
@@ -130,21 +94,6 @@ def test_a_dashboard_that_nobody_asked_for_is_not_imported(tmp_path):
     assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr
 
 
-@pytest.mark.parametrize("dashboard", [False, slow(True)])
-@pytest.mark.parametrize("processes", [False, True])
-def test_workers_are_not_watched_for_a_dashboard_that_is_not_there(dashboard, processes):
-    def watched(dask_worker):
-        """Say whether a worker is profiled, and how often its event loop is looked at, in ms."""
-        callbacks = dask_worker.periodic_callbacks
-        return "profile" in callbacks, callbacks["tick"].callback_time
-
-    options = {"n_workers": 1, "threads_per_worker": 1, "processes": processes}
-    with local_cluster(options, dashboard) as cluster, cluster.get_client() as client:
-        [(profiled, every_ms)] = client.run(watched).values()
-    assert profiled is dashboard
-    assert (every_ms < 1000) is dashboard
-
-
 @pytest.mark.parametrize(
     ("wished", "expected"),
     [
@@ -162,18 +111,3 @@ def test_one_without_bokeh_is_refused(monkeypatch):
     with pytest.raises(SweepError, match=r"needs bokeh: `pip install 'linksweep\[report\]'`"):
         Resources(dashboard=True)
     assert Resources(workers=2).dashboard is False
-
-
-def test_that_a_folder_was_made_slowly_is_no_news_to_the_user(monkeypatch):
-    """Dask warns of network file systems; ours is a temporary folder, and the machine is busy."""
-    slow = []
-
-    @contextmanager
-    def took_long(_duration, text):
-        yield
-        slow.append(text)
-        warnings.warn(text.format(duration=2.0), stacklevel=2)
-
-    monkeypatch.setattr("distributed.core.warn_on_duration", took_long)
-    with own_cluster(LocalCluster, {"processes": False, "n_workers": 1, "threads_per_worker": 1}):
-        assert slow

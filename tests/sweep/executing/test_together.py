@@ -97,21 +97,3 @@ def test_where_that_fails_catalogues_are_evaluated_one_by_one(evaluate_catalogue
     found = run_task(task_of(evaluate_catalogues, UNITS))
     assert_same(found, run_task(task_of(None, UNITS)))
     assert not found.said  # what was printed in vain is not kept
-
-
-def test_an_interruption_is_one():
-    with pytest.raises(KeyboardInterrupt):
-        run_task(task_of(raising(KeyboardInterrupt()), UNITS))
-
-
-def test_what_is_printed_is_kept_once():
-    def speaking(points, n_sim, streams):
-        print(f"{len(streams)} catalogues")
-        return together(points, n_sim, streams)
-
-    said = run_task(task_of(speaking, UNITS)).said
-    assert {row: one.printed for row, one in said.items()} == {
-        0: "35 catalogues\n",
-        3: "35 catalogues\n",
-        6: "16 catalogues\n",
-    }

@@ -1,8 +1,6 @@
 """What a point's sums are, how many realisations it gets, and that a failed one gets no more."""
 
-import itertools
 import json
-import math
 from dataclasses import replace
 from hashlib import blake2b
 
@@ -92,11 +90,6 @@ def test_a_point_gets_what_the_worst_of_its_results_needs_at_once(headlines, exp
     assert rounds(plan_of(headlines, precision=0.01)) == expected
 
 
-def test_a_point_gets_at_most_sixteen_times_what_it_has_before_it_is_asked_again():
-    """200 000 are needed, but the errors of few realisations are too uncertain to believe that."""
-    assert rounds(plan_of(("b",), precision=0.001, max_n_sim=40_000))[:3] == [128, 2048, 32768]
-
-
 def test_blocks_are_added_in_their_own_order_whatever_that_of_their_arrival():
     plan = plan_of(precision=0.001, n_cat=40)
     (point,) = plan.grid.points()
@@ -145,24 +138,6 @@ def test_the_ledger_knows_a_block_by_all_that_decides_its_sums():
     keys = {ledger_key(bytes(16), each) for each in (block, *others)} | {ledger_key(bytes([1] * 16), block)}
     assert len(keys) == 6
     assert {len(key) for key in keys} == {32}
-
-
-def test_digests_of_points_are_long_and_do_not_depend_on_the_order_of_axes():
-    axes = {"coins": list(range(1, 1001)), "metal": ["gold", "tin"], "chance": [0.3, 0.4, 0.6]}
-    found = []
-    for order in itertools.permutations(axes):
-        document = {"title": "", "experiment": COINS, "axes": {name: axes[name] for name in order}}
-        grid = make_grid(study_from_dict(document))
-        found.append({tuple(sorted(point.parameters.items())): point.digest for point in grid.points()})
-    digests = set(found[0].values())
-    assert len(digests) == math.prod(map(len, axes.values()))
-    assert {len(digest) for digest in digests} == {16}
-    assert all(len({digest[k : k + 8] for digest in digests}) == len(digests) for k in (0, 8))  # every byte counts
-    assert all(other == found[0] for other in found[1:])
-    study = study_from_dict({"title": "", "experiment": COINS, "axes": axes})
-    reversed_ = replace(study.experiment, parameters=study.experiment.parameters[::-1])  # nor on that of a declaration
-    grid = make_grid(replace(study, experiment=reversed_))
-    assert {tuple(sorted(point.parameters.items())): point.digest for point in grid.points()} == found[0]
 
 
 def test_a_point_at_the_default_of_a_parameter_is_that_of_a_study_without_it():

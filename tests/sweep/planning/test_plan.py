@@ -11,9 +11,8 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.contract.block import BlockRows, ledger_key
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.checked_grid import make_grid
-from linksweep.sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, OVERHEAD, Plan
-from linksweep.sweep.planning.tuning import TUNED
-from linksweep.sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, Pending
+from linksweep.sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, Plan
+from linksweep.sweep.planning.work_queue import TASK_S, TUNED, Pending
 from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 from tests.sweep.running import test_precision
@@ -140,14 +139,6 @@ def test_tasks_are_of_about_a_second_and_enough_for_all(coins, seconds, workers)
     assert all(len(task) == 1 for task in tasks[: 4 * workers])  # nothing was measured before
 
 
-def test_tasks_become_shorter_where_points_become_slower(coins):
-    plan = points_of(coins, 5000)
-    pending = Pending(plan, Accumulator(plan))
-    tasks = given_out(pending, lambda point: 1e-4 if point.index < 2500 else 0.3)
-    slow = [task for task in tasks if task[0].points[0].index >= 2500]
-    assert max(map(len, slow[20:])) <= 4
-
-
 def test_what_a_worker_did_not_come_to_is_pending_again(coins):
     plan = points_of(coins, 200)
     pending = Pending(plan, Accumulator(plan))
@@ -213,18 +204,6 @@ def test_a_block_is_bounded(coins):
     assert all(b.n_sim == b.n_cat == 1 for b in one_point(10, 10).blocks(cost=1e9))
 
 
-def test_the_survey_counts_what_is_pending(coins):
-    plan = plan_of(coins)
-    keys = keys_of(coins)
-    survey = Accumulator(plan, BlockRows(keys[:3]), np.ones(3, plan.grid.study.experiment.reducer.dtype)).survey
-    assert survey.total.points == 6
-    assert survey.total.realisations == 6 * 20_000
-    assert survey.total.blocks == len(keys)
-    assert survey.held.blocks == 3
-    assert survey.pending.blocks == len(keys) - 3
-    assert survey.total.cost == pytest.approx(6 * (20_000 + 20 * 2 * OVERHEAD))
-
-
 @pytest.mark.parametrize("common", [False, True])
 @pytest.mark.parametrize("held", [0, 3])
 def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, held):
@@ -240,15 +219,3 @@ def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, held)
         given += sum(work.cost for work in tasks[0])
     assert given > 0
     assert accumulator.survey.pending.cost == pytest.approx(given)
-
-
-@pytest.mark.parametrize("threads", [2, slow(5_000)])
-def test_tasks_are_longer_on_more_threads_than_tasks_may_end_in_a_second(coins, threads):
-    plan = points_of(coins, 30_000)
-    pending = Pending(plan, Accumulator(plan))
-    first = [task for _ in range(threads * TASKS_IN_FLIGHT) for task in pending.take(1)]
-    seconds = np.full(1, 10.0)
-    pending.settle(first[0], seconds)
-    pending.add([first[1][0]._replace(cost=1e9)] * 5)  # much is left, so that all need not share it
-    aim = 1.0 if threads == 2 else 25.0
-    assert pending._task_cost() * 10.0 / first[0][0].cost == pytest.approx(aim, rel=0.01)

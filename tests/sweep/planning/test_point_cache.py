@@ -22,11 +22,6 @@ def test_only_what_is_looked_at_makes_a_difference():
     assert len(asked) <= 5 * 4 + 4  # and a few before it was known that b matters
 
 
-def test_a_question_that_copies_its_point_looks_at_everything():
-    answers = PointCache(lambda point: sum({**point, "fixed": 0}.values()), ["a", "b"])
-    assert [answers({"a": a, "b": b, "fixed": 9}) for a in (1, 2) for b in (10, 20)] == [11, 21, 12, 22]
-
-
 @settings(max_examples=examples(200), derandomize=True)
 @given(st.lists(st.tuples(*[st.integers(0, 2)] * 4), min_size=1, max_size=60), st.integers(0, 2), st.integers(0, 2))
 def test_the_answers_are_those_of_the_function_in_any_order(points, first, second):

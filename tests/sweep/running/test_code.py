@@ -92,18 +92,6 @@ def test_accepted_code_is_told_for_each_point(folder, sweep):
     assert code == 2
 
 
-@pytest.mark.slow
-def test_a_point_that_several_codes_made_says_so(folder, sweep):
-    write_study(folder, "rate = [1.0]", "n_sim = 1024")
-    assert sweep("run", "s.toml", "-o", "t.zarr", cwd=folder)[0] == 0
-    change(folder, "deeper")
-    write_study(folder, "rate = [1.0, 2.0]", "n_sim = 2048")
-    assert sweep("run", "s.toml", "-o", "t.zarr", "--accept-code", cwd=folder)[0] == 0
-    dataset = open_dataset(folder / "t.zarr")
-    assert dataset["code"].values.tolist() == [-1, 2]
-    assert dataset["mean"].values.tolist() == [50.5, 200.0]
-
-
 def test_fresh_replaces_a_store_and_nothing_else(folder, sweep):
     change(folder, "deeper")
     write_study(folder, "rate = [2.0, 3.0]")

@@ -143,14 +143,6 @@ def test_a_retry_of_a_run_that_was_ended_goes_on(folder, sweep):
     assert counts("s.zarr")["done"] == 60
 
 
-def test_a_run_that_also_succeeds_is_not_ended(folder, sweep):
-    assert sweep("run", "f.py:odd", "--axis", "x=0:99:1", "-o", "s.zarr")[0] == 1
-    assert counts("s.zarr") == {"missing": 0, "done": 50, "failed": 50, "excluded": 0}
-    assert (
-        sweep("run", "f.py:never", "--axis", "x=0:19:1", "-o", "few.zarr")[2].count("stopped") == 0
-    )  # nothing is left
-
-
 @pytest.mark.parametrize(("most", "failed"), [(0, 1), (7, 8), ("7", 8), ("50%", None), ("100 %", 70)])
 def test_the_most_failures_that_are_allowed(tmp_path, most, failed):
     def late(x: int):

@@ -220,19 +220,6 @@ def test_statistics_are_those_of_all_realisations_and_extend(tmp_path):
     assert whole.wait_q95.attrs["units"] == "min"
 
 
-def test_all_realisations_of_a_block_at_once_give_the_same(tmp_path):
-    def at_once(load: float = 0.5, *, rng, n_sim):
-        return {"wait": rng.exponential(1.0 / (1.0 - load), n_sim)}
-
-    def single(load: float = 0.5, *, rng):
-        return {"wait": rng.exponential(1.0 / (1.0 - load))}
-
-    one, other = (run(f, tmp_path / f.__name__, sampling={"n_sim": 700}) for f in (single, at_once))
-    assert one.wait_mean.item() == other.wait_mean.item()
-    with pytest.raises(SweepError, match="no outer draw"):
-        run(single, tmp_path / "x", sampling={"n_cat": 3})
-
-
 @pytest.mark.parametrize("sign", [1, -1])
 def test_statistics_are_made_of_integers_that_floats_hold_and_of_no_others(tmp_path, sign):
     def whole(beyond: int = 0, *, rng):
@@ -300,19 +287,6 @@ def test_errors_of_two_thousand_points_of_a_store_hold_the_truth(tmp_path, law, 
         else:
             assert np.isfinite(error).mean() > 0.99
             assert 0.935 < np.mean(np.abs(value - is_) <= 2.0 * error) < 0.97, name
-
-
-def test_one_realisation_has_a_mean_and_no_spread(tmp_path):
-    def one(*, rng):
-        return {"x": rng.normal(), "yes": True}
-
-    ds = run(one, tmp_path / "o", sampling={"n_sim": 1, "seed": 2})
-    assert np.isfinite(ds.x_mean.item())
-    for name in ("x_mean_mc_error", "x_std", "x_std_mc_error", "yes_std"):
-        assert np.isnan(ds[name].item()), name
-    more = run(one, tmp_path / "o", sampling={"n_sim": 2, "seed": 2})
-    assert more.x_std.item() > 0.0
-    assert np.isnan(more.x_mean_mc_error.item())
 
 
 def test_dimensions_come_in_the_declared_order(tmp_path):
@@ -427,44 +401,6 @@ WORDS = (
     "mas / yr",
     "extragalactic",
 )
-
-
-@pytest.mark.slow
-def test_what_is_shown_has_the_words_of_the_experiment_alone(tmp_path, sweep):
-    """The terminal at a run, and the report, but for what the interactive library brings."""
-    (tmp_path / "sir.py").write_text(
-        "from linksweep import Output, experiment\n"
-        "@experiment(outputs=[Output('peak', headline=True)], citation='Kermack & McKendrick (1927)')\n"
-        "def sir(beta: float = 0.3, gamma: float = 0.1):\n    return {'peak': 1.0 - gamma / beta, 'phase': 'wave'}\n"
-        "def noisy(beta: float = 0.3, *, rng):\n    return {'peak': rng.normal(beta)}\n"
-    )
-    for name, setting in (("sir", "gamma=0.05"), ("noisy", "n_sim=50")):
-        said = []
-        for command in (
-            ("run", f"sir.py:{name}", "--axis", "beta=0.1:0.5:0.1", "--set", setting, "-o", f"{name}.zarr"),
-            ("plan", f"sir.py:{name}", "--axis", "beta=0.1:0.5:0.1", "--set", setting, "-o", f"{name}.zarr"),
-            ("status", f"{name}.zarr"),
-            ("show", f"{name}.zarr"),
-            ("report", f"{name}.zarr", "-o", f"{name}.html"),
-        ):
-            code, out, err = sweep(*command, cwd=tmp_path)
-            assert code == 0, err
-            said += [out, err]
-        page = (tmp_path / f"{name}.html").read_text()
-        body = page[page.index("<main>") : page.index("</main>")]
-        for text in (*said, body):
-            assert not [word for word in WORDS if word in text.lower()]
-        assert ("Kermack &amp; McKendrick (1927)" in body) == (name == "sir")
-
-
-@pytest.mark.slow
-def test_statistics_have_the_same_bits_on_any_pool(tmp_path):
-    given = {"axes": {"load": [0.2, 0.5, 0.8]}, "sampling": {"n_sim": 2000, "seed": 5}}
-    serial = run(queue, tmp_path / "serial.zarr", **given).drop_attrs()
-    for pool in ("threads", "processes"):
-        place = tmp_path / f"{pool}.zarr"
-        other = linksweep.run(queue, store=place, pool=pool, workers=2, **given)
-        assert other.drop_attrs().equals(serial)
 
 
 def test_the_dimensions_of_an_output_are_axes(tmp_path, sweep):

@@ -1,4 +1,4 @@
-"""Fifty seeded kills of real runs at random instants, each followed by a resume and a comparison of every bit."""
+"""Twenty seeded kills of real runs at random instants, each followed by a resume and a comparison of every bit."""
 
 import os
 import random
@@ -13,9 +13,9 @@ from linksweep.sweep.studies.reader import load_study
 from tests.patience import PATIENCE_S
 from tests.sweep.opening import existing_store
 
-pytestmark = pytest.mark.slow  # 50 runs, each killed at several instants
+pytestmark = pytest.mark.slow  # 20 kills of real runs
 
-KILLS = 50
+KILLS = 20
 LONGEST_S = 4.0
 """Of starting and work together, before the run is killed: a whole run takes a little longer on an idle machine."""
 

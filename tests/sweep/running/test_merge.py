@@ -69,17 +69,6 @@ def test_what_is_no_grid_together_is_a_table_of_points(run, tmp_path):
 
 
 @pytest.mark.slow
-def test_tables_are_joined_and_keep_the_axes_that_cross_them(run, tmp_path):
-    ranges = {"x": [0, 1]}
-    few = {"design": "sobol", "n": 4, "seed": 1, "ranges": ranges}
-    run("a.zarr", points=few, axes={"k": [1, 2]})
-    run("b.zarr", points=few | {"seed": 2}, axes={"k": [1, 2]})
-    ds = merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
-    assert dict(ds.sizes) == {"point": 8, "k": 2}
-    assert np.array_equal(ds.y.values, ds.x.values[:, None] * ds.k.values)
-
-
-@pytest.mark.slow
 def test_the_link_merges_to_the_bits_of_one_run(tmp_path):
     study = {
         "experiment": "linksweep.core.experiment:link",

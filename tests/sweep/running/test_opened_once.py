@@ -47,7 +47,7 @@ def counts(monkeypatch):
     get, built = Folder.get, Grid.__init__
 
     def counted(place, key):
-        found["root"] += key == "zarr.json"
+        found["root"] += key == "zarr.json" and place.path.name != "point.zarr"  # where a point is computed again
         return get(place, key)
 
     def build(grid, study, warnings=None):
@@ -169,6 +169,7 @@ def test_a_resumed_run_reads_each_file_of_the_ledger_once_and_each_point_that_is
     get_all, points = Folder.get_all, Grid.points
 
     def counted(place, keys):
+        keys = list(keys)
         read.update(key for key in keys if key.startswith("blocks/"))
         return get_all(place, keys)
 

@@ -158,28 +158,6 @@ def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(file, t
     assert [row["point"] for row in json.loads(out)["rows"]] == [0, 2, 3]
 
 
-@pytest.mark.slow
-def test_a_design_on_the_command_line_grows(file, tmp_path, sweep):
-    options = ["--range", "x=0.1:10:log", "--range", "k=4,5,6", "-o", "s.zarr", "--json", "--pool", "serial"]
-    code, out, err = sweep("run", file, "--design", "sobol:4:9", *options, cwd=tmp_path)
-    assert code == 0, err
-    few = json.loads(out)["rows"]
-    code, out, err = sweep("run", file, "--design", "sobol:6:9", *options, cwd=tmp_path)
-    assert code == 0, err
-    assert json.loads(out)["rows"][:4] == few
-    assert "warning: points.n = 6 is not a power of two" in err
-    code, out, err = sweep("fit", "s.zarr", "--over", "x", cwd=tmp_path)
-    assert code == 2
-    assert "the points differ in k too, so that x is no axis of y" in err
-    study = tmp_path / "s.toml"
-    study.write_text(f'title = "t"\nexperiment = "{file}"\n[points]\ndesign = "sobol"\nn = 4\n[points.ranges]\nx = 1\n')
-    code, out, err = sweep("plan", "s.toml", cwd=tmp_path)
-    assert (code, out) == (2, "")
-    assert "points.ranges.x (line 7): 1: write [low, high]" in err
-    code, out, err = sweep("plan", "s.toml", "--range", "x=1:2", "--set", "points.n=8", "--json", cwd=tmp_path)
-    assert json.loads(out)["grid"] == "point 8", err
-
-
 def test_a_table_of_one_parameter_is_an_axis_in_any_order(tmp_path):
     model, _ = counting()
     ds = run(model, tmp_path / "s.zarr", points={"x": [4.0, 1.0, 2.0, 1.0, 8.0]}, fixed={"k": 0})
@@ -198,15 +176,3 @@ def test_ten_thousand_points_of_a_vectorised_function(tmp_path):
     ds = run(many, tmp_path / "s.zarr", points={"design": "random", "n": 10_000, "ranges": ranges})
     assert np.array_equal(ds.z.values, ds.x.values + ds.y.values)
     assert ds.z.mean().item() == pytest.approx(1.0, abs=0.02)
-
-
-def test_exclusions_and_keeping_samples_know_repeated_points(tmp_path):
-    columns = {"n_obj": [20, 40, 20], "model": ["amex", "gaia", "amex"]}
-    study = LINK | {"points": {"columns": columns}, "exclude": [{"n_obj": {"above": 30}}]}
-    study |= {"sampling": {"n_sim": 12, "keep_samples": True}}
-    ds = run(study, tmp_path / "s.zarr")
-    assert ds.status.values.tolist() == [1, 3, 1]
-    assert ds.attrs["points"] == 2
-    samples = next(v for v in ds.data_vars.values() if "sample" in v.dims)
-    assert np.isfinite(samples.isel(point=0)).all()
-    assert np.array_equal(samples.values[0], samples.values[2])

@@ -174,13 +174,3 @@ def test_a_quantile_goes_on_until_its_error_is_known(tmp_path):
 def test_what_cannot_be_is_said(sampling, message):
     with pytest.raises(SweepError, match=message):
         study(**sampling)
-
-
-def test_an_experiment_without_errors_cannot_be_precise(coins):
-    with pytest.raises(SweepError, match="no headline result X of the experiment 'coins' has an error X_mc_error"):
-        study_from_dict(coins | {"sampling": {"precision": 0.1}})
-
-
-def test_a_limit_needs_a_precision(coins):
-    with pytest.raises(SweepError, match=r"sampling.max_n_sim: has an effect only with a precision, which is not set"):
-        study_from_dict(coins | {"sampling": {"max_n_sim": 10}})

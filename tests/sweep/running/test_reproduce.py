@@ -9,7 +9,7 @@ import xarray as xr
 from linksweep.sweep.contract import Experiment
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.interrupt import RunInterruptedError
-from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.reader import study_from_dict

@@ -8,7 +8,7 @@ import xarray as xr
 
 from linksweep.sweep.contract import Output, SweepError
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import Store
 from linksweep.sweep.studies.reader import study_from_dict

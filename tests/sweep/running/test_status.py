@@ -5,19 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.progress import MOST_LINES, axis_table, by_axis, folded
 from linksweep.sweep.running.run import Silent, run_study
-from linksweep.sweep.running.status import plan_report, status_report
+from linksweep.sweep.running.status import status_report
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_from_dict
-from tests.tiers import examples
 
 SERIAL = Resources(pool="serial")
 
@@ -135,26 +132,6 @@ def test_the_command_prints_a_table_and_json_has_every_value(sweep, stopped):
     }
 
 
-@settings(max_examples=examples(200), derandomize=True)
-@given(
-    st.lists(
-        st.tuples(st.sampled_from([Status.MISSING, Status.DONE, Status.FAILED, Status.EXCLUDED]), st.integers(0, 9)),
-        min_size=1,
-    ),
-    st.data(),
-)
-def test_folding_keeps_every_count_and_the_order(points, data):
-    status = np.array([code for code, _ in points], dtype=np.int8)
-    realisations = np.array([10 if code == Status.DONE else n * (code != Status.EXCLUDED) for code, n in points])
-    axes = {"x": [{"x": i} for i in range(len(points))]}
-    whole = by_axis(axes, status, realisations, 10)["x"]
-    most = data.draw(st.integers(1, 20))
-    short = folded(whole, most)
-    assert len(short) <= max(most, 1)
-    assert len(whole) > most or short == [[row] for row in whole]
-    assert [row for group in short for row in group] == whole
-
-
 def test_a_long_axis_is_folded_where_nothing_happens():
     """A run that is in the middle of a thousand values."""
     status = np.array([Status.DONE] * 400 + [Status.MISSING] * 600, dtype=np.int8)
@@ -176,11 +153,6 @@ def test_a_long_axis_is_folded_where_nothing_happens():
     assert len(folded(mixed["x"])) == MOST_LINES
 
 
-def test_a_hundred_percent_is_said_only_of_what_is_whole():
-    [nearly] = by_axis({"x": [{"x": 1}]}, np.array([Status.MISSING]), np.array([999_999]), 1_000_000)["x"]
-    assert list(map(str, axis_table([nearly], {}).columns[2].cells)) == ["99 %"]
-
-
 def test_a_plan_is_told_in_words_with_units(sweep, coins, tmp_path):
     text = f"""
 title = "Coins"
@@ -200,18 +172,6 @@ sampling = {{ n_sim = 1000, n_cat = 20 }}
     assert lines["work"] == "4 blocks in about 1 task"
     assert lines["time"] == "at least 0 s of computing on 1 core of this machine"
     assert lines["store"] == "results/study.zarr"
-
-
-def test_the_time_of_a_plan_is_for_the_cores_that_there_are(coins, tmp_path, monkeypatch):
-    monkeypatch.setattr("linksweep.sweep.running.status.available_cores", lambda: 4)
-    monkeypatch.setattr("linksweep.sweep.running.status._normals_per_second", lambda: 1e8)
-    study = study_from_dict(coins | {"sampling": {"n_sim": 10**6, "n_cat": 20}})
-    whole = plan_report(study, tmp_path / "s.zarr", 1)
-    assert whole["cores"] == 1
-    for workers, cores in ((2, 2), (None, 4), (400, 4)):
-        report = plan_report(study, tmp_path / "s.zarr", workers)
-        assert report["cores"] == cores
-        assert report["seconds"] == pytest.approx(whole["seconds"] / cores, rel=0.01)
 
 
 def test_tasks_of_a_function_whose_time_is_not_known_are_not_counted(sweep, tmp_path):

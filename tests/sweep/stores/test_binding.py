@@ -13,7 +13,7 @@ import xarray as xr
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores import ledger
 from linksweep.sweep.stores import location as folder
@@ -132,7 +132,7 @@ RUN = """
 import sys
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.studies.reader import study_from_dict
 import json
 often = Tuning(most_blocks=1, flush_every_s=-1.0, write_every_s=-1.0, write_share=1e9)

@@ -9,7 +9,7 @@ import xarray as xr
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores import ledger
 from linksweep.sweep.stores.location import Folder, located

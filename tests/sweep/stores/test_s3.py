@@ -14,7 +14,7 @@ from zarr.storage import ObjectStore
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.planning.tuning import Tuning
+from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores import bucket as bucket_module
 from linksweep.sweep.stores.location import located
