@@ -65,5 +65,5 @@ def test_a_function_of_a_cell_runs_on_every_pool(outputs):
 def test_changed_code_is_refused_in_words_of_python(outputs):
     [error] = [output for output in outputs[-1] if output["output_type"] == "error"]
     assert error["ename"] == "SweepError"
-    assert "value scale has changed" in error["evalue"]
+    assert "value __main__.scale is 2.0 in the store, 3.0 now" in error["evalue"]
     assert "accept_code=True" in error["evalue"]
