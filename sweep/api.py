@@ -16,16 +16,15 @@ from linksweep.sweep.executing.forkserver import leave_a_worker_that_runs_its_sc
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, PoolName, Resources
 from linksweep.sweep.formatting import harmless
 from linksweep.sweep.functions.adapter import FunctionExperiment
+from linksweep.sweep.result import open_result
 from linksweep.sweep.running.failures import MaxFailures, failed_points
 from linksweep.sweep.running.progress import NotebookProgress, TerminalProgress, in_notebook
 from linksweep.sweep.running.reproduce import verify as verified
 from linksweep.sweep.running.run import Progress, Silent, run_study
 from linksweep.sweep.stores.location import Where, default_store, located, store_named
-from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.document import reference_in
 from linksweep.sweep.studies.reader import live_study, load_study, study_of_function
 from linksweep.sweep.studies.study import Study
-from linksweep.sweep.tie.result import result_at
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -168,8 +167,7 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
         True
     """
     place = store_named(store)
-    result = result_at(place)
-    return _drawable(open_dataset(place)) if result is None else result
+    return _drawable(open_result(place).dataset)
 
 
 def _drawable(dataset: xr.Dataset) -> xr.Dataset:

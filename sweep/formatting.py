@@ -4,23 +4,19 @@ SI prefixes make numbers easy to read: tables, figures, sentences and pages use 
 zeros, and pages the micro sign; stores and files for programs keep their units.
 """
 
-import csv
-import io
 import json
 import platform
 import re
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
-from itertools import chain
 from math import floor, inf, isfinite, isnan, log10
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from rich.table import Table
+    pass
 
 WIDTH = 80
 """Sentences are broken into lines of at most this many characters."""
@@ -35,8 +31,6 @@ ASCII and Latin-1, separators of lines and paragraphs, marks of the direction of
 
 LINES_ESCAPED = {code: escaped for code, escaped in ESCAPED.items() if chr(code) not in "\t\n"}
 
-FORMULA = tuple("=+-@＝＋－＠")
-"""How a cell of CSV begins that a spreadsheet would compute."""
 
 COMMAND: list[str] = []
 """The words of the `sweep` command that this process runs; a script of the user's runs none, whatever its own are."""
@@ -226,38 +220,6 @@ def split_assignment(text: str) -> tuple[str, str]:
     """
     name, _, value = (piece.strip() for piece in text.partition("="))
     return (name, value) if name and value else ("", "")
-
-
-def reading_table(title: str, headings: Sequence[str], rows: Iterable[Iterable[str]], left: str = "") -> "Table":
-    """Return a table for a terminal; columns are right-aligned, but for the one with the heading ``left``."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(
-        title=Text(title) if title else None, title_justify="left", box=None, pad_edge=False, header_style="bold"
-    )
-    for heading in headings:
-        table.add_column(Text(harmless(heading)), justify="left" if heading == left else "right", no_wrap=True)
-    for row in rows:
-        table.add_row(*(Text(cell.translate(ESCAPED)) for cell in row))
-    return table
-
-
-def to_csv(header: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
-    """Return CSV; a cell that is a NaN is empty, and a quote stands before text that a spreadsheet would compute."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerows(map(_cell, row) for row in chain([header], rows))
-    return out.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    if not isinstance(value, str):
-        return "" if is_missing(value) else value
-    with suppress(ValueError):
-        float(value)
-        return value
-    return ("'" if value.lstrip().startswith(FORMULA) else "") + harmless(value)
 
 
 def to_json(value: Any) -> str:

@@ -29,6 +29,7 @@ PACKAGES = [
     ),
     *(
         "linksweep.sweep.analysis",
+        "linksweep.sweep.result",
         "linksweep.sweep.tie",
         "linksweep.sweep.plots",
         "linksweep.sweep.report",
@@ -55,8 +56,10 @@ ONLY_IN = {
         *(
             "linksweep.sweep.contract.units",
             "linksweep.sweep.tables",
+            "linksweep.sweep.table_writer",
             "linksweep.sweep.formatting",
             "linksweep.sweep.analysis",
+            "linksweep.sweep.result",
             "linksweep.sweep.search",
             "linksweep.sweep.tie",
         ),
@@ -86,6 +89,7 @@ KNOWS_THE_CONTRACT = {
 SEARCH_MAY_USE = {
     *("linksweep.sweep.contract", "linksweep.sweep.tables", "linksweep.sweep.formatting", "linksweep.sweep.plots.sky"),
     "linksweep.sweep.stores.location",
+    "linksweep.sweep.table_writer",
 }
 KNOWS_THE_SEARCH = {"linksweep.sweep.cli.tables"}
 CORE_MAY_USE = {

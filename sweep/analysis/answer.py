@@ -1,24 +1,51 @@
 """The answer to a study's question in words: its conclusion with values, and sentences about any results."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from string import Formatter
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.analysis.compare import ARITHMETIC, MC_ERRORS_ALLOWED
-from linksweep.sweep.analysis.gaps import ends_of, exact, lacking
-from linksweep.sweep.analysis.long_table import own_dimensions
-from linksweep.sweep.analysis.measured_claims import NOT_DONE, Measured, OutsideGridError, in_words, measure, unit_of
-from linksweep.sweep.analysis.quantity import errors_beside, headlines, standard_error
-from linksweep.sweep.analysis.selection import place_in_words, places_along
-from linksweep.sweep.analysis.sentences import sentences
+from linksweep.sweep.analysis.compare import (
+    ARITHMETIC,
+    MC_ERRORS_ALLOWED,
+    NOT_DONE,
+    Measured,
+    OutsideGridError,
+    in_words,
+    measure,
+    unit_of,
+)
+from linksweep.sweep.analysis.quantity import (
+    PREDICTION_SUFFIXES,
+    errors_beside,
+    exact,
+    headlines,
+    lacking,
+    own_dimensions,
+    place_at,
+    place_in_words,
+    places_along,
+    prediction_name,
+    standard_error,
+    unknown_parts,
+)
 from linksweep.sweep.contract import Array, SweepError
-from linksweep.sweep.formatting import in_ascii, in_short, meaning_beside, prefixed, units_of, with_unit
+from linksweep.sweep.formatting import (
+    counted,
+    in_ascii,
+    in_short,
+    is_truth,
+    meaning_beside,
+    prefixed,
+    units_of,
+    with_unit,
+)
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.study import Conclusion, ConclusionValue
+from linksweep.sweep.studies.study import POINT, Conclusion, ConclusionValue
 
 CONCLUSION = "conclusion"
 """The attribute of a dataset that holds the conclusion of its study, as JSON."""
@@ -28,6 +55,17 @@ PLUS_MINUS = " ± "
 
 MOST_SHORT = 3
 """The largest number of quantities in a short answer."""
+
+ERRORS_ALLOWED = 3.0
+"""A value agrees with its prediction if it differs by at most this many of its errors."""
+
+VISIBLE_FACTOR = 1.005
+"""An axis that changes a quantity by a smaller factor is not mentioned."""
+
+ROUNDING = 1e-12
+"""Values that differ by a smaller share are equal except for rounding."""
+
+NOTHING_YET = "No point has a value yet."
 
 
 @dataclass(frozen=True)
@@ -44,11 +82,11 @@ def answer_in_short(dataset: xr.Dataset) -> list[str]:
     headline quantities if it has none; an empty list for results that are not numbers.  What real data say, as
     `said_first` has it, is said in any case.
     """
-    found, first = conclusion_in_words(dataset), said_first(dataset)
-    told = [answer for answer in answers(dataset) if answer.sentences and (not found or answer.name in first)]
-    ranges = told[:MOST_SHORT]
-    names = [f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name for answer in ranges]
-    return [*found, *(f"{name}: {answer.sentences[0]}" for name, answer in zip(names, ranges, strict=True))]
+    concluded, first = conclusion_in_words(dataset), said_first(dataset)
+    some = [answer for answer in answers(dataset) if answer.sentences and (not concluded or answer.name in first)]
+    names = [f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name for answer in some]
+    ranges = [f"{name}: {answer.sentences[0]}" for name, answer in zip(names, some, strict=True)]
+    return [*concluded, *ranges[:MOST_SHORT]]
 
 
 def said_first(dataset: xr.Dataset) -> list[str]:
@@ -64,25 +102,25 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
     """Return what the results say about each headline quantity, or about each of its components if it has any; nothing
     before a point is done.
     """
-    found: list[Answer] = []
+    made: list[Answer] = []
     if not (dataset["status"] == Status.DONE).any():
-        return found
+        return made
     first = said_first(dataset)
     for variable in dict.fromkeys([*first, *headlines(dataset)]):
         meaning, own = meaning_beside(variable, dataset[variable].attrs), own_dimensions(dataset, variable)
         if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, not components
-            found.append(Answer(variable, meaning, [_array_in_words(dataset, variable, own)]))
+            made.append(Answer(variable, meaning, [_array_in_words(dataset, variable, own)]))
             continue
         values = dataset[variable].values.astype(float)
         finite = values[np.isfinite(values)]
-        if found and variable not in first and finite.size > 1 and finite.min() == finite.max():
+        if made and variable not in first and finite.size > 1 and finite.min() == finite.max():
             continue  # a number that is the same everywhere answers nothing
         if errors := errors_beside(dataset, variable):
-            found.append(Answer(variable, meaning, [_with_errors(dataset, variable, errors)]))
+            made.append(Answer(variable, meaning, [_with_errors(dataset, variable, errors)]))
             continue
         for name, unit, part in _components(dataset, variable, own):
-            found.append(Answer(name, meaning, list(filter(None, sentences(part, variable, unit)))))
-    return found
+            made.append(Answer(name, meaning, list(filter(None, _sentences(part, variable, unit)))))
+    return made
 
 
 def completeness(dataset: xr.Dataset) -> list[str]:
@@ -93,33 +131,45 @@ def completeness(dataset: xr.Dataset) -> list[str]:
     return [f"Incomplete: {words}." + (" What follows is about those that are done." if some else "")]
 
 
+# Sentences about a quantity
+
+
+def _components(dataset: xr.Dataset, variable: str, extra: list[str]) -> Iterator[tuple[str, str, xr.Dataset]]:
+    """Yield name, unit and dataset of a variable, or of each of its components, with one value per point."""
+    unit = units_of(dataset[variable].attrs)
+    for place in places_along(dataset, extra):
+        part = dataset.isel(place)
+        labels = [str(part[d].item()) if d in part.coords else str(i) for d, i in place.items()]
+        units = [str(part[f"{d}_unit"].item()) for d in extra if f"{d}_unit" in part.coords]
+        each = units[0] if "," in unit and len(units) == 1 else unit
+        yield f"{variable} ({', '.join(labels)})" if extra else variable, each, part
+
+
 def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
     array = dataset[variable]
     finite = np.isfinite(dataset[variable].values.astype(float))
     if not finite.any():
-        return "No point has a value yet."
-    unit = units_of(array.attrs)
-    ends = []
-    values = exact(array.values)
-    for end in ends_of(values, finite):
+        return NOTHING_YET
+    values, ends = exact(array.values), []
+    for end in _ends_of(values, finite):
         index = dict(zip(map(str, array.dims), end, strict=True))
         place = {d: dataset[d][i].item() for d, i in index.items() if d in dataset.coords}
-        ends.append(f"{with_unit(values[end].item(), 0.0, unit)}, at {place_in_words(place)}")
+        ends.append(f"{with_unit(values[end].item(), 0.0, units_of(array.attrs))}, at {place_in_words(place)}")
     along = " and ".join(f"{dataset.sizes[d]} values along {d}" for d in own)
     return f"With {along} at each point it goes from {ends[0]}, to {ends[1]}."
 
 
 def _with_errors(dataset: xr.Dataset, variable: str, errors: list[str]) -> str:
     """Return the range of each component that has values, and of each kind of error in each unit."""
-    ranges, of_errors = [], {name: dict[str, list[float]]() for name in errors}
+    ranges, by_kind = [], {name: dict[str, list[float]]() for name in errors}
     for name, unit, part in _components(dataset, variable, own_dimensions(dataset, variable)):
         if np.isfinite(values := part[variable].values.astype(float)).any():
             ranges.append(f"{name.removeprefix(f'{variable} (').removesuffix(')')} {_range_of(values, unit)}")
-            for error, by_unit in of_errors.items():
+            for error, by_unit in by_kind.items():
                 by_unit.setdefault(unit, []).extend(part[error].values.ravel().tolist())
     known = {
         error: " and ".join(filter(None, (_range_of(np.array(values), unit) for unit, values in by_unit.items())))
-        for error, by_unit in of_errors.items()
+        for error, by_unit in by_kind.items()
     }
     return "; ".join([", ".join(ranges), *(f"{error} {text or 'not known'}" for error, text in known.items())]) + "."
 
@@ -134,15 +184,107 @@ def _range_of(values: Array, unit: str) -> str:
     return " ".join(filter(None, [" to ".join(ends), in_ascii(chosen.unit)]))
 
 
-def _components(dataset: xr.Dataset, variable: str, extra: list[str]) -> Iterator[tuple[str, str, xr.Dataset]]:
-    """Yield name, unit and dataset of a variable, or of each of its components, with one value per point."""
-    unit = units_of(dataset[variable].attrs)
-    for place in places_along(dataset, extra):
-        part = dataset.isel(place)
-        labels = [str(part[d].item()) if d in part.coords else str(i) for d, i in place.items()]
-        units = [str(part[f"{d}_unit"].item()) for d in extra if f"{d}_unit" in part.coords]
-        own = units[0] if "," in unit and len(units) == 1 else unit
-        yield f"{variable} ({', '.join(labels)})" if extra else variable, own, part
+def _ends_of(values: Any, known: Any) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the indices of the smallest and the largest of the ``known`` values, integers compared exactly."""
+    places = np.flatnonzero(known)
+    some = values.reshape(-1)[places]
+    low, high = (np.unravel_index(places[end], values.shape) for end in (np.argmin(some), np.argmax(some)))
+    return tuple(map(int, low)), tuple(map(int, high))
+
+
+def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
+    """Yield sentences about a variable with one value per point, in a unit; '' for a sentence with nothing to say."""
+    dims = [str(d) for d in part["status"].dims]
+    part = part.transpose(*dims, ...)
+    values, error = part[variable].values.astype(float), standard_error(part, variable)
+    errors = np.zeros(values.shape) if error is None else error.values.astype(float)
+    finite = np.isfinite(values)
+    if not finite.any():
+        yield NOTHING_YET
+        return
+    unfinished = bool(part["status"].isin([Status.MISSING, Status.FAILED]).any())
+    if is_truth(part[variable]):
+        true, count = int(values[finite].sum()), int(finite.sum())
+        yield f"It is True at {true:,} of {counted(count, 'point')}." if count > 1 else f"It is {bool(true)}."
+        return
+    values = np.where(finite, values, np.nan)
+    yield _range(part, variable, finite, errors, unit, all_done=not unfinished)
+    yield "" if unfinished else _what_changes_it(dims, values)
+    for whole in unknown_parts(part, variable):
+        sentence = whole.removeprefix(f"{variable}: ")
+        yield f"{sentence[0].upper()}{sentence[1:]}."
+    if (predicted := part.get(prediction_name(part, variable))) is not None:
+        whole_name, errors_alone = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
+        without_bias = whole_name not in part and errors_alone in part and "bias" in part
+        left_out = ", which leaves a bias out" if without_bias else ""
+        yield _agreement(values, errors, predicted.transpose(*dims).values, left_out)
+    if infinite := int(np.sum((part["status"].values == Status.DONE) & ~finite)):
+        points = "1 point that is" if infinite == 1 else f"{infinite} points that are"
+        yield f"At {points} done it is not a finite number."
+
+
+def _range(part: xr.Dataset, variable: str, finite: Any, errors: Array, unit: str, all_done: bool) -> str:
+    values, count = exact(part[variable].values), int(finite.sum())
+    low, high = _ends_of(values, finite)
+    dims = list(map(str, part["status"].dims))
+
+    def number(index: tuple[int, ...]) -> str:
+        return with_unit(values[index].item(), float(errors[index]), unit)
+
+    def place(index: tuple[int, ...]) -> str:
+        return place_in_words(place_at(part, dict(zip(dims, index, strict=True))))
+
+    if values.size == 1:
+        return f"It is {number(low)}."
+    if count == 1:
+        return f"One point has a value: {number(low)} at {place(low)}."
+    if values[low] == values[high]:
+        return f"It is {number(low)} at {'all ' if all_done else ''}{counted(count, 'point')}."
+    return f"Over {count:,} points it goes from {number(low)}, at {place(low)}, to {number(high)}, at {place(high)}."
+
+
+def _what_changes_it(dims: Sequence[str], values: Array) -> str:
+    """Return by what factor a quantity above 0 changes at most along each axis, all else being equal."""
+    if values.ndim == 0 or not np.nanmin(values) > 0.0:
+        return ""
+    factors = {}
+    for axis, dim in enumerate(dims):
+        if dim == POINT:
+            continue  # its points differ in several parameters at once
+        lines = np.moveaxis(values, axis, -1).reshape(-1, values.shape[axis])
+        seen = lines[np.isfinite(lines).sum(axis=1) > 1]
+        factor = float(np.max(np.nanmax(seen, axis=1) / np.nanmin(seen, axis=1))) if len(seen) else 1.0
+        if factor >= VISIBLE_FACTOR:
+            factors[dim] = factor
+    order = sorted(factors, key=lambda dim: -factors[dim])
+    words = [f"{dim} by a factor of up to {_factor(factors[dim])}" for dim in order]
+    equal = ", all else being equal" if len(dims) > 1 else ""
+    return f"What changes it: {', '.join(words)}{equal}." if words else ""
+
+
+def _factor(factor: float) -> str:
+    return f"{factor:.2f}" if factor < 10.0 else f"{float(f'{factor:.3g}'):,g}" if factor < 1e6 else f"{factor:.1e}"
+
+
+def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) -> str:
+    both = np.isfinite(values) & np.isfinite(predicted) & (predicted != 0.0)
+    if not both.any():
+        return ""
+    farthest = float(np.max(np.abs(values[both] / predicted[both] - 1.0)))
+    if farthest < ROUNDING:
+        return f"It equals its prediction{left_out}, except for rounding."
+    text = f"at most {100.0 * farthest:.2g} %"
+    if not (errors[both] > 0.0).all():
+        return f"It differs from its prediction{left_out} by {text}."
+    deviations = np.abs(values[both] - predicted[both]) / errors[both]
+    within = int(np.sum(deviations <= ERRORS_ALLOWED))
+    return (
+        f"{within:,} of {counted(deviations.size, 'value')} {'is' if within == 1 else 'are'} within {ERRORS_ALLOWED:g} "
+        f"of their errors of the prediction{left_out}; the largest difference is {deviations.max():.1f} errors, {text}."
+    )
+
+
+# Conclusions
 
 
 def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
@@ -159,18 +301,18 @@ def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
         conclusion = Conclusion.model_validate_json(dataset.attrs[CONCLUSION])
     except (ValueError, TypeError) as error:
         raise SweepError(f"the attribute {CONCLUSION!r} cannot be read: {error}") from error
-    found, missing = [], []
+    filled, missing = [], []
     for sentence in conclusion.sentences:
         try:
-            found.append(_filled(dataset, conclusion, sentence))
+            filled.append(_filled(dataset, conclusion, sentence))
         except OutsideGridError:
             continue
         except _MissingError as error:
             missing.append(str(error).partition(":")[0])
     if missing:
-        more = "No further conclusion" if found else "No conclusion yet" if missing[0] == NOT_DONE else "No conclusion"
-        found.append(f"{more}: numbers that it needs are missing ({', '.join(dict.fromkeys(missing))}).")
-    return found
+        more = "No further conclusion" if filled else "No conclusion yet" if missing[0] == NOT_DONE else "No conclusion"
+        filled.append(f"{more}: numbers that it needs are missing ({', '.join(dict.fromkeys(missing))}).")
+    return filled
 
 
 class _MissingError(ValueError):
@@ -189,8 +331,6 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
             continue
         value = conclusion.values[name]
         measured, quantity = _measured(dataset, value), value.quantity()
-        if measured.missing:
-            raise _MissingError(measured.missing)
         unit = unit_of(dataset, quantity)
         if before is not None and text == PLUS_MINUS and not form and before[1] == unit and measured.value > 0.0:
             pieces[-2:] = [with_unit(before[0], measured.value, unit)]
@@ -212,13 +352,14 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
 
 
 def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
-    """Return the number for a value of a conclusion, or why there is none; raises OutsideGridError like `measure`."""
+    """Return the number for a value of a conclusion; raises _MissingError, and OutsideGridError like `measure`."""
     places = measure(dataset, value, value.quantity())
     measured = [one for one in places if value.choose is None or not one.missing.startswith("excluded")]
+    for one in measured:
+        if one.missing or not math.isfinite(one.value):
+            raise _MissingError(one.missing or "not a finite number")
     if not measured:
-        return Measured({}, missing=NOT_DONE)
-    if missing := [one for one in measured if one.missing or not math.isfinite(one.value)]:
-        return missing[0] if missing[0].missing else Measured({}, missing="not a finite number")
+        raise _MissingError(NOT_DONE)
     pick = max if value.choose == "largest" else min
     return pick(measured, key=lambda one: one.value)
 
@@ -226,9 +367,7 @@ def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
 def _number(measured: Measured, unit: str, form: str) -> str:
     if form == "%":
         return f"{in_short(100.0 * measured.value, 100.0 * measured.error)} %"
-    if form == "error":
-        return with_unit(measured.value, measured.error, unit)
-    return in_short(measured.value, measured.error, unit)
+    return (with_unit if form == "error" else in_short)(measured.value, measured.error, unit)
 
 
 def _broken_bound(value: ConclusionValue, measured: Measured) -> str:

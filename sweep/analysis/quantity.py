@@ -1,15 +1,20 @@
-"""Which variables of a dataset are quantities, what their errors are, and along which axes they vary."""
+"""What a dataset of results holds: its quantities with their errors and axes, parts of it, and what it lacks.
+
+Everything that looks at results asks here, so that tables, laws, figures and pages agree about what belongs together.
+"""
 
 import json
-from collections.abc import Collection, Container, Hashable, Mapping, Sequence
+from collections.abc import Collection, Container, Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
-from linksweep.sweep.formatting import ERRORS
-from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
+from linksweep.sweep.formatting import ERRORS, first_of, is_truth, prefixed, units_of
+from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
 
@@ -32,15 +37,63 @@ error variables.  Its attribute ``samples`` is the number of independent samples
 that attribute it is exact.
 """
 
-SHARES_RANDOM_NUMBERS = "common_random_numbers"
-"""An attribute that is true if points of the grid share random numbers, along the axes that `shared_axes` gives."""
+SHARES_RANDOM_NUMBERS, SHARED_AXES = "common_random_numbers", "shared_axes"
+"""Attributes: whether points of the grid share random numbers, and the axes along which they do, all by default."""
 
-SHARED_AXES = "shared_axes"
-ERROR_CONVENTION = "error_convention"
-CONVENTION = 2
-"""The attribute that says how errors were computed, and its value since catalogues count as independent samples."""
 
-OLD_ERRORS = "errors are those of an earlier version; `sweep run` the study again (nothing is computed anew)"
+# Quantities and their errors
+
+
+def quantities(dataset: xr.Dataset) -> list[str]:
+    """Return the variables that are results of their own: numbers at each point, not errors, predictions or samples."""
+    axes = set(dataset["status"].dims)
+    numbers = [str(n) for n, v in dataset.data_vars.items() if _is_number(dataset, str(n)) and axes <= set(v.dims)]
+    beside = {
+        f"{name}_{s}" for name in numbers for s in (*BESIDE, *(f"{COVARIANCE_SUFFIX}_{a}" for a in dataset.coords))
+    }
+    return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
+
+
+def _is_number(dataset: xr.Dataset, name: str) -> bool:
+    kind = dataset[name].dtype.kind  # integers and truth values are results only of a plain function
+    return kind == "f" or (kind in "ib" and FUNCTION in dataset.attrs and name not in COUNTS)
+
+
+def headline_variables(dataset: xr.Dataset) -> list[str]:
+    """Return the headline outputs of an experiment, those with errors first."""
+    names = [str(name) for name, variable in dataset.data_vars.items() if variable.attrs.get("headline")]
+    return sorted(names, key=lambda name: standard_error(dataset, name) is None)
+
+
+def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
+    """Return those of some variables that have a value at any point, or all if none has one: a link that does not
+    solve for the spin, for example, has no error of it.
+    """
+    return [name for name in names if bool(dataset[name].notnull().any())] or list(names)
+
+
+def headlines(dataset: xr.Dataset) -> list[str]:
+    """Return the quantities that a study is about: the headline outputs that have values, or the first quantity if
+    there are none.
+    """
+    known = quantities(dataset)
+    return with_values(dataset, [name for name in headline_variables(dataset) if name in known]) or known[:1]
+
+
+def main_quantity(dataset: xr.Dataset) -> str:
+    """Return the variable to use if none is named; raises SweepError if there are no numbers."""
+    if names := headlines(dataset):
+        return names[0]
+    raise SweepError("holds no results that are numbers")
+
+
+def require_quantity(dataset: xr.Dataset, variable: str) -> None:
+    """Raise SweepError unless a variable is one of the dataset's quantities."""
+    if variable in (names := quantities(dataset)):
+        return
+    if variable in dataset.data_vars and (kind := dataset[variable].dtype.kind) not in "biufc":
+        raise SweepError(f"{variable} has no numbers, but {'times' if kind in 'Mm' else 'texts'}")
+    raise SweepError(f"no quantity {shown(variable)}{suggest(variable, names) if names else '; there are none'}")
 
 
 def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
@@ -62,41 +115,10 @@ def errors_beside(dataset: xr.Dataset, variable: str) -> list[str]:
     return [name for name in str(dataset[variable].attrs.get(ERRORS, "")).split() if name in dataset]
 
 
-def where_they_change(dataset: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
-    """Return a dataset without the axes of the study along which none of some variables changes."""
-    arrays = [dataset[name].drop_vars(list(dataset.coords), errors="ignore") for name in names]
-    axes = dataset["status"].dims
-    alike = [d for d in axes if all(array.isel({d: [0] * array.sizes[d]}).equals(array) for array in arrays)]
-    return dataset.isel(dict.fromkeys(alike, 0), drop=True)
-
-
 def error_bar(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
     """Return the errors with which figures show a variable: its `standard_error`, else the first that is declared."""
     known, declared = standard_error(dataset, variable), errors_beside(dataset, variable)
     return dataset[declared[0]] if known is None and declared else known
-
-
-def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
-    """Return those of some quantities that have a value at any point, or all if none has one: a link that does not
-    solve for the spin, for example, has no error of it.
-    """
-    if len(names) < 2:
-        return list(names)  # whatever its values, which need not be read
-    return [name for name in names if bool(dataset[name].notnull().any())] or list(names)
-
-
-def headline_variables(dataset: xr.Dataset) -> list[str]:
-    """Return the headline outputs of an experiment, those with errors first."""
-    names = [str(name) for name, variable in dataset.data_vars.items() if variable.attrs.get("headline")]
-    return sorted(names, key=lambda name: standard_error(dataset, name) is None)
-
-
-def headlines(dataset: xr.Dataset) -> list[str]:
-    """Return the quantities that a study is about: the headline outputs that have values, or the first quantity if
-    there are none.
-    """
-    known = quantities(dataset)
-    return with_values(dataset, [name for name in headline_variables(dataset) if name in known]) or known[:1]
 
 
 def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
@@ -112,33 +134,27 @@ def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
     ]
 
 
-def has_old_errors(dataset: xr.Dataset) -> bool:
-    """Return whether a dataset of `sweep run` has errors that are now computed differently (docs/errors.md)."""
-    about = dataset.attrs
-    several = int(about.get("n_cat", 1)) > 1 or bool(about.get(SHARES_RANDOM_NUMBERS))
-    return several and about.get(ERROR_CONVENTION) != CONVENTION
+def prediction_name(names: Container[Hashable], variable: str) -> str:
+    """Return the name of a variable's prediction: the one that includes biases, if ``names`` has it."""
+    whole, part = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
+    return whole if whole in names else part
+
+
+# Points that share random numbers
 
 
 def shares_random_numbers(dataset: xr.Dataset, dimensions: Collection[str]) -> bool:
     """Return whether points that differ along these dimensions, and no others, have random numbers in common."""
     if not dataset.attrs.get(SHARES_RANDOM_NUMBERS):
         return False
-    if SHARED_AXES not in dataset.attrs:
-        return True
-    shared = set(json.loads(dataset.attrs[SHARED_AXES]))
     axes = {str(n) for n, c in dataset.coords.items() if set(c.dims) & set(dimensions) and not str(n).endswith("_unit")}
-    return axes - {POINT} <= shared
+    return SHARED_AXES not in dataset.attrs or axes - {POINT} <= set(json.loads(dataset.attrs[SHARED_AXES]))
 
 
 def covariance_along(dataset: xr.Dataset, variable: str, dimension: str) -> xr.DataArray | None:
-    """Return the covariance of a variable between points along a dimension; None if there is none, or only
-    one of an earlier version, which took blocks of one catalogue to be independent.
-    """
+    """Return the covariance of a variable between points along a dimension; None if there is none."""
     name = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}"
-    if name not in dataset or f"{dimension}_other" not in dataset[name].dims:
-        return None
-    old = dataset.attrs.get(SHARES_RANDOM_NUMBERS) and "samples" not in dataset[name].attrs
-    return None if old else dataset[name]
+    return dataset[name] if name in dataset and f"{dimension}_other" in dataset[name].dims else None
 
 
 def samples_along(dataset: xr.Dataset, dimension: str, covariance: xr.DataArray | None) -> float:
@@ -167,13 +183,13 @@ def error_of_sum(
     differing = [d for d in one if one[d] != other[d]]
     if not differing:
         return xr.DataArray(abs(first + second) * errors[0])
-    if len(differing) == 1 and (found := covariance_along(dataset, variable, differing[0])) is not None:
+    if len(differing) == 1 and (covariance := covariance_along(dataset, variable, differing[0])) is not None:
         (dimension,) = differing
-        pair = found.isel({d: one[d] for d in one if d != dimension}, drop=True)
+        pair = covariance.isel({d: one[d] for d in one if d != dimension}, drop=True)
         i, j = one[dimension], other[dimension]
         part = {(a, b): pair.isel({dimension: a, f"{dimension}_other": b}, drop=True) for a in (i, j) for b in (i, j)}
         variance = first**2 * part[i, i] + second**2 * part[j, j] + 2.0 * first * second * part[i, j]
-        factor = float(small_sample_factor(samples_along(dataset, dimension, found)))
+        factor = float(small_sample_factor(samples_along(dataset, dimension, covariance)))
         variance = xr.DataArray(variance * factor).clip(min=0.0)
     else:
         variance = xr.DataArray((first * errors[0]) ** 2 + (second * errors[1]) ** 2)
@@ -182,41 +198,29 @@ def error_of_sum(
     return xr.DataArray(variance**0.5)
 
 
-def prediction_name(names: Container[Hashable], variable: str) -> str:
-    """Return the name of a variable's prediction: the one that includes biases, if ``names`` has it."""
-    whole, part = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
-    return whole if whole in names else part
+# Axes and places
 
 
-def quantities(dataset: xr.Dataset) -> list[str]:
-    """Return the variables that are results of their own: numbers at each point, not errors, predictions or samples."""
-    axes = set(dataset["status"].dims)
-    numbers = [str(n) for n, v in dataset.data_vars.items() if _is_number(dataset, str(n)) and axes <= set(v.dims)]
-    covariances = {f"{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords}
-    beside = {f"{name}_{suffix}" for name in numbers for suffix in (*BESIDE, *covariances)}
-    return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
+def axes_of(dataset: xr.Dataset) -> list[str]:
+    """Return the dimensions that are axes of the study."""
+    return [str(d) for d in dataset["status"].dims]
 
 
-def _is_number(dataset: xr.Dataset, name: str) -> bool:
-    """Return whether a variable holds numbers; for a plain function these may be integers and truth values."""
-    kind = dataset[name].dtype.kind
-    return kind == "f" or (kind in "ib" and FUNCTION in dataset.attrs and name not in COUNTS)
+def own_dimensions(dataset: xr.Dataset, name: str) -> list[str]:
+    """Return the dimensions of an output that are not axes of the study."""
+    return [str(d) for d in dataset[name].dims if d not in dataset["status"].dims]
 
 
-def main_quantity(dataset: xr.Dataset) -> str:
-    """Return the variable to use if none is named: the first headline output (with errors, if any), or quantity."""
-    if names := headlines(dataset):
-        return names[0]
-    raise SweepError("holds no results that are numbers")
+def array_outputs(dataset: xr.Dataset) -> list[str]:
+    """Return the outputs of a plain function that have dimensions of their own."""
+    return [n for n in map(str, dataset.data_vars) if own_dimensions(dataset, n)] if FUNCTION in dataset.attrs else []
 
 
-def require_quantity(dataset: xr.Dataset, variable: str) -> None:
-    """Raise SweepError unless a variable is one of the dataset's quantities."""
-    names = quantities(dataset)
-    if variable not in names:
-        if variable in dataset.data_vars and (kind := dataset[variable].dtype.kind) not in "biufc":
-            raise SweepError(f"{variable} has no numbers, but {'times' if kind in 'Mm' else 'texts'}")
-        raise SweepError(f"no quantity {shown(variable)}{suggest(variable, names) if names else '; there are none'}")
+def axis_coordinates(dataset: xr.Dataset, dimensions: Sequence[str]) -> list[str]:
+    """Return the coordinates along some dimensions in their order, that with the name of the dimension first."""
+    names = [str(n) for n, c in dataset.coords.items() if set(c.dims) <= set(dimensions) and c.dims]
+    place = {name: list(dimensions).index(str(dataset[name].dims[0])) for name in names}
+    return sorted(names, key=lambda name: (place[name], name not in dimensions, name))  # xarray sorts by name
 
 
 def numeric_axes(dataset: xr.Dataset, variable: str) -> list[str]:
@@ -225,16 +229,14 @@ def numeric_axes(dataset: xr.Dataset, variable: str) -> list[str]:
     """
     dims = [d for d in dataset[variable].dims if d != POINT]
     names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in dims and c.dtype.kind in "if"]
-    axes = [n for n in names if dataset[n].size > 1]
-    return sorted(axes, key=lambda n: (-dataset[n].size, n not in dims, n))
+    return sorted((n for n in names if dataset[n].size > 1), key=lambda n: (-dataset[n].size, n not in dims, n))
 
 
 def varied_parameters(dataset: xr.Dataset) -> list[str]:
     """Return the parameters in which the points of a table or a design differ, in the order of its columns."""
-    if POINT_TABLE not in dataset.attrs:
-        return []
-    names = [n for n in json.loads(dataset.attrs[POINT_TABLE])["parameters"] if n in dataset.coords]
-    return [n for n in names if dataset[n].dims == (POINT,) and len(set(dataset[n].values.tolist())) > 1]
+    names = json.loads(dataset.attrs.get(POINT_TABLE, '{"parameters": []}'))["parameters"]
+    along = [n for n in names if n in dataset.coords and dataset[n].dims == (POINT,)]
+    return [n for n in along if len(set(dataset[n].values.tolist())) > 1]
 
 
 def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
@@ -250,14 +252,208 @@ def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
         others = ", ".join(name for name in varied if name != over)
         raise SweepError(f"the points differ in {others} too, so that {over} is no axis of {variable}")
     if over is None:
-        dimensions = {dataset[axis].dims[0] for axis in axes}
-        if len(dimensions) == 1:
-            return next(axis for axis in axes if axis in dimensions or len(axes) == 1)
         if not axes:
             raise SweepError(f"{variable} has no axis with several numbers")
-        raise SweepError(f"name the axis; {variable} has {', '.join(axes)}")
+        dimensions = {dataset[axis].dims[0] for axis in axes}
+        if len(dimensions) > 1:
+            raise SweepError(f"name the axis; {variable} has {', '.join(axes)}")
+        return next(axis for axis in axes if axis in dimensions or len(axes) == 1)
     if over not in axes:
         raise SweepError(
             f"{shown(over)} is no axis with several numbers of {variable}; there are {', '.join(axes) or 'none'}"
         )
     return over
+
+
+def where_they_change(dataset: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """Return a dataset without the axes of the study along which none of some variables changes."""
+    arrays = [dataset[name].drop_vars(list(dataset.coords), errors="ignore") for name in names]
+    axes = dataset["status"].dims
+    alike = [d for d in axes if all(array.isel({d: [0] * array.sizes[d]}).equals(array) for array in arrays)]
+    return dataset.isel(dict.fromkeys(alike, 0), drop=True)
+
+
+def places_along(dataset: xr.Dataset | xr.DataArray, dimensions: Iterable[Hashable]) -> Iterator[dict[str, int]]:
+    """Yield the index of every combination along some dimensions, in C order."""
+    names = list(map(str, dimensions))
+    for index in np.ndindex(*(dataset.sizes[name] for name in names)):
+        yield dict(zip(names, index, strict=True))
+
+
+def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
+    """Return the values of the axes at an index along dimensions, in the order of the grid (Zarr sorts by name)."""
+    places: dict[str, Any] = {}
+    for dimension in (d for d in axes_of(dataset) if d in index):
+        names = dict.fromkeys([dimension, *map(str, dataset.coords)])
+        along = [n for n in names if n in dataset.coords and dataset[n].dims == (dimension,)]
+        places |= {name: dataset[name][index[dimension]].item() for name in along}
+    return places
+
+
+def place_in_words(where: Mapping[str, Any]) -> str:
+    """Return a place on the axes as ``model=gaia, v_max=16``."""
+    return ", ".join(f"{k}={f'{v:g}' if isinstance(v, float) else v}" for k, v in where.items())
+
+
+# Parts
+
+
+def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
+    """Return the part of a dataset at values of axes; these become coordinates without a dimension.
+
+    Where several points have the values, as rows of a table may, all of them are returned and keep their dimension.
+    A value may be a text, as on a command line.  Raises SweepError like `indices`.
+    """
+    part: dict[str, Any] = {}
+    for dimension, hits in indices(dataset, places).items():
+        part |= {dimension: hits[0]} if len(hits) == 1 else dict.fromkeys(_both(dataset, dimension), hits)
+    return dataset.isel(part)
+
+
+def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[int]]:
+    """Return the indices along each dimension that values of axes stand for.
+
+    Raises SweepError that lists every name that is not an axis, every value that is not in the grid, and values of axes
+    along one dimension that are not those of any point.
+    """
+    problems: list[str] = []
+    chosen: dict[str, set[int]] = {}
+    axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and not str(n).endswith("_unit")]
+    for name, wanted in places.items():
+        if name not in axes:
+            problems.append(f"{shown(name)} is not an axis{suggest(name, axes) if axes else '; there are none'}")
+            continue
+        values = dataset[name].values.tolist()
+        hits = {i for i, value in enumerate(values) if _is_meant(value, wanted)}
+        dimension = str(dataset[name].dims[0])
+        if not hits:
+            problems.append(f"{name} = {wanted} is not in the grid, which has {first_of(values, FEW)}")
+        elif not chosen.setdefault(dimension, hits) & hits:
+            problems.append(f"{name} = {wanted} is at no point with the other values that are given along {dimension}")
+        else:
+            chosen[dimension] &= hits
+    if problems:
+        raise SweepError(problems)
+    return {dimension: sorted(hits) for dimension, hits in chosen.items()}
+
+
+def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Dataset:
+    """Return the part of a dataset where low <= axis <= high; raises SweepError if there is none."""
+    values = dataset[axis].values
+    inside = np.flatnonzero((values >= low) & (values <= high))
+    if not inside.size:
+        raise SweepError(
+            f"{axis} has no value from {low:g} to {high:g}; it goes from {values.min():g} to {values.max():g}"
+        )
+    return dataset.isel(dict.fromkeys(_both(dataset, str(dataset[axis].dims[0])), inside))
+
+
+def _both(dataset: xr.Dataset, dimension: str) -> list[str]:
+    """Return a dimension, and the second one that covariances along it have."""
+    return [d for d in (dimension, f"{dimension}_other") if d in dataset.dims]
+
+
+def _is_meant(value: object, wanted: object) -> bool:
+    if not isinstance(wanted, str) or isinstance(value, str):
+        return value == wanted
+    if isinstance(value, bool):
+        return wanted.lower() == str(value).lower()
+    for number in (int, float):  # an integer beyond 2**53 is no float
+        with suppress(ValueError):
+            return value == number(wanted)
+    return False
+
+
+# What is missing
+
+
+def lacking(dataset: xr.Dataset) -> str:
+    """Return in words what these results lack; '' if every point of the study, or of the part that was chosen, is done.
+
+    >>> lacking(xr.Dataset({"status": ("x", [1, 1, 2])}))
+    '2 of 3 points are done, 1 failed'
+    """
+    counts = count_status(dataset["status"].values)
+    wanted = sum(counts.values()) - counts[Status.EXCLUDED]
+    if unfinished := unfinished_in_words(counts):
+        return f"{counts[Status.DONE]:,} of {wanted:,} points are done, {unfinished}"
+    of_all = wanted == dataset.attrs.get("points", wanted)  # those of a selection may all be done
+    return "the store says that its run did not end" if of_all and not dataset.attrs.get("complete") else ""
+
+
+def require_done(dataset: xr.Dataset) -> None:
+    """Raise SweepError unless all points of a dataset are done or excluded by the study."""
+    counts = count_status(dataset["status"].values)
+    if undone := unfinished_in_words(counts):
+        commands = {
+            Status.MISSING: "`sweep run` computes what is missing",
+            Status.FAILED: "`sweep run --retry` what failed",
+        }
+        help_ = ", ".join(words for code, words in commands.items() if counts[code])
+        raise SweepError(
+            f"is incomplete: {undone} of {sum(counts.values()):,} points here; {help_}; or choose other points"
+        )
+
+
+def exact(values: NDArray[Any]) -> NDArray[Any]:
+    """Return integers and truth values as they are, to be shown to the last digit, and others as floats."""
+    return values if values.dtype.kind in "biu" else values.astype(float)
+
+
+def listed(dataset: xr.Dataset, name: str, dimensions: Sequence[str], rows: Any = slice(None)) -> list[Any]:
+    """Return a variable as Python objects, one for each combination along some dimensions in C order, or for the
+    ``rows`` among them: a list where the variable has further dimensions, NaN where an integer or a truth value is
+    missing, times as texts.
+    """
+    variable = dataset[name].variable
+    values = variable.values
+    if is_truth(variable) and values.dtype.kind == "f":
+        values = np.where(np.isnan(values), np.nan, values.astype(bool).astype(object))
+    elif values.dtype.kind == "M":
+        values = np.where(np.isnat(values), "", np.datetime_as_string(values, unit="auto").astype(object))
+    own = [d for d in variable.dims if d not in dimensions]
+    shape = {d: dataset.sizes[d] for d in dimensions} | {d: variable.sizes[d] for d in own}
+    whole: xr.Variable = xr.Variable(variable.dims, values).set_dims(shape)  # type: ignore[no-untyped-call]
+    whole = whole.transpose(*dimensions, *own)
+    return list(whole.values.reshape(-1, *(shape[d] for d in own))[rows].tolist())
+
+
+# Units that read well
+
+
+def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
+    """Return the results with each quantity, and all that belongs to it, in the unit in which most numbers read well:
+    0.54 uas/yr and not 0.00054 mas/yr.  For tables, figures and pages only: computations use the units of the store.
+
+    A single component that was selected has its own unit; several with different units stay as they are.  Axes,
+    quantities whose unit takes no prefix, and datasets that are not over points of a study do not change.
+    """
+    if "status" not in dataset:
+        return dataset
+    names, changed, components = quantities(dataset), dict[str, xr.DataArray](), dict[str, Any]()
+    labels = [str(n) for n in dataset.coords if str(n).endswith("_unit") and not dataset[n].dims]
+    label = next((n for n in labels if n.removesuffix("_unit") in dataset.coords), "")
+    declared = {error for name in names for error in errors_beside(dataset, name)}
+    for name in names:
+        unit, values = units_of(dataset[name].attrs), dataset[name].values
+        by_component = "," in unit
+        if values.dtype.kind != "f" or name in declared or (by_component and (not label or "(" in unit)):
+            continue  # a unit with brackets is that of products of two components
+        chosen = prefixed(values, str(dataset[label].item()) if by_component else unit)
+        if by_component:
+            chosen = components.setdefault(label, chosen)
+        if chosen.factor == 1.0:
+            continue
+        for other in (name, *errors_beside(dataset, name), *(f"{name}_{suffix}" for suffix in BESIDE)):
+            if other in dataset and units_of(dataset[other].attrs) == unit:
+                changed[other] = _scaled(dataset[other], chosen.factor, chosen.unit)
+        for axis in dataset.coords:
+            if (other := f"{name}_{COVARIANCE_SUFFIX}_{axis}") in dataset:
+                changed[other] = _scaled(dataset[other], chosen.factor**2, f"({chosen.unit})2")
+    units = {name: dataset[name].copy(data=chosen.unit) for name, chosen in components.items()}
+    return dataset.assign(changed).assign_coords(units)
+
+
+def _scaled(array: xr.DataArray, factor: Any, unit: str) -> xr.DataArray:
+    scaled: xr.DataArray = (array * factor).transpose(*array.dims)
+    return scaled.assign_attrs(array.attrs | {"units": unit})

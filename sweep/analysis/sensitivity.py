@@ -1,38 +1,45 @@
-"""How much of the variation of a result each parameter causes: Sobol indices of grids, designs and tables."""
+"""How much of the variation of a result each parameter causes: indices of grids, designs and tables, with errors.
+
+For a full grid by analysis of variance: every value of an axis counts the same.  The values of an axis of real numbers
+are taken as the midpoints of equal cells, on the scale on which they are equally spaced; the errors include the
+differences from integration rules of higher order.
+
+For Saltelli and Morris designs by SALib, with bootstrap errors from a fixed seed.
+
+For any other points only the first order: how much of the variance the mean at each value of a parameter explains.  For
+numbers this mean is fitted with cosines over the parameter's range (Plischke 2012, Reliability Engineering & System
+Safety 107, 149); for texts and for few different numbers it is the mean of each group.
+"""
 
 import json
+import warnings
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.analysis.lines import require_done
 from linksweep.sweep.analysis.quantity import (
+    listed,
     main_quantity,
+    require_done,
     require_quantity,
     shares_random_numbers,
     standard_error,
     varied_parameters,
 )
-from linksweep.sweep.analysis.sensitivity_indices import (
-    EFFECTS,
-    first_order,
-    indices_of_grid,
-    morris_effects,
-    saltelli_indices,
-)
 from linksweep.sweep.contract import Array, SweepError
-from linksweep.sweep.formatting import described, units_of
+from linksweep.sweep.formatting import described, units_of, with_error
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
-from linksweep.sweep.studies.values import DESIGNS, Range
+from linksweep.sweep.studies.values import DESIGNS, MORRIS_LEVELS, Range, salib, unit_cube
+from linksweep.sweep.table_writer import Column, Table
 
 METHOD = "sensitivity_method"
 """The attribute of a dataset of indices that says how they were made."""
 
-INDICES: tuple[str, ...] = ("first", "first_error", "total", "total_error")
+INDICES = ("first", "first_error", "total", "total_error")
+EFFECTS = ("mu_star", "mu_star_error", "mu", "sigma")
 
 MEANINGS = {
     "first": "first-order index: share of the variance that the parameter causes by itself",
@@ -42,11 +49,34 @@ MEANINGS = {
     "sigma": "standard deviation of its effects: interactions and curvature",
 }
 
-FEW_VALUES = 8
+COARSE = 8
 """On an axis of real numbers with fewer values, a function may change much between them."""
 
 CORRELATED = 0.3
 """A note names the parameters of a table that are correlated more than this."""
+
+RESAMPLES = 200
+
+ORDERS = (3, 5, 7)
+"""How many neighbouring values of a grid the rules of higher order fit with a polynomial."""
+
+ONE_SIGMA = 0.6826894921370859
+"""Probability within one sigma: half the width of SALib's confidence intervals is then a one-sigma error."""
+
+HARMONICS = 8
+"""The most half-waves over the range of a parameter."""
+
+POINTS_FOR_EACH = 8
+"""Points that are needed for each coefficient."""
+
+FEW_VALUES = 12
+"""The points of a parameter with no more different values than this are treated as groups."""
+
+PARTS = 32
+"""Parts of the points that are left out in turn for the errors."""
+
+ROUNDING = 1e-12
+"""Indices below this share of the largest one are rounding errors of a parameter without any effect."""
 
 
 class _Method(NamedTuple):
@@ -95,10 +125,9 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     require_done(dataset)
     if np.any(dataset["status"].values == Status.EXCLUDED):
         raise SweepError("the study excludes points: indices need every point of a grid or a design")
-    method = _of_points(dataset, seed) if POINT in dataset[output].dims else _of_grid(dataset, output, seed)
-    array = dataset[output]
-    others = [str(d) for d in array.dims if d not in method.over]
-    values = array.transpose(*others, *method.over).values.astype(float)
+    method = _of_points(dataset, seed) if POINT in dataset[output].dims else _of_grid(dataset, seed)
+    others = [str(d) for d in dataset[output].dims if d not in method.over]
+    values = dataset[output].transpose(*others, *method.over).values.astype(float)
     if not np.isfinite(values).all():
         raise SweepError(f"{output} is not a finite number at {int(np.sum(~np.isfinite(values)))} points")
     error = standard_error(dataset, output)
@@ -108,7 +137,7 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     if unknown := sum(bool(np.isnan(one[0]).all()) for one in made):
         where = f" at {unknown} of {len(made)} places" if len(made) > 1 else ""
         method.notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")
-    unit = units_of(array.attrs) if method.indices is EFFECTS else ""
+    unit = units_of(dataset[output].attrs) if method.indices is EFFECTS else ""
     variables = {
         name: (
             (*others, "parameter"),
@@ -124,42 +153,37 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     return xr.Dataset(variables, {**coordinates, **labels}, about)
 
 
-def is_sensitivity(dataset: xr.Dataset) -> bool:
-    """Return whether a dataset holds sensitivity indices."""
-    return METHOD in dataset.attrs
-
-
 def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
-    told = json.loads(dataset.attrs.get(POINT_TABLE, "{}"))
-    design, ranges = told.get("design", ""), told.get("ranges", {})
-    parameters = [n for n in told.get("ranges", told.get("parameters", [])) if n in dataset.coords]
-    whole = design in DESIGNS and DESIGNS[design].size(told["n"], len(parameters)) == dataset.sizes[POINT]
-    if design in ("saltelli", "morris") and not whole:
-        raise SweepError(f"indices of a {design} design need all of its points")
-    if design not in ("saltelli", "morris"):
+    table = json.loads(dataset.attrs.get(POINT_TABLE, "{}"))
+    design, ranges = table.get("design", ""), table.get("ranges", {})
+    parameters = [n for n in table.get("ranges", table.get("parameters", [])) if n in dataset.coords]
+    if design in ("saltelli", "morris"):
+        if DESIGNS[design].size(table["n"], len(parameters)) != dataset.sizes[POINT]:
+            raise SweepError(f"indices of a {design} design need all of its points")
+    else:
         parameters = [name for name in varied_parameters(dataset) if name in parameters]
         if not parameters:
             raise SweepError("the points do not differ in any parameter")
     places = [_places(dataset, name, ranges.get(name)) for name in parameters]
-    estimate: Callable[[Array], Sequence[Array]]
     if design == "saltelli":
-        words, indices = "SALib, of a saltelli design", INDICES
-        estimate = partial(saltelli_indices, parameters=len(parameters), seed=seed)
         noise = "Monte-Carlo errors of the points count as interactions: they are in the total indices"
         notes = [noise] if "seed" in dataset.attrs else []  # a function without random numbers has no seed
-    elif design == "morris":
-        words, indices = "SALib, of a morris design", EFFECTS
-        estimate = partial(morris_effects, places=np.stack(places, axis=1), seed=seed)
+        name, indices = "SALib, of a saltelli design", INDICES
+        return _Method(name, parameters, [POINT], indices, lambda y, _: saltelli_indices(y, len(places), seed), notes)
+    if design == "morris":
         notes = ["effects are over the whole range of each parameter; they rank parameters, and are not shares"]
-    else:
-        words, indices = f"regression on each parameter, of {design or 'given'} points", INDICES[:2]
-        estimate = partial(first_order, places=places, even=design not in ("", "random"), seed=seed)
-        notes = ["total indices need a full grid or a saltelli design"]
-        notes += [] if design else _correlated(parameters, places)
-    return _Method(words, parameters, [POINT], indices, lambda values, _: estimate(values), notes)
+        unit, name = np.stack(places, axis=1), "SALib, of a morris design"
+        return _Method(name, parameters, [POINT], EFFECTS, lambda y, _: morris_effects(y, unit, seed), notes)
+    even = design not in ("", "random")
+    notes = [
+        "total indices need a full grid or a saltelli design",
+        *([] if design else _correlated(parameters, places)),
+    ]
+    name = f"regression on each parameter, of {design or 'given'} points"
+    return _Method(name, parameters, [POINT], INDICES[:2], lambda y, _: first_order(y, places, even, seed), notes)
 
 
-def _of_grid(dataset: xr.Dataset, output: str, seed: int) -> _Method:
+def _of_grid(dataset: xr.Dataset, seed: int) -> _Method:
     over = [str(d) for d in dataset["status"].dims if dataset.sizes[d] > 1]
     if not over:
         raise SweepError("indices need several points")
@@ -176,11 +200,10 @@ def _of_grid(dataset: xr.Dataset, output: str, seed: int) -> _Method:
 
     notes = ["every value of an axis counts the same: real numbers are midpoints of equal cells"]
     notes += [f"{n}: zipped axes advance together, and have one index" for n in parameters if "+" in n]
-    coarse = [n for n, c, d in zip(parameters, continuous, over, strict=True) if c and dataset.sizes[d] < FEW_VALUES]
+    coarse = [n for n, c, d in zip(parameters, continuous, over, strict=True) if c and dataset.sizes[d] < COARSE]
     if coarse:
-        notes.append(
-            f"{', '.join(coarse)} with fewer than {FEW_VALUES} values: what happens between them is not in the errors"
-        )
+        names = ", ".join(coarse)
+        notes.append(f"{names} with fewer than {COARSE} values: what happens between them is not in the errors")
     if shared:
         notes.append("points share random numbers, so that the errors are not known")
     return _Method("analysis of variance of the grid", parameters, over, INDICES, estimate, notes)
@@ -210,3 +233,211 @@ def _correlated(parameters: Sequence[str], places: Sequence[Array]) -> list[str]
     if not correlation[one, other] > CORRELATED:
         return []
     return [f"{parameters[one]} and {parameters[other]} go together in these points: their indices share a part"]
+
+
+# Estimators: arrays in, arrays out
+
+
+def indices_of_grid(
+    values: Array, errors: Array | None, continuous: Sequence[bool], seed: int = 0
+) -> tuple[Array, Array, Array, Array]:
+    """Return first-order and total indices with one-sigma errors, each (axes,), of values with one dimension per axis.
+
+    ``errors`` are one sigma of independent values: their variance is subtracted from the indices, and their effect is
+    in the errors of the indices.  ``continuous`` says which axes are of real numbers.
+
+    The indices of y = a + b, both uniform on two values, where b varies twice as much:
+
+    >>> a, b = np.array([0.0, 1.0]), np.array([0.0, 2.0])
+    >>> first, _, total, _ = indices_of_grid(a[:, None] + b, None, [False, False])
+    >>> first.tolist(), total.tolist()
+    ([0.2, 0.8], [0.2, 0.8])
+    """
+    equal = [np.full(n, 1.0 / n) for n in values.shape]
+    noise = np.zeros(values.shape) if errors is None else np.nan_to_num(errors) ** 2
+    found = _indices(values, noise, equal)
+    coarseness = np.zeros(found.shape)
+    for order in ORDERS if any(continuous) else ():
+        finer = [
+            weights_of_order(order, n) if whole else w
+            for n, w, whole in zip(values.shape, equal, continuous, strict=True)
+        ]
+        coarseness = np.fmax(coarseness, np.abs(_indices(values, noise, finer) - found))
+    variance = coarseness**2
+    if noise.any():
+        rng = np.random.default_rng(seed)
+        drawn = (values + rng.standard_normal(values.shape) * np.sqrt(noise) for _ in range(RESAMPLES))
+        variance += np.var([_indices(one, 2.0 * noise, equal) for one in drawn], axis=0, ddof=1)
+    sigma = np.where(np.isnan(found), np.nan, np.sqrt(variance))
+    return found[0], sigma[0], found[1], sigma[1]
+
+
+def weights_of_order(order: int, n: int) -> Array:
+    """Return weights of n midpoints of equal cells: each cell is integrated through its ``order`` nearest midpoints.
+
+    >>> [round(24 * 5 * w) for w in weights_of_order(3, 5)]
+    [26, 21, 26, 21, 26]
+    """
+    order = min(order, n)
+    powers = np.arange(order)
+    weights = np.zeros(n)
+    for cell in range(n):
+        first = min(max(cell - order // 2, 0), n - order)
+        nodes = np.arange(first, first + order) - cell  # in cells from the middle of this one
+        moments = (0.5 ** (powers + 1) - (-0.5) ** (powers + 1)) / (powers + 1)
+        weights[first : first + order] += np.linalg.solve(np.vander(nodes, order, increasing=True).T, moments)
+    return weights / n
+
+
+def _indices(values: Array, noise: Array, weights: Sequence[Array]) -> Array:
+    """Return first-order and total indices, (2, axes)."""
+    whole = _variance(values, noise, weights, ())
+    if not whole > 0.0 or values.min() == values.max():  # rounding: the weights may not add up to exactly one
+        return np.full((2, values.ndim), np.nan)
+    axes = range(values.ndim)
+    alone = [_variance(values, noise, weights, [k for k in axes if k != axis]) for axis in axes]
+    without = [_variance(values, noise, weights, [axis]) for axis in axes]
+    return np.array([alone, [whole - rest for rest in without]]) / whole
+
+
+def _variance(values: Array, noise: Array, weights: Sequence[Array], averaged: Sequence[int]) -> float:
+    """Return the variance of the mean over some axes, less the part that is noise."""
+    means, spread = values, noise
+    for axis in sorted(averaged, reverse=True):
+        means = np.tensordot(means, weights[axis], (axis, 0))
+        spread = np.tensordot(spread, weights[axis] ** 2, (axis, 0))
+    left = [w for axis, w in enumerate(weights) if axis not in averaged]
+    mean, of_mean = _sum(means, left), _sum(spread, [w**2 for w in left])
+    return _sum((means - mean) ** 2, left) - (_sum(spread, left) - of_mean)
+
+
+def _sum(values: Array, weights: Sequence[Array]) -> float:
+    for w in reversed(weights):
+        values = values @ w
+    return float(values)
+
+
+def saltelli_indices(values: Array, parameters: int, seed: int = 0) -> list[Array]:
+    """Return first-order and total indices with one-sigma errors, each (parameters,), of values (points,) in the order
+    of the design; NaN where these do not vary.  Raises SweepError without SALib.
+
+    Source: Saltelli et al. 2010, Computer Physics Communications 181, 259.
+    """
+    if not np.ptp(values) > 0.0:
+        return [np.full(parameters, np.nan)] * 4
+    salib()
+    from SALib.analyze import sobol
+
+    options = {"calc_second_order": False, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
+    found = sobol.analyze(unit_cube(parameters), values, seed=seed + 1, **options)  # SALib takes 0 for no seed
+    return [np.asarray(found[key]) for key in ("S1", "S1_conf", "ST", "ST_conf")]
+
+
+def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
+    """Return the mean of absolute elementary effects with its error, the mean effect, and their standard deviation,
+    each (parameters,), of values (points,) at ``places`` (points, parameters) of the unit cube.
+
+    An effect is the change of the value over the whole range of a parameter.  Raises SweepError without SALib.
+    Source: Campolongo et al. 2007, Environmental Modelling & Software 22, 1509.
+    """
+    salib()
+    from SALib.analyze import morris
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # SALib warns that there are no groups
+        options: dict[str, Any] = {"num_levels": MORRIS_LEVELS, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
+        found = morris.analyze(unit_cube(places.shape[1]), places, values, seed=seed + 1, **options)
+    return [np.ma.getdata(found[key]).astype(float) for key in ("mu_star", "mu_star_conf", "mu", "sigma")]
+
+
+def first_order(values: Array, places: Sequence[Array], even: bool = False, seed: int = 0) -> tuple[Array, Array]:
+    """Return first-order indices and their one-sigma errors, each (parameters,).
+
+    ``places`` has for each parameter its places (points,) in the unit interval.  The errors are those of a jackknife
+    over random parts of the points, and include the contribution of the two shortest waves.  Independent points explain
+    some of the variance by chance, which is subtracted.  For points that are ``even``, spread by a design, this share
+    is not known: half of it is subtracted, and included in the errors.  Raises SweepError for too few points.
+    """
+    n = len(values)
+    if n < (least := 2 * POINTS_FOR_EACH + 2):
+        raise SweepError(f"{n} points are too few for indices: at least {least} are needed")
+    if not np.ptp(values) > 0.0:
+        return np.full(len(places), np.nan), np.full(len(places), np.nan)
+    part = np.random.default_rng(seed).permutation(n) % min(PARTS, n // 2)
+    found = np.empty((2, len(places)))
+    for k, place in enumerate(places):
+        waves, shorter = _basis(place)
+        columns = np.column_stack([np.ones(n), waves, values - values.mean()])
+        parts = np.array([columns[part == j].T @ columns[part == j] for j in range(int(part.max()) + 1)])
+        whole = parts.sum(axis=0)
+        index, chance = _explained(whole)
+        left = np.array([_explained(whole - one)[0] for one in parts])
+        variance = (len(left) - 1) / len(left) * np.sum((left - left.mean()) ** 2)
+        kept = [*range(1 + shorter), -1]
+        truncation = index - _explained(whole[np.ix_(kept, kept)])[0]
+        half = 0.5 * chance if even else 0.0
+        found[:, k] = index + half, np.sqrt(variance + truncation**2 + half**2)
+    return found[0], found[1]
+
+
+def _basis(place: Array) -> tuple[Array, int]:
+    """Return functions of a parameter at the points, (points, functions), and how many of them are the longer waves;
+    all of them for groups.
+    """
+    different, group = np.unique(place, return_inverse=True)
+    if len(different) <= FEW_VALUES:
+        return np.eye(len(different))[group][:, 1:], len(different) - 1
+    count = max(2, min(HARMONICS, len(place) // POINTS_FOR_EACH))
+    return np.cos(np.pi * place[:, None] * np.arange(1, count + 1)), count - min(2, count - 1)
+
+
+def _explained(moments: Array) -> tuple[float, float]:
+    """Return the share of the variance that a regression explains, less the share that it would explain of noise
+    (adjusted R²), and this second share; ``moments`` are the sums of products of 1, the functions and the values.
+    """
+    products, right, squares = moments[:-1, :-1], moments[:-1, -1], moments[-1, -1]
+    n = products[0, 0]
+    whole = squares - right[0] ** 2 / n
+    used = np.linalg.matrix_rank(products, hermitian=True) - 1
+    if not whole > 0.0 or n <= used + 1:
+        return float("nan"), float("nan")
+    rest = max(0.0, squares - right @ np.linalg.pinv(products, hermitian=True) @ right)
+    chance = rest / whole * used / (n - 1 - used)
+    return float(1.0 - rest / whole - chance), float(chance)
+
+
+# Tables of indices
+
+
+def tables(result: xr.Dataset) -> list[Table]:
+    """Return the table for reading: places, parameters, and each index with its error."""
+    scale = max((float(abs(part).max()) for part in result.data_vars.values()), default=0.0)
+    known = {column.name: column for column in records(result).columns}
+    columns = []
+    for name, column in known.items():
+        if name not in result.data_vars:
+            columns.append(Column(name, column.values, left=name == "parameter"))
+        elif not name.endswith("_error"):
+            errors = known[f"{name}_error"].values if f"{name}_error" in known else [0.0] * len(column.values)
+            pairs = [_without_rounding(*pair, ROUNDING * scale) for pair in zip(column.values, errors, strict=True)]
+            cells = [with_error(*pair) for pair in pairs]
+            columns.append(Column(name, column.values, cells, units_of(result[name].attrs)))
+    return [Table(columns, f"{result.attrs['title']}: sensitivity of {result.attrs['output']}")]
+
+
+def records(result: xr.Dataset) -> Table:
+    """Return one row for each parameter at each place of the other dimensions, for programs."""
+    dims = [str(d) for d in next(iter(result.data_vars.values())).dims]
+    names = [*(d for d in dims if d != "parameter"), "parameter", *map(str, result.data_vars)]
+    about = {**{key: value for key, value in result.attrs.items() if key != "notes"}, "notes": notes(result)}
+    return Table([Column(name, listed(result, name, dims)) for name in names], about=about)
+
+
+def notes(result: xr.Dataset) -> list[str]:
+    """Return sentences that belong below the table."""
+    return [f"by {result.attrs[METHOD]}, from {result.attrs['points']:,} points", *json.loads(result.attrs["notes"])]
+
+
+def _without_rounding(value: float, error: float, least: float) -> tuple[float, float]:
+    """Return an index and its error, or 0 where both are rounding errors beside the largest index."""
+    return (0.0, 0.0) if abs(value) < least and not error > least else (value, error)

@@ -13,7 +13,7 @@ import click
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
 from linksweep.sweep.cli.options import ACCEPT_CODE, BREAK_LOCK, JSON, STORE, TRUST, arg, flag, opt, place
 from linksweep.sweep.cli.options import output as output_option
-from linksweep.sweep.cli.output import print_table, print_whole
+from linksweep.sweep.cli.output import print_headlines, print_tables
 from linksweep.sweep.cli.run import print_verified
 from linksweep.sweep.formatting import WIDTH, to_json
 
@@ -49,9 +49,8 @@ def status(store: "Location" = STORE, as_json: bool = JSON) -> None:
         return
     for key, value in report.items():
         if key == "axes":
-            for dimension in value.values():
-                click.echo()
-                print_whole(axis_table(dimension, report["units"]))
+            click.echo(nl=bool(value))
+            print_tables(axis_table(dimension, report["units"]) for dimension in value.values())
             click.echo(nl=bool(value))
         elif isinstance(value, dict) and key != "units":
             click.echo(f"{key}:")
@@ -137,7 +136,7 @@ def reproduce(
 
             pdb.post_mortem(error.__traceback__)
         sys.exit(EXIT_FAILED_POINTS)
-    print_table(again.dataset.assign_attrs(title=again.place, complete=1), "json" if as_json else "text")
+    print_headlines(again.dataset.assign_attrs(title=again.place, complete=1), "json" if as_json else "text")
     for sentence in again.other_code:
         click.echo(f"computed by other code than the store was: {sentence}", err=True)
     if again.differences is None:
@@ -170,7 +169,7 @@ def merge(
     from linksweep.sweep.running.merge import merge as merge_stores
 
     dataset = merge_stores(store, other, output, accept_code=accept_code, trust=trust)
-    print_table(dataset, "json" if as_json else "text")
+    print_headlines(dataset, "json" if as_json else "text")
     click.echo(f"wrote {output}", err=True)
 
 

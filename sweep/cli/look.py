@@ -30,12 +30,11 @@ from linksweep.sweep.cli.options import (
 from linksweep.sweep.cli.options import output as output_option
 from linksweep.sweep.cli.output import (
     drawing_styles,
-    print_sentences,
+    print_headlines,
+    print_result,
     print_styled,
-    print_table,
-    print_whole,
+    print_tables,
     save_figure,
-    table_width,
 )
 from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress, watching
 from linksweep.sweep.formatting import WIDTH, to_json
@@ -44,6 +43,10 @@ from linksweep.sweep.plots import ALL_KINDS, KINDS
 if TYPE_CHECKING:
     from linksweep.sweep.executing.pools import Resources
     from linksweep.sweep.stores.location import Location
+
+
+TABLES = (".csv", ".json")
+"""Tables that `sweep sensitivity` writes, beside stores and pictures."""
 
 
 @command("Look", "List the built-in studies and their answers", name="list")
@@ -103,13 +106,11 @@ def show(
     """
     table_format = json_or(table_format, as_json)
     if (link := link_in(store, at)) is not None:
-        from linksweep.sweep.tie.result import as_format
-
-        click.echo(as_format(link, table_format).rstrip("\n"))
+        print_result(link, table_format)
         return
     # Formats for programs keep excluded points: a column has the status.
     with part_of(store, at, excluded_too=table_format != "text") as part:
-        print_table(part, table_format, with_components=True)
+        print_result(part, table_format)
 
 
 @parsed
@@ -324,10 +325,9 @@ def fit(
     sweep fit radio-stars --range 50: --at reference_error_scale=1
     sweep fit results/quasars.zarr --over v_max --law levelling
     """
-    from linksweep.sweep.analysis.conditions import parse_range
+    from linksweep.sweep.analysis.crossings import parse_range
     from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law
-    from linksweep.sweep.analysis.quantity import main_quantity, require_axis
-    from linksweep.sweep.analysis.selection import between
+    from linksweep.sweep.analysis.quantity import between, main_quantity, require_axis
 
     if law == "levelling" and expect is not None:
         raise click.UsageError("--expect is an exponent and goes with --law power")
@@ -341,7 +341,7 @@ def fit(
             result = fit_power_law(dataset, variable, over, expect)
         else:
             result = fit_levelling(dataset, variable, over, (fall or 5.0) / 100.0)
-    _print_lines(result, as_json)
+    print_result(result, "json" if as_json else "text")
 
 
 @command("Look", "Find where a condition is met along an axis")
@@ -362,31 +362,15 @@ def find(
     sweep find grid --where "sigma_spin <= 0.5" --over n_obj --at model=amex
     """
     from linksweep.sweep.analysis import crossings
-    from linksweep.sweep.analysis.conditions import parse_limit
     from linksweep.sweep.analysis.quantity import require_axis, varied_parameters
 
-    limit = parse_limit(where)
+    limit = crossings.parse_limit(where)
     with part_of(store, at) as dataset:
         if over is None and len(varied_parameters(dataset)) > 1:
-            print_table(crossings.points_where(dataset, limit), "json" if as_json else "text")
+            print_headlines(crossings.points_where(dataset, limit), "json" if as_json else "text")
             return
         result = crossings.find(dataset, limit, require_axis(dataset, limit.variable, over))
-    _print_lines(result, as_json)
-
-
-def _print_lines(result: Any, as_json: bool) -> None:
-    from linksweep.sweep.analysis import law_tables
-    from linksweep.sweep.analysis.columns import left_out_in_words
-
-    if as_json:
-        click.echo(law_tables.as_json(result))
-        return
-    width = table_width()
-    print_whole(law_tables.as_text(result, width))
-    click.echo()
-    print_sentences(law_tables.notes(result))
-    if folded := law_tables.fitting_columns(result, width)[1]:
-        print_sentences([f"left out to fit {width} columns: {left_out_in_words(folded)}; --json has them"])
+    print_result(result, "json" if as_json else "text")
 
 
 @command("Look", "Say which parameters decide a result")
@@ -406,34 +390,27 @@ def sensitivity(
     sweep sensitivity results/sir.zarr
     sweep sensitivity results/sir.zarr --variable peak -o peak.png
     """
-    from linksweep.sweep.analysis import sensitivity as analysis
-    from linksweep.sweep.analysis import sensitivity_tables as tables
+    from linksweep.sweep.analysis.sensitivity import sensitivity as indices_of
     from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.result import Result, require_free
 
+    suffix = "" if output is None else output.suffix.lower()
     with part_of(store, at) as dataset:
-        suffix = "" if output is None else output.suffix.lower()
-        if output is not None and suffix == ".zarr" and output.exists():
-            raise SweepError("exists already; take another name", str(output))
-        known: tuple[str, ...] = ("", ".csv", ".json", ".zarr") if output is None else (".csv", ".json", ".zarr")
-        if suffix not in known and suffix not in (formats := drawing_styles().FORMATS):
-            raise SweepError(f"the name must end with {', '.join((*known, *formats))}", str(output))
-        result = analysis.sensitivity(dataset, variable)
+        if output is not None and suffix == ".zarr":
+            require_free(output)
+        elif output is not None and suffix not in TABLES and suffix not in (formats := drawing_styles().FORMATS):
+            raise SweepError(f"the name must end with {', '.join((*TABLES, '.zarr', *formats))}", str(output))
+        result = indices_of(dataset, variable)
+    if output is not None and suffix == ".zarr":
+        Result(result).save(output)
+    elif output is not None and suffix in TABLES:
         try:
-            if suffix in (".csv", ".json"):
-                text = tables.as_csv(result) if suffix == ".csv" else tables.as_json(result) + "\n"
-                Path(str(output)).write_text(text, encoding="utf-8")
-            elif suffix == ".zarr":
-                result.to_zarr(output, zarr_format=3, consolidated=False)
-            elif output is not None:
-                save_figure(result, output)
+            output.write_text(Result(result).written(suffix[1:]).rstrip("\n") + "\n", encoding="utf-8")
         except OSError as error:
             raise SweepError(f"cannot be written: {error.strerror or error}", str(output)) from error
-    if as_json:
-        click.echo(tables.as_json(result))
-    else:
-        print_whole(tables.as_text(result))
-        click.echo()
-        print_sentences(tables.notes(result))
+    elif output is not None:
+        save_figure(result, output)
+    print_result(result, "json" if as_json else "text")
     if output is not None:
         click.echo(f"wrote {output}", err=True)
 
@@ -453,23 +430,19 @@ def compare(
     sweep compare --all --workers 4
     """
     table_format = json_or(table_format, as_json)
-    from linksweep.sweep.analysis import compare_tables
-    from linksweep.sweep.analysis.compare import all_is_well
-    from linksweep.sweep.analysis.compare_text import as_text
+    from linksweep.sweep.analysis import compare as verdicts
     from linksweep.sweep.cli.published_stores import compare_stores
 
     asked.require_either()
     comparisons, remarks = compare_stores(asked.whole(published=True))
     if table_format == "json":
-        click.echo(compare_tables.as_json(comparisons, remarks))
+        click.echo(verdicts.as_json(comparisons, remarks))
     elif table_format == "csv":
-        click.echo(compare_tables.as_csv(comparisons).rstrip("\n"))
+        click.echo(verdicts.records(comparisons).csv().rstrip("\n"))
         for sentence in remarks:
             click.echo(sentence, err=True)
     else:
-        if comparisons:
-            print_whole(as_text(comparisons, table_width()))
-        print_sentences(remarks)
-        click.echo(compare_tables.summary_line(comparisons))
-    if not all_is_well(comparisons):
+        tables = [verdicts.table(comparisons)] if comparisons else []
+        print_tables(tables, [*remarks, verdicts.summary_line(comparisons)])
+    if not verdicts.all_is_well(comparisons):
         sys.exit(EXIT_FAILED_POINTS)

@@ -231,12 +231,12 @@ def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
 
 def link_in(store: "Location", at: tuple[str, ...]) -> Any:
     """Return the link or forecast that a store holds, None if it holds a grid; ``--at`` is only for a grid."""
-    from linksweep.sweep.tie.result import result_at
+    from linksweep.sweep.result import stored_table
 
-    result = result_at(store)
+    result = stored_table(store)
     if result is not None and at:
         raise click.UsageError("--at chooses a part of a grid; this is one link or forecast")
-    return result
+    return None if result is None else result.dataset
 
 
 @contextmanager
@@ -246,9 +246,7 @@ def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) 
 
     Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
     """
-    from linksweep.sweep.analysis.long_table import array_outputs
-    from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES
-    from linksweep.sweep.analysis.selection import select
+    from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES, array_outputs, select
     from linksweep.sweep.contract import SweepError
     from linksweep.sweep.planning.point_status import Status
     from linksweep.sweep.stores.store import open_dataset

@@ -4,11 +4,14 @@ import shutil
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from linksweep.sweep.formatting import WIDTH, harmless
+
+if TYPE_CHECKING:
+    from linksweep.sweep.table_writer import Table
 
 
 def print_sentences(sentences: Iterable[str]) -> None:
@@ -22,25 +25,28 @@ def print_styled(text: str, **style: bool) -> None:
     click.secho(harmless(text), file=getattr(sys.stdout, "unescaped", None), **style)
 
 
-def print_whole(renderable: Any) -> None:
-    """Print a table or text as wide as it is: a terminal may wrap it, but no number is cut.  The title of a table is a
-    sentence above it.
-    """
-    from rich.console import Console
-    from rich.measure import Measurement
-    from rich.segment import Segment, Segments
-    from rich.table import Table
+def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
+    """Print tables with the columns for which there is room, and sentences below them; no number is cut."""
+    width = table_width()
+    for number, table in enumerate(tables):
+        kept, left_out = table.fitting(width)
+        text = kept.text(width, styled=True)
+        click.echo(f"\n{text}" if number else text, file=getattr(sys.stdout, "unescaped", None))
+        if left_out:
+            print_sentences([f"left out to fit {width} columns: {left_out}; --json has them"])
+    print_sentences(notes)
 
-    if isinstance(renderable, Table) and renderable.title is not None:
-        title, renderable.title = str(renderable.title), None
-        if title:
-            print_styled(click.wrap_text(title, WIDTH), italic=True)
-    terminal = Console(file=getattr(sys.stdout, "unescaped", None), highlight=False, markup=False, emoji=False)
-    endless = terminal.options.update(width=10_000)
-    needed = Measurement.get(terminal, endless, renderable).maximum
-    terminal.width = max(needed, terminal.width if sys.stdout.isatty() else 1)
-    segments = terminal.render(terminal.render_str(renderable) if isinstance(renderable, str) else renderable)
-    terminal.print(Segments(Segment(harmless(segment.text), segment.style) for segment in segments))
+
+def print_result(dataset: Any, table_format: str) -> None:
+    """Print results of any kind: their tables and notes, or their table for programs."""
+    from linksweep.sweep.result import Result
+
+    result = Result(dataset)
+    if table_format == "text":
+        notes = result.notes()
+        print_tables(result.tables(), ["", *notes] if notes else ())
+    else:
+        click.echo(result.written(table_format).rstrip("\n"))
 
 
 def table_width() -> int:
@@ -48,33 +54,14 @@ def table_width() -> int:
     return max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
 
 
-def print_table(dataset: Any, table_format: str, with_components: bool = False) -> None:
-    """Print the results of a dataset, the components of some points if they are wanted, and warnings."""
-    from linksweep.sweep.analysis import components, headline_table, long_table
-    from linksweep.sweep.analysis.columns import left_out_in_words
-    from linksweep.sweep.analysis.gaps import lacking
+def print_headlines(dataset: Any, table_format: str) -> None:
+    """Print the headline results of a study and what is to be said about them, or all results for programs."""
+    from linksweep.sweep.analysis.results_table import headline_table, notes
 
-    if table_format != "text":
-        write = {"csv": long_table.as_csv, "ecsv": long_table.as_ecsv, "json": long_table.as_json}[table_format]
-        click.echo(write(dataset).rstrip("\n"))
-        return
-    width = table_width()
-    table, folded = headline_table.as_text(dataset, width)
-    print_whole(table)
-    for one in headline_table.errors_as_text(dataset) if with_components else ():
-        click.echo()
-        print_whole(one)
-    if with_components and (lines := components.component_lines(dataset)):
-        click.echo("\n".join(["", *lines, ""]))
-    warnings = filter(None, [*headline_table.warnings_of(dataset), components.condition_warning(dataset)])
-    print_sentences(f"warning: {sentence}" for sentence in warnings)
-    print_sentences([*headline_table.arrays_in_words(dataset), *headline_table.exactly_published(dataset)])
-    if folded:
-        print_sentences([f"left out to fit {width} columns: {left_out_in_words(folded)}; --format csv has them"])
-    if left_out := headline_table.rows_left_out(dataset):
-        click.echo(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
-    if words := lacking(dataset):
-        click.echo(f"INCOMPLETE: {words}")
+    if table_format == "text":
+        print_tables([headline_table(dataset)], notes(dataset))
+    else:
+        print_result(dataset, table_format)
 
 
 def drawing_styles() -> Any:

@@ -14,7 +14,7 @@ import click
 from linksweep.sweep.cli import options
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, a_signal_ends_the_command, command, end_stopped
 from linksweep.sweep.cli.options import FILE, WORKERS, choice, flag, group, opt, parsed
-from linksweep.sweep.cli.output import drawing_styles, print_sentences, print_table, save_figure
+from linksweep.sweep.cli.output import drawing_styles, print_headlines, print_sentences, save_figure
 from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
 from linksweep.sweep.formatting import COMMAND, WIDTH, counted, harmless, in_words, to_json, without_secrets
 
@@ -214,7 +214,7 @@ def run_with_progress(
             progress.stopped(stop.signal.name, store)
             end_stopped(stop.signal)
         if how.as_json is not None:
-            print_table(dataset, "json" if how.as_json else "text")
+            print_headlines(dataset, "json" if how.as_json else "text")
         name = short_name(store)
         next_commands = (f"sweep plot {name}", f"sweep report {name}")
         progress.finish(failures, store, () if how.as_json is None else next_commands)
@@ -341,12 +341,13 @@ def scaling(
     if figure is not None:
         drawing_styles().require_format(figure)
     from linksweep.sweep.interrupt import RunInterruptedError
-    from linksweep.sweep.running.scaling import check_free, measure_scaling, write_scaling
+    from linksweep.sweep.result import Result, require_free
+    from linksweep.sweep.running.scaling import measure_scaling
     from linksweep.sweep.stores.location import default_store
 
     loaded = options.load_trusted(study, trust, settings, axes)
     path = output or default_store(f"{loaded.name}-scaling")
-    check_free(path)
+    require_free(path)
     with a_signal_ends_the_command():
         try:
             dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
@@ -355,7 +356,7 @@ def scaling(
     frame = dataset[["seconds", "start_seconds", "speedup", "efficiency"]].to_dataframe().reset_index()
     text = to_json(frame.to_dict(orient="records"))
     click.echo(text if as_json else frame.to_string(index=False, float_format=lambda value: f"{value:.3g}"))
-    write_scaling(dataset, path)
+    Result(dataset).save(path)
     if figure is not None:
         save_figure(dataset, figure)
     click.echo(f"wrote {path}" + (f" and {figure}" if figure is not None else ""), err=True)

@@ -14,7 +14,7 @@ import click
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
 from linksweep.sweep.cli.options import FILE, JSON, arg, choice, flag, group, many, opt, passed
 from linksweep.sweep.cli.options import output as output_option
-from linksweep.sweep.cli.output import print_whole
+from linksweep.sweep.cli.output import print_result, print_tables
 from linksweep.sweep.cli.run import resources as run_on
 from linksweep.sweep.formatting import split_assignment, to_json
 
@@ -252,11 +252,10 @@ class Target:
     def put(self, result: "xr.Dataset", rejected: bool = False) -> None:
         """Print a result; write it and draw its figures unless it is ``rejected``."""
         from linksweep.sweep.contract import SweepError
-        from linksweep.sweep.tie.result import as_format, save
+        from linksweep.sweep.result import Result
 
-        text = as_format(result, "json" if self.as_json else "text")
         if self.output is not None and not rejected:
-            save(result, self.output)
+            Result(result).save(self.output)
         if self.figures is not None and not rejected:
             from linksweep.sweep.plots import style
             from linksweep.sweep.plots.figure import link_figures
@@ -269,7 +268,7 @@ class Target:
                 for kind, figure in link_figures(result).items():
                     style.save(figure, self.figures / f"{kind}.png")
                     click.echo(f"wrote {self.figures / f'{kind}.png'}", err=True)
-        click.echo(text)
+        print_result(result, "json" if self.as_json else "text")
 
 
 @command("Your own", "Solve for the link of two real tables")
@@ -364,7 +363,7 @@ def match(
         --radius pgc=15 --radius uzc=3 --error pgc=5 --error uzc=1 \\
         -o galaxies.ecsv --table galaxies.dat --figure galaxies.png
     """
-    from linksweep.sweep.search.outputs import Outputs, find_galaxies, summarise, summary_text
+    from linksweep.sweep.search.outputs import Outputs, find_galaxies, summarise, summary_lines, summary_tables
     from linksweep.sweep.search.search import plan_search
 
     outputs = Outputs(output, table, figure)
@@ -372,7 +371,6 @@ def match(
     if as_json:
         click.echo(to_json(summary))
     else:
-        for part in summary_text(summary):
-            print_whole(part)
+        print_tables(summary_tables(summary), ["", *summary_lines(summary)])
     for path in outputs.paths():
         click.echo(f"wrote {path}", err=True)

@@ -85,11 +85,6 @@ def _curves(axes: Axes, dataset: xr.Dataset, kinds: list[str], over: str) -> Non
     legend(axes)
 
 
-def is_scaling(dataset: xr.Dataset) -> bool:
-    """Return whether a dataset has measured times and efficiencies over kinds and workers."""
-    return {"kind", "workers"} <= set(dataset.dims) and {"seconds", "efficiency"} <= set(dataset.data_vars)
-
-
 def scaling_figure(dataset: xr.Dataset) -> Figure:
     """Return the speed-up over one worker, w times the efficiency, beside the efficiency against w workers, by kind,
     with the ideal line.

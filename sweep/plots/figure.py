@@ -8,15 +8,15 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from linksweep.sweep.analysis.measured_claims import claims_of
+from linksweep.sweep.analysis.compare import claims_of
 from linksweep.sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity, varied_parameters
-from linksweep.sweep.analysis.sensitivity import is_sensitivity
 from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 from linksweep.sweep.plots import KINDS
-from linksweep.sweep.plots.analyses import is_scaling, sensitivity_figure
+from linksweep.sweep.plots.analyses import sensitivity_figure
 from linksweep.sweep.plots.points import sampled
 from linksweep.sweep.plots.style import SCALE, entitle, fit_names, value_text, with_chosen_component, with_scales
+from linksweep.sweep.result import kind_of
 from linksweep.sweep.studies.study import POINT
 
 # A map is the default if two axes have at least this many points each, and it has at most so many panels; curves are
@@ -40,19 +40,20 @@ def draw_figure(
     A link or a forecast has its own kinds.
     Raises SweepError for a kind that the dataset cannot have, naming those that it can.
     """
-    if (log or linear) and "status" not in dataset:
+    what = kind_of(dataset)
+    if (log or linear) and what != "grid":
         raise SweepError("only figures of the results of a study have scales to choose")
-    if is_link(dataset):
+    if what in ("tie", "forecast"):
         if variables or over:
             raise SweepError("a figure of a link has no variables and no axis to choose, only its kind")
         return _link_figure(dataset, kind)
     if kind is not None and kind not in (known := [*KINDS["study"], *KINDS["scaling"]]):
         raise SweepError(f"no kind {shown(kind)}{suggest(kind, known)}")
-    if is_sensitivity(dataset):
+    if what == "sensitivity":
         if kind is not None or variables or over:
             raise SweepError("a figure of sensitivity indices has nothing to choose")
         return sensitivity_figure(dataset)
-    if is_scaling(dataset):
+    if what == "scaling":
         (name,) = KINDS["scaling"]
         if kind not in (None, name):
             raise SweepError(f"no {kind} of this; possible is {name}")
@@ -62,11 +63,6 @@ def draw_figure(
 
 
 # Links and forecasts
-
-
-def is_link(dataset: xr.Dataset) -> bool:
-    """Return whether a dataset is that of `sweep tie` or `sweep forecast`."""
-    return dataset.attrs.get("result") in KINDS
 
 
 def link_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:

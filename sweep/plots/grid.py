@@ -14,10 +14,15 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from matplotlib.transforms import ScaledTranslation
 
 from linksweep.sweep.analysis.fits import power_law
-from linksweep.sweep.analysis.laws import fit_power_law
-from linksweep.sweep.analysis.lines import lines
-from linksweep.sweep.analysis.quantity import error_bar, numeric_axes, prediction_name, require_axis, standard_error
-from linksweep.sweep.analysis.readable_units import in_readable_units
+from linksweep.sweep.analysis.laws import fit_power_law, lines
+from linksweep.sweep.analysis.quantity import (
+    error_bar,
+    in_readable_units,
+    numeric_axes,
+    prediction_name,
+    require_axis,
+    standard_error,
+)
 from linksweep.sweep.contract import Array, SweepError
 from linksweep.sweep.formatting import is_truth, units_of, with_error, with_micro_signs, with_unit
 from linksweep.sweep.plots import GridFigure

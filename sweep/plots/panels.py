@@ -9,8 +9,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from linksweep.sweep.analysis.readable_units import in_readable_units
-from linksweep.sweep.analysis.selection import places_along
+from linksweep.sweep.analysis.quantity import in_readable_units, places_along
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.plots.style import (
     COLOURS,

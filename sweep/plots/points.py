@@ -14,7 +14,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from scipy.special import chdtri
 
-from linksweep.sweep.analysis.quantity import main_quantity, numeric_axes, quantities, standard_error, varied_parameters
+from linksweep.sweep.analysis.quantity import (
+    main_quantity,
+    numeric_axes,
+    quantities,
+    standard_error,
+    varied_parameters,
+)
 from linksweep.sweep.contract import Array, SweepError, shown, suggest
 from linksweep.sweep.formatting import prefixed, with_error, written
 from linksweep.sweep.plots import GridFigure

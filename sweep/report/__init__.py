@@ -12,7 +12,7 @@ import xarray as xr
 from linksweep.sweep.analysis.answer import answer_in_short, completeness
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import harmless, with_micro_signs
-from linksweep.sweep.tie.result import as_format
+from linksweep.sweep.result import STORED_TABLES, Result, kind_of
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,8 @@ class Card:
 
 def card(dataset: xr.Dataset) -> Card:
     """Return the card of a study's results, a link or a forecast; raises SweepError for any other dataset."""
-    if "result" in dataset.attrs:
-        return Card(str(dataset.attrs.get("title", "")), "", [], dataset, as_format(dataset, "text").rstrip("\n"))
-    if "status" not in dataset:
-        raise SweepError("the dataset is no result of a study: it has no status")
+    if kind_of(dataset) in STORED_TABLES:
+        return Card(str(dataset.attrs.get("title", "")), "", [], dataset, Result(dataset).written("text"))
     title, question = (str(dataset.attrs.get(name, "")) for name in ("title", "question"))
     return Card(title, question, [*completeness(dataset), *answer_in_short(dataset)], dataset)
 

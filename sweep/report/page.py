@@ -26,27 +26,34 @@ from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from linksweep.sweep.analysis import sensitivity_tables
+from linksweep.sweep.analysis import sensitivity
 from linksweep.sweep.analysis.answer import Answer, answer_in_short, answers, completeness, said_first
-from linksweep.sweep.analysis.columns import Column
-from linksweep.sweep.analysis.compare import Comparison, caveats, compare, in_readable_unit
-from linksweep.sweep.analysis.compare_tables import notes, numbers_in_words, summary_line
-from linksweep.sweep.analysis.components import condition_warning
-from linksweep.sweep.analysis.headline_table import headline_columns, rows_left_out, tables_with_errors, warnings_of
-from linksweep.sweep.analysis.quantity import headlines, varied_parameters
-from linksweep.sweep.analysis.readable_units import in_readable_units
-from linksweep.sweep.analysis.selection import place_in_words
-from linksweep.sweep.analysis.sensitivity import sensitivity
+from linksweep.sweep.analysis.compare import (
+    Comparison,
+    caveats,
+    compare,
+    in_readable_unit,
+    notes,
+    numbers_in_words,
+    summary_line,
+)
+from linksweep.sweep.analysis.quantity import headlines, in_readable_units, place_in_words, varied_parameters
+from linksweep.sweep.analysis.results_table import (
+    condition_warning,
+    headline_table,
+    rows_left_out,
+    tables_with_errors,
+    warnings_of,
+)
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import with_error, with_micro_signs, written
 from linksweep.sweep.planning.point_status import Status, count_status
-from linksweep.sweep.plots.figure import is_link
 from linksweep.sweep.report.pictures import MOST_NUMBERS, drawn, explorer, link_pictures, pictures
+from linksweep.sweep.result import STORED_TABLES, kind_of, open_result
 from linksweep.sweep.stores.location import Where, located
-from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.record import CITATION, FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import POINT_TABLE
-from linksweep.sweep.tie.result import result_at
+from linksweep.sweep.table_writer import Table
 
 # The beginning of every report: a file that does not begin with it is not replaced.
 MARK = "<!doctype html>\n<!-- linksweep report -->\n"
@@ -63,8 +70,7 @@ def report_of(stores: Sequence[Where]) -> str:
     """Return the page about stores; raises SweepError for a store that is missing, empty or damaged."""
     datasets = []
     for place in map(located, stores):
-        result = result_at(place)
-        datasets.append((place.name, open_dataset(place) if result is None else result))
+        datasets.append((place.name, open_result(place).dataset))
     return report_page(datasets)
 
 
@@ -74,7 +80,8 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
     room = MOST_NUMBERS
     for number, (name, dataset) in enumerate(datasets):
         try:
-            one = link_section(name, dataset, number) if is_link(dataset) else section(name, dataset, number, room)
+            is_table = kind_of(dataset) in STORED_TABLES
+            one = link_section(name, dataset, number) if is_table else section(name, dataset, number, room)
         except SweepError as error:
             raise SweepError(error.problems, error.where or name) from error
         sections.append(one)
@@ -90,7 +97,7 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
         totals.append(f"Incomplete: {unfinished} of {len(sections)} studies.")
     versions = list(dict.fromkeys(one["version"] for one in sections))
     # whether results are of what comes with linksweep
-    ours = [is_link(d) or str(d.attrs.get("experiment", "linksweep.")).startswith("linksweep.") for _, d in datasets]
+    ours = [str(dataset.attrs.get("experiment", "linksweep.")).startswith("linksweep.") for _, dataset in datasets]
     cited = [
         citations(versions[0])[:1] if is_ours else json.loads(dataset.attrs.get(CITATION, "[]"))
         for is_ours, (_, dataset) in zip(ours, datasets, strict=True)
@@ -222,11 +229,11 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
     failures, versions = (json.loads(about.get(name, "{}")) for name in ("failures", "versions"))
     title = str(about.get("title", store))
     tables = {
-        f"{name}, {dataset[name.split()[0]].attrs['long_name']}, with every kind of error": _of_columns(columns)
-        for name, columns in tables_with_errors(dataset, MOST_ROWS).items()
+        f"{one.title}, {dataset[one.title.split()[0]].attrs['long_name']}, with every kind of error": _of_columns(one)
+        for one in tables_with_errors(dataset, MOST_ROWS)
     }
     tables |= {
-        f"Sensitivity of {name}: {sensitivity_tables.notes(one)[0]}": _of_columns(sensitivity_tables.columns_of(one))
+        f"Sensitivity of {name}: {sensitivity.notes(one)[0]}": _of_columns(sensitivity.tables(one)[0])
         for name, one in indices.items()
     }
     condition = condition_warning(dataset)
@@ -250,7 +257,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         explorer=explored | {"title": title},
         not_explored=left_out,
         numbers=numbers,
-        results=_of_columns(headline_columns(dataset, MOST_ROWS), rows_left_out(dataset, MOST_ROWS)),
+        results=_of_columns(headline_table(dataset, MOST_ROWS), rows_left_out(dataset, MOST_ROWS)),
         caption="Headline results, ± their one-sigma errors",
         tables=tables,
         comparison=_comparison(comparisons) if comparisons else None,
@@ -271,7 +278,7 @@ def _indices(dataset: xr.Dataset, names: list[str]) -> dict[str, xr.Dataset]:
     for name in names if POINT_TABLE in dataset.attrs and len(varied_parameters(dataset)) > 1 else ():
         if dataset[name].squeeze().ndim == 1:
             with suppress(SweepError):
-                indices[name] = sensitivity(dataset.squeeze(), name)
+                indices[name] = sensitivity.sensitivity(dataset.squeeze(), name)
     return indices
 
 
@@ -282,11 +289,12 @@ def _worded(label: str, attributes: Mapping[Any, Any]) -> str:
     return label.replace("catalogue", outer_draw_of(attributes))
 
 
-def _of_columns(columns: list[Column], left_out: int = 0) -> dict[str, Any]:
+def _of_columns(table: Table, left_out: int = 0) -> dict[str, Any]:
+    columns = table.columns
     repeated = Counter(c.name for c in columns)
-    names = [f"{c.of} {c.name}" if repeated[c.name] > 1 and c.of != c.name else c.name for c in columns]
+    names = [f"{c.quantity} {c.name}" if repeated[c.name] > 1 and c.quantity != c.name else c.name for c in columns]
     headings = [f"{name} [{written(c.unit)}]" if c.unit else name for name, c in zip(names, columns, strict=True)]
-    cells = [list(zip(c.cells, c.values, strict=True)) for c in columns]
+    cells = [list(zip(c.shown, c.values, strict=True)) for c in columns]
     return _table(dict(zip(headings, cells, strict=True)), left_out)
 
 

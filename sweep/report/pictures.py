@@ -18,17 +18,17 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal
 from matplotlib.text import Text
 
-from linksweep.sweep.analysis.long_table import own_dimensions
+from linksweep.sweep.analysis.answer import ERRORS_ALLOWED
 from linksweep.sweep.analysis.quantity import (
     error_bar,
     errors_beside,
+    own_dimensions,
+    places_along,
     prediction_name,
     quantities,
     standard_error,
     where_they_change,
 )
-from linksweep.sweep.analysis.selection import places_along
-from linksweep.sweep.analysis.sentences import ERRORS_ALLOWED
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import is_truth, meaning_beside, prefixed, units_of, written
 from linksweep.sweep.plots import KINDS

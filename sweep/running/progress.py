@@ -22,8 +22,9 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from linksweep.sweep import table_writer
 from linksweep.sweep.executing.task import TaskResult
-from linksweep.sweep.formatting import counted, harmless, in_words, per_second, reading_table
+from linksweep.sweep.formatting import counted, harmless, in_words, per_second
 from linksweep.sweep.interrupt import how_ended
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
@@ -423,7 +424,7 @@ def folded(rows: AxisRows, most: int = MOST_LINES) -> list[AxisRows]:
     return groups
 
 
-def axis_table(dimension: AxisRows, units: Mapping[str, str]) -> Table:
+def axis_table(dimension: AxisRows, units: Mapping[str, str]) -> table_writer.Table:
     """Return how far a study is along a dimension as a table; columns that would be empty are left out."""
     name = ", ".join(f"{axis} [{unit}]" if (unit := units.get(axis, "")) else axis for axis in dimension[0]["at"])
     columns: dict[str, list[str]] = {name: [], "points done": [], "realisations": [], "failed": [], "excluded": []}
@@ -439,5 +440,6 @@ def axis_table(dimension: AxisRows, units: Mapping[str, str]) -> Table:
         )
         for column, cell in zip(columns.values(), cells, strict=True):
             column.append(cell)
-    kept = {heading: cells for heading, cells in columns.items() if any(cells)}
-    return reading_table("", list(kept), zip(*kept.values(), strict=True), left=name)
+    return table_writer.Table(
+        [table_writer.Column(heading, cells, left=heading == name) for heading, cells in columns.items() if any(cells)]
+    )

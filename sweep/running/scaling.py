@@ -86,24 +86,6 @@ def measure_scaling(
     )
 
 
-def write_scaling(dataset: xr.Dataset, path: Path) -> None:
-    """Write measurements as a Zarr store, in one step; raises SweepError where that is not possible."""
-    check_free(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
-            dataset.to_zarr(Path(folder) / "new", mode="w", consolidated=False, zarr_format=3)
-            (Path(folder) / "new").rename(path)
-    except OSError as error:
-        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
-
-
-def check_free(path: Path) -> None:
-    """Raise SweepError where something exists already."""
-    if path.exists():
-        raise SweepError("exists already; give another place with -o", str(path))
-
-
 def _check(study: Study, workers: Sequence[int], repetitions: int) -> None:
     problems = []
     if list(workers) != sorted(set(workers)) or workers[0] != 1 or workers[-1] > MAX_WORKERS:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,12 @@ from linksweep.core.arrays import Array, Indices
 from linksweep.core.constants import ARCSEC
 from linksweep.core.crossmatch import CLASS_NAMES, REASON_NAMES
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.formatting import reading_table, with_error
+from linksweep.sweep.formatting import with_error
 from linksweep.sweep.search.search import Result, Search, match_tables, read_tables
 from linksweep.sweep.search.tables import MAGNITUDES, MOTIONS, NUMBERS, TYC
 from linksweep.sweep.stores.location import Folder
+from linksweep.sweep.table_writer import Column, Table
 from linksweep.sweep.tables.columns import unit_of
-
-if TYPE_CHECKING:
-    from rich.console import RenderableType
 
 MAP_SUFFIXES = (".png", ".svg", ".pdf")
 
@@ -322,8 +320,11 @@ def _mean_and_scatter(values: Array) -> dict[str, float | None]:
     }
 
 
-def summary_text(summary: Mapping[str, Any]) -> "list[RenderableType]":
-    """Return the summary as text and tables that rich prints."""
+def summary_tables(summary: Mapping[str, Any]) -> list[Table]:
+    """Return the tables of a summary for reading: the classes of matches, and the catalogues of galaxies."""
+
+    def column(name: str, cells: Sequence[str], unit: str = "", left: bool = False) -> Column:
+        return Column(name, cells, cells, unit, left=left)
 
     def with_scatter(value: Mapping[str, float | None] | None, digits: int) -> str:
         if value is None or (mean := value["mean"]) is None:
@@ -331,40 +332,34 @@ def summary_text(summary: Mapping[str, Any]) -> "list[RenderableType]":
         scatter = value["scatter"]
         return f"{mean:.{digits}f}" + ("" if scatter is None else f" ± {scatter:.{digits}f}")
 
-    motions = "second-epoch pm error\nra, dec [mas / yr]"
-    heads = ["class", "n", "ra_error\n[mas]", "dec_error\n[mas]", summary["magnitude"] or "magnitude", motions]
-    classes = (
-        (
-            name,
-            f"{row['n']:,}",
-            with_scatter(row["ra_error_mas"], 0),
-            with_scatter(row["dec_error_mas"], 0),
-            with_scatter(row["magnitude"], 1),
-            ", ".join(f"{value:.2g}" for value in row["pm_error_mas_yr"].values() if value is not None),
-        )
-        for name, row in summary["classes"].items()
-    )
-    chances = ("chance pairs\nuniform sky", "\nfrom surroundings")
-    catalogue_heads = ["catalogue", "entries", "radius\n[arcsec]", "pairs", "matches", *chances]
-    catalogues = (
-        (
-            name,
-            f"{row['entries']:,}",
-            f"{row['radius_arcsec']:g}",
-            f"{row['pairs']:,}",
-            f"{row['matches']:,}",
-            f"{row['chance_pairs_uniform']:.3g}",
-            with_error(row["chance_pairs_local"], row["chance_pairs_local_error"]),
-        )
-        for name, row in summary["catalogues"].items()
-    )
+    rows = summary["classes"].values()
+    motions = [", ".join(f"{v:.2g}" for v in row["pm_error_mas_yr"].values() if v is not None) for row in rows]
+    classes = [
+        column("class", list(summary["classes"]), left=True),
+        column("n", [f"{row['n']:,}" for row in rows]),
+        column("ra_error", [with_scatter(row["ra_error_mas"], 0) for row in rows], "mas"),
+        column("dec_error", [with_scatter(row["dec_error_mas"], 0) for row in rows], "mas"),
+        column(summary["magnitude"] or "magnitude", [with_scatter(row["magnitude"], 1) for row in rows]),
+        column("second-epoch pm error\nra, dec", motions, "mas / yr"),
+    ]
+    rows = summary["catalogues"].values()
+    local = [with_error(row["chance_pairs_local"], row["chance_pairs_local_error"]) for row in rows]
+    catalogues = [
+        column("catalogue", list(summary["catalogues"]), left=True),
+        column("entries", [f"{row['entries']:,}" for row in rows]),
+        column("radius", [f"{row['radius_arcsec']:g}" for row in rows], "arcsec"),
+        *(column(name, [f"{row[name]:,}" for row in rows]) for name in ("pairs", "matches")),
+        column("chance pairs\nuniform sky", [f"{row['chance_pairs_uniform']:.3g}" for row in rows]),
+        column("chance pairs\nfrom surroundings", local),
+    ]
+    return [Table(classes), Table(catalogues)]
+
+
+def summary_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return the sentences below the tables of a summary."""
     stars = " + ".join(f"{n:,} in {name}" for name, n in summary["stars"].items())
     reasons = ", ".join(f"{name} {n}" for name, n in summary["reasons"].items())
     return [
-        reading_table("", heads, classes, left="class"),
-        "",
-        reading_table("", catalogue_heads, catalogues, left="catalogue"),
-        "",
         f"in doubt (a match may be for several reasons): {reasons}",
         f"stars: {stars}; galaxies after merging: {summary['galaxies']:,}; epoch {summary['epoch']:g}",
         f"second epoch: {summary['epoch_difference_yr']:g} yr later, error {summary['second_epoch_error_mas']:g} mas",

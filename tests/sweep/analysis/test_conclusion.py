@@ -6,8 +6,8 @@ import tomllib
 import pytest
 
 from linksweep.sweep.analysis.answer import answer_in_short, answers, conclusion_in_words
-from linksweep.sweep.analysis.headline_table import headline_columns
 from linksweep.sweep.analysis.quantity import main_quantity
+from linksweep.sweep.analysis.results_table import headline_table
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.document import built_in_studies
@@ -138,7 +138,7 @@ def test_what_has_no_value_at_any_point_answers_nothing(dataset_of, name):
     dataset = whole.assign({n: whole[n] * float("nan") for n in whole if str(n).startswith(name)})
     assert main_quantity(dataset) == other
     assert {answer.name for answer in answers(dataset)} == {other}
-    assert {column.of for column in headline_columns(dataset)} == {"", other}
+    assert {column.quantity for column in headline_table(dataset).columns} == {"", other}
     nothing = dataset.assign({n: dataset[n] * float("nan") for n in dataset if str(n).startswith(other)})
     assert answers(nothing)[0].sentences == ["No point has a value yet."]
 

@@ -5,8 +5,7 @@ import pytest
 from scipy.optimize import curve_fit
 from scipy.stats import chi2, kstest
 
-from linksweep.sweep.analysis.fits import p_value, power_law
-from linksweep.sweep.analysis.levelling import levelling
+from linksweep.sweep.analysis.fits import levelling, p_value, power_law
 
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
 

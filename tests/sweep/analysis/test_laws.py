@@ -10,18 +10,27 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linksweep.sweep.analysis.conditions import Limit, parse_limit, parse_range
-from linksweep.sweep.analysis.crossings import ALWAYS, FROM, LEFT_OUT, NEVER, SEVERAL, UP_TO, find, interpolate
+from linksweep.sweep.analysis.crossings import (
+    ALWAYS,
+    FROM,
+    LEFT_OUT,
+    NEVER,
+    SEVERAL,
+    UP_TO,
+    Limit,
+    find,
+    interpolate,
+    parse_limit,
+    parse_range,
+)
 from linksweep.sweep.analysis.fits import power_law
-from linksweep.sweep.analysis.law_tables import as_json, rows
-from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, ratio
-from linksweep.sweep.analysis.lines import lines
-from linksweep.sweep.analysis.quantity import main_quantity, quantities, require_axis, standard_error
-from linksweep.sweep.analysis.selection import between, select
+from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, lines, ratio
+from linksweep.sweep.analysis.quantity import between, main_quantity, quantities, require_axis, select, standard_error
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.result import Result
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import study_from_dict
 
@@ -161,14 +170,6 @@ def test_common_random_numbers_without_a_covariance_have_no_error():
     assert (ratio(dataset, "width", "model", "old", "new")["ratio_error"] > 0.0).all()
 
 
-def test_errors_of_an_earlier_version_are_told():
-    covariance = (("n", "n_other"), 1e-4 * np.eye(5))
-    dataset = grid(N**-0.5, 0.01 * N**-0.5, width_mc_covariance_n=covariance).assign_attrs(common_random_numbers=1)
-    result = fit_power_law(dataset, "width", "n")
-    assert "errors are those of an earlier version; `sweep run` the study again" in result.attrs["errors"]
-    assert np.isnan(result["exponent_error"]).all()
-
-
 def test_a_covariance_that_has_no_inverse_names_the_line():
     dataset = grid(N**-0.5, width_mc_covariance_n=(("model", "n", "n_other"), np.stack([np.eye(5), np.ones((5, 5))])))
     with pytest.raises(SweepError, match="not positive definite: width over n at model=new"):
@@ -184,7 +185,7 @@ def test_excluded_points_do_not_belong_to_a_line():
     assert result["points"].values.tolist() == [4.0, 0.0]
     assert result["exponent"].values[0] == pytest.approx(-0.5)
     assert np.isnan(result["exponent"].values[1])
-    assert [json.loads(as_json(result))["rows"][i]["conclusion"] for i in (0, 1)] == [
+    assert [json.loads(Result(result).written("json"))["rows"][i]["conclusion"] for i in (0, 1)] == [
         "as expected",
         "excluded by the study",
     ]
@@ -462,7 +463,7 @@ def test_a_complete_part_of_an_incomplete_store_can_be_fitted():
 
 
 def test_rows_name_every_place():
-    found = rows(fit_power_law(grid(np.stack([N, N**2])), "width", "n"))
+    found = json.loads(Result(fit_power_law(grid(np.stack([N, N**2])), "width", "n")).written("json"))["rows"]
     assert [(row["model"], round(row["exponent"], 9)) for row in found] == [("old", 1.0), ("new", 2.0)]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linksweep.sweep.analysis.laws import fit_power_law
-from linksweep.sweep.analysis.readable_units import in_readable_units
+from linksweep.sweep.analysis.quantity import in_readable_units
 
 
 @pytest.mark.slow

@@ -9,13 +9,13 @@ import xarray as xr
 
 import linksweep
 from linksweep import SweepError, experiment, sensitivity
-from linksweep.sweep.analysis.sensitivity_indices import (
+from linksweep.sweep.analysis.sensitivity import (
     first_order,
     indices_of_grid,
     saltelli_indices,
+    tables,
     weights_of_order,
 )
-from linksweep.sweep.analysis.sensitivity_tables import columns_of
 from linksweep.sweep.studies.values import DESIGNS
 from tests.tiers import slow
 
@@ -359,11 +359,11 @@ def test_indices_that_are_rounding_are_shown_as_zero(tmp_path):
     found["first"].values[:] = [1.0, 5.06e-33]
     found["first_error"].values[:] = [1e-3, 5e-33]
     found["total"].values[:] = [1.0, -2e-16]
-    cells = {column.name: column.cells for column in columns_of(found)}
+    cells = {column.name: column.cells for column in tables(found)[0].columns}
     assert cells["first"] == ["1.0000 ± 0.0010", "0"]
     assert cells["total"][1].startswith("0")
     found["first_error"].values[1] = 0.01  # a known error of 0 stays
-    assert columns_of(found)[1].cells[1] == "0.000 ± 0.010"
+    assert tables(found)[0].columns[1].cells[1] == "0.000 ± 0.010"
 
 
 def flat(x: float, y: float):

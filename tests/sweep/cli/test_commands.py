@@ -9,8 +9,7 @@ import click
 import pytest
 import xarray as xr
 
-from linksweep.sweep.analysis.columns import GAP, fitting
-from linksweep.sweep.analysis.headline_table import headline_columns
+from linksweep.sweep.analysis.results_table import headline_table
 from linksweep.sweep.cli import main
 from linksweep.sweep.cli.group import SECTIONS
 from linksweep.sweep.stores.store import open_dataset
@@ -129,11 +128,11 @@ def test_what_is_printed_fits_80_columns(sweep, tmp_path, monkeypatch, commands)
 
 @pytest.mark.slow
 def test_a_table_that_is_too_wide_says_what_it_leaves_out(store_of, sweep):
-    columns = headline_columns(open_dataset(store_of("aberration")))
-    kept, left_out = fitting(columns, 80)
-    assert sum(column.width for column in kept) - GAP <= 80
+    table = headline_table(open_dataset(store_of("aberration")))
+    kept, left_out = table.fitting(80)
+    assert max(map(len, kept.text(80).splitlines())) <= 80
     assert left_out
-    assert all(column.rank == 0 for column in fitting(columns, 10)[0])
+    assert all(column.rank == 0 for column in table.fitting(10)[0].columns)
     out = sweep("show", store_of("aberration"))[1]
     assert "left out to fit 80 columns: " in out
 

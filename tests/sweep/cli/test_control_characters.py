@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linksweep.sweep.formatting import harmless, to_csv
+from linksweep.sweep.formatting import harmless
 from linksweep.sweep.stores.integrity import sealed
+from linksweep.sweep.table_writer import Column, Table
 
 MARK = "\x1b]0;owned\x07\x9b2J\u202e\x1b[31m\r\x08"
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
@@ -192,7 +193,8 @@ def test_harmless_text_is_what_it_was_but_for_controls(text):
 
 @given(st.text(), st.floats(allow_nan=False))
 def test_no_cell_of_csv_is_a_formula(text, number):
-    ((_, said, written),) = list(csv.reader([*to_csv(["a"], [["", text, number]]).partition("\n")[2].splitlines(True)]))
+    table = Table([Column("a", [""]), Column("b", [text]), Column("c", [number])])
+    ((_, said, written),) = list(csv.reader([*table.csv().partition("\n")[2].splitlines(True)]))
     assert float(written) == number
     assert not found(said)
     try:

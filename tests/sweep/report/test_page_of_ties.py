@@ -124,7 +124,7 @@ def test_a_chi2_that_is_the_same_everywhere_is_said(store):
     """A number that no axis changes is left out otherwise."""
     part = linksweep.open(store).sel(clip=["none"])
     ratio = float(links(store)["none"].chi2 / links(store)["none"].chi2_expected)
-    assert f"It is {ratio:.4g} at both points." in linksweep.answer(part).sentences[1]
+    assert f"It is {ratio:.4g} at all 2 points." in linksweep.answer(part).sentences[1]
 
 
 def test_without_rows_of_a_reference_nothing_is_said_of_the_tables(tmp_path, sweep):

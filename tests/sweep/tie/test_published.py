@@ -10,7 +10,7 @@ from linksweep.core.constants import MAS
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import solve
 from linksweep.core.unknowns import parse_unknowns
-from linksweep.sweep.tie.result import save
+from linksweep.sweep.result import Result
 from linksweep.sweep.tie.tables import read_table
 
 
@@ -60,10 +60,10 @@ def test_a_link_is_written_in_one_step(tmp_path, monkeypatch):
 
     monkeypatch.setattr(xr.Dataset, "to_zarr", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        save(link, tmp_path / "link.zarr")
+        Result(link).save(tmp_path / "link.zarr")
     monkeypatch.undo()
     assert not list(tmp_path.iterdir())
-    save(link, tmp_path / "link.zarr")
+    Result(link).save(tmp_path / "link.zarr")
     assert linksweep.open(tmp_path / "link.zarr").estimate.values.tolist() == link.estimate.values.tolist()
-    with pytest.raises(linksweep.SweepError, match="is there already"):
-        save(link, tmp_path / "link.zarr")
+    with pytest.raises(linksweep.SweepError, match="exists already"):
+        Result(link).save(tmp_path / "link.zarr")
