@@ -241,6 +241,10 @@ class Experiment:
         """Return the experiment with what is known of its results in another store too."""
         return self
 
+    def recalled(self, record: Mapping[str, Any]) -> "Experiment":
+        """Return the experiment with what a store has recorded of its results."""
+        return self
+
     def as_record(self) -> dict[str, Any]:
         """Return what a store records besides what is declared."""
         return {}

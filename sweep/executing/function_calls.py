@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from linksweep.sweep.contract import Experiment, Outcome, Point, shown
 from linksweep.sweep.executing.process import Deadlines, TimeLimitError, captured, is_interruption, undisturbed
 from linksweep.sweep.executing.task import Failure, Task, TaskResult, failed
-from linksweep.sweep.functions.layout import differences, same_value
+from linksweep.sweep.functions.results import differences, same_value
 
 CHECKED = 3
 """Points of a process's first call of a vectorised function for more than these that are also computed alone."""

@@ -21,10 +21,26 @@ from linksweep.sweep.contract import (
     Rows,
     SweepError,
 )
-from linksweep.sweep.functions.declared import ATTRIBUTE, Declaration, declaration_of, problems
-from linksweep.sweep.functions.layout import Layout, as_row, differences, joined, layout_of_json
-from linksweep.sweep.functions.results import Declared, flatten, split_points
-from linksweep.sweep.functions.signature import ALLOWED, Signature, name_of, signature_of
+from linksweep.sweep.functions.declared import (
+    ALLOWED,
+    ATTRIBUTE,
+    Declaration,
+    Signature,
+    declaration_of,
+    name_of,
+    problems,
+    signature_of,
+)
+from linksweep.sweep.functions.results import (
+    Declared,
+    Layout,
+    as_row,
+    differences,
+    flatten,
+    joined,
+    layout_of_json,
+    split_points,
+)
 from linksweep.sweep.functions.statistics import Moments, drawn, quantile_of
 
 _RECORDED = [field.name for field in fields(Output) if field.name != "coords"]
@@ -190,6 +206,11 @@ class FunctionExperiment(Experiment):
         """Return the experiment with floats where another store has floats."""
         layouts = self.layout, getattr(other, "layout", None)
         return self if None in layouts else self.with_layout(joined(*layouts))
+
+    def recalled(self, record: Mapping[str, Any]) -> Experiment:
+        """Return the experiment with the layout of results that a store has recorded, if any."""
+        layout = layout_of_record(record)
+        return self if layout is None else self.with_layout(layout)
 
     def _refusal(self, expected: Layout, found: Layout) -> str:
         """Return why results of one layout are not taken beside those of another, '' where they are."""

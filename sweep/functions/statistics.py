@@ -26,7 +26,7 @@ from linksweep.sweep.contract import (
     small_sample_factor,
     suggest,
 )
-from linksweep.sweep.functions.layout import NUMBERS, Field, Layout, as_row, differences
+from linksweep.sweep.functions.results import NUMBERS, Field, Layout, as_row, differences
 
 MOMENTS = 6
 """What a block keeps of each number of an output: mean, sums of 2nd to 4th powers about it, least and largest value."""

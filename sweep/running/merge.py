@@ -15,8 +15,8 @@ from linksweep.sweep.contract import Named, Rows, SweepError, Value
 from linksweep.sweep.contract.block import DIGEST_BYTES
 from linksweep.sweep.contract.reducer import converted, lost_integers, same_rows
 from linksweep.sweep.functions.adapter import layout_of_record
-from linksweep.sweep.functions.layout import Layout
-from linksweep.sweep.functions.layout import differences as layout_differences
+from linksweep.sweep.functions.results import Layout
+from linksweep.sweep.functions.results import differences as layout_differences
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.plan import Plan

@@ -23,7 +23,6 @@ from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe
 from linksweep.sweep.planning.plan import Plan, PlanSize, Work
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.work_queue import TUNED, Pending, Tuning
-from linksweep.sweep.running.covariance import covariances
 from linksweep.sweep.running.study_store import create_store, hold, identity
 from linksweep.sweep.stores.code import codes_of_points, records_of
 from linksweep.sweep.stores.ledger import Record
@@ -200,7 +199,7 @@ class Writer:
 
     def assembled(self, final: bool = False) -> "xr.Dataset":
         """Return the labelled dataset of everything taken so far."""
-        from linksweep.sweep.running.results import assemble, assemble_samples, code_variable
+        from linksweep.sweep.running.results import assemble, assemble_samples, code_variable, covariances
 
         study = self.plan.grid.study
         dataset = assemble(self.plan, self.accumulator)

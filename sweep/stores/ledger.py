@@ -9,7 +9,6 @@ with their checksums, and is written last.
 
 import json
 import re
-import time
 from array import array
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import accumulate, pairwise
@@ -52,9 +51,6 @@ TYPES = ("<f8", "<i8", "|b1", "<M8[ns]", "|O")
 
 RECENT = 4
 """Files kept in memory for those who read samples more or less in order."""
-
-GRACE_S = 10.0
-"""Seconds for which files that no longer count are kept, for who reads or copies the store during a run."""
 
 MAX_TRACEBACKS, TRACEBACK_BYTES = 1000, 4096
 
@@ -216,7 +212,7 @@ class Ledger:
         self._starts = array("q", records["start"].astype(np.int64).tobytes())
         self.rows = BlockRows(records["key"].tobytes())
         self._changed = False
-        self._superseded: list[tuple[float, str]] = []
+        self._old = self._strangers()  # left by a run that was killed
 
     def _set(self, manifest: Manifest) -> None:
         """Take the types of the columns from a manifest; raises ValueError for one that does not fit."""
@@ -309,7 +305,7 @@ class Ledger:
         }
         keys = self.rows.keys_of_rows()
         self.columns["rows"].append(self._on_disk(keys, self._starts, rows))
-        self._retire(before)
+        self._old |= before
 
     def put(self, kind: str, attributes: Mapping[str, Any]) -> None:
         """Replace a document; it counts after the next `flush`."""
@@ -351,20 +347,14 @@ class Ledger:
         self.manifest, self._contents, self._changed, self._new_documents = manifest, (content,), False, set()
         for column in self.columns.values():
             column.commit()
-        self._retire(before.union(self._strangers()) - set(self.files))
-        self.tidy(GRACE_S)
+        self.tidy()
+        self._old = before - set(self.files)  # kept until the next flush, for who reads the store meanwhile
 
-    def _retire(self, keys: Iterable[str]) -> None:
-        self._superseded += [(time.monotonic(), key) for key in keys]
-        self.keys = frozenset()
-
-    def tidy(self, grace_s: float = 0.0) -> None:
-        """Remove the files that have not counted for so long."""
-        since, counting = time.monotonic() - grace_s, set(self.files)
-        for when, key in self._superseded:
-            if when <= since and key not in counting:
-                self._location.delete(key)
-        self._superseded = [(when, key) for when, key in self._superseded if when > since]
+    def tidy(self) -> None:
+        """Remove the files that did not count any more at the last flush."""
+        for key in self._old - set(self.files):
+            self._location.delete(key)
+        self._old = set()
 
     def mend(self, damaged: Mapping[str, str]) -> None:
         """Write a ledger that is whole, without what was in damaged files: their blocks count as missing."""

@@ -13,7 +13,7 @@ from linksweep.sweep.code.load import Code, SourceFunction
 from linksweep.sweep.code.reach import version_of
 from linksweep.sweep.contract import Experiment, Named, Output, Parameter, SweepError, shown
 from linksweep.sweep.formatting import command_line, host, now
-from linksweep.sweep.functions.adapter import FunctionExperiment, experiment_of_record, layout_of_record
+from linksweep.sweep.functions.adapter import experiment_of_record
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.study import POINT_TABLE, Study
 from linksweep.sweep.tables.file import as_json, content_digest
@@ -83,11 +83,7 @@ def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
 
 def as_recorded(study: Study, attributes: Mapping[str, Any]) -> Study:
     """Return a study; if it is of a plain function, with the layout of results that the store has recorded, if any."""
-    experiment = study.experiment
-    if not isinstance(experiment, FunctionExperiment) or RECORD not in attributes:
-        return study
-    layout = layout_of_record(json.loads(attributes[RECORD]))
-    return study if layout is None else replace(study, experiment=experiment.with_layout(layout))
+    return replace(study, experiment=study.experiment.recalled(json.loads(attributes.get(RECORD, "{}"))))
 
 
 def _experiment(record: Mapping[str, Any]) -> Experiment:
@@ -166,7 +162,7 @@ def provenance(study: Study) -> dict[str, Any]:
         "study_overrides": " ".join(study.overrides),
         "study_digest": study.digest(),
         "experiment": study.experiment_reference,
-        FUNCTION: experiment.name if isinstance(experiment, FunctionExperiment) else None,
+        FUNCTION: experiment.name if experiment.as_record() else None,
         "seed": None if experiment.deterministic else sampling.seed,
         **study.numbers(),
         "precision": sampling.precision,

@@ -5,7 +5,6 @@ import math
 from typing import Any
 
 from linksweep.sweep.contract import Experiment, Parameter
-from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.studies.study import Form, Sampling
 from linksweep.sweep.studies.values import DESIGNS
 
@@ -63,7 +62,7 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
             lines.append(f"# {parameter.name} ={default}")
     main = dict(experiment.errors_of_headline())  # what tables and figures begin with
     numbers = [output.name for output in experiment.outputs if not output.dims and "," not in output.unit]
-    if numbers and not isinstance(experiment, FunctionExperiment):
+    if numbers and not experiment.as_record():
         number = min(numbers, key=lambda one: one not in main)
         value = f"{{ variable = {_toml(number)} }}"
         lines += [

@@ -16,8 +16,7 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from linksweep.sweep.contract import NotFiniteError, Output, ResultError
-from linksweep.sweep.functions.layout import as_row, differences, joined
-from linksweep.sweep.functions.results import Declared, flatten, split_points
+from linksweep.sweep.functions.results import Declared, as_row, differences, flatten, joined, split_points
 
 PLAIN = Declared("f", "f", (), ("beta",))
 

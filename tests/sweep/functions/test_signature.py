@@ -10,8 +10,7 @@ from scipy.signal.windows import kaiser
 
 from linksweep.sweep.contract import Output, Parameter, SweepError
 from linksweep.sweep.functions.adapter import experiment_of
-from linksweep.sweep.functions.declared import experiment
-from linksweep.sweep.functions.signature import signature_of
+from linksweep.sweep.functions.declared import experiment, signature_of
 
 
 def several(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from linksweep.sweep.functions.layout import Field
+from linksweep.sweep.functions.results import Field
 from linksweep.sweep.functions.statistics import (
     fewest_for,
     merged,
