@@ -179,7 +179,12 @@ def counted(n: int, noun: str) -> str:
 
 
 def per_second(number: int, seconds: float, noun: str) -> str:
-    """Return a speed, such as '1,200 points/s'; with two digits below ten a second."""
+    """Return a speed, with two digits below ten a second.
+
+    Examples:
+        >>> per_second(2, 7.0, "points"), per_second(999, 100.0, "points"), per_second(12_345, 1.0, "points")
+        ('0.29 points/s', '10 points/s', '12,345 points/s')
+    """
     speed = number / max(seconds, 1e-9)
     return f"{speed:.2g} {noun}/s" if speed < 9.95 else f"{speed:,.0f} {noun}/s"
 
@@ -481,10 +486,5 @@ def meaning_beside(name: str, attributes: Mapping[Any, Any]) -> str:
         >>> meaning_beside("flow", {"long_name": "flow"}), meaning_beside("flow", {"long_name": "flow of water"})
         ('', 'flow of water')
     """
-    meaning = meaning_of(attributes)
+    meaning = str(attributes.get(DESCRIPTION, attributes.get("long_name", "")))
     return "" if meaning.replace("_", " ") == name.replace("_", " ") else meaning
-
-
-def meaning_of(attributes: Mapping[Any, Any]) -> str:
-    """Return the whole meaning of a variable from its attributes, '' where they say none."""
-    return str(attributes.get(DESCRIPTION, attributes.get("long_name", "")))

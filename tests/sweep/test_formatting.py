@@ -1,11 +1,22 @@
-"""What xarray makes of the attributes of results: labels that are short, and brackets only around units."""
+"""Units are chosen as people write numbers, astropy says that the number is the same; xarray's labels are short."""
 
+import numpy as np
 import pytest
+from astropy import units
 from hypothesis import given
 from hypothesis import strategies as st
 
 import linksweep
-from linksweep.sweep.formatting import described, meaning_of, short_meaning
+from linksweep.sweep.formatting import (
+    described,
+    in_ascii,
+    in_short,
+    prefixed,
+    short_meaning,
+    with_micro_signs,
+    with_unit,
+    written,
+)
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.document import built_in_studies
 from linksweep.sweep.studies.reader import load_study
@@ -18,7 +29,7 @@ LONGEST_LABEL = 90
 @given(st.text(max_size=60))
 def test_the_whole_meaning_is_kept(meaning):
     attributes = described("", meaning)
-    assert meaning_of(attributes) == meaning
+    assert attributes.get("description", attributes.get("long_name", "")) == meaning
     assert meaning.startswith(short_meaning(meaning))
     assert all(attributes.values())
 
@@ -62,3 +73,55 @@ def test_labels_of_the_built_in_experiments_are_short(name):
     experiment = load_study(name).experiment
     for declared in (*experiment.outputs, *experiment.sample_outputs, *experiment.parameters):
         assert 0 < len(short_meaning(declared.meaning)) <= LONGEST_LABEL, declared.name
+
+
+@pytest.mark.parametrize(
+    ("values", "unit", "chosen"),
+    [
+        (0.0005411, "mas / yr", "uas / yr"),
+        ([0.65, 0.00054, 0.0017], "mas / yr", "uas / yr"),
+        ([0.65, 0.57], "mas / yr", "mas / yr"),
+        (1e-4, "mas yr-1", "uas yr-1"),
+        (3000.0, "mas", "arcsec"),
+        (0.003, "arcsec", "mas"),
+        (2e-4, "s", "us"),
+        (5000.0, "ms", "s"),
+        (5000.0, "m", "km"),
+        (2e-5, "km", "mm"),
+        (2e6, "pc", "Mpc"),
+        (2e4, "Hz", "kHz"),
+        (1e5, "yr", "kyr"),
+        ([0.0, np.nan, 0.004], "mas", "uas"),
+    ],
+)
+def test_a_prefix_that_reads_well(values, unit, chosen):
+    found = prefixed(np.array(values), unit)
+    assert found.unit == chosen
+    assert units.Unit(unit).to(units.Unit(chosen)) == pytest.approx(found.factor, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("value", "unit"),
+    [(1e-6, unit) for unit in ("", "d", "deg", "mag", "users / d", "%", "mas2 / yr2", "mas, mas", "1 / s", "yr", "h")]
+    + [(5000.0, "s"), (5000.0, "arcsec"), (np.nan, "mas"), (0.0, "mas"), (np.inf, "mas")],
+)
+def test_what_takes_no_prefix_stays(value, unit):
+    assert prefixed(value, unit) == (unit, 1.0)
+
+
+def test_units_are_written_as_people_do():
+    assert (written("uas / yr"), in_ascii("uas / yr")) == ("µas/yr", "uas/yr")
+    assert (written("mas yr-1"), written("users / d"), written("u")) == ("mas/yr", "users/d", "u")
+    assert with_micro_signs("from 0.54 uas/yr to 28 users.") == "from 0.54 µas/yr to 28 users."
+
+
+def test_numbers_in_sentences():
+    assert with_unit(0.0005411, 0.0000038, "mas / yr") == "0.5411 ± 0.0038 uas/yr"
+    assert with_unit(2.8e-9, 2.5e-11, "mas") == "(2.800 ± 0.025)e-06 uas"
+    assert with_unit(100.0) == "100"
+    assert in_short(0.0005411, 0.0000038, "mas / yr") == "0.54 uas/yr"
+    assert [
+        in_short(*numbers) for numbers in [(15533.0,), (1.0594, 0.01), (656.2, 3.0), (-0.004, 0.3), (2.0, 0.001)]
+    ] == [
+        *("15,533", "1.06", "660", "0.0", "2.0"),
+    ]
