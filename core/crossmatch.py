@@ -36,6 +36,10 @@ class Positions:
     def __len__(self) -> int:
         return len(self.ra)
 
+    def taken(self, rows: Indices) -> "Positions":
+        """Return the positions in some rows."""
+        return Positions(self.ra[rows], self.dec[rows], self.ra_error[rows], self.dec_error[rows])
+
 
 class Pairs(NamedTuple):
     """Pairs of objects: an index into each side and the angle between them (rad), all of shape (M,)."""
@@ -362,8 +366,7 @@ def cross_match(
     )
     kept, n_rival, found_in = _resolve(pairs, stars, supplement, catalogues, identifiers)
 
-    here = _gather([stars], np.zeros(len(kept.star), dtype=np.int64), kept.star)
-    there = _gather([c.positions for c in catalogues], kept.catalogue, kept.entry)
+    here, there = stars.taken(kept.star), _galaxies(catalogues, kept)
     d_ra, d_dec, n_sigma = displacement(here, there)
     n_near = count_near(star_tree, here, rules.crowding_radius)
     code, reason = classify(supplement[kept.star], n_sigma, n_near, n_rival, rules)
@@ -401,8 +404,8 @@ def _resolve(
     pairs: _Pairs, stars: Positions, supplement: Flags, catalogues: Sequence[GalaxyCatalogue], identifiers: Indices
 ) -> tuple[_Pairs, Indices, Flags]:
     """Return the pairs that are matches in order of the star's position, and their ``n_rival`` and ``found_in``."""
-    star, which, entry, galaxy, offset = pairs
-    there = _gather([c.positions for c in catalogues], which, entry)
+    star, which, _, galaxy, offset = pairs
+    there = _galaxies(catalogues, pairs)
     ra, dec = stars.ra[star], stars.dec[star]
     best_first = np.lexsort((identifiers[galaxy], there.ra, there.dec, ra, dec, supplement[star], which, offset))
     _, first, inverse = np.unique(
@@ -422,11 +425,8 @@ def _resolve(
     return _Pairs(*(column[kept] for column in pairs)), rivals[winner], found_in
 
 
-def _gather(tables: Sequence[Positions], which: Indices, row: Indices) -> Positions:
-    """Return the positions in rows of several tables; ``which`` and ``row`` have shape (M,)."""
-    columns = np.empty((4, len(row)))
-    for t, table in enumerate(tables):
-        mine = which == t
-        for column, values in zip(columns, (table.ra, table.dec, table.ra_error, table.dec_error), strict=True):
-            column[mine] = values[row[mine]]
-    return Positions(*columns)
+def _galaxies(catalogues: Sequence[GalaxyCatalogue], pairs: _Pairs) -> Positions:
+    """Return the positions of the galaxies of pairs; shape (M,)."""
+    parts = [(c.positions.ra, c.positions.dec, c.positions.ra_error, c.positions.dec_error) for c in catalogues]
+    starts = np.cumsum([0, *(len(c.positions) for c in catalogues)])
+    return Positions(*map(np.concatenate, zip(*parts, strict=True))).taken(starts[pairs.catalogue] + pairs.entry)

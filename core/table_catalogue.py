@@ -5,7 +5,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from linksweep.core.arrays import Array, Flags
 from linksweep.core.catalogue import SIDES, Catalogue, OwnErrors
 from linksweep.core.constants import DEGREE, MAS
 
@@ -20,42 +19,15 @@ GAIA_MARKS = ("source_id", "designation", "solution_id")
 """A table with one of these columns is Gaia's, so its pmra is known to include cos(dec)."""
 
 
-class Columns(Protocol):
-    """The columns of a table by quantity; the numbers are in deg, mas and mas/yr."""
-
-    names: list[str]
-    problems: list[str]
-    cos_dec: Any
-
-    def name(self, quantity: str) -> str | None:
-        """Return the name of the column of a quantity, None if there is none."""
-
-    def has(self, *quantities: str) -> bool:
-        """Return whether there are columns of all these quantities."""
-
-    def require(self, quantity: str) -> bool:
-        """Record a problem if there is no column of a quantity."""
-
-    def quantity(self, quantity: str) -> Array:
-        """Return finite numbers; whatever is wrong with them is recorded."""
-
-    def in_time(self, quantity: str) -> bool:
-        """Return whether a column is in units of time; motions and errors got the factor cos(dec) then."""
-
-    def check(self, bad: Flags, what: str, values: Array | None = None, hint: str = "") -> None:
-        """Record what is wrong with rows."""
-
-    def finish(self) -> None:
-        """Raise an error with all that has been recorded."""
-
-
 class Table(Protocol):
     """Columns by name; equal tables have equal columns."""
 
     def __hash__(self) -> int: ...
 
-    def columns(self, columns: Mapping[str, str], units: Mapping[str, str], known: Collection[str]) -> Columns:
-        """Return the columns; names and units of some of the ``known`` quantities may be given."""
+    def columns(self, columns: Mapping[str, str], units: Mapping[str, str], known: Collection[str]) -> Any:
+        """Return a reader of the columns in deg, mas and mas/yr, the platform's `Columns`; names and units are those of
+        some of the ``known`` quantities.
+        """
 
     def label(self, row: int) -> str:
         """Return what the table calls a row, counted from 0; empty where it has no column of names."""
@@ -107,7 +79,7 @@ def catalogue_from_table(
     )
 
 
-def _includes_cos_dec(read: Columns, declared: bool | None) -> bool:
+def _includes_cos_dec(read: Any, declared: bool | None) -> bool:
     """Return whether pmra, as it was read, includes cos(dec), as declared or as the table shows."""
     if read.in_time("pmra"):
         return True  # the reader has multiplied
@@ -117,7 +89,7 @@ def _includes_cos_dec(read: Columns, declared: bool | None) -> bool:
     return declared is not False
 
 
-def _own_errors(read: Columns, side: str, n_obj: int) -> OwnErrors | None:
+def _own_errors(read: Any, side: str, n_obj: int) -> OwnErrors | None:
     """Return the errors that a table has for a side, or "" for those of no side; None if there are none.
 
     A side with some of its own, but neither those of both motions nor those of the position alone, is a problem.

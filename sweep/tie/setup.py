@@ -247,34 +247,26 @@ def unknowns_for(
     A note is added if these are not both.  Raises ValueError for unknowns that do not exist.
     """
     missions = list(options.missions)
-    named = [name.strip() for name in (options.unknowns or "").split(",") if name.strip()]
-    of_missions = [name for name in named if name.partition(":")[0] in missions]
-    text = ",".join(name for name in named if name not in of_missions)
-    if options.unknowns is None or (not text and of_missions):
-        of_reference = np.arange(len(rows)) if rows.frame is None else np.flatnonzero(rows.frame == 0)
-        text = _determined(own, rows.taken(of_reference), source[of_reference], epoch)
-        if text != "orientation,spin":
-            notes.append(f"of orientation and spin the tables determine only the {text}")
-    if options.degree is not None:
-        text = _with_harmonics(text, options.degree)
-    text = ",".join([text, *of_missions])
-    for mission in missions:
-        if not any(name.startswith(f"{mission}:") for name in of_missions):
-            text += "," + _determined(own, rows, source, epoch, text, mission, missions)
-    return parse_unknowns(text, options.bins, own.columns, options.corrections, missions)
-
-
-def _with_harmonics(text: str, degree: int) -> str:
-    """Return unknowns with glide and harmonics up to a degree beside each rotation."""
-    names = [name.strip() for name in text.split(",")]
+    names = [name.strip() for name in (options.unknowns or "").split(",") if name.strip()]
+    of_missions = [name for name in names if name.partition(":")[0] in missions]
+    names = [name for name in names if name not in of_missions]
+    if options.unknowns is None or (of_missions and not names):
+        in_reference = np.arange(len(rows)) if rows.frame is None else np.flatnonzero(rows.frame == 0)
+        names = _determined(own, rows.taken(in_reference), source[in_reference], epoch)
+        if len(names) == 1:
+            notes.append(f"of orientation and spin the tables determine only the {names[0]}")
     for rotation, glide, harmonics in (
         ("orientation", "position_glide", "vsh_position"),
         ("spin", "glide", "vsh_motion"),
     ):
-        if rotation in names:
+        if options.degree is not None and rotation in names:
             names += [glide] if glide not in names else []
-            names += [f"{harmonics}:2-{degree}"] if degree > 1 else []
-    return ",".join(names)
+            names += [f"{harmonics}:2-{options.degree}"] if options.degree > 1 else []
+    names += of_missions
+    for mission in missions:
+        if not any(name.startswith(f"{mission}:") for name in of_missions):
+            names += _determined(own, rows, source, epoch, names, mission, missions)
+    return parse_unknowns(",".join(names), options.bins, own.columns, options.corrections, missions)
 
 
 def _determined(
@@ -282,19 +274,18 @@ def _determined(
     rows: Astrometry,
     source: Indices,
     epoch: float,
-    beside: str = "",
+    beside: Sequence[str] = (),
     mission: str = "",
-    missions: list[str] | None = None,
-) -> str:
+    missions: Sequence[str] = (),
+) -> list[str]:
     """Return those of orientation and spin, of the satellite or a mission, that rows determine together with others."""
     for blocks in (("orientation", "spin"), ("orientation",), ("spin",)):
-        text = ",".join(f"{mission}:{block}" if mission else block for block in blocks)
-        unknowns = parse_unknowns(f"{beside},{text}", missions=missions or ())
-        table = SourceTable(Problem(own, rows, source, unknowns, epoch))
+        names = [f"{mission}:{block}" if mission else block for block in blocks]
+        unknowns = parse_unknowns(",".join([*beside, *names]), missions=missions)
         try:
-            table.solve(np.ones(len(own)))
+            SourceTable(Problem(own, rows, source, unknowns, epoch)).solve(np.ones(len(own)))
         except LinkError:
             continue
-        return text
+        return names
     frame = f"the frame of {mission}" if mission else "the satellite's frame"
     raise LinkError(f"the tables determine neither the orientation nor the spin of {frame}")
