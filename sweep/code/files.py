@@ -102,10 +102,10 @@ def read_files(path: Path) -> LocalFiles:
     contents = {path.name: path.read_bytes()}
     todo = [path.name]
     for name in todo:  # which grows meanwhile
-        for found in _imported(path.parent, name, contents[name]):
-            if found not in contents:
-                contents[found] = (path.parent / found).read_bytes()
-                todo.append(found)
+        for local in _imported(path.parent, name, contents[name]):
+            if local not in contents:
+                contents[local] = (path.parent / local).read_bytes()
+                todo.append(local)
     return LocalFiles(str(path), contents)
 
 
@@ -158,8 +158,8 @@ class _Localised(ast.NodeTransformer):
 
     def __init__(self, files: LocalFiles, file: str) -> None:
         self._package, self._file = files.package, file
-        own = {_dotted(file)} if "/" not in file else set()  # a file random.py may import Python's module random
-        self._local = {name.partition(".")[0] for name in files.modules} - own
+        itself = {_dotted(file)} if "/" not in file else set()  # a file random.py may import Python's module random
+        self._local = {name.partition(".")[0] for name in files.modules} - itself
 
     def visit_Import(self, node: ast.Import) -> ast.Import:
         names: list[ast.alias] = []

@@ -139,10 +139,10 @@ class SourceFunction:
 
 @lru_cache(maxsize=16)
 def _function(wanted: SourceFunction) -> Callable[..., Any]:
-    found = _find(wanted.reference)
-    if not callable(found) or _digest(_reach(found).parts) != wanted.digest:
+    value = _find(wanted.reference)
+    if not callable(value) or _digest(_reach(value).parts) != wanted.digest:
         raise SweepError(f"{wanted.reference}: its code is not that with which the study was read")
-    function: Callable[..., Any] = found
+    function: Callable[..., Any] = value
     return function
 
 
@@ -163,10 +163,10 @@ class Code:
         """Return the function at a reference; raises SweepError as `load_experiment`."""
         self.check(reference)
         absolute = absolute_reference(reference, folder)
-        found = _find(absolute, afresh=self.afresh)
-        if not callable(found):
-            raise _is_no("a function", reference, found)
-        return SourceFunction(absolute, absolute.rpartition(":")[2], _digest(_reach(found).parts))
+        value = _find(absolute, afresh=self.afresh)
+        if not callable(value):
+            raise _is_no("a function", reference, value)
+        return SourceFunction(absolute, absolute.rpartition(":")[2], _digest(_reach(value).parts))
 
 
 def load_experiment(
@@ -179,13 +179,13 @@ def load_experiment(
     ``afresh``, files are read again.  Raises SweepError where the module, the file or the attribute does not exist or
     is something else.
     """
-    found = _find(reference, folder, digest, afresh)
-    if isinstance(found, Experiment):
-        return found
-    if not is_plain_function(found):
-        raise _is_no("an Experiment or a function", reference, found)
+    value = _find(reference, folder, digest, afresh)
+    if isinstance(value, Experiment):
+        return value
+    if not is_plain_function(value):
+        raise _is_no("an Experiment or a function", reference, value)
     try:
-        return experiment_of(found)
+        return experiment_of(value)
     except SweepError as error:
         raise SweepError(
             error.problems, error.where if (reference, None) in _codes else reference.rpartition(":")[2]
@@ -240,10 +240,10 @@ def sendable(reference: str, digest: str | None = None) -> LocalFiles | Live | N
 def unsteady(reference: str) -> frozenset[str]:
     """Return the names of values that two processes of the same code have otherwise, such as a time; say so."""
     one, other = _elsewhere(reference)
-    found = frozenset(name for name in one if one[name] != other.get(name))
-    for name in sorted(found):
+    differing = frozenset(name for name in one if one[name] != other.get(name))
+    for name in sorted(differing):
         log.warning("%s differs from process to process; its changes are not noticed", name)
-    return found
+    return differing
 
 
 @cache
@@ -338,8 +338,8 @@ def file_of(reference: str) -> str:
     place = reference.rpartition(":")[0]
     if place.endswith(".py"):
         return place
-    found = importlib.machinery.PathFinder.find_spec(place.partition(".")[0])
-    return found.origin if found is not None and found.origin else f"the module {place}"
+    spec = importlib.machinery.PathFinder.find_spec(place.partition(".")[0])
+    return spec.origin if spec is not None and spec.origin else f"the module {place}"
 
 
 def _digest(parts: Mapping[str, str]) -> str:
@@ -425,7 +425,7 @@ def _line_of(error: BaseException) -> str:
     return f" ({theirs[-1].filename}, line {theirs[-1].lineno})" if theirs else ""
 
 
-def _is_no(wanted: str, reference: str, found: object) -> SweepError:
+def _is_no(wanted: str, reference: str, value: object) -> SweepError:
     attribute = reference.rpartition(":")[2]
-    kind = "has no attribute" if found is None else f"has a {type(found).__name__}, not {wanted}, at"
+    kind = "has no attribute" if value is None else f"has a {type(value).__name__}, not {wanted}, at"
     return SweepError(f"{shown(reference)}: the module {kind} {shown(attribute)}")

@@ -85,13 +85,13 @@ def distributions_of(module: str | None) -> tuple[str, ...] | None:
     """Return the distributions that a module belongs to, as `distributions_at`; it need not be loaded."""
     if not module or module == "__main__" or module.startswith(PREFIX):
         return None
-    top, found = module.partition(".")[0], sys.modules.get(module)
-    if found is None:
+    top, loaded = module.partition(".")[0], sys.modules.get(module)
+    if loaded is None:
         spec = importlib.util.find_spec(top) if top not in sys.modules else sys.modules[top].__spec__
         places = () if spec is None else (spec.origin, *(spec.submodule_search_locations or ()))
         return distributions_at(next((place for place in places if place), None), top)
-    file = getattr(found, "__file__", None) or next(iter(getattr(found, "__path__", ())), None)
-    if file is None and not any(isinstance(value, FunctionType) for value in vars(found).values()):
+    file = getattr(loaded, "__file__", None) or next(iter(getattr(loaded, "__path__", ())), None)
+    if file is None and not any(isinstance(value, FunctionType) for value in vars(loaded).values()):
         return ()  # made by an extension
     return distributions_at(file, top)
 
@@ -358,9 +358,9 @@ class Reach:
         return True
 
     def _count(self, module: str | None) -> tuple[str, ...] | None:
-        found = distributions_of(module)
-        self.parts |= {f"package {name}": version_of(name) for name in found or ()}
-        return found
+        distributions = distributions_of(module)
+        self.parts |= {f"package {name}": version_of(name) for name in distributions or ()}
+        return distributions
 
     def _is_users(self, module: Any) -> bool:
         if module is not None and not isinstance(module, str):

@@ -78,12 +78,12 @@ def _parsed(text: str) -> ast.Module | None:
 @lru_cache(maxsize=256)
 def _functions(tree: ast.Module) -> dict[tuple[int, str], list[Function]]:
     """Return functions by the line that they begin in, decorators included, and their name."""
-    found: dict[tuple[int, str], list[Function]] = {}
+    functions: dict[tuple[int, str], list[Function]] = {}
     for node in ast.walk(tree):
         if isinstance(node, Function):
             first = min([node.lineno, *(decorator.lineno for decorator in getattr(node, "decorator_list", ()))])
-            found.setdefault((first, getattr(node, "name", "<lambda>")), []).append(node)
-    return found
+            functions.setdefault((first, getattr(node, "name", "<lambda>")), []).append(node)
+    return functions
 
 
 def definitions_of(function: FunctionType) -> Sequence[Function]:
@@ -104,10 +104,10 @@ def definitions_of(function: FunctionType) -> Sequence[Function]:
 
 @lru_cache(maxsize=64)
 def _codes(text: str, filename: str) -> frozenset[CodeType]:
-    found = [compile(text, filename, "exec", dont_inherit=True)]
-    for code in found:  # which grows meanwhile
-        found += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
-    return frozenset(found)
+    codes = [compile(text, filename, "exec", dont_inherit=True)]
+    for code in codes:  # which grows meanwhile
+        codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
+    return frozenset(codes)
 
 
 def classes_of(cls: type, tree: ast.Module | None) -> list[ast.ClassDef]:
@@ -151,27 +151,27 @@ def parts_of(node: Function) -> tuple[str, list[ast.expr], Function]:
 
 @lru_cache(maxsize=4096)
 def _global_names(text: str) -> frozenset[str]:
-    tables, found = [symtable.symtable(text, "code", "exec")], set()
+    tables, names = [symtable.symtable(text, "code", "exec")], set()
     for table in tables:  # which grows meanwhile
-        found |= {one.get_name() for one in table.get_symbols() if one.is_referenced() and one.is_global()}
+        names |= {one.get_name() for one in table.get_symbols() if one.is_referenced() and one.is_global()}
         tables += table.get_children()
-    return frozenset(found)
+    return frozenset(names)
 
 
 def uses(nodes: Iterable[ast.AST], imported: Container[str]) -> list[tuple[str, tuple[str, ...]]]:
     """Return the names in some code that its scope does not bind, or that it imports, each with the attributes that
     are taken of it.
     """
-    todo, found = list(nodes), set()
+    todo, used = list(nodes), set()
     wanted = {name for node in todo for name in _global_names(ast.unparse(node))}
     while todo:
         node = todo.pop()
         name, path = chain(node)
         if name in wanted or name in imported:
-            found.add((name, path))
+            used.add((name, path))
         else:
             todo += ast.iter_child_nodes(node)
-    return sorted(found)
+    return sorted(used)
 
 
 def chain(node: ast.AST) -> tuple[str, tuple[str, ...]]:
@@ -185,7 +185,7 @@ def chain(node: ast.AST) -> tuple[str, tuple[str, ...]]:
 
 def effects(body: Iterable[ast.stmt], calls: bool) -> list[ast.stmt]:
     """Return the statements of a module that act on others: set attributes or items, or, with ``calls``, call."""
-    found = []
+    acting = []
     for one in body:
         if isinstance(one, Function | ast.ClassDef) or (
             isinstance(one, ast.If) and "__name__" in ast.unparse(one.test)
@@ -197,8 +197,8 @@ def effects(body: Iterable[ast.stmt], calls: bool) -> list[ast.stmt]:
         inner = [s for handler in getattr(one, "handlers", ()) for s in handler.body]
         inner += [s for s in ast.iter_child_nodes(one) if isinstance(s, ast.stmt)]
         if acts or effects(inner, calls):
-            found.append(one)
-    return found
+            acting.append(one)
+    return acting
 
 
 def changes(node: Function, label: str, names: Names, cells: Names, owner: type | None) -> set[Key]:

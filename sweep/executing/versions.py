@@ -49,10 +49,10 @@ def _versions(reference: str, digest: str | None) -> Identity:
 @cache
 def _kernels() -> str:
     """Return for which processor each library of linear algebra computes, on which the rounding of sums depends."""
-    found = {
+    kernels = {
         f"{info['internal_api']} for {info['architecture']}" for info in threadpool_info() if "architecture" in info
     }
-    return ", ".join(sorted(found)) or "unknown"
+    return ", ".join(sorted(kernels)) or "unknown"
 
 
 def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
@@ -61,14 +61,14 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
     return [f"{name} is {one} here, {other} there" for name, (one, other) in pairs.items() if one != other]
 
 
-def require_same(expected: Mapping[str, str], found: Mapping[str, Any]) -> None:
+def require_same(expected: Mapping[str, str], answers: Mapping[str, Any]) -> None:
     """Raise SweepError with a list of the workers, by their addresses, that have answered with an exception or with an
     `Identity` in which something that decides the numbers is not as ``expected``.
 
     A worker that has gone meanwhile (OSError) is left out: should it return, it is compared with its first task.
     """
     problems = []
-    for worker, what in sorted(found.items()):
+    for worker, what in sorted(answers.items()):
         if isinstance(what, OSError):
             continue
         if isinstance(what, BaseException):

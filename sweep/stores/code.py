@@ -57,14 +57,14 @@ def _differences(code: Mapping[str, str], study: Study) -> list[str]:
 
 def check_code(store: Store, study: Study) -> None:
     """Raise SweepError for a store whose blocks were made by other code than a study's."""
-    found = differences_of_code(store.attributes, study)
-    if found and store.rows:
+    changes = differences_of_code(store.attributes, study)
+    if changes and store.rows:
         raise SweepError(
             [
                 "was made by other code, whose numbers would be mixed up with those of today's; --accept-code (in "
                 "Python accept_code=True) goes on and records for each point which code made it, --fresh (fresh=True) "
                 "starts anew, -o (store=NAME) names another store",
-                *found,
+                *changes,
             ],
             str(store.location),
         )

@@ -85,16 +85,16 @@ def checked_conclusion(conclusion: Conclusion, context: ClaimContext, problems: 
             problems.add(where, f"{shown(sentence)}: {error}; {{name}} stands for a value, and {{{{ for a brace")
     values = {}
     for name, value in conclusion.values.items():
-        own = problems.inside("values", name)
+        inside = problems.inside("values", name)
         if name not in used:
-            own.add((), f"{shown(name)} is in no sentence")
-        before = len(problems.found)
-        values[name] = checked = _checked(value, context, own)
-        is_right = len(problems.found) == before
+            inside.add((), f"{shown(name)} is in no sentence")
+        before = len(problems.sentences)
+        values[name] = checked = _checked(value, context, inside)
+        is_right = len(problems.sentences) == before
         if value.above is not None and value.below is not None and not value.above < value.below:
-            own.add(("above",), f"{value.above:g} is not less than below = {value.below:g}")
+            inside.add(("above",), f"{value.above:g} is not less than below = {value.below:g}")
         if is_right and value.choose is None and (free := _not_fixed(checked, context)):
-            own.add((), f"{free} has several values; fix it with 'where', or choose the least or largest number")
+            inside.add((), f"{free} has several values; fix it with 'where', or choose the least or largest number")
     return conclusion.model_copy(update={"values": values})
 
 
@@ -131,18 +131,18 @@ def _checked(claim: D, context: ClaimContext, problems: Problems) -> D:
     with problems.at(()):
         quantity = claim.quantity()
         key = KEYS[type(quantity)]
-        own = problems.inside(key)
-        _check_variable(quantity, context, own)
+        inside = problems.inside(key)
+        _check_variable(quantity, context, inside)
         if isinstance(quantity, Slope):
-            _check_over(quantity.over, where, context, own)
+            _check_over(quantity.over, where, context, inside)
         places = {
-            name: _selection(place, context, own.inside(name), beside=where)
+            name: _selection(place, context, inside.inside(name), beside=where)
             for name, place in _places(quantity).items()
         }
         if isinstance(quantity, Ratio) and set(quantity.of) != set(quantity.to):
-            own.add((), "'of' and 'to' must give values of the same axes")
+            inside.add((), "'of' and 'to' must give values of the same axes")
         elif isinstance(quantity, Ratio) and places["of"] == places["to"]:
-            own.add((), "'of' and 'to' are the same place")
+            inside.add((), "'of' and 'to' are the same place")
         return claim.model_copy(update={"where": where, key: quantity.model_copy(update=places)})
     return claim
 

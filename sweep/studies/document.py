@@ -37,8 +37,8 @@ def built_in_studies() -> dict[str, Path]:
 
 def reference_in(name_or_path: str) -> str | None:
     """Return the argument if it is a reference, ``file.py:NAME`` or ``module:NAME``; None for a file or other name."""
-    found = REFERENCE.fullmatch(name_or_path)
-    return None if found is None or Path(name_or_path).exists() else name_or_path
+    match = REFERENCE.fullmatch(name_or_path)
+    return None if match is None or Path(name_or_path).exists() else name_or_path
 
 
 def find_study(name_or_path: str) -> Path:
@@ -112,14 +112,14 @@ def _lines_of_keys(text: str) -> dict[Place, int]:
 class Problems:
     """Takes problems of a study by their place in its document, so that all are reported at once.
 
-    ``where`` names the study, ``text`` is the text of its file, ``found`` are problems so far, and ``overridden`` says
-    which option of the command line gave the value at a place.
+    ``where`` names the study, ``text`` is the text of its file, ``sentences`` are the problems so far, and
+    ``overridden`` says which option of the command line gave the value at a place.
     """
 
     def __init__(
-        self, where: str, text: str = "", found: Sequence[str] = (), overridden: Mapping[Place, str] | None = None
+        self, where: str, text: str = "", sentences: Sequence[str] = (), overridden: Mapping[Place, str] | None = None
     ) -> None:
-        self.found, self.overridden = list(found), overridden or {}
+        self.sentences, self.overridden = list(sentences), overridden or {}
         self._where = where
         self._lines = cache(lambda: _lines_of_keys(text))
         self._table: Place = ()
@@ -132,15 +132,15 @@ class Problems:
 
     def add(self, place: Place, message: str) -> None:
         """Take one problem; raises SweepError where there are too many."""
-        if len(self.found) >= MAX_PROBLEMS:
-            raise SweepError([*self.found, "... and perhaps more problems like these"], self._where)
+        if len(self.sentences) >= MAX_PROBLEMS:
+            raise SweepError([*self.sentences, "... and perhaps more problems like these"], self._where)
         whole = (*self._table, *place)
         around = [whole[:n] for n in range(len(whole), 0, -1)]  # the value, and the tables that it is in
         source = next((self.overridden[table] for table in around if self.overridden.get(table)), None)
         if source is None:
             source = next((f"line {self._lines()[table]}" for table in around if table in self._lines()), None)
         key = ".".join(str(p) if re.fullmatch(r"[\w-]{1,60}", str(p)) else shown(p) for p in whole)
-        self.found.append(f"{key}{f' ({source})' if source else ''}: {message}")
+        self.sentences.append(f"{key}{f' ({source})' if source else ''}: {message}")
 
     @contextmanager
     def at(self, place: Place, before: str = "") -> Iterator[None]:
@@ -196,9 +196,9 @@ def override(
     chosen = [("--points", points), ("--design", design), *(("--range", text) for text in ranges)]
     if laid := [f"{flag} {_quoted(text)}" for flag, text in chosen if text is not None]:
         document.pop("conclusion", None)
-        given = {at: option for at, option in made.by_place.items() if at[0] == "points"}
+        settled = {at: option for at, option in made.by_place.items() if at[0] == "points"}
         kept = _override_points(document, points, design, ranges, made)
-        lost = [option for at, option in given.items() if at[1] not in kept]
+        lost = [option for at, option in settled.items() if at[1] not in kept]
         made.problems += [f"{option} has no effect beside {laid[0]}; leave out one of the two" for option in lost]
         made.by_place["points",] = laid[0]
         made.written += laid

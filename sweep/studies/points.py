@@ -165,7 +165,7 @@ def _derived(reference: str, columns: Columns, settings: Mapping[str, Any], valu
 
 
 def _designed(form: PointsForm, experiment: Experiment, problems: Problems) -> tuple[Columns, dict[str, Any]]:
-    before = len(problems.found)
+    before = len(problems.sentences)
     name = str(form.design)
     if name not in DESIGNS:
         problems.add(("points", "design"), f"no design {shown(name)}{suggest(name, list(DESIGNS))}")
@@ -181,7 +181,7 @@ def _designed(form: PointsForm, experiment: Experiment, problems: Problems) -> t
             few = one.levels < MORRIS_LEVELS or any(isinstance(value, str | bool) for value in one.values)
             if name == "morris" and few:
                 raise ValueError(f"a Morris design takes steps between {MORRIS_LEVELS} numbers at least")
-    if len(problems.found) > before or form.n is None:
+    if len(problems.sentences) > before or form.n is None:
         return {}, {}
     if (size := DESIGNS[name].size(form.n, len(ranges))) > MOST_ROWS:
         problems.add(("points", "n"), f"makes {size:,} points; at most {MOST_ROWS:,} are allowed")

@@ -191,13 +191,13 @@ class _Reader:
 
     def study(self) -> Study:
         if (form := _read_form(self.document, self.problems)) is None:
-            raise SweepError(self.problems.found, self.where)
+            raise SweepError(self.problems.sentences, self.where)
         try:
             experiment = self.code.experiment(form.experiment, self.folder)
         except SweepError as error:
             for problem in error.problems:
                 self.problems.add(("experiment",), f"{error.where}: {problem}" if error.where else problem)
-            raise SweepError(self.problems.found, self.where) from error
+            raise SweepError(self.problems.sentences, self.where) from error
         if experiment.deterministic:
             form = self._without_sampling_of_parameters(form, experiment)
         experiment, definitions = self._defined(experiment, form.define)
@@ -226,15 +226,15 @@ class _Reader:
         if conclusion is not None:
             conclusion = checked_conclusion(conclusion, context, self.problems.inside("conclusion"))
         check_figure(form.figure, context, self.problems.inside("figure"))
-        if self.problems.found:
-            raise SweepError(self.problems.found, self.where)
+        if self.problems.sentences:
+            raise SweepError(self.problems.sentences, self.where)
         return Study(
             name=self.path.stem,
             title=form.title,
             question=form.question or "",
             experiment_reference=absolute_reference(form.experiment, self.folder),
             experiment=experiment,
-            axes={name: found for name, found in axes.items() if found is not None},
+            axes={name: one for name, one in axes.items() if one is not None},
             fixed=fixed,
             sampling=ONCE if experiment.deterministic else form.sampling,
             zipped=zipped,
@@ -293,7 +293,7 @@ class _Reader:
         if POINT in parameters | outputs | experiment.coordinates.keys():
             self.problems.add(("points",), f"{experiment.name} has a {POINT!r} of its own, the name of this dimension")
         columns, origin = read_points(form.points, values, form.fixed, self.code)
-        found: dict[str, tuple[Value, ...] | None] = {}
+        points: dict[str, tuple[Value, ...] | None] = {}
         for name, raw_values in columns.items():
             where = ("points", "columns" if form.points.columns else "file" if form.points.file else "ranges", name)
             if name in {**form.axes, **form.fixed}:
@@ -302,8 +302,8 @@ class _Reader:
             with self.problems.at(where):
                 if not (parameter := experiment.parameter(name)).may_be_axis:
                     raise ValueError(f"a {parameter.kind} cannot differ from point to point")
-                found[name] = values.several(where, name, raw_values, rows=True)
-        return found, origin, columns
+                points[name] = values.several(where, name, raw_values, rows=True)
+        return points, origin, columns
 
     def _defined(
         self, experiment: Experiment, tables: Mapping[str, Mapping[str, Mapping[str, Any]]]

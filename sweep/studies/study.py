@@ -107,10 +107,10 @@ class Derived(Section, frozen=True):
 
     def quantity(self) -> Slope | Ratio | Reading:
         """Return the one quantity of a valid table; raises ValueError if there is not exactly one."""
-        given = [q for q in (self.slope, self.ratio, self.value) if q is not None]
-        if len(given) != 1:
+        quantities = [q for q in (self.slope, self.ratio, self.value) if q is not None]
+        if len(quantities) != 1:
             raise ValueError("needs exactly one of slope, ratio and value")
-        return given[0]
+        return quantities[0]
 
 
 class Claim(Derived, frozen=True):
@@ -328,11 +328,11 @@ class Study:
         groups = [] if self.points is None else [(POINT, self.points.names)]
         partner = {name: group for group in self.zipped for name in group}
         groups += [(group[0], group) for group in (partner.get(name, (name,)) for name in self.axes)]
-        found: dict[str, tuple[str, ...]] = {}
+        dimensions: dict[str, tuple[str, ...]] = {}
         for dimension, group in groups:
-            if not any(group[0] in axes for axes in found.values()):
-                found[dimension] = group
-        return found
+            if not any(group[0] in axes for axes in dimensions.values()):
+                dimensions[dimension] = group
+        return dimensions
 
     @property
     def is_ours(self) -> bool:

@@ -123,10 +123,10 @@ def _first_axis(experiment: Experiment) -> tuple[str, list[Any]]:
 def _unused(experiment: Experiment, name: str, values: list[Any]) -> dict[str, str]:
     """Return the parameters that change nothing at any point of the new study, and why."""
     try:
-        found = [dict(experiment.unused(experiment.defaults() | {name: value})) for value in values]
+        reasons = [dict(experiment.unused(experiment.defaults() | {name: value})) for value in values]
     except Exception:  # whatever a user's experiment raises; `sweep plan` says what
         return {}
-    return {key: why for key, why in found[0].items() if all(key in other for other in found)} if found else {}
+    return {key: why for key, why in reasons[0].items() if all(key in other for other in reasons)} if reasons else {}
 
 
 def _toml(value: object) -> str:

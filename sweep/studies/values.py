@@ -66,14 +66,14 @@ class Values:
         self, place: Place, name: str, raw_values: Sequence[object], rows: bool = False
     ) -> tuple[Value, ...] | None:
         """Return values of one type, None if any is wrong; problems name the row, from 1, where they are ``rows``."""
-        before = len(self.problems.found)
+        before = len(self.problems.sentences)
         values = []
         for number, raw in enumerate(raw_values, start=1):
             values.append(self.one(place, name, raw, f"row {number}: " if rows else ""))
-            if len(self.problems.found) >= before + 5:
+            if len(self.problems.sentences) >= before + 5:
                 self.problems.add(place, "... and perhaps more values like these")
                 return None
-        if len(self.problems.found) > before:
+        if len(self.problems.sentences) > before:
             return None
         kinds = {type(value) for value in values} if self.experiment.parameter(name).kind == "any" else set()
         if kinds == {int, float}:
