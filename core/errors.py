@@ -305,9 +305,9 @@ ERROR_KINDS: Mapping[str, ErrorKind] = MappingProxyType(
 """The error models by the name that a study gives them."""
 
 
-def error_kinds(side: str) -> tuple[str, ...]:
-    """Return the names of the error models that a side may have."""
-    return tuple(name for name, kind in ERROR_KINDS.items() if side in kind.sides)
+def error_kinds(side: str) -> str:
+    """Return the names of the error models that a side may have, with spaces between."""
+    return " ".join(name for name, kind in ERROR_KINDS.items() if side in kind.sides)
 
 
 def error_kind(point: Point, side: str) -> ErrorKind:

@@ -11,8 +11,10 @@ MAGNITUDE = ("mag", -5.0, 30.0)
 """Unit and bounds of a magnitude."""
 
 
-def _choice(name: str, default: str | None, meaning: str, *choices: str) -> Parameter:
-    return Parameter(name, "str", default, meaning, choices=choices)
+def _choice(name: str, choices: str, meaning: str, default: str | None = None) -> Parameter:
+    """Declare a choice of words, the first of which is the default unless another is named or "" says that none is."""
+    words = tuple(choices.split())
+    return Parameter(name, "str", (words[0] if default is None else default) or None, meaning, choices=words)
 
 
 def _number(
@@ -35,7 +37,7 @@ def _vector(name: str, size: float, meaning: str, unit: str, largest: float) -> 
 
 PARAMETERS = (
     # step A: the reference catalogue
-    _choice("catalogue", "synthetic", "reference catalogue (step A)", *CATALOGUES),
+    _choice("catalogue", " ".join(CATALOGUES), "reference catalogue (step A)"),
     Parameter(
         *("n_obj", "int", None),
         "number of objects; default: all quasars or rows brighter than v_max, 116 galaxies, 11 radio stars",
@@ -50,20 +52,17 @@ PARAMETERS = (
     ),
     _number("v_min", None, "brightest magnitude V; default: synthetic 5, else none", *MAGNITUDE, r"$V_\mathrm{min}$"),
     _choice(
-        *("counts", "catalogue", "number of quasars: of the paper's catalogue, or completed to the full sky"),
-        *("catalogue", "completed"),
+        "counts", "catalogue completed", "number of quasars: of the paper's catalogue, or completed to the full sky"
     ),
     _number(
         *("mean_pm", 0.0, "mean modulus of the proper motions, synthetic catalogue", PM),
         *(0.0, None, r"$\overline{\mu}$"),
     ),
+    _choice("pm_distribution", "uniform constant rayleigh", "distribution of that modulus about its mean"),
     _choice(
-        *("pm_distribution", "uniform", "distribution of that modulus about its mean"),
-        *("uniform", "constant", "rayleigh"),
-    ),
-    _choice(
-        *("positions", None, "radio stars, file: own positions or random ones; default: radio stars random, file own"),
-        *("own", "isotropic"),
+        *("positions", "own isotropic"),
+        "radio stars, file: own positions or random ones; default: radio stars random, file own",
+        default="",
     ),
     _number(
         *("zone_of_avoidance", 0.0, "no random positions at Galactic latitudes |b| below this", "deg"),
@@ -86,8 +85,8 @@ PARAMETERS = (
         "whether pmra of the file includes cos(dec) (its error always does); needed unless the file is Gaia's",
     ),
     # steps C and D: errors
-    _choice("satellite_errors", "magnitude", "error model of the satellite (step D)", *error_kinds("satellite")),
-    _choice("reference_errors", "none", "error model of the reference (step C)", *error_kinds("reference")),
+    _choice("satellite_errors", error_kinds("satellite"), "error model of the satellite (step D)", "magnitude"),
+    _choice("reference_errors", error_kinds("reference"), "error model of the reference (step C)", "none"),
     Parameter(
         *("model", "str", "amex", "mission whose accuracy curve gives the 'magnitude' errors"),
         choices=tuple(MISSIONS),
@@ -115,10 +114,7 @@ PARAMETERS = (
             ("omega_size", "omega", PM, r"$|\omega|$"),
         )
     ),
-    _choice(
-        *("directions", "fixed", "directions of epsilon and omega: as given, or random for each catalogue"),
-        *("fixed", "random"),
-    ),
+    _choice("directions", "fixed random", "directions of epsilon and omega: as given, or random for each catalogue"),
     Parameter("aberration", "bool", False, "add a glide to the satellite's proper motions (Galactic aberration)"),
     Parameter(
         *("glide", "vector", None),
@@ -174,17 +170,16 @@ PARAMETERS = (
     Parameter("solve_glide", "bool", False, "solve for a glide too"),
     Parameter("corrections", "bool", True, "keep the A21 terms in the design matrix"),
     _choice(
-        *("weighting", "inverse-variance", "weights of the solution: 1/(sigma_ref^2 + sigma_sat^2), or all equal"),
-        *("inverse-variance", "equal"),
+        "weighting", "inverse-variance equal", "weights of the solution: 1/(sigma_ref^2 + sigma_sat^2), or all equal"
     ),
     _choice(
-        *("arithmetic", "exact", "differences of catalogues: exact, or by subtracting stored angles as in the paper"),
-        *("exact", "stored"),
+        "arithmetic",
+        "exact stored",
+        "differences of catalogues: exact, or by subtracting stored angles as in the paper",
     ),
     _choice(
-        *("method", "catalogue"),
+        *("method", "catalogue projected"),
         "what is drawn: the errors of every object, or (projected) their effect on the link, at a cost without n_obj",
-        *("catalogue", "projected"),
     ),
 )
 

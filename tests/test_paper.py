@@ -9,8 +9,7 @@ import pytest
 import xarray as xr
 
 from linksweep.core.experiment import link
-from linksweep.core.missions.calibrate import IN_CODE
-from linksweep.core.spin_variance import draw_skies, spin_variance
+from linksweep.core.missions.calibrate import IN_CODE, draw_skies, spin_variance
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import load_study

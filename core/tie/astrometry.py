@@ -1,5 +1,7 @@
 """Five-parameter astrometry of many objects as measured, where anything but the position may be missing; its exact
 motion between epochs; and reference rows minus the satellite's parameters at the rows' epochs.
+
+Differences are reference - satellite everywhere; angles are radians and proper motions rad/yr.
 """
 
 from collections.abc import Mapping

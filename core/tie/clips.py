@@ -103,16 +103,15 @@ class Clipped:
 
 def clipped(clip: Clip, sources: Sources, separations: Callable[[], tuple[Array, Array]]) -> Clipped:
     """Solve with a clip.  ``separations`` returns normalised and plain separations of each source, as `separation`."""
-    if clip.kind == "rayleigh":
-        return _rayleigh(sources, separations)
-    if clip.kind == "median":
-        return _median(sources, float(clip.number or 0.0))
-    if clip.kind == "huber":
-        return _huber(sources, float(clip.number or 0.0))
-    if clip.kind == "discrepancy":
-        return _one_by_one(sources, None if clip.number is None else int(clip.number))
+    number = clip.number or 0.0
+    ways: dict[str, Callable[[], Clipped]] = {
+        "rayleigh": lambda: _rayleigh(sources, separations),
+        "median": lambda: _median(sources, number),
+        "huber": lambda: _huber(sources, number),
+        "discrepancy": lambda: _one_by_one(sources, None if clip.number is None else int(number)),
+    }
     everything = np.ones(len(sources.count), dtype=bool)
-    return Clipped(everything, sources.solve(everything))
+    return ways[clip.kind]() if clip.kind in ways else Clipped(everything, sources.solve(everything))
 
 
 def separation(problem: Problem) -> tuple[Array, Array]:
@@ -122,37 +121,30 @@ def separation(problem: Problem) -> tuple[Array, Array]:
     0 then); the largest of a source's rows.  X follows a Rayleigh distribution where the errors are right.  A row
     whose difference depends on a parameter that the satellite lacks counts as 0.
     """
-    n = len(problem.satellite)
-    normalised, plain = np.zeros(n), np.zeros(n)
+    largest = np.zeros((2, len(problem.satellite)))
     for start in range(0, len(problem.rows), BLOCK):
         rows = slice(start, start + BLOCK)
         source = problem.source[rows]
-        own = problem.satellite.taken(source)
-        found = differences(own, problem.rows.taken(rows), np.arange(len(source)), problem.taken_out(own))
-        of_rows = row_separations(found, own.covariance(), ~own.present.T)
-        np.maximum.at(normalised, source, of_rows[0])
-        np.maximum.at(plain, source, of_rows[1])
-    return normalised, plain
+        star = problem.satellite.taken(source)
+        values = differences(star, problem.rows.taken(rows), np.arange(len(source)), problem.taken_out(star))
+        add_separations(largest, source, values, star.covariance(), ~star.present.T)
+    return largest[0], largest[1]
 
 
-def row_separations(found: Differences, covariance: Array, free: Flags) -> tuple[Array, Array]:
-    """Return X and the separation (rad) of each row as `separation` does; shape (R,).
+def add_separations(largest: Array, source: Indices, rows: Differences, covariance: Array, free: Flags) -> None:
+    """Raise ``largest`` (2, S) to X and the separation (rad) of rows of sources ``source`` (R,), as `separation` says.
 
     ``covariance`` (R, 5, 5) is that of the satellite's parameters, ``free`` (R, 5) says which of them it lacks.
     """
-    normalised, plain = np.zeros(len(covariance)), np.zeros(len(covariance))
-    whole = found.covariance + found.partials @ covariance @ found.partials.swapaxes(1, 2)
-    depends = np.einsum("rij,rj->ri", np.abs(found.partials), free.astype(np.float64)) > 0.0
-    use_motion = ~found.present[:, 0]
-    for pair, chosen in (((0, 1), ~use_motion), ((3, 4), use_motion)):
-        usable = chosen & found.present[:, pair].all(axis=1) & ~depends[:, pair].any(axis=1)
-        at = np.flatnonzero(usable)
-        d = found.values[at][:, pair]
+    whole = rows.covariance + rows.partials @ covariance @ rows.partials.swapaxes(1, 2)
+    depends = np.einsum("rij,rj->ri", np.abs(rows.partials), free.astype(np.float64)) > 0.0
+    for pair, chosen in (((0, 1), rows.present[:, 0]), ((3, 4), ~rows.present[:, 0])):
+        at = np.flatnonzero(chosen & rows.present[:, pair].all(axis=1) & ~depends[:, pair].any(axis=1))
+        d = rows.values[at][:, pair]
         square = np.einsum("ri,ri->r", d, np.linalg.solve(whole[at][:, pair][:, :, pair], d[..., None])[..., 0])
-        normalised[at] = np.sqrt(square)
+        np.maximum.at(largest[0], source[at], np.sqrt(square))
         if pair == (0, 1):
-            plain[at] = np.hypot(*d.T)
-    return normalised, plain
+            np.maximum.at(largest[1], source[at], np.hypot(*d.T))
 
 
 def _rayleigh(sources: Sources, separations: Callable[[], tuple[Array, Array]]) -> Clipped:

@@ -9,7 +9,7 @@ import numpy as np
 
 from linksweep.core.arrays import Array
 from linksweep.core.tie.astrometry import Differences, differences
-from linksweep.core.tie.clips import row_separations
+from linksweep.core.tie.clips import add_separations
 from linksweep.core.tie.problem import Eliminated, NormalSums, Problem, eliminate
 
 BLOCK = 8192
@@ -102,14 +102,11 @@ class Simulation:
         return [NormalSums(normal, right[i], squares[i], count, expected, spread) for i in range(number)]
 
     def _separations(self, values: Array) -> tuple[Array, Array]:
-        source = self.problem.source
-        found = replace(self._found, values=values)
-        free = ~self.problem.satellite.present.T
-        of_rows = row_separations(found, self._covariance[source], free[source])
-        of_sources = np.zeros((2, len(self.problem.satellite)))
-        for into, one in zip(of_sources, of_rows, strict=True):
-            np.maximum.at(into, source, one)
-        return of_sources[0], of_sources[1]
+        source, free = self.problem.source, ~self.problem.satellite.present.T
+        largest = np.zeros((2, len(free)))
+        rows = replace(self._found, values=values)
+        add_separations(largest, source, rows, self._covariance[source], free[source])
+        return largest[0], largest[1]
 
 
 def _half(covariance: Array) -> Array:

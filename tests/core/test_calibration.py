@@ -15,11 +15,12 @@ from linksweep.core.missions.calibrate import (
     calibration,
     constants_of,
     curve_of,
+    draw_skies,
     fit,
     published_model,
     published_numbers,
+    spin_variance,
 )
-from linksweep.core.spin_variance import draw_skies, spin_variance
 from tests.core.reference import design_matrix, solve
 
 

@@ -1,12 +1,10 @@
 """The link as the platform sees it: units, checks, cost and the formulas of the results."""
 
 import json
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from astropy import units
 from astropy.table import Table
 
 from linksweep.core.catalogue import Catalogue
@@ -64,12 +62,6 @@ def computes(point):
         assert np.all(np.isfinite(values) | (name.startswith("glide") and not point["solve_glide"])), name
 
 
-def strict_unit(text):
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        return units.Unit(text)
-
-
 @pytest.mark.parametrize(
     "changes",
     [
@@ -81,10 +73,7 @@ def strict_unit(text):
         {"satellite_errors": "normal", "satellite_sigma_pm": 0.0, "reference_errors": "normal"},
         {"error_scale": 0.0},
         {"model": "gaia-2001", "v_max": 21.0},
-        {"model": "gaia-2001", "v_max": 25.0, "satellite_errors": "normal"},
         {"catalogue": "quasars", "n_obj": None, "v_max": 15.0},
-        {"catalogue": "quasars", "n_obj": 88, "v_max": 15.0},
-        {"catalogue": "quasars", "n_obj": None, "v_max": 12.8},
         {"catalogue": "quasars", "n_obj": None, "v_max": 16.3, "v_min": 14.7, "counts": "completed"},
         {"catalogue": "galaxies", "v_min": 12.0, "n_obj": None},
         {"catalogue": "quasars", "n_obj": 1000, "v_max": 16.5, "counts": "completed"},
@@ -128,31 +117,20 @@ def test_files_without_a_problem_can_be_computed(contents, changes, tmp_path):
     ("changes", "problem"),
     [
         ({"catalogue": "quasars", "v_max": 12.0}, "v_max = 12 mag is outside the quasar counts"),
-        ({"catalogue": "quasars", "v_max": 20.5}, "v_max = 20.5 mag is outside the quasar counts"),
         (
             {"catalogue": "quasars", "n_obj": 89, "v_max": 15.0},
             "n_obj = 89: only 88 quasars are brighter than v_max = 15 mag",
         ),
         ({"n_obj": None}, "n_obj: a synthetic catalogue needs a number of objects"),
         ({"v_max": 5.0}, "v_max = 5 mag: must be fainter than the brightest object, v_min = 5 mag"),
-        ({"v_min": 15.0}, "v_max = 15 mag: must be fainter than the brightest object, v_min = 15 mag"),
         ({"catalogue": "file"}, "file: catalogue = 'file' needs a file"),
         ({"catalogue": "galaxies", "v_max": 10.9}, "v_max = 10.9 mag: the galaxies have magnitudes from 11 to 13.5"),
-        ({"catalogue": "galaxies", "v_max": 13.6}, "v_max = 13.6 mag: the galaxies have magnitudes from 11 to 13.5"),
         ({"catalogue": "radio-stars", "v_max": 9.0}, "v_max: the radio stars have no limiting magnitude"),
         ({"catalogue": "radio-stars", "aberration": True}, "aberration: the glide is that of extragalactic objects"),
-        (
-            {"catalogue": "quasars", "v_max": 16.5, "counts": "completed", "n_obj": 1096},
-            "n_obj = 1096: only 1095 quasars are brighter than v_max = 16.5 mag",
-        ),
         ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': the synthetic catalogue has no errors"),
         (
             {"catalogue": "quasars", "reference_errors": "catalogue"},
             "reference_errors = 'catalogue': the quasars catalogue has no errors of its own",
-        ),
-        (
-            {"catalogue": "galaxies", "reference_errors": "catalogue"},
-            "reference_errors = 'catalogue': the galaxies catalogue has no errors of its own",
         ),
         ({"satellite_errors": "normal", "satellite_sigma_pm": 1e-10}, "errors of 1 mas and 1e-10 mas/yr: must be from"),
         ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
@@ -169,10 +147,8 @@ def test_points_with_a_problem(changes, problem):
         ({}, {"catalogue": "synthetic"}, "file: catalogue = 'file' needs a file, and other catalogues have none"),
         ({}, {"n_obj": 7}, "n_obj = 7: only 6 objects of the file are there"),
         ({}, {"n_obj": 4, "v_max": 12.5}, "n_obj = 4: only 3 objects of the file are brighter than v_max = 12.5 mag"),
-        ({}, {"v_max": 10.0}, "n_obj = 2: only 1 objects of the file are brighter than v_max = 10 mag"),
         ({"magnitudes": False}, {}, "satellite_errors = 'magnitude' needs a magnitude column"),
         ({"phot_g_mean_mag": np.full(6, 22.0)}, {"model": "gaia-2001"}, "v_max = 22 mag: the curve of 'gaia-2001'"),
-        ({"errors": False}, {"reference_errors": "catalogue"}, "reference_errors = 'catalogue': the file catalogue"),
         ({}, {"columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
         (
             {"dec": np.full(6, 90.0)},

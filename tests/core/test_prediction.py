@@ -14,9 +14,16 @@ from linksweep.core.errors import NO_ERRORS, CatalogueErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, scenario, summarise
 from linksweep.core.fixed_design import fixed_designs, neglected
 from linksweep.core.link import inverse_and_condition
-from linksweep.core.missions.calibrate import IN_CODE, PublishedSigma, curve_of, fit, published_model
+from linksweep.core.missions.calibrate import (
+    IN_CODE,
+    PublishedSigma,
+    curve_of,
+    draw_skies,
+    fit,
+    published_model,
+    spin_variance,
+)
 from linksweep.core.setup import Draw, Prefixes, prepare
-from linksweep.core.spin_variance import draw_skies, spin_variance
 from tests.core.reference import design_matrix, solve
 
 

@@ -41,8 +41,6 @@ def problems(axes=None, exclude=(), **fixed):
             "reference_sigma_pm = 2.0 changes nothing: it is for reference_errors",
         ),
         ({"n_obj": 9, "satellite_errors": "normal", "model": "gaia"}, "model = 'gaia' changes nothing: it is for sate"),
-        ({"n_obj": 9, "satellite_errors": "normal", "mission_length": 3.0}, "mission_length = 3.0 changes nothing"),
-        ({"n_obj": 9, "counts": "completed"}, "counts = 'completed' changes nothing: it is for catalogue = 'quasars'"),
         (
             {"catalogue": "quasars", "positions": "own"},
             "positions = 'own' changes nothing: it is for catalogue = 'radi",
@@ -53,19 +51,13 @@ def problems(axes=None, exclude=(), **fixed):
         ),
         ({"n_obj": 9, "pmra_cos_dec": True}, "pmra_cos_dec = True changes nothing: it is for catalogue = 'file'"),
         (
-            {"n_obj": 9, "columns": {"ra": "x"}},
-            "columns = (('ra', 'x'),) changes nothing: it is for catalogue = 'file'",
-        ),
-        (
             {"n_obj": 9, "glide": [0.0, 0.0, 4.0]},
             "glide = (0.0, 0.0, 4.0) changes nothing: it is for aberration = true",
         ),
-        ({"n_obj": 9, "reference_error_scale": 2.0}, "reference_error_scale = 2.0 changes nothing"),
         (
             {"n_obj": 9, "satellite_errors": "none", "weighting": "equal"},
             "weighting = 'equal' changes nothing: without",
         ),
-        ({"n_obj": 9, "satellite_errors": "none", "error_scale": 3.0}, "error_scale = 3.0 changes nothing"),
         (
             {"n_obj": 9, "directions": "random", "epsilon_size": 1.0, "epsilon": [0.0, 0.0, 1.0]},
             "epsilon = (0.0, 0.0, 1.0) changes nothing: its direction is random",
