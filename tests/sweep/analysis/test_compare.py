@@ -1,10 +1,7 @@
 """Computed against published: verdicts, allowances, claims and the command."""
 
-import ast
 import csv
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -83,11 +80,6 @@ def test_rounding_is_half_a_unit_of_the_last_printed_digit(text, half_a_unit):
     assert printed_rounding(text) == half_a_unit
 
 
-@pytest.mark.parametrize("text", ["nan", "inf", "about 3", "", "1e99999999999999999999"])
-def test_what_is_no_finite_number_has_no_rounding(text):
-    assert np.isnan(printed_rounding(text))
-
-
 # Verdicts of published numbers
 
 VALUES = {  # value, error, published -> verdict
@@ -137,10 +129,6 @@ def test_a_count_must_be_equal_whatever_the_tolerance(value, verdict):
     assert (comparison.verdict, comparison.allowance) == (verdict, 0.0)
 
 
-def test_a_whole_number_with_an_error_is_a_measurement():
-    assert only(grid(28.4, 0.0, {(0, 0): "28"})).verdict == "reproduced"
-
-
 def test_the_catalogue_error_adds_in_quadrature():
     comparison = only(grid(0.6, 0.003, {(0, 0): "0.60"}, catalogue_error=0.004))
     assert comparison.mc_error == pytest.approx(0.005)
@@ -166,11 +154,6 @@ def test_a_point_that_is_not_done_is_incomplete_and_not_left_out(code, reason):
     assert summary(found) == counts
 
 
-def test_nothing_published_gives_nothing():
-    assert compare(grid(1.0)) == []
-    assert all_is_well([])
-
-
 # Slopes (the fit itself: test_fits.py)
 
 
@@ -188,12 +171,6 @@ def test_a_claim_of_a_law_for_each_model():
     assert found[0].mc_error == pytest.approx(0.01 / np.sqrt(np.sum((np.log(N) - np.log(N).mean()) ** 2)))
     assert found[0].allowance == 3 * found[0].mc_error
     assert (found[0].quantity, found[0].unit) == ("slope of width over n", "")
-
-
-def test_an_exact_law_that_holds_exactly_is_reproduced_without_any_error():
-    assert only(grid(N**-0.5, claims=[claim(published="-0.5", exact=True, slope=LAW, where={"model": "old"})]))
-    comparison = compare(grid(N**-0.5, claims=[claim(published="-0.5", exact=True, slope=LAW)]))[0]
-    assert comparison.verdict == "reproduced"
 
 
 def test_where_chooses_the_line_and_a_tolerance_may_be_needed():
@@ -237,18 +214,6 @@ def ratio(top, bottom):
     return {"variable": "width", "of": top, "to": bottom}
 
 
-def test_a_ratio_and_its_error_against_a_monte_carlo():
-    value, error = np.array([[6.0], [2.0]]), np.array([[0.12], [0.06]])
-    claims = [claim(published="3.0", ratio=ratio({"model": "old"}, {"model": "new"}), where={"n": 20.0})]
-    comparison = only(grid(value, error, claims=claims))
-    assert comparison.value == 3.0
-    assert comparison.where == {"n": 20.0}
-    assert comparison.quantity == "width(model=old) / width(model=new)"
-    rng = np.random.default_rng(22)
-    drawn = (6.0 + 0.12 * rng.standard_normal(100_000)) / (2.0 + 0.06 * rng.standard_normal(100_000))
-    assert comparison.mc_error == pytest.approx(np.std(drawn), rel=0.01)  # 0.2 % of sampling, 0.2 % beyond first order
-
-
 def test_a_ratio_for_every_value_of_the_other_axes():
     value = np.array([6.0 * N, 2.0 * N])
     found = compare(grid(value, claims=[claim(published="3", ratio=ratio({"model": "old"}, {"model": "new"}))]))
@@ -264,14 +229,6 @@ def test_a_ratio_of_points_that_are_not_done_or_not_finite():
     found = compare(grid(value, 0.0, claims=claims, status=status))
     assert [c.verdict for c in found][:3] == ["incomplete", "NOT reproduced", "reproduced"]
     assert found[1].reason == "the ratio is not a finite number"
-
-
-def test_a_claim_of_a_value():
-    value = np.array([N, 2 * N])
-    claims = [claim(published="101", value={"variable": "width", "at": {"model": "new", "n": 50.0}})]
-    comparison = only(grid(value, 0.2, claims=claims))
-    assert (comparison.value, comparison.unit, comparison.allowance) == (100.0, "mas", pytest.approx(1.1))
-    assert comparison.verdict == "reproduced"
 
 
 def test_a_component_of_a_result():
@@ -396,18 +353,6 @@ def test_an_unknown_part_of_the_error_is_told():
     ]
 
 
-def test_the_covariance_of_points_that_share_random_numbers_is_used():
-    rng = np.random.default_rng(2)
-    common = rng.standard_normal((100_000, 1))
-    values = 1.0 + 0.1 * (common + 0.2 * rng.standard_normal((100_000, 2)))
-    covariance = np.cov(values.T)
-    dataset = grid(1.0, 0.1, claims=[claim(ratio=ratio({"model": "old"}, {"model": "new"}), where={"n": 20.0})])
-    dataset["width_mc_covariance_model"] = (("n", "model", "model_other"), np.stack([covariance] * len(N)))
-    stated = only(dataset).mc_error
-    assert stated == pytest.approx(np.std(values[:, 0] / values[:, 1]), rel=0.05)  # first order: errors of a tenth
-    assert stated < 0.3 * np.hypot(0.1, 0.1)
-
-
 # From a study to its verdicts
 
 HEADER = "metal,coins,share\n"
@@ -487,15 +432,10 @@ PLACE = 'value = { variable = "share", at = { coins = 5 } }'
 
 BAD_CLAIMS = {  # the rest of the claim -> what is said
     "no quantity": ("", "claim.0 (line 12): needs exactly one of slope, ratio and value"),
-    "two quantities": (
-        f'{PLACE}\nslope = {{ variable = "share", over = "coins" }}',
-        "claim.0 (line 12): needs exactly one of slope, ratio and value",
-    ),
     "unknown key": (
         f"{PLACE}\nnote = 3",
         "claim.0.note (line 17): unknown key; known are exact, not_comparable, null, published",
     ),
-    "misspelt key": (f"{PLACE}\nexakt = true", "claim.0.exakt (line 17): unknown key; did you mean 'exact'?"),
     "misspelt key inside": (
         'slope = { variable = "share", ower = "coins" }',
         "claim.0.slope.ower (line 16): unknown key; did you mean 'over'?",
@@ -505,49 +445,17 @@ BAD_CLAIMS = {  # the rest of the claim -> what is said
         'value = { variable = "shares" }',
         "claim.0.value.variable (line 16): unknown output 'shares'; did you mean 'share'?",
     ),
-    "component of a number": (
-        'value = { variable = "share", component = "x" }',
-        "claim.0.value.component (line 16): share is one number and has no components",
-    ),
-    "unknown axis": (
-        'slope = { variable = "share", over = "coin" }',
-        "claim.0.slope.over (line 16): 'coin' is not an axis; did you mean 'coins'?",
-    ),
-    "axis of words": (
-        'slope = { variable = "share", over = "metal" }',
-        "claim.0.slope.over (line 16): 'metal' is not an axis of numbers",
-    ),
     "axis fixed": (
         'slope = { variable = "share", over = "coins" }\nwhere = { coins = 5 }',
         "claim.0.slope.over (line 16): 'coins' cannot vary, because 'where' fixes 'coins'",
-    ),
-    "unknown axis in a place": (
-        'value = { variable = "share", at = { chance = 0.5 } }',
-        "claim.0.value.at.chance (line 16): 'chance' is not an axis; known are coins, metal",
     ),
     "value not on the axis": (
         'value = { variable = "share", at = { coins = 6 } }',
         "claim.0.value.at.coins (line 16): 6 is not on the axis, which has 1, 5, 20",
     ),
-    "wrong type of value": (
-        'value = { variable = "share", at = { coins = "five" } }',
-        "claim.0.value.at.coins (line 16): coins = 'five': must be an integer >= 1",
-    ),
-    "misspelt value": (
-        'slope = { variable = "share", over = "coins" }\nwhere = { metal = "golt" }',
-        "claim.0.where.metal (line 17): metal = 'golt': must be one of 'gold', 'tin'; did you mean 'gold'?",
-    ),
-    "ratio of unlike places": (
-        'ratio = { variable = "share", of = { coins = 5 }, to = { metal = "tin" } }',
-        "claim.0.ratio (line 16): 'of' and 'to' must give values of the same axes",
-    ),
     "ratio of one place": (
         'ratio = { variable = "share", of = { coins = 5 }, to = { coins = 5 } }',
         "claim.0.ratio (line 16): 'of' and 'to' are the same place",
-    ),
-    "ratio without a place": (
-        'ratio = { variable = "share", of = { coins = 5 } }',
-        "claim.0.ratio.to (line 16): is required",
     ),
     "place given twice": (
         f"{PLACE}\nwhere = {{ coins = 1 }}",
@@ -556,10 +464,6 @@ BAD_CLAIMS = {  # the rest of the claim -> what is said
     "tolerance without a reason": (
         f"{PLACE}\ntolerance = 0.1",
         "claim.0.tolerance (line 17): a tolerance needs a tolerance_reason, and the other way round",
-    ),
-    "tolerance of all": (
-        f'{PLACE}\ntolerance = 1.5\ntolerance_reason = "why not"',
-        "claim.0.tolerance (line 17): input should be less than 1, not 1.5",
     ),
 }
 
@@ -718,19 +622,6 @@ def test_the_built_in_studies_that_publish_something():
     assert studies["quasars"].published.tolerance == 0.07
     assert len(studies["quasars"].claims) == 2
     assert {study.name for study in paper_studies(published=False)} == set(built_in_studies())
-
-
-def test_a_study_that_needs_a_package_is_left_out_by_name(tmp_path):
-    code = (  # in a new process: this one may have made the curves with the package
-        "import sys; from pathlib import Path; sys.modules['pygaia'] = None; "
-        "from linksweep.sweep.cli.published_stores import lacks_packages; "
-        "from linksweep.sweep.studies.reader import load_study; "
-        f"print([lacks_packages(load_study(name), Path({str(tmp_path)!r})) for name in ('grid', 'gaia-releases')])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    grid, releases = ast.literal_eval(done.stdout)
-    assert not grid
-    assert "pip install 'linksweep[gaia]'" in releases
 
 
 def test_the_claims_of_the_document_are_valid(tmp_path):

@@ -24,7 +24,7 @@ from linksweep.sweep.analysis.crossings import (
     parse_range,
 )
 from linksweep.sweep.analysis.fits import power_law
-from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, lines, ratio
+from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, ratio
 from linksweep.sweep.analysis.quantity import between, main_quantity, quantities, require_axis, select, standard_error
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
@@ -69,26 +69,6 @@ def test_the_error_of_a_quantity_is_the_sum_of_squares(dataset_of):
     assert standard_error(one, "chi2") is None
 
 
-@pytest.mark.slow
-def test_lines_have_the_values_errors_and_places_of_the_grid(dataset_of):
-    dataset = dataset_of("grid")
-    found = lines(dataset, "sigma", "n_obj")
-    assert found.value.shape == (2 * 2 * 4 * 6, 5)
-    for line in (0, 7, 50, 95):
-        place = found.place(line)
-        one = select(dataset, {k: v for k, v in place.items() if k != "component_unit"})
-        assert np.array_equal(found.value[line], one["sigma"].values)
-        assert np.array_equal(found.error[line], standard_error(one, "sigma").values)
-        assert found.unit[line] == one["component_unit"].item()
-
-
-def test_an_axis_out_of_order_is_put_in_order():
-    order = [3, 0, 4, 1, 2]
-    found = lines(grid(1.0 / N, 0.1 / N).isel(n=order), "width", "n")
-    assert np.array_equal(found.x, N)
-    assert np.array_equal(found.value[0], 1.0 / N)
-
-
 def test_zipped_axes_can_be_fitted_by_either_name():
     dataset = grid(N**-0.5, 0.01 * N**-0.5).assign_coords(square=("n", N**2))
     assert fit_power_law(dataset, "width", "n")["exponent"].values == pytest.approx(-0.5)
@@ -114,15 +94,6 @@ def test_every_line_has_the_fit_of_its_points(dataset_of):
 
 def N_OBJ(one):  # noqa: N802
     return one["n_obj"].values.astype(float)
-
-
-@pytest.mark.slow
-def test_the_laws_of_the_paper_come_out(dataset_of):
-    root = fit_power_law(dataset_of("sqrt-n"), "sigma_spin", "n_obj")
-    assert root["expected"].item() == -0.5  # the claim of the study
-    assert abs(root["deviation"].item()) < 4.0
-    length = fit_power_law(dataset_of("mission-length"), "sigma_spin", "mission_length", expected=-1.5)
-    assert np.all(np.abs(length["deviation"]) < 4.0)
 
 
 @pytest.mark.slow
@@ -194,15 +165,6 @@ def test_excluded_points_do_not_belong_to_a_line():
 # Levelling
 
 
-def test_amex_levels_off_and_gaia_does_not(dataset_of):
-    result = fit_levelling(dataset_of("quasars"), "sigma_spin", "v_max")
-    amex, gaia = (result.sel(model=model) for model in ("amex", "gaia"))
-    assert 14.5 < amex["limit"].item() < 17.0
-    assert amex["plateau"].item() == pytest.approx(0.557, abs=max(4.0 * amex["plateau_error"].item(), 0.01))
-    assert gaia["limit"].item() > 19.0
-    assert gaia["end_fall"].item() > 0.03
-
-
 def test_levelling_needs_a_fraction_and_four_points():
     with pytest.raises(SweepError, match="fall = 5: must be above 0 and below 1"):
         fit_levelling(grid(1.0 / N), "width", "n", fall=5.0)
@@ -213,33 +175,8 @@ def test_levelling_needs_a_fraction_and_four_points():
 # Ratios and interpolation
 
 
-def test_a_ratio_and_its_error():
-    result = ratio(grid(np.stack([3.0 / N, 2.0 / N]), np.stack([0.3 / N, 0.1 / N])), "width", "model", "old", "new")
-    assert result["ratio"].values == pytest.approx(1.5)
-    assert result["ratio_error"].values == pytest.approx(1.5 * np.hypot(0.1, 0.05))
-
-
-def test_the_ratio_of_points_that_move_together_is_better_known():
-    covariance = np.array([[0.04, 0.018], [0.018, 0.01]])
-    dataset = grid(np.array([2.0, 1.0]), np.array([0.2, 0.1]), x=N[:2])
-    shared = dataset.assign(width_mc_covariance_n=(("n", "n_other"), covariance))
-    alone, together = (ratio(d, "width", "n", 10.0, 20.0)["ratio_error"].values for d in (dataset, shared))
-    assert alone == pytest.approx(2.0 * np.hypot(0.1, 0.1))
-    jacobian = np.array([1.0, -2.0])
-    assert together == pytest.approx(np.sqrt(jacobian @ covariance @ jacobian))
-
-
 def test_a_ratio_without_errors_has_none():
     assert set(ratio(grid(1.0 / N), "width", "n", 10.0, "20").data_vars) == {"ratio"}
-
-
-@given(at=st.floats(10.0, 300.0), power=st.floats(-3.0, 3.0))
-def test_interpolation_is_exact_for_power_laws(at, power):
-    y = 3.0 * N**power
-    result = interpolate(grid(y, 0.01 * y), "width", "n", at)
-    assert result["width"].values == pytest.approx(3.0 * at**power, rel=1e-9)
-    assert np.all(result["width_mc_error"] <= 0.01 * result["width"] * (1 + 1e-9))
-    assert result["n"].item() == at
 
 
 def test_interpolation_is_exact_for_exponentials_of_a_magnitude():
@@ -285,43 +222,6 @@ def test_what_has_no_numbers_says_what_it_has():
 
 
 # Crossings
-
-
-@given(threshold=st.floats(0.06, 0.31))
-def test_the_crossing_of_a_power_law_is_exact(threshold):
-    y = N**-0.5
-    result = find(grid(y, 0.01 * y), Limit("width", "<", threshold), "n")
-    assert result["met"].values.tolist() == [FROM, FROM]
-    assert result["first"].values == pytest.approx(threshold**-2.0, rel=1e-9)
-    assert result["last"].values == pytest.approx(threshold**-2.0, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_the_error_of_a_crossing_is_its_scatter():
-    rng = np.random.default_rng(31)
-    y = N**-0.5
-    draws = [
-        find(grid(y * (1 + 0.01 * rng.standard_normal((2, 5))), 0.01 * y), Limit("width", "<", 0.12), "n")
-        for _ in range(300)
-    ]
-    places = np.concatenate([draw["first"].values for draw in draws])
-    stated = find(grid(y, 0.01 * y), Limit("width", "<", 0.12), "n")["first_error"].values[0]
-    assert places.std() == pytest.approx(stated, rel=4.0 / np.sqrt(2 * 600))
-
-
-def test_the_error_of_a_crossing_is_mostly_that_of_the_nearer_point():
-    errors = np.array([0.1, 0.1, 0.4, 0.1, 0.1])
-    result = find(grid([-2.0, -1.0, 1.0, 2.0, 3.0], errors, x=np.arange(5.0)), Limit("width", ">", 0.5), "n")
-    assert result["first"].values == pytest.approx(1.75)
-    assert result["first_error"].values == pytest.approx(0.5 * np.hypot(0.25 * 0.1, 0.75 * 0.4))
-
-
-def test_a_crossing_between_points_that_move_together():
-    y, error = N**-0.5, 0.01 * N**-0.5
-    shared = grid(y, width_mc_covariance_n=(("n", "n_other"), np.outer(error, error) * (0.999999 + 1e-6 * np.eye(5))))
-    result = find(shared, Limit("width", "<", 0.12), "n")
-    # y moves up by a factor as a whole, and the crossing of N^-1/2 by its square
-    assert result["first_error"].values == pytest.approx(0.12**-2.0 * 2.0 * 0.01, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -455,16 +355,6 @@ BAD_STATUS[0, :3] = Status.MISSING, Status.FAILED, Status.FAILED
 def test_what_cannot_be_fitted(dataset, variable, over, message):
     with pytest.raises(SweepError, match=message):
         fit_power_law(dataset, variable, over)
-
-
-def test_a_complete_part_of_an_incomplete_store_can_be_fitted():
-    result = fit_power_law(select(grid(N, status=BAD_STATUS), {"model": "new"}), "width", "n")
-    assert result["exponent"].item() == pytest.approx(1.0)
-
-
-def test_rows_name_every_place():
-    found = json.loads(Result(fit_power_law(grid(np.stack([N, N**2])), "width", "n")).written("json"))["rows"]
-    assert [(row["model"], round(row["exponent"], 9)) for row in found] == [("old", 1.0), ("new", 2.0)]
 
 
 # The commands

@@ -89,12 +89,6 @@ def agrees(found, name, truth, most=4.0):
     return bool(np.all(deviations < most)), deviations
 
 
-def test_the_quadrature_of_these_tests_gives_the_closed_form():
-    first, total = by_quadrature(ishigami_of, BOX.values(), 20)
-    assert first == pytest.approx(ALONE, abs=1e-9)
-    assert total == pytest.approx(TOTAL, abs=1e-9)
-
-
 @pytest.fixture(scope="module")
 def borehole_indices():
     return by_quadrature(flow_of, BOREHOLE.values(), 4)

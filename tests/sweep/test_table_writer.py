@@ -1,0 +1,66 @@
+"""One table for the terminal, CSV, ECSV and JSON: the same numbers in each, exact where programs read them."""
+
+import csv
+import json
+import math
+
+from astropy.table import Table as AstropyTable
+
+from linksweep.sweep.table_writer import Column, Table
+
+LARGE = 2**60 + 1
+TABLE = Table(
+    [
+        Column("name", ["=a", "漢字", "c"], left=True),
+        Column("k", [LARGE, math.nan, 3]),
+        Column("width_of_all", [0.1, math.nan, 2.5], ["0.10 ± 0.02", "", "2.5"], "mas", "width", rank=1),
+        Column("curve", [[1, 2], [3, 4], [5, 6]]),
+    ],
+    "Widths",
+    about={"units": {"width_of_all": "mas"}},
+    meta={"title": "Widths"},
+)
+
+
+def test_programs_get_every_number_exactly_and_missing_ones_as_such():
+    rows = list(csv.reader(TABLE.csv().splitlines()))
+    assert rows[0] == ["name", "k", "width_of_all [mas]", "curve"]
+    assert rows[1:] == [["'=a", str(LARGE), "0.1", "[1, 2]"], ["漢字", "", "", "[3, 4]"], ["c", "3", "2.5", "[5, 6]"]]
+    document = json.loads(TABLE.json())
+    assert document["units"] == {"width_of_all": "mas"}
+    assert document["rows"][0] == {"name": "=a", "k": LARGE, "width_of_all": 0.1, "curve": [1, 2]}
+    assert document["rows"][1]["k"] is None
+    again = AstropyTable.read(TABLE.ecsv(), format="ascii.ecsv")
+    assert again["k"].tolist() == [LARGE, None, 3]
+    assert (again["width_of_all"].unit, again.meta["title"]) == ("mas", "Widths")
+    assert json.loads(Table([Column("a", [])]).json())["rows"] == []
+
+
+def test_columns_stand_below_each_other_whatever_the_letters():
+    title, long, heads, *rows = TABLE.text().splitlines()
+    assert (title, long.split(), heads.split()) == ("Widths", ["width_of_all"], ["name", "k", "[mas]", "curve"])
+    latin, chinese, last = (row.index("[") for row in rows)
+    assert latin == last == chinese + 2  # two Chinese letters are as wide as four
+    assert "nan" not in rows[1]
+
+
+def test_what_does_not_fit_is_left_out_by_rank_and_named():
+    kept, left_out = TABLE.fitting(30)
+    assert left_out == "width width_of_all"
+    assert max(map(len, kept.text(30).splitlines())) <= 40
+    assert TABLE.fitting(None) == (TABLE, "")
+
+
+def test_a_column_that_may_wrap_takes_several_lines_and_loses_no_word():
+    words = "a conclusion of many words that needs more than one line"
+    table = Table([Column("n", [1.0]), Column("conclusion", [words], wrap=12)])
+    lines = table.text(24).splitlines()
+    assert max(map(len, lines)) <= 24
+    assert " ".join(" ".join(line[3:].split()) for line in lines[1:]) == words
+
+
+def test_styles_are_ours_alone():
+    table = Table([Column("verdict", ["good", "\x1b[31mbad"], styles={"good": "\x1b[32m"})])
+    assert "\x1b[32mgood\x1b[0m" in table.text(styled=True)
+    assert "\x1b" not in table.text()
+    assert "\\u001b[31mbad" in table.text(styled=True)
