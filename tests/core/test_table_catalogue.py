@@ -425,3 +425,12 @@ def test_one_column_is_not_both_sides():
         catalogue(GAIA | ERRORS, names)
     with pytest.raises(SweepError, match="reference_pmra_error needs reference_pmra_error and reference_pmdec_error"):
         catalogue(GAIA | ERRORS, {"reference_pmra_error": "pmra_error"})
+
+
+def test_names_of_archives_in_any_case(tmp_path):
+    names = {"ra": "RA_ICRS", "dec": "DE_ICRS", "pmra": "pmRA", "pmdec": "pmDE", "phot_g_mean_mag": "Phot_G_mean_mag"}
+    names |= {"ra_error": "e_RA_ICRS", "dec_error": "e_DE_ICRS", "pmra_error": "e_pmRA", "pmdec_error": "e_pmDE"}
+    columns = {names.get(name, name): values for name, values in (GAIA | ERRORS).items()}
+    assert is_the_four(catalogue(columns), errors=True)
+    renamed = {{"ra": "alpha"}.get(name, name): values for name, values in (GAIA | ERRORS).items()}
+    assert is_the_four(catalogue(renamed, {"ra": "alpha"}), errors=True)  # ra_error is still that of ra

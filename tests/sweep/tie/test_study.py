@@ -19,8 +19,7 @@ from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.unknowns import Objects, Rotation, parse_unknowns
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.tie.design import design_of
-from linksweep.sweep.tie.experiment import check, tie, unused
+from linksweep.sweep.tie.experiment import check, design_of, tie, unused
 from linksweep.sweep.tie.parameters import FIELDS
 from linksweep.sweep.tie.solution import spectrum
 from tests.core.tie.made import stars
