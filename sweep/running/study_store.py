@@ -43,11 +43,11 @@ def open_store(opened: OpenStore, study: Study) -> Store:
     return store
 
 
-def hold(store: Store, study: Study, drop: Any = ()) -> None:
+def hold(store: Store, study: Study) -> None:
     """Let the ledger of a store have rows as the experiment makes them, once their type is known."""
     if not study.experiment.undeclared:
         width = study.experiment.samples_width if study.keeps_samples else 0
-        store.hold(study.experiment.reducer.dtype, width, drop)
+        store.hold(study.experiment.reducer.dtype, width)
 
 
 def create_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore:

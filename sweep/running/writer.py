@@ -142,13 +142,11 @@ class Writer:
         for place, why in lost_integers(self.accumulator.total[done], dtype).items():
             failure = Failure("exception", f"{experiment.name}: {why}")
             self._fail(self.plan.grid.point(int(done[place])), failure)
-        keys = self.store.rows.keys_of_rows() if self.store.rows else []
-        drop = [keys[row] for row in lost_integers(self.store.read(), dtype)] if keys else []
         self.accumulator.learn(experiment)
         record = {RECORD: recorded(study, self.plan.costs())}
         self._provenance |= record
         self.store.record(record)
-        hold(self.store, study, [key for key in drop if key in self.store.rows])
+        hold(self.store, study)
 
     def _add(
         self, works: Sequence[Work], points: Sequence[tuple[GridPoint, Block]], result: TaskResult, rows: Rows

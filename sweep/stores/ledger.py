@@ -290,10 +290,8 @@ class Ledger:
         self._starts.extend(starts)
         self.rows.extend(keys)
 
-    def retype(self, dtype: np.dtype[np.void], samples_width: int, drop: Iterable[bytes] = ()) -> None:
+    def retype(self, dtype: np.dtype[np.void], samples_width: int, drop: Iterable[bytes]) -> None:
         """Give rows another type, those that are there without the blocks to ``drop``; durable after `flush`."""
-        if (dtype, samples_width) == (self.dtype, self.samples_width):
-            return
         rows = converted(self.read(), dtype)
         before = {path_of(file) for name in ("rows", "texts") for file in self.columns[name].files}
         self.rows.remove(drop)

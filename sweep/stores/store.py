@@ -16,6 +16,7 @@ from uuid import uuid4
 import numpy as np
 
 from linksweep.sweep.contract import Array, Rows, SweepError
+from linksweep.sweep.contract.reducer import lost_integers
 from linksweep.sweep.formatting import host
 from linksweep.sweep.stores import snapshot
 from linksweep.sweep.stores.integrity import (
@@ -150,12 +151,14 @@ class Store(OpenStore):
         self._digests: dict[str, bytes] = {}
         self._files = snapshot.leftovers(self._ledger.keys, self._documents)
 
-    def hold(self, dtype: np.dtype[np.void], samples_width: int, drop: Iterable[bytes] = ()) -> None:
-        """Let rows be of this type, and a kept realisation have so many floats; blocks to ``drop`` count as missing.
+    def hold(self, dtype: np.dtype[np.void], samples_width: int) -> None:
+        """Let rows be of this type, and a kept realisation have so many floats.
 
-        Rows that are there keep what has the same name in both types: integers may become floats.  Raises SweepError
-        for rows of another version of the experiment.
+        Integers of rows that are there may become floats; rows with one that no float can hold count as missing.
+        Raises SweepError for rows of another version of the experiment.
         """
+        if (dtype, samples_width) == (self._ledger.dtype, self._ledger.samples_width):
+            return
         if self.rows and not (_fits(self._ledger.dtype, dtype) and samples_width == self._ledger.samples_width):
             raise SweepError(
                 "another version of linksweep made this store, with other sums in its ledger: its results can be read, "
@@ -163,7 +166,8 @@ class Store(OpenStore):
                 str(self.location),
             )
         with reading_ledger(self.location):
-            self._ledger.retype(dtype, samples_width, drop)
+            lost, keys = lost_integers(self._ledger.read(), dtype), self.rows.keys_of_rows()
+            self._ledger.retype(dtype, samples_width, [keys[row] for row in lost if keys[row] in self.rows])
 
     def read(self) -> Rows:
         """Return all rows of the ledger; `rows` has the place of each block in them."""

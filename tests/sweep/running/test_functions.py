@@ -506,6 +506,23 @@ def test_a_store_of_integers_goes_on_with_floats(tmp_path):
     xr.testing.assert_identical(ds.drop_attrs(), whole.drop_attrs())
 
 
+def test_killed_before_the_rows_have_the_types_of_the_record_no_integer_is_rounded(tmp_path, monkeypatch):
+    def steps(k: int):
+        return k / 2 if k % 2 else 2**53 + k if k > 8 else k // 2
+
+    def killed(store, study):
+        raise KeyboardInterrupt
+
+    run(steps, tmp_path / "s.zarr", axes={"k": [0, 10]})
+    monkeypatch.setattr("linksweep.sweep.running.writer.hold", killed)
+    with pytest.raises(KeyboardInterrupt):
+        run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 10]})
+    monkeypatch.undo()
+    ds = run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 10]})
+    assert ds.status.values.tolist() == [1, 1, 2]
+    assert "beyond 2**53" in json.loads(ds.attrs["failures"])["k=10"]
+
+
 def test_a_first_integer_does_not_decide_for_realisations(tmp_path):
     def draws(k: int, rng):
         return 0 if k == 0 else rng.normal() if k == 1 else 3
