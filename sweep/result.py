@@ -30,6 +30,7 @@ MODULES: Mapping[Kind, str] = {
     "law": "linksweep.sweep.analysis.laws",
     "crossings": "linksweep.sweep.analysis.crossings",
     "sensitivity": "linksweep.sweep.analysis.sensitivity",
+    "scaling": "linksweep.sweep.running.scaling",
     "tie": "linksweep.sweep.tie.result",
     "forecast": "linksweep.sweep.tie.result",
 }
@@ -78,11 +79,16 @@ class Result:
         """Return the sentences below its tables."""
         return list(self._made("notes"))
 
+    def records(self) -> Table:
+        """Return its table for programs."""
+        made: Table = self._made("records")
+        return made
+
     def written(self, table_format: str) -> str:
         """Return its table for programs as "csv", "ecsv" or "json", or its tables and notes as "text"."""
         if table_format == "text":
             return "\n\n".join([*(table.text() for table in self.tables()), "\n".join(self.notes())]).rstrip()
-        records: Table = self._made("records")
+        records = self.records()
         return {"csv": records.csv, "ecsv": records.ecsv, "json": records.json}[table_format]()
 
     def save(self, path: Path) -> None:

@@ -14,7 +14,7 @@ import click
 from linksweep.sweep.cli import options
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, a_signal_ends_the_command, command, end_stopped
 from linksweep.sweep.cli.options import FILE, WORKERS, choice, flag, group, opt, parsed
-from linksweep.sweep.cli.output import drawing_styles, print_headlines, print_sentences, save_figure
+from linksweep.sweep.cli.output import drawing_styles, print_headlines, print_result, print_sentences, save_figure
 from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
 from linksweep.sweep.formatting import COMMAND, WIDTH, counted, harmless, in_words, to_json, without_secrets
 
@@ -353,9 +353,11 @@ def scaling(
             dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
         except RunInterruptedError as stop:
             end_stopped(stop.signal)
-    frame = dataset[["seconds", "start_seconds", "speedup", "efficiency"]].to_dataframe().reset_index()
-    text = to_json(frame.to_dict(orient="records"))
-    click.echo(text if as_json else frame.to_string(index=False, float_format=lambda value: f"{value:.3g}"))
+    if as_json:
+        records = Result(dataset).records()
+        click.echo(to_json([dict(zip((c.name for c in records.columns), row, strict=True)) for row in records.rows]))
+    else:
+        print_result(dataset, "text")
     Result(dataset).save(path)
     if figure is not None:
         save_figure(dataset, figure)
