@@ -26,7 +26,7 @@ def told(of_all, **declared):
         return of_all(x)
 
     made = experiment_of(experiment(vectorised=True, **declared)(function))
-    return dependence(made, POINTS, made.many(POINTS), DIGESTS)
+    return dependence(made, POINTS, made.compute(POINTS, 1, ()), DIGESTS)
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_the_same_points_are_compared_in_any_order_and_one_is_in_the_interior(n,
     for _ in range(3):
         chance.shuffle(whole)
         points, digests = zip(*whole, strict=True)
-        values = made.many(points)
+        values = made.compute(points, 1, ())
         asked.clear()
         assert dependence(made, points, values, digests) == ""
         assert len(asked) == 3
@@ -136,7 +136,7 @@ def test_numbers_that_are_not_finite_are_the_same_as_themselves_only(value, fewe
         return np.where((x == 3.0) & (len(x) >= fewest), value, x)
 
     made = experiment_of(function)
-    assert bool(dependence(made, POINTS, made.many(POINTS), DIGESTS)) == differs
+    assert bool(dependence(made, POINTS, made.compute(POINTS, 1, ()), DIGESTS)) == differs
 
 
 @experiment(vectorised=True)

@@ -13,6 +13,8 @@ import xarray as xr
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
+from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores import ledger
@@ -22,7 +24,7 @@ from linksweep.sweep.stores.location import Folder, located
 from linksweep.sweep.stores.repair import check, repair
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_from_dict
-from linksweep.sweep.studies.record import provenance
+from linksweep.sweep.studies.record import RECORD, provenance, recorded
 from tests.sweep.opening import create_or_resume, existing_store, parts_of
 from tests.tiers import slow
 
@@ -255,7 +257,9 @@ def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request
 
 def test_a_store_of_the_first_moment_is_unfinished(tmp_path, coins, sweep):
     study = study_from_dict(coins)
-    create_or_resume(tmp_path / "s.zarr", study, provenance(study))
+    create_or_resume(
+        tmp_path / "s.zarr", study, provenance(study) | {RECORD: recorded(study, Plan(Grid(study)).costs())}
+    )
     code, out, _ = sweep("check", tmp_path / "s.zarr")
     assert code == 0
     assert "is unfinished" in out
