@@ -258,14 +258,14 @@ class Target:
             Result(result).save(self.output)
         if self.figures is not None and not rejected:
             from linksweep.sweep.plots import style
-            from linksweep.sweep.plots.figure import link_figures
+            from linksweep.sweep.plots.figure import all_figures
 
             try:
                 self.figures.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise SweepError(f"cannot draw there: {error.strerror or error}", str(self.figures)) from error
             with style.settings():
-                for kind, figure in link_figures(result).items():
+                for kind, figure in all_figures(result).items():
                     style.save(figure, self.figures / f"{kind}.png")
                     click.echo(f"wrote {self.figures / f'{kind}.png'}", err=True)
         print_result(result, "json" if self.as_json else "text")

@@ -30,7 +30,7 @@ class GridFigure(NamedTuple):
 
 
 KINDS: Mapping[str, Mapping[str, Kind]] = {
-    "study": {  # of type GridFigure, the others are functions of a dataset
+    "grid": {  # of type GridFigure, the others are functions of a dataset
         "lines": Kind("grid:LINES"),
         "law": Kind("grid:LAW"),
         "map": Kind("grid:MAP"),
@@ -64,6 +64,6 @@ KINDS: Mapping[str, Mapping[str, Kind]] = {
         "ranking": Kind("tie:ranking_figure", "The sources whose observation helps most"),
     },
 }
-"""Kinds of figures by the kind of dataset that they are drawn of; the first that is possible is the default."""
+"""Kinds of figures by the kind of result that they are drawn of; the first that is possible is the default."""
 
 ALL_KINDS = list(dict.fromkeys(kind for kinds in KINDS.values() for kind in kinds))

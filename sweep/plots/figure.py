@@ -41,49 +41,39 @@ def draw_figure(
     Raises SweepError for a kind that the dataset cannot have, naming those that it can.
     """
     what = kind_of(dataset)
-    if (log or linear) and what != "grid":
+    if what == "grid":
+        return _study_figure(dataset, kind, variables, over, log, linear)
+    if log or linear:
         raise SweepError("only figures of the results of a study have scales to choose")
-    if what in ("tie", "forecast"):
-        if variables or over:
-            raise SweepError("a figure of a link has no variables and no axis to choose, only its kind")
-        return _link_figure(dataset, kind)
-    if kind is not None and kind not in (known := [*KINDS["study"], *KINDS["scaling"]]):
-        raise SweepError(f"no kind {shown(kind)}{suggest(kind, known)}")
-    if what == "sensitivity":
-        if kind is not None or variables or over:
-            raise SweepError("a figure of sensitivity indices has nothing to choose")
+    if variables or over:
+        raise SweepError(f"a figure of a {what} has no variables and no axis to choose, only its kind")
+    if what == "sensitivity" and kind is None:
         return sensitivity_figure(dataset)
-    if what == "scaling":
-        (name,) = KINDS["scaling"]
-        if kind not in (None, name):
-            raise SweepError(f"no {kind} of this; possible is {name}")
-        figure: Figure = KINDS["scaling"][name].load()(dataset)
-        return figure
-    return _study_figure(dataset, kind, variables, over, log, linear)
+    kinds = KINDS.get(what, {})
+    if kind is None and not kinds:
+        raise SweepError(f"there is no figure of a {what}")
+    # the first that is possible; if none is, the first says what is missing
+    kind = kind or next(iter(all_figures(dataset)), next(iter(kinds)))
+    if kind not in kinds:
+        raise SweepError(f"no kind {shown(kind)} of a {what}{suggest(kind, list(kinds)) if kinds else ''}")
+    return _titled(dataset, what, kind)
 
 
-# Links and forecasts
-
-
-def link_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:
+def all_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:
     """Return all figures that a link or a forecast can have, by kind."""
-    figures = {}
-    for name in KINDS[dataset.attrs["result"]]:
+    figures, what = {}, kind_of(dataset)
+    for name in KINDS[what]:
         with suppress(SweepError):  # says what the dataset lacks
-            figures[name] = _link_figure(dataset, name, titled)
+            figures[name] = _titled(dataset, what, name, titled)
     return figures
 
 
-def _link_figure(dataset: xr.Dataset, kind: str | None, titled: bool = True) -> Figure:
+def _titled(dataset: xr.Dataset, what: str, kind: str, titled: bool = True) -> Figure:
+    """Return a figure with its title: of measurements their own, of a link or a forecast its tables."""
     about = dataset.attrs
-    kinds = KINDS[about["result"]]
-    if kind is None:  # the first that is possible; if none is, the first says what is missing
-        kind = next(iter(link_figures(dataset)), next(iter(kinds)))
-    if kind not in kinds:
-        raise SweepError(f"no kind {shown(kind)} of a {about['result']}{suggest(kind, list(kinds))}")
-    figure: Figure = kinds[kind].load()(dataset)
+    figure: Figure = KINDS[what][kind].load()(dataset)
     figure.set_label(kind)  # for the caption
-    if titled:
+    if titled and "satellite" in about:
         title = f"{Path(about['satellite']).name} and {Path(about['reference']).name}"
         if "sign" in about:
             title += f"\n{about['sign'].replace('-', ' − ')}, epoch {about['epoch']:.2f}, clip {about['clip']}"
@@ -96,7 +86,7 @@ def _link_figure(dataset: xr.Dataset, kind: str | None, titled: bool = True) -> 
 
 def possible_kinds(dataset: xr.Dataset, variable: str) -> list[str]:
     """Return the kinds of figure that a quantity of the results of a study can have."""
-    return [name for name, kind in KINDS["study"].items() if kind.load().possible(dataset, variable)]
+    return [name for name, kind in KINDS["grid"].items() if kind.load().possible(dataset, variable)]
 
 
 def _study_figure(
@@ -148,7 +138,7 @@ def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
 
 def _draw(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure with the title of the study, the values that all points share, and whether points are missing."""
-    figure: Figure = KINDS["study"][kind].load().draw(part, variables, over)
+    figure: Figure = KINDS["grid"][kind].load().draw(part, variables, over)
     axes = [str(n) for n, c in part.coords.items() if not c.dims and not str(n).endswith("_unit")]
     shared = ", ".join(value_text(part, name, part[name].item()) for name in axes)
     status = part["status"].values

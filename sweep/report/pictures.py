@@ -33,7 +33,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import is_truth, meaning_beside, prefixed, units_of, written
 from linksweep.sweep.plots import KINDS
 from linksweep.sweep.plots.caption import caption, description
-from linksweep.sweep.plots.figure import draw_figure, link_figures
+from linksweep.sweep.plots.figure import all_figures, draw_figure
 from linksweep.sweep.plots.points import sampled
 from linksweep.sweep.plots.style import BAND, COLOURS, SCALE, is_logarithmic, settings, with_scales
 from linksweep.sweep.studies.study import POINT
@@ -100,7 +100,7 @@ def link_pictures(dataset: xr.Dataset, number: int) -> list[Picture]:
     """Return all figures that a link or a forecast can have; ``number`` as for `pictures`."""
     found = []
     with _inside_a_page(str(number)):
-        for i, (kind, figure) in enumerate(link_figures(dataset, titled=False).items()):
+        for i, (kind, figure) in enumerate(all_figures(dataset, titled=False).items()):
             mpl.rcParams["svg.hashsalt"] = f"linksweep-{number}-{i}"
             name = KINDS[dataset.attrs["result"]][kind].caption
             found.append(Picture(name, _svg(figure), 72.0 * figure.get_figwidth()))

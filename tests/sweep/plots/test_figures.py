@@ -297,7 +297,7 @@ def test_scaling_is_drawn_beside_the_ideal():
         assert axes.get_xlabel() == "workers"
     assert left.containers[0].lines[0].get_ydata() == pytest.approx([1.0, 1.9, 3.6, 5.6])
     assert right.containers[1].lines[0].get_ydata() == pytest.approx([1.0, 0.98, 0.96, 0.92])
-    with pytest.raises(SweepError, match="no map of this; possible is scaling"):
+    with pytest.raises(SweepError, match="no kind 'map' of a scaling"):
         linksweep.plot(dataset, "map")
 
 

@@ -8,7 +8,7 @@ from matplotlib.quiver import Quiver
 import linksweep
 from linksweep import SweepError
 from linksweep.sweep.plots import KINDS
-from linksweep.sweep.plots.figure import link_figures
+from linksweep.sweep.plots.figure import all_figures
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def test_every_kind_of_figure_is_there_and_those_of_a_link_have_captions():
 
 
 def test_a_link_has_the_figures_that_its_content_allows(link):
-    figures = link_figures(link)
+    figures = all_figures(link)
     assert list(figures) == ["solution", "residuals", "separations", "weight", "ranking", "jackknife", "trajectory"]
     for figure in figures.values():
         assert "reference" in figure.get_suptitle()
@@ -153,7 +153,7 @@ def test_many_arrows_are_weighted_means_of_cells_of_equal_area():
 
 
 def test_a_forecast_has_its_epochs_and_ranking(plan):
-    figures = link_figures(plan)
+    figures = all_figures(plan)
     assert list(figures) == ["epochs", "ranking"]
     right = figures["epochs"].axes[1]
     np.testing.assert_allclose(right.lines[0].get_ydata(), 1000.0 * plan.error_with_epoch.values[:, 3])
