@@ -245,6 +245,16 @@ def test_the_page_says_what_a_toy_touches(toy):
     assert named == touched | ({re.sub(r"\w+\.py$", "NAME.py", toy.new)} if toy.new else set())
 
 
-def test_every_file_that_the_page_names_is_there():
-    for file in re.findall(r"`((?:core|sweep|tests)/[\w/]+\.py)`", PAGE):
-        assert (ROOT / file).is_file() or file.endswith("/NAME.py"), file
+def test_every_place_that_the_page_names_is_there():
+    named = re.findall(r"`((?:core|sweep|linksweep|tests)/[\w/]*(?:\.py)?)`", PAGE)
+    assert len(set(named)) > 40
+    for place in named:
+        assert (ROOT / place).exists() or place.endswith("/NAME.py"), place
+
+
+def test_every_package_is_on_a_floor():
+    named = set(re.findall(r"`((?:core|sweep)/(?:\w+/|\w+\.py)?)`", PAGE))
+    packages = {
+        f"{path.parent.name}/{path.name}/" for path in (ROOT / "sweep").iterdir() if (path / "__init__.py").exists()
+    }
+    assert packages | {"core/"} <= named
