@@ -92,7 +92,9 @@ def require_quantity(dataset: xr.Dataset, variable: str) -> None:
     if variable in (names := quantities(dataset)):
         return
     if variable in dataset.data_vars and (kind := dataset[variable].dtype.kind) not in "biufc":
-        raise SweepError(f"{variable} has no numbers, but {'times' if kind in 'Mm' else 'texts'}")
+        whole = kind == "O" and any(isinstance(value, int) for value in dataset[variable].values.flat)
+        what = "times" if kind in "Mm" else "integers beyond 2**53, which no float holds" if whole else "texts"
+        raise SweepError(f"{variable} has no numbers to draw or to fit, but {what}")
     raise SweepError(f"no quantity {shown(variable)}{suggest(variable, names) if names else '; there are none'}")
 
 

@@ -17,7 +17,7 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.stores.snapshot import FILL, MISSING_INT, dask_arrays_only_where_imported
+from linksweep.sweep.stores.snapshot import FILL, MISSING_INT, dask_arrays_only_where_imported, with_gaps
 from linksweep.sweep.studies.study import POINT, printed_rounding
 
 dask_arrays_only_where_imported()  # before the first dataset is made here; `snapshot.decode` does so before one is read
@@ -74,9 +74,9 @@ def typed_array(results: NDArray[Any] | None, done: NDArray[np.bool_], shape: tu
 
 
 def masked(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a dataset as who opens its store has it: integers of which some are missing are floats with NaN."""
+    """Return a dataset as who opens its store has it: integers of which some are missing have NaN there."""
     gaps = {name: variable for name, variable in dataset.data_vars.items() if FILL in variable.encoding}
-    return dataset.assign({name: variable.where(variable != MISSING_INT) for name, variable in gaps.items()})
+    return dataset.assign({name: variable.copy(data=with_gaps(variable.values)) for name, variable in gaps.items()})
 
 
 def assemble_samples(

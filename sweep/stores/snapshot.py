@@ -18,10 +18,12 @@ from hashlib import blake2b
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from zarr.buffer import cpu
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
+from linksweep.sweep.contract.reducer import EXACT_INT
 from linksweep.sweep.stores.integrity import (
     ANOTHER,
     CHUNKS,
@@ -144,11 +146,22 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
             dataset: xr.Dataset = opened.load()
+            gaps = [n for n, d in arrays_of(root).items() if d["data_type"] == "int64" and dataset[n].dtype.kind == "f"]
+            if any((np.abs(dataset[name].values) >= EXACT_INT).any() for name in gaps):  # xarray has rounded them
+                stored = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, mask_and_scale=False)
+                dataset = dataset.assign({n: dataset[n].copy(data=with_gaps(stored[n].values)) for n in gaps})
     except Exception as error:  # of forged documents: each codec of Zarr raises its own
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
     for name in (CHUNKS, LEDGER_THEN, STORE):
         dataset.attrs.pop(name, None)
     return dataset
+
+
+def with_gaps(whole: NDArray[np.int64]) -> NDArray[Any]:
+    """Return integers with NaN in place of missing ones: floats, or objects where a float would round one."""
+    missing = whole == MISSING_INT
+    floats = np.where(missing, np.nan, whole)
+    return np.where(missing, np.nan, whole.astype(object)) if (np.abs(floats) >= EXACT_INT).any() else floats
 
 
 def damaged_chunks(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Integers of points that are not done are missing wherever results are shown."""
+"""Integers of points that are not done are missing wherever results are shown, and others are exact."""
 
 import json
 
@@ -33,21 +33,34 @@ def shown(*arguments):
 
 
 EXPECTED = [None if a % 3 == 0 else a for a in range(1, 11)]
+EXACT = [None if a is None else LARGE + a for a in EXPECTED]
 
 
 def test_tables_have_gaps_and_no_number_in_place_of_them(store):
     text = shown("show", store)
     assert str(np.iinfo(np.int64).min) not in text
     assert ["3", "failed"] in [line.split() for line in text.splitlines()]
-    assert str(LARGE) not in text  # a float that stands for several integers is not written as one of them
+    assert str(LARGE + 1) in text
     rows = json.loads(shown("show", store, "--json"))["rows"]
     assert [row["small"] for row in rows] == EXPECTED
-    assert [None if row["k"] is None else round(row["k"] / LARGE) for row in rows] == [a and 1 for a in EXPECTED]
-    assert rows[2]["line"] == [None, None]
-    csv = [line.split(",")[2] for line in shown("show", store, "--format", "csv").splitlines()[1:]]
-    assert [float(cell) if cell else None for cell in csv] == EXPECTED
+    assert [row["k"] for row in rows] == EXACT
+    assert (rows[1]["line"], rows[2]["line"]) == ([LARGE + 2, LARGE + 3], [None, None])
+    csv = [line.split(",")[1:3] for line in shown("show", store, "--format", "csv").splitlines()[1:]]
+    assert [cells[0] for cells in csv] == ["" if k is None else str(k) for k in EXACT]
+    assert [float(cells[1]) if cells[1] else None for cells in csv] == EXPECTED
     ecsv = Table.read(shown("show", store, "--format", "ecsv"), format="ascii.ecsv")
+    assert ecsv["k"].tolist() == EXACT
     assert ecsv["small"].tolist() == EXPECTED
+
+
+def test_the_dataset_has_exact_integers_beside_gaps(store):
+    found = linksweep.open(store)
+    assert [None if k != k else k for k in found.k.values] == EXACT  # noqa: PLR0124 (NaN)
+    assert found.small.dtype == float
+    for command in ("plot", "fit"):
+        done = CliRunner().invoke(main, [command, store, "--over", "a", "--variable", "k"])
+        assert done.exit_code == 2
+        assert "integers beyond 2**53" in done.output
 
 
 def test_integers_without_gaps_are_exact(tmp_path):
@@ -67,7 +80,7 @@ def test_a_figure_has_no_points_without_values(store):
 
 def test_excluded_points_meet_no_condition_and_have_no_ratio(tmp_path):
     def k(a: int, b: int):
-        return LARGE + a * b
+        return a * b
 
     points = {"a": [1, 2, 3], "b": [4, 5, 6]}
     document = {"experiment": k, "points": {"columns": points}, "exclude": [{"a": 2}]}
