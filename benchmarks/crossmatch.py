@@ -26,9 +26,8 @@ from astropy.table import Table
 from numpy.typing import NDArray
 
 from linksweep.core.catalogue import Sky
-from linksweep.core.constants import ARCSEC, DEGREE, GALACTIC_AXES, MAS
 from linksweep.core.crossmatch import Positions, at_epoch
-from linksweep.core.frames import position
+from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, position
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THRE
 _PASS = """
 import json, resource, sys, time
 import numpy as np
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import Astrometry
 from linksweep.core.tie.solution import jackknife
 from linksweep.core.tie.problem import group_sums

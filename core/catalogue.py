@@ -6,9 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.arrays import Array
-from linksweep.core.constants import GALACTIC_AXES
-from linksweep.core.frames import position
+from linksweep.core.frames import GALACTIC_AXES, Array, position
 
 SIDES = ("reference", "satellite")
 

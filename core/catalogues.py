@@ -12,9 +12,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.arrays import Array
 from linksweep.core.catalogue import WHOLE_SKY, Catalogue, NestedDraw, Sky
-from linksweep.core.constants import DEGREE, MAS
+from linksweep.core.frames import DEGREE, MAS, Array
 from linksweep.core.table_catalogue import Table, catalogue_from_table
 from linksweep.sweep.contract import Point, SweepError
 

@@ -14,9 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from linksweep.core.arrays import Array, Flags, Indices
-from linksweep.core.constants import ARCSEC, DEGREE
-from linksweep.core.frames import position, triad
+from linksweep.core.frames import ARCSEC, DEGREE, Array, Flags, Indices, position, triad
 
 MAX_RADIUS = 1.0 * DEGREE
 

@@ -12,10 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from linksweep.core.arrays import Array
 from linksweep.core.catalogue import SIDES, Catalogue, OwnErrors
 from linksweep.core.catalogues import CATALOGUES, CatalogueKind
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS, Array
 from linksweep.core.missions import CurveError, FunctionCurve, Mission, mission_of
 from linksweep.sweep.contract import Named, Point
 

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from linksweep.core.arrays import Array
 from linksweep.core.checks import check, unused, warn
+from linksweep.core.frames import Array
 from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from linksweep.core.scenario import catalogue_size, has_errors, scenario, zonal_errors
 from linksweep.core.simulate import Streams, can_stack, simulate, simulate_stack

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linksweep.core.arrays import Array, product_sum, transposed_product
+from linksweep.core.frames import Array, product_sum, transposed_product
 from linksweep.core.link import LinkError, hold, inverse_and_condition, require_off_poles
 from linksweep.core.setup import Prefixes, Setup, SharedSums, origin, parts
 from linksweep.core.systematics import DrawnField

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from linksweep.core.arrays import Array
+from linksweep.core.frames import Array
 
 Kind = Literal["t", "s"]
 KINDS: tuple[Kind, Kind] = ("t", "s")

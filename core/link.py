@@ -5,8 +5,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.arrays import Array
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS, Array
 
 Weighting = Literal["inverse-variance", "equal"]
 

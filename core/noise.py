@@ -11,8 +11,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from linksweep.core.arrays import Array, Stack
 from linksweep.core.catalogue import Catalogue
+from linksweep.core.frames import Array, Stack
 
 ROWS = 512
 """Realisations drawn at a time."""

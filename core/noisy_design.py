@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from linksweep.core.arrays import Array, product_sum
+from linksweep.core.frames import Array, product_sum
 from linksweep.core.link import POLE_LIMIT, UnlikeError, hold, pole_error, solve_normal
 from linksweep.core.noise import Tile
 from linksweep.core.setup import Setup

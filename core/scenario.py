@@ -8,11 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from linksweep.core.arrays import Array
 from linksweep.core.catalogue import SIDES, Catalogue
 from linksweep.core.catalogues import CATALOGUES, CatalogueKind
-from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from linksweep.core.errors import ErrorModel, Errors, error_kind, error_model, floor_of
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, Array
 from linksweep.core.link import Weighting
 from linksweep.core.systematics import Pattern, Systematics, Vector, ZonalErrors, parse_pattern, rms
 from linksweep.sweep.contract import Point

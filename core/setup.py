@@ -15,10 +15,9 @@ from functools import cached_property
 
 import numpy as np
 
-from linksweep.core.arrays import Array, Stack
 from linksweep.core.catalogue import Catalogue
 from linksweep.core.errors import ErrorModel
-from linksweep.core.frames import along, exact_differences, stored_differences
+from linksweep.core.frames import Array, Stack, along, exact_differences, stored_differences
 from linksweep.core.link import OBSERVABLES, UnlikeError, combined_error, measured
 from linksweep.core.noise import Tile
 from linksweep.core.scenario import Scenario

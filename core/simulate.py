@@ -5,10 +5,9 @@ from itertools import zip_longest
 
 import numpy as np
 
-from linksweep.core.arrays import Array, Stack
 from linksweep.core.catalogue import Catalogue, NestedDraw
-from linksweep.core.constants import MAS
 from linksweep.core.fixed_design import FixedDesign, Projected, Solved, fixed_designs
+from linksweep.core.frames import MAS, Array, Stack
 from linksweep.core.link import LinkError
 from linksweep.core.noise import ROWS, chunks, stacked_catalogue, tiles
 from linksweep.core.noisy_design import NoisyDesign, NoisySums

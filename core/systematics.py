@@ -14,8 +14,7 @@ from math import ceil
 
 import numpy as np
 
-from linksweep.core.arrays import Array
-from linksweep.core.frames import along, triad
+from linksweep.core.frames import Array, along, triad
 from linksweep.core.harmonics import HIGHEST_DEGREE, KINDS, Term, terms, toroidal, turned
 from linksweep.core.link import OBSERVABLES
 

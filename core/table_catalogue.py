@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from linksweep.core.catalogue import SIDES, Catalogue, OwnErrors
-from linksweep.core.constants import DEGREE, MAS
+from linksweep.core.frames import DEGREE, MAS
 
 OBSERVABLES = ("ra", "dec", "pmra", "pmdec")
 CORRELATIONS = {f"{a}_{b}_corr": (i, j) for i, a in enumerate(OBSERVABLES) for j, b in enumerate(OBSERVABLES) if i < j}

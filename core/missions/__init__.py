@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from linksweep.core.arrays import Array
+from linksweep.core.frames import Array
 from linksweep.sweep.contract import DefinitionError, Function, Named, SweepError, shown, suggest
 
 Curve = Callable[[Array], Array]

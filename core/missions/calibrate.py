@@ -20,7 +20,6 @@ from typing import Any, Literal
 import numpy as np
 from scipy.optimize import NonlinearConstraint, least_squares, minimize
 
-from linksweep.core.arrays import Array
 from linksweep.core.catalogue import Catalogue, Sky
 from linksweep.core.catalogues import (
     COUNT,
@@ -32,8 +31,7 @@ from linksweep.core.catalogues import (
     radio_stars,
     resample,
 )
-from linksweep.core.constants import MAS
-from linksweep.core.frames import triad
+from linksweep.core.frames import MAS, Array, triad
 from linksweep.core.link import Weighting
 from linksweep.core.missions import AMEX_PM, GAIA_PM, Curve, Exponentials
 

@@ -13,9 +13,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.arrays import Array, Flags, Indices
-from linksweep.core.constants import ARCSEC
-from linksweep.core.frames import triad
+from linksweep.core.frames import ARCSEC, Array, Flags, Indices, triad
 
 PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))
 """The two parameters of each correlation, in the order of the Gaia archive."""

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from linksweep.core.arrays import Array, Flags, Indices
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Differences, differences
 from linksweep.core.tie.problem import (

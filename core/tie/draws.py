@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from linksweep.core.arrays import Array
+from linksweep.core.frames import Array
 from linksweep.core.tie.astrometry import Differences, differences
 from linksweep.core.tie.clips import add_separations
 from linksweep.core.tie.problem import Eliminated, NormalSums, Problem, eliminate

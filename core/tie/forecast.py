@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from linksweep.core.arrays import Array, Indices
+from linksweep.core.frames import Array, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry, joined
 from linksweep.core.tie.problem import NormalSums, Problem

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, chdtri
 
-from linksweep.core.arrays import Array, Flags, Indices
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, differences, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, source_sums

@@ -18,8 +18,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.arrays import Array, Flags, Indices
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, Differences, differences, offsets
 from linksweep.core.unknowns import Objects, Unknowns

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from linksweep.core.arrays import Array, Flags
+from linksweep.core.frames import Array, Flags
 from linksweep.core.link import SMALLEST_EIGENVALUE, LinkError
 from linksweep.core.tie.problem import NormalSums
 from linksweep.core.unknowns import Unknowns

@@ -10,9 +10,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
-from linksweep.core.arrays import Array
-from linksweep.core.constants import DEGREE, GALACTIC_AXES
-from linksweep.core.frames import position
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, position
 from linksweep.core.missions import MISSIONS, CurveError, MissionUnavailableError, mission_of
 from linksweep.core.missions.calibrate import IN_CODE, Model, all_skies, fit, published_numbers
 from linksweep.core.scenario import scenario

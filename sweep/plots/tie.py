@@ -19,8 +19,7 @@ from matplotlib.transforms import Bbox
 from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtri
 
-from linksweep.core.arrays import Array
-from linksweep.core.constants import DEGREE
+from linksweep.core.frames import DEGREE, Array
 from linksweep.core.tie.solution import LARGE_SHARE
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import prefixed, written

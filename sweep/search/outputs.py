@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.arrays import Array, Indices
-from linksweep.core.constants import ARCSEC
 from linksweep.core.crossmatch import CLASS_NAMES, REASON_NAMES
+from linksweep.core.frames import ARCSEC, Array, Indices
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import with_error
 from linksweep.sweep.search.search import Result, Search, match_tables, read_tables

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from linksweep.core.constants import ARCSEC, DEGREE, MAS
 from linksweep.core.crossmatch import MAX_RADIUS, GalaxyCatalogue, Matches, Positions, Rules, at_epoch, cross_match
+from linksweep.core.frames import ARCSEC, DEGREE, MAS
 from linksweep.sweep.contract import SweepError, suggest
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.search.tables import (

@@ -6,9 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from linksweep.core.arrays import Array
-from linksweep.core.constants import DEGREE
-from linksweep.core.frames import galactic
+from linksweep.core.frames import DEGREE, Array, galactic
 from linksweep.sweep.plots.sky import GALACTIC, on_map, prepare_sky
 
 STYLES = {"certain": ("o", "#0072B2"), "uncertain": ("^", "#D55E00"), "supplement": ("s", "#009E73")}

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.arrays import Array, Indices
+from linksweep.core.frames import Array, Indices
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tables.columns import Columns, unit_of
 from linksweep.sweep.tables.reader import read_table

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from linksweep.core.arrays import Array
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS, Array
 from linksweep.core.tie.clips import Clip, clipped, parse_clip, sources_of
 from linksweep.core.tie.draws import Draw, Simulation
 from linksweep.core.tie.forecast import Goal, choose, released, scaled_from, scaling_notes, with_new_rows

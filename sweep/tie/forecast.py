@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from linksweep.core.arrays import Array
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS, Array
 from linksweep.core.link import LinkError
 from linksweep.core.tie.forecast import Criterion, Goal, choose, released, scaled_from, scaling_notes, with_new_rows
 from linksweep.core.tie.problem import Problem, source_sums

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from linksweep.core.arrays import Array
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS, Array
 from linksweep.core.tie.astrometry import differences, kinds
 from linksweep.core.tie.clips import separation
 from linksweep.core.unknowns import PARAMETERS, SpinByBin

@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from linksweep.core.arrays import Array, Indices
-from linksweep.core.constants import ARCSEC, DEGREE
-from linksweep.core.frames import triad
+from linksweep.core.frames import ARCSEC, DEGREE, Array, Indices, triad
 from linksweep.core.tie.astrometry import Astrometry, named_rows, propagated
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable

@@ -7,8 +7,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from linksweep.core.arrays import Array
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS, Array
 from linksweep.core.tie.forecast import RELEASES
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
 from linksweep.sweep.contract import Output, Parameter

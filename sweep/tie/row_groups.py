@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from linksweep.core.arrays import Array, Flags, Indices
+from linksweep.core.frames import Array, Flags, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry
 from linksweep.core.tie.clips import DIVISIONS, Heaviest, Sources, heaviest, separation, sky_cells

@@ -8,9 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.arrays import Array, Indices
-from linksweep.core.constants import GALACTIC_AXES, MAS
-from linksweep.core.frames import triad
+from linksweep.core.frames import GALACTIC_AXES, MAS, Array, Indices, triad
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import KINDS, PAIRS, Astrometry, joined, kinds, named_rows
 from linksweep.core.tie.clips import SourceTable

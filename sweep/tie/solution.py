@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
-from linksweep.core.arrays import Array, Indices
+from linksweep.core.frames import Array, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import kinds
 from linksweep.core.tie.clips import Clipped, Sources, SourceTable, clipped, parse_clip

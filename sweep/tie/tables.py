@@ -10,8 +10,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.arrays import Array, Flags
-from linksweep.core.constants import DEGREE, MAS
+from linksweep.core.frames import DEGREE, MAS, Array, Flags
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
 from linksweep.core.tie.mistakes import LARGER, LARGEST, PLAUSIBLE, SMALLER
 from linksweep.core.unknowns import PARAMETERS

@@ -6,8 +6,7 @@ from astropy import units
 from astropy.coordinates import SkyCoord
 
 from linksweep.core.catalogue import Sky
-from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
-from linksweep.core.frames import position, triad
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, position, triad
 
 FRAME_BIAS = 0.03 / 3600 * DEGREE  # astropy hangs the Galactic axes on FK5, 0.023 arcsec from ICRS
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from linksweep.core.constants import MAS, MICROARCSEC
-from linksweep.core.frames import rotation_matrix, satellite_catalogue, triad
+from linksweep.core.frames import MAS, MICROARCSEC, rotation_matrix, satellite_catalogue, triad
 from tests.core.reference import design_matrix, solve
 
 EPSILON = np.array([-19.9, -9.1, 22.9]) * MAS  # Mignard & Froeschle 2000, A&A 354, 732

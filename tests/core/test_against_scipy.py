@@ -5,8 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from linksweep.core.catalogue import Sky
-from linksweep.core.constants import MAS, MICROARCSEC
-from linksweep.core.frames import exact_differences, satellite_catalogue, triad
+from linksweep.core.frames import MAS, MICROARCSEC, exact_differences, satellite_catalogue, triad
 from tests.core.reference import design_matrix, solve
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from linksweep.core.catalogue import Sky
 from linksweep.core.catalogues import quasars, radio_stars, resample
-from linksweep.core.constants import MAS
 from linksweep.core.errors import MagnitudeErrors
+from linksweep.core.frames import MAS
 from linksweep.core.missions import MISSIONS
 from linksweep.core.missions.calibrate import (
     IN_CODE,

@@ -6,9 +6,8 @@ from scipy import stats
 
 from linksweep.core.catalogue import Catalogue, Sky
 from linksweep.core.catalogues import galaxies, quasars, radio_stars, resample, synthetic
-from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS
 from linksweep.core.experiment import link, scenario
-from linksweep.core.frames import triad
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, triad
 from linksweep.core.table_catalogue import OBSERVABLES
 
 P_VALUE = 1e-3  # of a Kolmogorov-Smirnov or chi-square test with a fixed seed

@@ -8,7 +8,6 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
 from linksweep.core.crossmatch import (
     CERTAIN,
     CROWDED,
@@ -32,7 +31,7 @@ from linksweep.core.crossmatch import (
     sky_tree,
     uniform_pairs,
 )
-from linksweep.core.frames import galactic
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, MICROARCSEC, galactic
 from tests.tiers import examples
 
 

@@ -7,9 +7,9 @@ import pytest
 from scipy import stats
 
 from linksweep.core.catalogues import radio_stars, synthetic
-from linksweep.core.constants import MAS
 from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import link, scenario
+from linksweep.core.frames import MAS
 from linksweep.core.missions import MISSIONS, PyGaia
 from linksweep.core.setup import Noise, Prefixes
 from linksweep.core.simulate import simulate

@@ -8,9 +8,9 @@ import pytest
 from astropy.table import Table
 
 from linksweep.core.catalogue import Catalogue
-from linksweep.core.constants import GALACTIC_AXES, MAS
 from linksweep.core.errors import error_model
 from linksweep.core.experiment import SUMS, check, cost, evaluate, link, samples, scenario, summarise
+from linksweep.core.frames import GALACTIC_AXES, MAS
 from linksweep.core.link import LinkError
 from linksweep.core.missions import MISSIONS, mission_from_table
 from linksweep.core.scenario import errors_at_limit, has_errors

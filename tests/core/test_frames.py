@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from linksweep.core.constants import MAS
 from linksweep.core.frames import (
+    MAS,
     exact_differences,
     position,
     rotation_matrix,

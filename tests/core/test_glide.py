@@ -8,9 +8,8 @@ import pytest
 
 from linksweep.core.catalogue import Sky
 from linksweep.core.catalogues import synthetic
-from linksweep.core.constants import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC
 from linksweep.core.errors import NO_ERRORS, NormalErrors
-from linksweep.core.frames import position, triad
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, position, triad
 from linksweep.core.link import LinkError
 from linksweep.core.scenario import Scenario, TrueVector
 from linksweep.core.simulate import simulate

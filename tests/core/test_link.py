@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
-from linksweep.core.constants import MAS, MICROARCSEC
-from linksweep.core.frames import exact_differences, satellite_catalogue, triad
+from linksweep.core.frames import MAS, MICROARCSEC, exact_differences, satellite_catalogue, triad
 from linksweep.core.link import LinkError, combined_error, inverse_and_condition, solve_normal
 from tests.core.reference import design_matrix, paper_design_matrix, solve
 from tests.tiers import examples

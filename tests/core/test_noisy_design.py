@@ -8,9 +8,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from linksweep.core.catalogue import Catalogue
-from linksweep.core.constants import DEGREE, MAS
 from linksweep.core.errors import CatalogueErrors
 from linksweep.core.experiment import link, scenario
+from linksweep.core.frames import DEGREE, MAS
 from linksweep.core.link import POLE_LIMIT, LinkError
 from linksweep.core.noise import Tile, tile_objects
 from linksweep.core.noisy_design import ELEMENTS, NoisyDesign, NoisySums

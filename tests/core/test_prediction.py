@@ -9,10 +9,10 @@ import pytest
 from astropy import units
 
 from linksweep.core.catalogue import Catalogue
-from linksweep.core.constants import ARCSEC, DEGREE, MAS, MICROARCSEC
 from linksweep.core.errors import NO_ERRORS, CatalogueErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, scenario, summarise
 from linksweep.core.fixed_design import fixed_designs, neglected
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, MICROARCSEC
 from linksweep.core.link import inverse_and_condition
 from linksweep.core.missions.calibrate import (
     IN_CODE,

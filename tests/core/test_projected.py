@@ -7,10 +7,10 @@ import pytest
 from scipy import stats
 
 from linksweep.core.checks import check
-from linksweep.core.constants import MAS
 from linksweep.core.errors import CatalogueErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, scenario
 from linksweep.core.fixed_design import Projected, fixed_designs, neglected
+from linksweep.core.frames import MAS
 from linksweep.core.link import LinkError
 from linksweep.core.setup import Draw, Prefixes, prepare
 from linksweep.core.simulate import simulate

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.core.arrays import transposed_product
 from linksweep.core.errors import NO_ERRORS, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import evaluate, link, samples, scenario
+from linksweep.core.frames import transposed_product
 from linksweep.core.missions import FunctionCurve, Mission
 from linksweep.core.noise import ROWS, tile_objects, tiles
 from linksweep.core.parameters import SHARED

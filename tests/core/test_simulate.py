@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from linksweep.core.catalogues import synthetic
-from linksweep.core.constants import MAS
 from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
-from linksweep.core.frames import exact_differences, triad
+from linksweep.core.frames import MAS, exact_differences, triad
 from linksweep.core.link import LinkError, combined_error
 from linksweep.core.missions import MISSIONS
 from linksweep.core.noise import ROWS, TILE

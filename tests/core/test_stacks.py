@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 import linksweep.core.experiment
 from linksweep.core.catalogue import Catalogue, NestedDraw, OwnErrors
-from linksweep.core.constants import DEGREE, MAS
 from linksweep.core.errors import CatalogueErrors, NormalErrors
 from linksweep.core.experiment import evaluate, evaluate_catalogues, link
+from linksweep.core.frames import DEGREE, MAS
 from linksweep.core.link import LinkError, UnlikeError
 from linksweep.core.scenario import scenario
 from linksweep.core.simulate import can_stack, simulate, simulate_stack

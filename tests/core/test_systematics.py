@@ -8,11 +8,10 @@ from scipy import stats
 from scipy.special import eval_jacobi, sph_harm_y
 
 from linksweep.core.catalogue import Catalogue
-from linksweep.core.constants import GALACTIC_AXES, MAS
 from linksweep.core.errors import CatalogueErrors, Errors, FlooredErrors, MagnitudeErrors
 from linksweep.core.experiment import cost, evaluate, link, samples, scenario, summarise
 from linksweep.core.fixed_design import fixed_designs
-from linksweep.core.frames import triad
+from linksweep.core.frames import GALACTIC_AXES, MAS, triad
 from linksweep.core.missions import MISSIONS
 from linksweep.core.setup import Draw, Prefixes, prepare
 from linksweep.core.simulate import simulate

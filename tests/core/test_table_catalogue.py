@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from astropy.table import MaskedColumn, Table
 
-from linksweep.core.constants import DEGREE, MAS
 from linksweep.core.experiment import link, scenario
+from linksweep.core.frames import DEGREE, MAS
 from linksweep.core.table_catalogue import CORRELATIONS, catalogue_from_table
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tables.columns import Columns

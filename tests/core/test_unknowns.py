@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-from linksweep.core.constants import MAS
-from linksweep.core.frames import position, triad, turned
+from linksweep.core.frames import MAS, position, triad, turned
 from linksweep.core.harmonics import terms, toroidal
 from linksweep.core.harmonics import turned as quarter_turn
 from linksweep.core.unknowns import Objects, parse_unknowns

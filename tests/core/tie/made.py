@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from linksweep.core.constants import MAS
-from linksweep.core.frames import satellite_catalogue
+from linksweep.core.frames import MAS, satellite_catalogue
 from linksweep.core.tie.astrometry import PAIRS, Astrometry
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, lstsq
 
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry, differences
 from linksweep.core.tie.problem import Problem, eliminate, group_sums, source_counts, source_discrepancies, source_sums

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, lstsq
 
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import differences, joined, propagated
 from linksweep.core.tie.clips import separation
 from linksweep.core.tie.draws import Simulation

@@ -9,8 +9,7 @@ from astropy import units
 from astropy.coordinates import Distance, SkyCoord, get_body_barycentric
 from astropy.time import Time
 
-from linksweep.core.constants import MAS
-from linksweep.core.frames import position, triad
+from linksweep.core.frames import MAS, position, triad
 from linksweep.core.tie import astrometry as differences_module
 from linksweep.core.tie.astrometry import Astrometry, kinds, parallax_factors, propagated
 from linksweep.core.tie.problem import Problem, source_sums

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS
 from linksweep.core.harmonics import terms
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, positive_definite

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 from click.testing import CliRunner
 
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS
 from linksweep.sweep.cli import main
 from tests.core.tie.test_missions import EPSILON, OMEGA, missions
 from tests.sweep.tie.test_tables import gaia

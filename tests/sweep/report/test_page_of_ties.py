@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import linksweep
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import propagated
 from linksweep.sweep.report.page import report_of
 from tests.core.tie.made import noise, seen_by_satellite, stars

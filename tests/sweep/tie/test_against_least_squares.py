@@ -15,7 +15,7 @@ from scipy.linalg import block_diag
 
 import linksweep
 from linksweep import SweepError
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import joined
 from linksweep.core.unknowns import Objects, parse_unknowns
 from linksweep.sweep.tie.options import TableOptions

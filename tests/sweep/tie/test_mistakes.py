@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import linksweep
 from linksweep import SweepError, load_study, tie
-from linksweep.core.constants import DEGREE, MAS
+from linksweep.core.frames import DEGREE, MAS
 from linksweep.core.tie.astrometry import PAIRS, parallax_factors, propagated
 from linksweep.sweep.cli import main
 from linksweep.sweep.tie.experiment import check, warn

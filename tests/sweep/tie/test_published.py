@@ -6,7 +6,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import tie
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import solve
 from linksweep.core.unknowns import parse_unknowns

@@ -7,7 +7,7 @@ import pytest
 from astropy.table import MaskedColumn, Table
 
 from linksweep import tie
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import Astrometry, parallax_factors, propagated
 from linksweep.core.unknowns import Objects, parse_unknowns
 from tests.core.tie.made import noise, seen_by_satellite, stars

@@ -10,7 +10,7 @@ from scipy import stats
 
 import linksweep
 from linksweep import SweepError, load_study
-from linksweep.core.constants import MAS
+from linksweep.core.frames import MAS
 from linksweep.core.missions import MISSIONS
 from linksweep.core.tie.astrometry import differences
 from linksweep.core.tie.clips import separation

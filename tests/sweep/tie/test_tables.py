@@ -10,7 +10,7 @@ from astropy.table import MaskedColumn, Table, vstack
 from astropy.time import Time
 
 from linksweep import SweepError, tie
-from linksweep.core.constants import ARCSEC, DEGREE, MAS
+from linksweep.core.frames import ARCSEC, DEGREE, MAS
 from linksweep.core.tie.astrometry import PAIRS, kinds, propagated
 from linksweep.sweep.tie.matching import match
 from linksweep.sweep.tie.options import TableOptions
