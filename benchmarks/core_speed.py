@@ -24,7 +24,7 @@ from threadpoolctl import threadpool_limits
 from benchmarks.measured import Measured, Size, Target, watch
 from linksweep.core.catalogues import V_MAX
 from linksweep.core.experiment import cost, evaluate, link
-from linksweep.core.noise import ROWS, TILE
+from linksweep.core.setup import ROWS, TILE
 from linksweep.sweep.executing.forkserver import ENVIRONMENT
 
 N_OBJ = (28, 300, 1156, 15_533)

@@ -25,9 +25,9 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from linksweep.core.catalogue import Sky
-from linksweep.core.crossmatch import Positions, at_epoch
+from linksweep.core.catalogues import Sky
 from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, position
+from linksweep.sweep.search.crossmatch import Positions, at_epoch
 
 Array = NDArray[np.float64]
 

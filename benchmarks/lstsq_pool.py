@@ -14,8 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from linksweep.core.catalogue import Sky
-from linksweep.core.catalogues import V_MAX, quasars
+from linksweep.core.catalogues import V_MAX, Sky, quasars
 from linksweep.core.errors import MagnitudeErrors
 from linksweep.core.missions import MISSIONS
 
@@ -38,7 +37,7 @@ def catalogue_squares(arguments):
     matrix = design(catalogue.ra, catalogue.dec)
     squares = np.zeros(6)
     with threadpool_limits(1):
-        sigma = MagnitudeErrors(MISSIONS[model]).standard_errors(catalogue).ravel()
+        sigma = MagnitudeErrors(MISSIONS[model]).standard_errors(catalogue).T.ravel()
         weighted = matrix / sigma[:, None]
         for _ in range(N_SIM):
             noisy = rng.normal(0.0, sigma)

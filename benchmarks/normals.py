@@ -8,7 +8,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
-from linksweep.core.noise import TILE
+from linksweep.core.setup import TILE
 
 
 def fill(count):

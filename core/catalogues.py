@@ -1,21 +1,132 @@
-"""The catalogues that a study may choose, and the laws and data they are drawn from.
+"""Reference catalogues (step A): their objects, the laws and tables that they come from, and where they may stand.
 
 A new one is a subclass of `CatalogueKind` and its entry in `CATALOGUES`.
 """
 
 import itertools
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from linksweep.core.catalogue import WHOLE_SKY, Catalogue, NestedDraw, Sky
-from linksweep.core.frames import DEGREE, MAS, Array
-from linksweep.core.table_catalogue import Table, catalogue_from_table
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, Array, Indices, position
 from linksweep.sweep.contract import Point, SweepError
+
+SIDES = ("reference", "satellite")
+
+
+class OwnErrors(NamedTuple):
+    """Errors that a catalogue lists: ``sigma`` (N, 4) of (ra*, dec, pmra, pmdec) in rad and rad/yr, ``correlation``
+    (N, 4, 4) of an object's four errors.
+    """
+
+    sigma: Array
+    correlation: Array | None = None
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """Objects as arrays of shape (N,): ra, dec (rad), pmra, pmdec (rad/yr, pmra with cos dec) and V magnitude.  While
+    several catalogues are drawn together the shape is (catalogues, N).
+
+    ``own`` are the errors that the catalogue lists, those of the satellite if the ``reference`` has others.
+    """
+
+    ra: Array
+    dec: Array
+    pmra: Array
+    pmdec: Array
+    v_mag: Array
+    own: OwnErrors | None = None
+    reference: OwnErrors | None = None
+
+    def __len__(self) -> int:
+        return int(self.ra.shape[-1])
+
+    def take(self, index: Indices | slice) -> "Catalogue":
+        """Return the objects at these indices."""
+        return self._each(lambda column: column[index])
+
+    def some(self, rng: np.random.Generator, n_obj: int) -> "Catalogue":
+        """Return ``n_obj`` objects at random, in their order; if there are no more, all of them without a draw."""
+        if n_obj >= len(self):
+            return self
+        chosen = np.sort(rng.choice(len(self), n_obj, replace=False))
+        if self.ra.ndim == 1:
+            return self.take(chosen)
+        return self.flattened().take(chosen + len(self) * np.arange(len(self.ra))[:, None])
+
+    def repeated(self, catalogues: int) -> "Catalogue":
+        """Return the same objects for each of several catalogues; shape (catalogues, N)."""
+        return self.take(np.tile(np.arange(len(self)), (catalogues, 1)))
+
+    def flattened(self) -> "Catalogue":
+        """Return the objects of all catalogues that are drawn together, one after the other."""
+        return self._each(lambda column: column.reshape(-1, *column.shape[self.ra.ndim :]))
+
+    def own_errors(self, side: str) -> OwnErrors | None:
+        """Return the errors that the catalogue lists for a side, "reference" or "satellite"; None if there are none."""
+        return self.reference if side == "reference" and self.reference is not None else self.own
+
+    def moved_to(self, ra: Array, dec: Array) -> "Catalogue":
+        """Return the same objects, with their proper motions along the local triad, at other positions."""
+        return replace(self if ra.ndim == self.ra.ndim else self.repeated(len(ra)), ra=ra, dec=dec)
+
+    def _each(self, function: Callable[[Array], Array]) -> "Catalogue":
+        """Return a catalogue with a function applied to all arrays, whose first axes are those of the objects."""
+
+        def errors(own: OwnErrors | None) -> OwnErrors | None:
+            if own is None:
+                return None
+            return OwnErrors(function(own.sigma), None if own.correlation is None else function(own.correlation))
+
+        ra, dec, pmra, pmdec, v_mag = map(function, (self.ra, self.dec, self.pmra, self.pmdec, self.v_mag))
+        return Catalogue(ra, dec, pmra, pmdec, v_mag, errors(self.own), errors(self.reference))
+
+
+@dataclass(frozen=True)
+class NestedDraw:
+    """Draw a catalogue of ``n_obj`` objects; from equal generators it is the beginning of any larger one of its family.
+
+    With ``takes_several`` it also draws several together, see `CatalogueKind.draws_several`.
+    """
+
+    family: Hashable
+    n_obj: int
+    draw: Callable[[np.random.Generator], Catalogue]
+    takes_several: bool = False
+
+    def __call__(self, rng: np.random.Generator) -> Catalogue:
+        """Draw it."""
+        return self.draw(rng)
+
+
+@dataclass(frozen=True)
+class Sky:
+    """Where objects may stand: uniform over the sky with two exceptions.
+
+    There are none at Galactic latitudes |b| < ``zone_of_avoidance`` (rad), and (1 + contrast)/(1 - contrast) times as
+    many north of the Galactic plane as south of it (-1 < ``contrast`` < 1).
+    """
+
+    zone_of_avoidance: float = 0.0
+    contrast: float = 0.0
+
+    def positions(self, rng: np.random.Generator, n_obj: int) -> tuple[Array, Array]:
+        """Return ra, dec (rad) of shape (n_obj,), or (catalogues, n_obj) of several that are drawn together."""
+        longitude = rng.uniform(0.0, 2.0 * np.pi, n_obj)
+        height = rng.uniform(-1.0, 1.0, n_obj) + self.contrast  # uniform on each side of the plane, more on one
+        north = height > 0.0
+        fraction = height / np.where(north, 1.0 + self.contrast, 1.0 - self.contrast)
+        floor = np.sin(self.zone_of_avoidance)
+        sin_b = np.where(north, floor, -floor) + (1.0 - floor) * fraction
+        cos_b = np.sqrt(1.0 - sin_b**2)
+        galactic = np.stack([cos_b * np.cos(longitude), cos_b * np.sin(longitude), sin_b], axis=-2)
+        return position(np.moveaxis(GALACTIC_AXES.T @ galactic, -2, 0))
+
 
 RANDOM_SKY = frozenset({"zone_of_avoidance", "sky_contrast"})
 """Parameters of random positions."""
@@ -38,9 +149,12 @@ class CatalogueKind:
     catalogues faster.
     """
 
+    positions = "isotropic"
+    """Where objects stand if a point does not say so: at random ("isotropic") or at their "own" positions."""
+
     def has_random_positions(self, point: Point) -> bool:
         """Return whether positions are drawn, so that `RANDOM_SKY` matters."""
-        return True
+        return "positions" not in self.parameters or (point["positions"] or self.positions) == "isotropic"
 
     def uses(self, point: Point) -> frozenset[str]:
         """Return the parameters, beside n_obj, on which the catalogue of a point depends."""
@@ -62,10 +176,6 @@ class CatalogueKind:
 
     def objects(self, point: Point) -> Catalogue | None:
         """Return the objects of a catalogue that lists them, None for one that is drawn from a law."""
-        return None
-
-    def listed(self, point: Point) -> tuple[Catalogue, Callable[[int], str]] | None:
-        """Return the objects that a user listed, and a function that names the k-th of them; None without a list."""
         return None
 
     def problem(self, point: Point) -> str | None:
@@ -92,11 +202,9 @@ class CatalogueKind:
         """Return `problem` as a sentence, also where it or reading a table raises an error."""
         try:
             return self.problem(point)
-        except ValueError as error:
-            path = getattr(point["file"], "path", None) if "file" in self.parameters else None
-            return str(error) if path is None else f"{error} ({path})"
-        except SweepError as error:
-            return f"{error} ({error.where})"
+        except (ValueError, SweepError) as error:
+            where = getattr(error, "where", "")
+            return f"{error} ({where})" if where else str(error)
 
 
 def _sky(point: Point) -> Sky:
@@ -126,38 +234,13 @@ def _too_few(point: Point, available: int, what: str) -> str | None:
     return f"n_obj = {wanted}: only {available} {what} are {' and '.join(limits) or 'there'}"
 
 
-PmDistribution = Literal["uniform", "constant", "rayleigh"]
-
-
-def synthetic(
-    rng: np.random.Generator,
-    n_obj: int,
-    v_min: float,
-    v_max: float,
-    sky: Sky = WHOLE_SKY,
-    mean_pm: float = 0.0,
-    pm_distribution: PmDistribution = "uniform",
-) -> Catalogue:
-    """Return objects with uniform magnitudes and isotropic proper motions of mean modulus ``mean_pm`` (rad/yr).
+class Synthetic(CatalogueKind):
+    """`"synthetic"`: uniform magnitudes, isotropic proper motions; a study must say how many objects there are.
 
     The paper has "equally distributed apparent brightnesses and proper motions" (Metz & Geffert 2004, Sect. 4.1); that
     the modulus of a proper motion is uniform between 0 and twice its mean is our reading of it.  "rayleigh" is that of
     two normal components, "constant" the same for all.
     """
-    ra, dec = sky.positions(rng, n_obj)
-    v_mag = rng.uniform(v_min, v_max, n_obj)
-    uniform = rng.random(n_obj)
-    modulus = {
-        "uniform": 2.0 * uniform,
-        "constant": np.ones(n_obj),
-        "rayleigh": np.sqrt(-4.0 / np.pi * np.log1p(-uniform)),
-    }[pm_distribution] * mean_pm
-    direction = rng.uniform(0.0, 2.0 * np.pi, n_obj)
-    return Catalogue(ra, dec, modulus * np.sin(direction), modulus * np.cos(direction), v_mag)
-
-
-class Synthetic(CatalogueKind):
-    """`"synthetic"`: uniform magnitudes, isotropic proper motions; a study must say how many objects there are."""
 
     parameters = RANDOM_SKY | {"v_min", "v_max", "mean_pm", "pm_distribution"}
     draws_several = True
@@ -172,8 +255,17 @@ class Synthetic(CatalogueKind):
 
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
         """Return objects with random positions, magnitudes and motions."""
-        pm = (point["mean_pm"] * MAS, point["pm_distribution"])
-        return synthetic(rng, self.size(point), *self.magnitudes(point), _sky(point), *pm)
+        n_obj = self.size(point)
+        ra, dec = _sky(point).positions(rng, n_obj)
+        v_mag = rng.uniform(*self.magnitudes(point), n_obj)
+        uniform = rng.random(n_obj)  # also where all are the same, so that the next numbers are too
+        modulus = {
+            "uniform": 2.0 * uniform,
+            "constant": np.ones(n_obj),
+            "rayleigh": np.sqrt(-4.0 / np.pi * np.log1p(-uniform)),
+        }[point["pm_distribution"]] * (point["mean_pm"] * MAS)
+        direction = rng.uniform(0.0, 2.0 * np.pi, n_obj)
+        return Catalogue(ra, dec, modulus * np.sin(direction), modulus * np.cos(direction), v_mag)
 
     def problem(self, point: Point) -> str | None:
         """Return a problem without a number of objects, or without room between the limits."""
@@ -207,10 +299,9 @@ def quasar_count(v_max: float, completed: bool = False) -> int:
             f"v_max = {v_max:g} mag is outside the quasar counts: the brightest object has V = {BRIGHTEST_MAG}, "
             f"the counts end at V = {V_MAX[-1]:g}"
         )
-    log_count, v_mag = np.log(COUNT), np.array([v_max])
-    slope = (log_count[1] - log_count[0]) / (V_MAX[1] - V_MAX[0])
-    bright = log_count[0] + slope * (v_mag - V_MAX[0])
-    in_catalogue = np.exp(np.where(v_mag < V_MAX[0], bright, np.interp(v_mag, V_MAX, log_count)))[0]
+    log_count = np.log(COUNT)
+    below = min(0.0, v_max - V_MAX[0]) * (log_count[1] - log_count[0]) / (V_MAX[1] - V_MAX[0])
+    in_catalogue = np.exp(np.interp(v_max, V_MAX, log_count) + below)
     return round(float(in_catalogue / (completeness(v_max) if completed else 1.0)))
 
 
@@ -242,7 +333,7 @@ def quasars(
             return ra, dec, np.full_like(rank, faint)
         return ra, dec, bright + (faint - bright) * np.log(rank / low) / np.log(high / low)
 
-    edges = [v_min, *(float(v) for v in V_MAX if v_min < v < v_max), v_max]
+    edges = [v_min, *V_MAX[(v_min < V_MAX) & (v_max > V_MAX)].tolist(), v_max]
     counts = [quasar_count(v, completed) for v in edges]
     if v_min <= BRIGHTEST_MAG:
         edges, counts = [0.0, *edges], [0, *counts]
@@ -302,13 +393,13 @@ def galaxies(
     rng: np.random.Generator,
     n_obj: int,
     faint_limit_mag: float,
-    sky: Sky = WHOLE_SKY,
+    sky: Sky,
     bright_limit_mag: float | None = None,
 ) -> Catalogue:
     """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint limit,
     and at the bright one if there is any.
     """
-    from scipy.special import ndtr, ndtri  # here: it takes a tenth of the start of every other study
+    from scipy.special import ndtr, ndtri  # here: importing it takes a tenth of the start of every other study
 
     ra, dec = sky.positions(rng, n_obj)
     bright = -np.inf if bright_limit_mag is None else bright_limit_mag
@@ -371,8 +462,8 @@ def radio_stars() -> Catalogue:
     """Return the 11 radio stars with their proper motions and VLBI errors; no position errors are given for them."""
     v_mag, ra, dec, pmra, pmra_error, pmdec, pmdec_error = np.array([star[2:] for star in RADIO_STARS]).T
     none = np.zeros(len(v_mag))
-    sigma = np.stack([none, none, pmra_error, pmdec_error]) * MAS
-    return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, sigma)
+    sigma = np.stack([none, none, pmra_error, pmdec_error], axis=1) * MAS
+    return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, OwnErrors(sigma))
 
 
 def resample(rng: np.random.Generator, catalogue: Catalogue, n_obj: int, sky: Sky | None) -> Catalogue:
@@ -390,10 +481,6 @@ class RadioStars(CatalogueKind):
     parameters = RANDOM_SKY | {"positions"}
     extragalactic = False
     draws_several = True
-
-    def has_random_positions(self, point: Point) -> bool:
-        """Return whether positions are not those of the stars."""
-        return bool(point["positions"] != "own")
 
     def available(self, point: Point) -> int:
         """Return the number of stars."""
@@ -415,8 +502,102 @@ class RadioStars(CatalogueKind):
     def problem(self, point: Point) -> str | None:
         """Return a problem if there are limits: all stars are drawn from, whatever their magnitudes."""
         limits = [name for name in ("v_max", "v_min") if point[name] is not None]
-        drawn = f"the radio stars have no limiting magnitude, all {self.available(point)} are drawn from"
-        return f"{limits[0]}: {drawn}" if limits else None
+        return f"{limits[0]}: the radio stars have no limiting magnitude, all are drawn from" if limits else None
+
+
+OBSERVABLES = ("ra", "dec", "pmra", "pmdec")
+CORRELATIONS = {f"{a}_{b}_corr": (i, j) for i, a in enumerate(OBSERVABLES) for j, b in enumerate(OBSERVABLES) if i < j}
+ERRORS = (*(f"{observable}_error" for observable in OBSERVABLES), *CORRELATIONS)
+QUANTITIES = (*OBSERVABLES, "v_mag", *ERRORS, *(f"{side}_{name}" for side in SIDES for name in ERRORS))
+"""What is read of a table.  Errors and correlations may be those of one side: reference_pmra_error beside
+satellite_pmra_error.
+"""
+
+GAIA_MARKS = frozenset({"source_id", "designation", "solution_id"})
+"""A table with one of these columns is Gaia's, so its pmra is known to include cos(dec)."""
+
+
+class Table(Protocol):
+    """Columns by name; equal tables have equal columns."""
+
+    def __hash__(self) -> int: ...
+
+    def columns(self, columns: Mapping[str, str], units: Mapping[str, str], known: Collection[str]) -> Any:
+        """Return a reader of the columns in deg, mas and mas/yr, the platform's `Columns`; names and units are those of
+        some of the ``known`` quantities.
+        """
+
+    def label(self, row: int) -> str:
+        """Return what the table calls a row, counted from 0; empty where it has no column of names."""
+
+
+def catalogue_from_table(
+    table: Table, columns: Mapping[str, str], pmra_cos_dec: bool | None, units: Mapping[str, str] | None = None
+) -> Catalogue:
+    """Return the objects of a table; ``columns`` maps a quantity of `QUANTITIES` to the table's name for it.
+
+    Positions are required; proper motions are zero where the table has none, magnitudes NaN.  Errors are read if
+    both proper motions have them, or the position alone; a quantity without an error column counts as exact.  A side
+    with columns of its own, like reference_pmra_error, uses only these.  ``units`` are those of quantities for which
+    the table has none.  ``pmra_cos_dec`` says whether pmra includes cos(dec); None is allowed only for a table of
+    Gaia's, a column pm_ra_cosdec or one in seconds of time.  Raises an error that says what is ambiguous, impossible
+    or missing, with rows counted from 1.
+    """
+    read = table.columns(columns, units or {}, QUANTITIES)
+    for name in ERRORS:
+        pair = {read.name(f"{side}_{name}") for side in SIDES}
+        if len(pair) == 1 and pair != {None}:
+            read.problems.append(f"columns: reference_{name} and satellite_{name} are both column {pair.pop()!r}")
+    moving = read.has("pmra") or read.has("pmdec")
+    for quantity in OBSERVABLES if moving else OBSERVABLES[:2]:
+        read.require(quantity)
+    read.finish()
+    ra, dec = read.quantity("ra"), read.quantity("dec")
+    hint = "; are ra and dec swapped?" if np.all(np.abs(ra) <= 90.0) else ""
+    read.check(np.abs(dec) >= 90.0, "a dec that is not between -90 and 90 deg, poles excluded,", dec, hint)
+    read.check((ra < -180.0) | (ra > 360.0), "an ra that is not between -180 and 360 deg", ra)
+    pmra, pmdec = np.zeros((2, len(ra)))
+    if moving:
+        pmra, pmdec = read.quantity("pmra"), read.quantity("pmdec")
+        in_time, name = read.in_time("pmra"), read.name("pmra")  # the reader has multiplied those in time by cos(dec)
+        is_known = in_time or name == "pm_ra_cosdec" or not GAIA_MARKS.isdisjoint(read.names)
+        if pmra_cos_dec is None and not is_known:
+            read.problems.append(f"column {name!r} may or may not include cos(dec): say pmra_cos_dec = true or false")
+        if pmra_cos_dec is False and not in_time:
+            pmra = pmra * read.cos_dec
+    both, reference, satellite = (_own_errors(read, side, len(ra)) for side in ("", "reference_", "satellite_"))
+    v_mag = read.quantity("v_mag") if read.has("v_mag") else np.full(len(ra), np.nan)
+    read.finish()
+    own, reference = satellite or both, reference or (both if satellite else None)
+    return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, own, reference)
+
+
+def _own_errors(read: Any, prefix: str, n_obj: int) -> OwnErrors | None:
+    """Return the errors in columns with a prefix, that of a side or none; None if there are none.
+
+    A side with some of its own, but neither those of both motions nor those of the position alone, is a problem.
+    """
+    present = [name for name in ERRORS if read.has(prefix + name)]
+    position, motions = {"ra_error", "dec_error"}, {"pmra_error", "pmdec_error"}
+    if not motions.issubset(present) and (motions.intersection(present) or not position.issubset(present)):
+        if prefix and present:
+            needed = f"{prefix}pmra_error and {prefix}pmdec_error"
+            read.problems.append(f"columns: {prefix}{present[0]} needs {needed} beside it")
+        return None
+    sigma, correlation = np.zeros((n_obj, 4)), np.tile(np.eye(4), (n_obj, 1, 1))
+    for k, observable in enumerate(OBSERVABLES):
+        if (name := f"{observable}_error") in present:
+            sigma[:, k] = read.quantity(prefix + name)
+            read.check(sigma[:, k] < 0.0, f"a negative {prefix}{name}", sigma[:, k])
+    pairs = [name for name in CORRELATIONS if name in present]
+    for name in pairs:
+        i, j = CORRELATIONS[name]
+        correlation[:, i, j] = correlation[:, j, i] = np.nan_to_num(read.quantity(prefix + name))
+    if not pairs:
+        return OwnErrors(sigma * MAS)
+    impossible = np.linalg.eigvalsh(correlation)[:, 0] <= 1e-9
+    read.check(impossible, "impossible correlations (not positive definite)")
+    return OwnErrors(sigma * MAS, correlation)
 
 
 Names = tuple[tuple[str, str], ...]
@@ -428,10 +609,7 @@ class File(CatalogueKind):
 
     parameters = RANDOM_SKY | {"file", "columns", "units", "pmra_cos_dec", "positions", "v_min", "v_max"}
     draws_several = True
-
-    def has_random_positions(self, point: Point) -> bool:
-        """Return whether the rows are moved to other positions."""
-        return bool(point["positions"] == "isotropic")
+    positions = "own"
 
     def available(self, point: Point) -> int:
         """Return the number of rows between the limits."""
@@ -452,16 +630,12 @@ class File(CatalogueKind):
         """Return the rows between the limits."""
         return _between(_key(point), point["v_min"], point["v_max"])[0]
 
-    def listed(self, point: Point) -> tuple[Catalogue, Callable[[int], str]]:
-        """Return the rows between the limits; they are named by their place in the table, label and magnitude."""
+    def row_name(self, point: Point, k: int) -> str:
+        """Return the place of the k-th of these objects in the table, with its label and magnitude."""
         objects, rows = _between(_key(point), point["v_min"], point["v_max"])
-
-        def name(k: int) -> str:
-            label, v_mag = point["file"].label(int(rows[k])), objects.v_mag[k]
-            known = [label] * bool(label) + [f"V = {v_mag:.4g}"] * bool(np.isfinite(v_mag))
-            return f"row {rows[k] + 1}" + (f" ({', '.join(known)})" if known else "")
-
-        return objects, name
+        label, v_mag = point["file"].label(int(rows[k])), objects.v_mag[k]
+        known = [label] * bool(label) + [f"V = {v_mag:.4g}"] * bool(np.isfinite(v_mag))
+        return f"row {rows[k] + 1}" + (f" ({', '.join(known)})" if known else "")
 
     def problem(self, point: Point) -> str | None:
         """Return a problem unless the table is given, readable, and has enough rows; limits need magnitudes."""
@@ -485,16 +659,16 @@ def _whole(key: Key) -> Catalogue:
 
 
 @lru_cache(maxsize=4)
-def _between(key: Key, v_min: float | None, v_max: float | None) -> tuple[Catalogue, NDArray[np.intp]]:
+def _between(key: Key, v_min: float | None, v_max: float | None) -> tuple[Catalogue, Indices]:
     """Return the objects between two limits, and their rows."""
     whole = _whole(key)
-    kept = np.full(len(whole), True)
+    kept = np.full(len(whole), True)  # without a limit objects without a magnitude too
     if v_min is not None:
         kept &= whole.v_mag >= v_min
     if v_max is not None:
         kept &= whole.v_mag <= v_max
     rows = np.flatnonzero(kept)
-    return (whole if kept.all() else whole.take(rows)), rows
+    return (whole if len(rows) == len(whole) else whole.take(rows)), rows
 
 
 CATALOGUES: Mapping[str, CatalogueKind] = MappingProxyType(

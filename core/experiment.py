@@ -7,7 +7,7 @@ import numpy as np
 from linksweep.core.checks import check, unused, warn
 from linksweep.core.frames import Array
 from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
-from linksweep.core.scenario import catalogue_size, has_errors, scenario, zonal_errors
+from linksweep.core.scenario import catalogue_size, expected_errors, scenario, zonal_errors
 from linksweep.core.simulate import Streams, can_stack, simulate, simulate_stack
 from linksweep.core.unknowns import ALWAYS, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
 from linksweep.sweep.contract import Experiment, Point, small_sample_factor
@@ -125,14 +125,14 @@ def cost(point: Point) -> float:
 
     A zonal error is a sum over harmonics, of which `HARMONICS` cost as much as a normal.
     """
-    reference, satellite = has_errors(point, "reference"), has_errors(point, "satellite")
+    reference, satellite = (bool(errors.any()) for errors in expected_errors(point))
+    zonal = zonal_errors(point)
     if point["method"] == "projected":
         unknowns = len(link_unknowns(bool(point["solve_glide"])))
         columns = 1 + unknowns * (1 if point["weighting"] == "inverse-variance" else 2)
         return float(min(columns, 4 * catalogue_size(point)) if reference or satellite else 0)
-    zonal = zonal_errors(point)
-    per_object = 4 * (reference + satellite) + (0.0 if zonal is None else zonal.coefficients / HARMONICS)
-    return float(per_object * catalogue_size(point))
+    per_object = 4 * (reference + (satellite or zonal is not None))
+    return float((per_object + (0.0 if zonal is None else zonal.coefficients / HARMONICS)) * catalogue_size(point))
 
 
 def _rows(sums: Sequence[Mapping[str, Array]]) -> dict[str, Array]:

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linksweep.core.fields import DrawnField
 from linksweep.core.frames import Array, product_sum, transposed_product
 from linksweep.core.link import LinkError, hold, inverse_and_condition, require_off_poles
 from linksweep.core.setup import Prefixes, Setup, SharedSums, origin, parts
-from linksweep.core.systematics import DrawnField
 from linksweep.core.unknowns import ORIENTATION, link_unknowns
 
 Solved = Callable[[], tuple[Array, Array]]
@@ -57,7 +57,8 @@ class FixedDesign:
         setup, noise = self.setup, self.setup.satellite
         if not noise:
             return lambda: self.solved(np.zeros((*setup.stack, self.columns.shape[2], rows)), 0.0)
-        ratio, measured, columns = noise.ratio, setup.observables, setup.stacked(self.columns)
+        ratio = noise.inflation if noise.is_drawn else 0.0
+        measured, columns = setup.observables, setup.stacked(self.columns)
         alone = noise.factor is not None or field is not None  # its errors are those of no other point
         latest: dict[int, Array] = {}  # those of the tile that both sums are asked for
 

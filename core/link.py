@@ -47,15 +47,15 @@ def pole_error(item: int, dec: float) -> LinkError:
 
 
 def measured(sigma: Array) -> tuple[bool, bool]:
-    """Return whether positions and proper motions are measured, from combined errors (4, N): if only one kind has
+    """Return whether positions and proper motions are measured, from combined errors (N, 4): if only one kind has
     errors, the other is not measured; if neither has, both are.
     """
-    positions, motions = (bool(np.any(sigma[kind])) for kind in OBSERVABLES)
+    positions, motions = (bool(np.any(sigma[:, kind])) for kind in OBSERVABLES)
     return positions or not motions, motions or not positions
 
 
 def combined_error(sigma_reference: Array, sigma_satellite: Array) -> Array:
-    """Return the standard error of the differences, sqrt(ref^2 + sat^2), as the link weighs them; shape (4, N).
+    """Return the standard error of the differences, sqrt(ref^2 + sat^2), as the link weighs them; shape (N, 4).
 
     Error-free data (all zero) get unit errors of 1 mas and 1 mas/yr, that is equal weights; so does a kind of
     observable that is not `measured`, only to keep its weights finite.  Raises LinkError where an error is negative or
@@ -68,7 +68,7 @@ def combined_error(sigma_reference: Array, sigma_satellite: Array) -> Array:
         return np.full_like(sigma, MAS)
     for kind, is_measured in zip(OBSERVABLES, measured(sigma), strict=True):
         if not is_measured:
-            sigma[kind] = MAS
+            sigma[:, kind] = MAS
     _require(sigma > 0.0, "zero standard error beside non-zero ones, so an infinite weight,")
     return sigma
 
@@ -148,6 +148,6 @@ def _scale(diagonal: Array) -> Array:
 
 def _require(good: NDArray[np.bool_], what: str) -> None:
     if not np.all(good):
-        observable, item = np.argwhere(~good)[0][:2]
+        item, observable = np.argwhere(~good)[0]
         name = ("ra", "dec", "pmra", "pmdec")[observable]
         raise LinkError(f"{what} in {name} of object {item}")

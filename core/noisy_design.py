@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from linksweep.core.fields import DrawnField
+from linksweep.core.fixed_design import Solved
 from linksweep.core.frames import Array, product_sum
 from linksweep.core.link import POLE_LIMIT, UnlikeError, hold, pole_error, solve_normal
-from linksweep.core.noise import Tile
-from linksweep.core.setup import Setup
-from linksweep.core.systematics import DrawnField
+from linksweep.core.setup import Setup, SharedSums, Tile
 from linksweep.core.unknowns import GLIDE, ORIENTATION, SPIN, link_unknowns
 
 RA, DEC, PMRA, PMDEC = range(4)
@@ -48,17 +48,18 @@ class Seen(NamedTuple):
 
 
 class NormalSums:
-    """A^T W A and A^T W y of ``rows`` realisations of a catalogue, or of each of a ``stack``; at most ``objects``
-    objects of a catalogue are added at a time.
+    """A^T W A and A^T W y of ``rows`` realisations of a catalogue, or of each of a stack.
+
+    At most so many objects of a catalogue are added at a time as ``arrays`` have, of shape (..., objects).
     """
 
-    def __init__(self, objects: int, rows: int, corrections: bool, glide: bool, stack: tuple[int, ...] = ()) -> None:
-        unknowns = len(link_unknowns(glide))
+    def __init__(self, arrays: tuple[int, ...], rows: int, corrections: bool, glide: bool) -> None:
+        unknowns, stack = len(link_unknowns(glide)), arrays[:-1]
         self.corrections, self.glide = corrections, glide
         self.total_weight = np.zeros((*stack, 4))
-        self.products = np.empty((12 if glide else 7, *stack, objects, rows))
+        self.products = np.empty((12 if glide else 7, *arrays, rows))
         self.product_sums = np.zeros((len(self.products), *stack, 4, rows))
-        self.scratch = np.empty((4, *stack, objects, rows))
+        self.scratch = np.empty((4, *arrays, rows))
         # what A21 adds to the upper rows of A^T W A, those of epsilon
         self.turns = np.zeros((ORIENTATION.stop, unknowns, *stack, rows))
         self.right = np.zeros((unknowns, *stack, rows))
@@ -202,35 +203,30 @@ class NoisyDesign:
         self.small = FARTHEST * reference_sigma[..., :2].max(axis=-1) < SMALL_ANGLE * self.cos_dec[..., 0]
         if setup.stack and not self.small.all():
             raise UnlikeError("some of the catalogues have objects whose errors are no small angles")
-        inverse_variance = stacked(setup.sigma)[..., None] ** -2.0
         counted = setup.counted[:, None]
-        inverse_variance *= counted
+        inverse_variance = counted * stacked(setup.sigma)[..., None] ** -2.0
         equal = setup.scenario.weighting == "equal"
         # the weights of the solution, then those of chi2 where they differ
         self.weights = [np.ones_like(inverse_variance) * counted, inverse_variance] if equal else [inverse_variance]
 
-
-class NoisySums:
-    """Normal equations of the objects met so far, for the realisations of one chunk."""
-
-    def __init__(self, path: NoisyDesign, rows: int, field: DrawnField | None = None) -> None:
-        scenario, n_obj, stack = path.setup.scenario, path.setup.n_obj, path.setup.stack
-        self.path, self.field = path, field
-        self.objects = min(max(1, ELEMENTS // rows), n_obj)
-        self.squares = np.zeros(stack)
-        self.errors = np.empty((3, *stack, self.objects, 4, rows))
-        self.seen = np.empty((len(Seen._fields), *stack, self.objects, rows))
-        self.scratch = np.empty((3, *stack, self.objects, rows))
+    def begin(self, rows: int, field: DrawnField | None, shared: SharedSums) -> Solved:
+        """Begin a chunk of ``rows`` realisations, whose zonal errors are drawn already (``field``)."""
+        setup = self.setup
+        self.field, self.squares = field, np.zeros(setup.stack)
+        self.objects = min(max(1, ELEMENTS // rows), setup.n_obj)
+        arrays = (*setup.stack, self.objects)
+        self.errors = np.empty((3, *arrays, 4, rows))
+        self.seen = np.empty((len(Seen._fields), *arrays, rows))
+        self.scratch = np.empty((3, *arrays, rows))
         # an orientation that stays at its true value has no derivatives
-        turns = scenario.corrections and path.setup.measured[0]
-        self.sums = [NormalSums(self.objects, rows, turns, scenario.solve_glide, stack) for _ in path.weights]
+        turns = setup.scenario.corrections and setup.measured[0]
+        self.sums = [NormalSums(arrays, rows, turns, setup.scenario.solve_glide) for _ in self.weights]
+        return self.solved
 
-    def add(self, satellite: Tile | None, reference: Tile | None) -> None:
-        """Add the objects of a tile, the same on both sides; None for a side without errors."""
-        if reference is None:
-            return
-        setup, normals = self.path.setup, reference.head(self.path.setup.n_obj)
-        others = satellite.normals if satellite is not None and setup.satellite else None
+    def add(self, satellite: Tile | None, reference: Tile) -> None:
+        """Add the objects of a tile, the same on both sides; None for a satellite without errors."""
+        normals = reference.head(self.setup.n_obj)
+        others = satellite.normals if satellite is not None and self.setup.satellite else None
         for first in range(0, normals.shape[-3], self.objects):
             part = normals[..., first : first + self.objects, :, :]
             inside = slice(first, first + part.shape[-3])
@@ -239,44 +235,44 @@ class NoisySums:
     def solved(self) -> tuple[Array, Array]:
         """Return estimate - truth of each realisation, (..., K, rows), and the sum of chi2, (...)."""
         normal, right = self.sums[0].equations()
-        error = solve_normal(hold(normal, self.path.setup.fixed), right)
+        error = solve_normal(hold(normal, self.setup.fixed), right)
         normal, right = self.sums[-1].equations()
         terms = error * (np.einsum("kl...,l...->k...", normal, error) - 2.0 * right)
         error, terms = (np.ascontiguousarray(np.moveaxis(array, 0, -2)) for array in (error, terms))
-        return error, self.squares + terms.reshape(*self.path.setup.stack, -1).sum(axis=-1)
+        return error, self.squares + terms.reshape(*self.setup.stack, -1).sum(axis=-1)
 
     def _add(self, start: int, reference: Array, satellite: Array | None) -> None:
-        path, setup, n_obj = self.path, self.path.setup, reference.shape[-3]
+        setup, n_obj = self.setup, reference.shape[-3]
         part = slice(start, start + n_obj)
         shift, misclosure, weighted = self.errors[..., :n_obj, :, :]
         standardised = setup.reference.standardised(reference, start)
-        np.multiply(standardised, path.reference_sigma[..., part, :, :], out=shift)
-        np.add(shift, path.differences[..., part, :, :], out=misclosure)
+        np.multiply(standardised, self.reference_sigma[..., part, :, :], out=shift)
+        np.add(shift, self.differences[..., part, :, :], out=misclosure)
         if satellite is not None:
             noise = setup.satellite.standardised(satellite, start)
-            misclosure -= np.multiply(noise, path.satellite_sigma[..., part, :, :], out=weighted)
+            misclosure -= np.multiply(noise, self.satellite_sigma[..., part, :, :], out=weighted)
         if self.field is not None:
             misclosure -= self.field.values(part)
         seen = self._seen(part, shift)
         self._subtract_truth(seen, misclosure)
-        for sums, all_weights in zip(self.sums, path.weights, strict=True):
+        for sums, all_weights in zip(self.sums, self.weights, strict=True):
             weights = all_weights[..., part, :, :]
             sums.add(seen, weights, np.multiply(misclosure, weights, out=weighted))
         self.squares += product_sum(weighted, misclosure)  # the last weights are those of chi2
 
     def _seen(self, part: slice, shift: Array) -> Seen:
-        path, n_obj = self.path, shift.shape[-3]
+        n_obj = shift.shape[-3]
         seen, scratch = Seen(*self.seen[..., :n_obj, :]), self.scratch[..., :n_obj, :]
         sin_ra, cos_ra, sin_dec, cos_dec, pmra, pmdec = (
             array[..., part, :]
-            for array in (path.sin_ra, path.cos_ra, path.sin_dec, path.cos_dec, path.pmra, path.pmdec)
+            for array in (self.sin_ra, self.cos_ra, self.sin_dec, self.cos_dec, self.pmra, self.pmdec)
         )
         d_ra, d_dec = np.divide(shift[..., 0, :], cos_dec, out=scratch[0]), shift[..., 1, :]
-        if path.small[..., part].all():
+        if self.small[..., part].all():
             _turn(sin_ra, cos_ra, d_ra, scratch[1:], seen.s, seen.c)
             _turn(sin_dec, cos_dec, d_dec, scratch[1:], seen.sin_dec, seen.cos_dec)
         else:
-            ra, dec = path.ra[..., part, :] + d_ra, path.dec[..., part, :] + d_dec
+            ra, dec = self.ra[..., part, :] + d_ra, self.dec[..., part, :] + d_dec
             np.sin(ra, out=seen.s)
             np.cos(ra, out=seen.c)
             np.sin(dec, out=seen.sin_dec)
@@ -284,7 +280,7 @@ class NoisySums:
         if seen.cos_dec.min() < POLE_LIMIT:
             at = tuple(np.argwhere(seen.cos_dec < POLE_LIMIT)[0])
             item = part.start + int(at[-2])
-            raise pole_error(item, float(path.dec[(*at[:-2], item, 0)] + d_dec[at]))
+            raise pole_error(item, float(self.dec[(*at[:-2], item, 0)] + d_dec[at]))
         np.add(pmra, shift[..., 2, :], out=seen.pmra)
         np.add(pmdec, shift[..., 3, :], out=seen.pmdec)
         np.divide(seen.pmra, seen.cos_dec, out=seen.pmra_turn)
@@ -293,7 +289,7 @@ class NoisySums:
 
     def _subtract_truth(self, seen: Seen, misclosure: Array) -> None:
         """Subtract A times the truth, A the noisy design, so that the solution is estimate - truth."""
-        scenario, truth = self.path.setup.scenario, self.path.setup.truth
+        scenario, truth = self.setup.scenario, self.setup.truth
         turn, work = self.scratch[:2, ..., : misclosure.shape[-3], :]
         ra, dec, pmra, pmdec = (misclosure[..., k, :] for k in range(4))
         if scenario.corrections:

@@ -1,20 +1,18 @@
 """What a study of the link can set, and what comes out: names, units, defaults and meanings, nothing else."""
 
+from collections.abc import Iterable
+from typing import Any
+
 from linksweep.core.catalogues import CATALOGUES
-from linksweep.core.errors import error_kinds
+from linksweep.core.errors import ERROR_MODELS
 from linksweep.core.missions import MISSIONS, mission_from_table
 from linksweep.sweep.contract import Output, Parameter
 
 PM = "mas / yr"
 PER_MAG = "mas / (yr mag)"
-MAGNITUDE = ("mag", -5.0, 30.0)
-"""Unit and bounds of a magnitude."""
-
-
-def _choice(name: str, choices: str, meaning: str, default: str | None = None) -> Parameter:
-    """Declare a choice of words, the first of which is the default unless another is named or "" says that none is."""
-    words = tuple(choices.split())
-    return Parameter(name, "str", (words[0] if default is None else default) or None, meaning, choices=words)
+Range = tuple[float | None, float | None]
+FROM_0, ANY_SIGN, AT_LEAST_0 = (0.0, 1e6), (-1e6, 1e6), (0.0, None)
+MAGNITUDES, UNBOUNDED = (-5.0, 30.0), (None, None)
 
 
 def _number(
@@ -22,22 +20,30 @@ def _number(
     default: float | None,
     meaning: str,
     unit: str = "",
-    minimum: float | None = 0.0,
-    maximum: float | None = 1e6,
+    limits: Range = FROM_0,
     symbol: str = "",
-    above: float | None = None,
+    **more: Any,
 ) -> Parameter:
     """Declare a number, by default from 0 to a million."""
-    return Parameter(name, "float", default, meaning, unit, (), minimum, maximum, above, symbol)
+    return Parameter(name, "float", default, meaning, unit, (), *limits, symbol=symbol, **more)
 
 
 def _vector(name: str, size: float, meaning: str, unit: str, largest: float) -> Parameter:
     return Parameter(name, "vector", (size, size, size), meaning, unit, (), -largest, largest)
 
 
+def _choice(name: str, choices: Iterable[str], default: str | None, meaning: str) -> Parameter:
+    return Parameter(name, "str", default, meaning, choices=tuple(choices))
+
+
+def _error_models(side: str) -> list[str]:
+    return [name for name, model in ERROR_MODELS.items() if side in model.sides]
+
+
+ONLY_DIRECTION = "which then gives the direction only"
 PARAMETERS = (
     # step A: the reference catalogue
-    _choice("catalogue", " ".join(CATALOGUES), "reference catalogue (step A)"),
+    _choice("catalogue", CATALOGUES, "synthetic", "reference catalogue (step A)"),
     Parameter(
         *("n_obj", "int", None),
         "number of objects; default: all quasars or rows brighter than v_max, 116 galaxies, 11 radio stars",
@@ -47,138 +53,118 @@ PARAMETERS = (
     ),
     _number(
         *("v_max", None, "limiting magnitude V; default: synthetic 15, quasars 20, galaxies 13.5, else none"),
-        *MAGNITUDE,
-        r"$V_\mathrm{max}$",
-    ),
-    _number("v_min", None, "brightest magnitude V; default: synthetic 5, else none", *MAGNITUDE, r"$V_\mathrm{min}$"),
-    _choice(
-        "counts", "catalogue completed", "number of quasars: of the paper's catalogue, or completed to the full sky"
+        *("mag", MAGNITUDES, r"$V_\mathrm{max}$"),
     ),
     _number(
-        *("mean_pm", 0.0, "mean modulus of the proper motions, synthetic catalogue", PM),
-        *(0.0, None, r"$\overline{\mu}$"),
+        *("v_min", None, "brightest magnitude V; default: synthetic 5, else none"),
+        *("mag", MAGNITUDES, r"$V_\mathrm{min}$"),
     ),
-    _choice("pm_distribution", "uniform constant rayleigh", "distribution of that modulus about its mean"),
     _choice(
-        *("positions", "own isotropic"),
+        *("counts", ("catalogue", "completed"), "catalogue"),
+        "number of quasars: of the paper's catalogue, or completed to the full sky",
+    ),
+    _number("mean_pm", 0.0, "mean modulus of synthetic proper motions", PM, AT_LEAST_0, r"$\overline{\mu}$"),
+    _choice("pm_distribution", ("uniform", "constant", "rayleigh"), "uniform", "distribution of that modulus"),
+    _choice(
+        *("positions", ("own", "isotropic"), None),
         "radio stars, file: own positions or random ones; default: radio stars random, file own",
-        default="",
     ),
     _number(
         *("zone_of_avoidance", 0.0, "no random positions at Galactic latitudes |b| below this", "deg"),
-        *(0.0, 89.0, r"$|b|_\mathrm{min}$"),
+        *((0.0, 89.0), r"$|b|_\mathrm{min}$"),
     ),
     _number(
-        *("sky_contrast", 0.0),
-        "(north - south)/(north + south) of the numbers on both sides of the Galactic plane, random positions",
-        minimum=-0.99,
-        maximum=0.99,
+        *("sky_contrast", 0.0, "(north - south)/(north + south) of the Galactic plane, random positions", ""),
+        (-0.99, 0.99),
     ),
     Parameter("file", "file", None, "table of objects for catalogue = 'file' (Gaia column names by default)"),
     Parameter("columns", "map", (), "names of the table's columns where they are not Gaia's"),
     Parameter(
-        *("units", "map", ()),
-        "units of quantities whose columns have none: ra = 'hourangle'; default: Gaia's units",
+        "units", "map", (), "units of quantities whose columns have none: ra = 'hourangle'; default: Gaia's units"
     ),
     Parameter(
         *("pmra_cos_dec", "bool", None),
         "whether pmra of the file includes cos(dec) (its error always does); needed unless the file is Gaia's",
     ),
     # steps C and D: errors
-    _choice("satellite_errors", error_kinds("satellite"), "error model of the satellite (step D)", "magnitude"),
-    _choice("reference_errors", error_kinds("reference"), "error model of the reference (step C)", "none"),
+    _choice("satellite_errors", _error_models("satellite"), "magnitude", "error model of the satellite (step D)"),
+    _choice("reference_errors", _error_models("reference"), "none", "error model of the reference (step C)"),
     Parameter(
         *("model", "str", "amex", "mission whose accuracy curve gives the 'magnitude' errors"),
         choices=tuple(MISSIONS),
         define=mission_from_table,
     ),
     _number(
-        *("mission_length", None, "mission length; default: the model's own (amex 2, gaia 5)", "yr"),
-        *(None, None, "$T$", 0.0),
+        *("mission_length", None, "mission length; default: the model's own (amex 2, gaia 5)", "yr", UNBOUNDED, "$T$"),
+        above=0.0,
     ),
     *(
-        _number(f"{side}_sigma_{key}", 1.0, f"{side} {what} error, 'normal' errors", unit, maximum=None)
+        _number(f"{side}_sigma_{key}", 1.0, f"{side} {what} error, 'normal' errors", unit, AT_LEAST_0)
         for side in ("satellite", "reference")
         for key, what, unit in (("pos", "position", "mas"), ("pm", "proper-motion", PM))
     ),
     _number("error_scale", 1.0, "factor on all errors"),
-    _number("satellite_error_scale", 1.0, "further factor on the satellite's errors", symbol=r"$\Delta_\mathrm{sat}$"),
-    _number("reference_error_scale", 1.0, "further factor on the reference's errors", symbol=r"$\Delta_\mathrm{ref}$"),
+    _number("satellite_error_scale", 1.0, "further factor on its errors", symbol=r"$\Delta_\mathrm{sat}$"),
+    _number("reference_error_scale", 1.0, "further factor on its errors", symbol=r"$\Delta_\mathrm{ref}$"),
     # the truth (step B)
     _vector("epsilon", 1.0, "true orientation, reference - satellite", "mas", 1e8),
     _vector("omega", 1.0, "true spin, reference - satellite", PM, 1e8),
     *(
-        _number(name, None, f"length of {vector}, which then gives the direction only", unit, 0.0, 1e8, symbol)
-        for name, vector, unit, symbol in (
-            ("epsilon_size", "epsilon", "mas", r"$|\epsilon|$"),
-            ("omega_size", "omega", PM, r"$|\omega|$"),
-        )
+        _number(f"{name}_size", None, f"length of {name}, {ONLY_DIRECTION}", unit, (0.0, 1e8), rf"$|\{name}|$")
+        for name, unit in (("epsilon", "mas"), ("omega", PM))
     ),
-    _choice("directions", "fixed random", "directions of epsilon and omega: as given, or random for each catalogue"),
+    _choice(
+        *("directions", ("fixed", "random"), "fixed"),
+        "directions of epsilon and omega: as given, or random for each catalogue",
+    ),
     Parameter("aberration", "bool", False, "add a glide to the satellite's proper motions (Galactic aberration)"),
     Parameter(
-        *("glide", "vector", None),
-        *("glide added by aberration; default: 4 uas/yr towards the Galactic centre", "uas / yr"),
+        *("glide", "vector", None, "glide added by aberration; default: 4 uas/yr towards the Galactic centre"),
+        "uas / yr",
     ),
     # systematics
-    _number(
-        *("satellite_floor_pos", 0.0),
-        *("noise floor in the satellite's position errors, added in quadrature after all scales", "mas"),
-    ),
-    _number("satellite_floor_pm", 0.0, "noise floor in the satellite's proper-motion errors", PM),
-    _number("reference_floor_pos", 0.0, "noise floor in the reference's position errors", "mas"),
-    _number("reference_floor_pm", 0.0, "noise floor in the reference's proper-motion errors", PM),
     *(
-        _number(f"{side}_error_ratio", 1.0, f"true errors of the {side} over those in the weights{more}", "", *bounds)
-        for bounds in ((None, 100.0, "", 0.0),)
-        for side, more in (("satellite", ": 2 where they are underestimated by a factor 2"), ("reference", ""))
+        _number(f"{side}_floor_{key}", 0.0, f"noise floor in its {what} errors, in quadrature after all scales", unit)
+        for side in ("satellite", "reference")
+        for key, what, unit in (("pos", "position", "mas"), ("pm", "proper-motion", PM))
     ),
-    _number(
-        *("zonal_pos", 0.0),
-        *(
-            "RMS per coordinate of satellite position errors that neighbours on the sky share, not in the weights",
-            "mas",
-        ),
-    ),
-    _number("zonal_pm", 0.0, "RMS per coordinate of such errors of the satellite's proper motions", PM),
-    _number(
-        *("zonal_length", 30.0, "width of the Gaussian correlation of zonal errors over angular distance", "deg"),
-        *(6.0, 180.0),
-    ),
-    _vector(
-        *("omega_slope", 0.0, "change of the true spin with magnitude: omega + omega_slope (V - v_zero)"),
-        *(PER_MAG, 1e6),
-    ),
-    _number("omega_slope_size", None, "length of omega_slope, which then gives the direction only", PER_MAG),
     *(
         _number(
-            *(f"magnitude_equation_{motion}", 0.0),
-            f"error of the satellite's {motion} for each magnitude that an object is fainter than v_zero",
-            *(PER_MAG, -1e6),
+            *(f"{side}_error_ratio", 1.0, "its true errors over those in the weights", "", (None, 100.0)),
+            above=0.0,
+        )
+        for side in ("satellite", "reference")
+    ),
+    _number("zonal_pos", 0.0, "RMS of satellite position errors that neighbours share, not in the weights", "mas"),
+    _number("zonal_pm", 0.0, "RMS of such errors of its proper motions, per coordinate", PM),
+    _number("zonal_length", 30.0, "width of the Gaussian correlation of zonal errors", "deg", (6.0, 180.0)),
+    _vector("omega_slope", 0.0, "change of the true spin with magnitude: omega_slope (V - v_zero)", PER_MAG, 1e6),
+    _number("omega_slope_size", None, f"length of omega_slope, {ONLY_DIRECTION}", PER_MAG),
+    *(
+        _number(
+            f"magnitude_equation_{motion}", 0.0, f"error of its {motion} per magnitude from v_zero", PER_MAG, ANY_SIGN
         )
         for motion in ("pmra", "pmdec")
     ),
-    _number("v_zero", 15.0, "magnitude at which omega is the spin and a magnitude equation is zero", *MAGNITUDE),
+    _number("v_zero", 15.0, "magnitude without an omega_slope or magnitude equation", "mag", MAGNITUDES),
     Parameter(
         *("motion_field", "str", None),
         "vector spherical harmonics in the satellite's proper motions, as 't_2_0=0.1,s_2_1_re=-0.2' in mas/yr",
     ),
-    _number(
-        "motion_field_size", None, "RMS length over the sky of motion_field, which then gives the pattern only", PM
-    ),
+    _number("motion_field_size", None, "RMS of motion_field over the sky, which then gives the pattern only", PM),
     # step E: the solution
     Parameter("solve_glide", "bool", False, "solve for a glide too"),
     Parameter("corrections", "bool", True, "keep the A21 terms in the design matrix"),
     _choice(
-        "weighting", "inverse-variance equal", "weights of the solution: 1/(sigma_ref^2 + sigma_sat^2), or all equal"
+        *("weighting", ("inverse-variance", "equal"), "inverse-variance"),
+        "weights of the solution: 1/(sigma_ref^2 + sigma_sat^2), or all equal",
     ),
     _choice(
-        "arithmetic",
-        "exact stored",
+        *("arithmetic", ("exact", "stored"), "exact"),
         "differences of catalogues: exact, or by subtracting stored angles as in the paper",
     ),
     _choice(
-        *("method", "catalogue projected"),
+        *("method", ("catalogue", "projected"), "catalogue"),
         "what is drawn: the errors of every object, or (projected) their effect on the link, at a cost without n_obj",
     ),
 )
@@ -215,8 +201,7 @@ def _with_errors(
         "mc_error": f"Monte-Carlo error of {name}, sigma/sqrt(2 n)",
         "predicted": f"{prediction}, from the errors alone, without the bias",
         "rms_predicted": f"{prediction}, from errors and bias together",
-        "catalogue_error": f"error of {name} as the mean over all possible catalogues, because only n_cat were drawn; "
-        "NaN below 5",
+        "catalogue_error": f"error of {name} as the mean over all possible catalogues; NaN for n_cat below 5",
     }
     return [
         Output(name, unit, meaning, dims, headline, symbol, nan=True),
@@ -226,35 +211,19 @@ def _with_errors(
 
 OUTPUTS = (
     Output("n_obj", "", "number of objects in the catalogue (mean over catalogues)", (), True, r"$N_\mathrm{obj}$"),
-    *_with_errors("sigma_spin", PM, "RMS error of the spin, over its three components", (), True, r"$\sigma(\omega)$"),
+    *_with_errors("sigma_spin", PM, "RMS error of the spin, over its components", (), True, r"$\sigma(\omega)$"),
     *_with_errors(
-        *("sigma_orientation", "mas", "RMS error of the orientation, over its three components"),
-        symbol=r"$\sigma(\epsilon)$",
+        *("sigma_orientation", "mas", "RMS error of the orientation, over its components"),
+        *((), False, r"$\sigma(\epsilon)$"),
     ),
     *_with_errors("sigma", _EACH, "RMS of estimate - truth", _COMPONENT),
     Output("bias", _EACH, "mean of estimate - truth", _COMPONENT, nan=True),
-    Output(
-        *("bias_predicted", _EACH),
-        "closed-form prediction of bias for the same catalogues: the effect of aberration or of terms left out",
-        _COMPONENT,
-        nan=True,
-    ),
-    Output(
-        *("bias_mc_error", _EACH),
-        "Monte-Carlo error of bias, from the scatter of catalogues, or of realisations of a single one; NaN for 2 to 4",
-        _COMPONENT,
-        nan=True,
-    ),
+    Output("bias_predicted", _EACH, "closed-form prediction of bias for the same catalogues", _COMPONENT, nan=True),
+    Output("bias_mc_error", _EACH, "Monte-Carlo error of bias; NaN for 2 to 4 catalogues", _COMPONENT, nan=True),
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", _PAIR, nan=True),
     Output("correlation", "", "correlation of the estimates about their mean", _PAIR, nan=True),
-    Output(
-        *("condition_number", ""),
-        "largest over smallest eigenvalue of the normal matrix scaled to a diagonal of 1 (mean over catalogues)",
-    ),
-    Output(
-        *("chi2", ""),
-        "mean chi2 of the solution; dof is its expectation for inverse-variance weights of uncorrelated errors",
-    ),
+    Output("condition_number", "", "condition of the normal matrix scaled to a diagonal of 1 (mean over catalogues)"),
+    Output("chi2", "", "mean chi2 of the solution; dof if weights are those of uncorrelated errors"),
     Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
     Output("glide_sigma", PM, "RMS of estimate - truth of a glide that was solved for", _GLIDE, nan=True),
     Output("glide_bias", PM, "mean of estimate - truth of a glide that was solved for", _GLIDE, nan=True),

@@ -1,19 +1,17 @@
 """The physics of a point, from its parameters: catalogue, errors, truth and solution; and the errors to be expected
-before any catalogue is drawn, at the cost of a few multiplications.
+before any catalogue is drawn.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-from linksweep.core.catalogue import SIDES, Catalogue
-from linksweep.core.catalogues import CATALOGUES, CatalogueKind
-from linksweep.core.errors import ErrorModel, Errors, error_kind, error_model, floor_of
+from linksweep.core.catalogues import CATALOGUES, SIDES, CatalogueKind, NestedDraw
+from linksweep.core.errors import ErrorModel, error_model
+from linksweep.core.fields import Pattern, Systematics, Vector, ZonalErrors, parse_pattern, rms
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, Array
 from linksweep.core.link import Weighting
-from linksweep.core.systematics import Pattern, Systematics, Vector, ZonalErrors, parse_pattern, rms
 from linksweep.sweep.contract import Point
 
 GALACTIC_GLIDE_UAS_YR = 4.0
@@ -23,36 +21,22 @@ has since measured 5.05.
 
 
 @dataclass(frozen=True)
-class TrueVector:
-    """A true rotation or spin: one vector for all catalogues, or one of its length in a random direction for each."""
-
-    vector: Vector
-    random_direction: bool = False
-
-    def draw(self, rng: np.random.Generator) -> Array:
-        """Return the vector of one catalogue; shape (3,)."""
-        fixed = np.array(self.vector)
-        if not self.random_direction:
-            return fixed
-        direction = rng.standard_normal(3)
-        return np.asarray(np.linalg.norm(fixed) * direction / np.linalg.norm(direction))
-
-
-@dataclass(frozen=True)
 class Scenario:
     """One point's physics: how a catalogue is drawn, its errors, the truth (rad, rad/yr) and how the link is solved.
 
+    With ``random_directions`` each catalogue has a truth of its own, of the length of ``epsilon`` and ``omega``.
     ``aberration`` is a glide (rad/yr) added to the satellite's proper motions; ``solve_glide`` adds it to the unknowns.
     ``method`` says whether the errors of every object are drawn or their effect on the link.  The true errors of a side
     are its ``error_ratio`` times those of its model, which give the weights; ``zonal`` are further errors of the
     satellite, and ``systematics`` are errors of proper motions that are the same in all realisations.
     """
 
-    draw_catalogue: Callable[[np.random.Generator], Catalogue]
+    draw_catalogue: NestedDraw
     reference_errors: ErrorModel
     satellite_errors: ErrorModel
-    epsilon: TrueVector
-    omega: TrueVector
+    epsilon: Vector
+    omega: Vector
+    random_directions: bool = False
     aberration: Vector = (0.0, 0.0, 0.0)
     solve_glide: bool = False
     corrections: bool = True
@@ -64,26 +48,23 @@ class Scenario:
     zonal: ZonalErrors | None = None
     systematics: Systematics = field(default_factory=Systematics)
 
-    @property
-    def random_directions(self) -> bool:
-        """Whether each catalogue has a truth of its own."""
-        return self.epsilon.random_direction or self.omega.random_direction
-
 
 def scenario(point: Point) -> Scenario:
     """Return the physics of a point (its parameters by name, in the units of `PARAMETERS`)."""
-    same = ("solve_glide", "corrections", "weighting", "arithmetic", "method")
-    random, glide = point["directions"] == "random", point["glide"]
+    same = (
+        *("solve_glide", "corrections", "weighting", "arithmetic", "method"),
+        *("reference_error_ratio", "satellite_error_ratio"),
+    )
+    glide = point["glide"]
     glide_rad = MICROARCSEC * (GALACTIC_GLIDE_UAS_YR * GALACTIC_AXES[0] if glide is None else np.array(glide))
     return Scenario(
         draw_catalogue=catalogue_kind(point).nested_draw(point),
         reference_errors=error_model(point, "reference"),
         satellite_errors=error_model(point, "satellite"),
-        epsilon=TrueVector(_radians(point, "epsilon"), random),
-        omega=TrueVector(_radians(point, "omega"), random),
+        epsilon=_radians(point, "epsilon"),
+        omega=_radians(point, "omega"),
+        random_directions=point["directions"] == "random",
         aberration=tuple(glide_rad.tolist()) if point["aberration"] else (0.0, 0.0, 0.0),
-        reference_error_ratio=point["reference_error_ratio"],
-        satellite_error_ratio=point["satellite_error_ratio"],
         zonal=zonal_errors(point),
         systematics=systematics(point),
         **{name: point[name] for name in same},
@@ -124,29 +105,15 @@ def catalogue_size(point: Point) -> int:
     return catalogue_kind(point).size(point) if n_obj is None else int(n_obj)
 
 
-def listed_objects(point: Point) -> Catalogue | None:
-    """Return the objects of a catalogue that lists them, None for one that is drawn from a law."""
-    return catalogue_kind(point).objects(point)
-
-
-def errors_at_limit(point: Point, side: str) -> Errors:
-    """Return the errors of one side, "reference" or "satellite", for an object at the faint limit of a catalogue
-    that is drawn.
+def expected_errors(point: Point) -> Array:
+    """Return the errors (mas, mas/yr) of the reference and the satellite before a catalogue is drawn, shape (2, N, 4):
+    those of the objects that it lists, or of a single one at the faint limit of a catalogue that follows a law.
     """
-    return error_model(point, side).at(lambda: catalogue_kind(point).magnitudes(point)[1])
-
-
-def errors_of_objects(point: Point, objects: Catalogue) -> Array:
-    """Return the errors (mas, mas/yr) of the reference and the satellite for objects, shape (2, 4, N)."""
+    kind, models = catalogue_kind(point), [error_model(point, side) for side in SIDES]
+    if (objects := kind.objects(point)) is None:
+        return np.array([[np.repeat(model.at_limit(point, kind), 2)] for model in models])
     with np.errstate(over="ignore"):  # far beyond its range a curve is infinite, which is refused later
-        return np.stack([error_model(point, side).standard_errors(objects) / MAS for side in SIDES])
-
-
-def has_errors(point: Point, side: str) -> bool:
-    """Return whether one side has any error, so that normals are drawn for it."""
-    if side == "satellite" and zonal_errors(point) is not None:
-        return True
-    return floor_of(point, side) is not None or error_kind(point, side).any(point, side)
+        return np.stack([model.standard_errors(objects) for model in models]) / MAS
 
 
 def _radians(point: Point, name: str) -> Vector:

@@ -5,24 +5,34 @@ Common random numbers give catalogues that are nested and missions that see the 
 alone, to the last bit, is computed for the largest catalogue, and the others use the beginning of that array: the same
 memory, by which common sums are recognised.  These are added up once, tile by tile, and each catalogue takes the sum as
 it stands where its objects end.
+
+Unit normals come in the order that every link draws them: realisations in chunks of `ROWS`, each with a stream of its
+own for the satellite and one for the reference.  A stream runs through the objects: 4 observables of object 0 in all
+realisations of the chunk, then object 1.  So what object i gets depends neither on how many objects follow nor on what
+the other side or another point needs.
 """
 
 import math
 from bisect import insort
-from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from linksweep.core.catalogue import Catalogue
-from linksweep.core.errors import ErrorModel
+from linksweep.core.catalogues import Catalogue
+from linksweep.core.fields import DrawnField, Field
 from linksweep.core.frames import Array, Stack, along, exact_differences, stored_differences
 from linksweep.core.link import OBSERVABLES, UnlikeError, combined_error, measured
-from linksweep.core.noise import Tile
 from linksweep.core.scenario import Scenario
-from linksweep.core.systematics import DrawnField, Field, ZonalErrors
 from linksweep.core.unknowns import ORIENTATION, SPIN, Objects
+
+ROWS = 512
+"""Realisations drawn at a time."""
+
+TILE = 65536
+"""Normals drawn at a time: 512 KiB stay in a core's own cache."""
 
 PART = 2048
 """Objects whose products are added up at a time: it decides how the sums are rounded."""
@@ -30,8 +40,32 @@ PART = 2048
 PREPARED = 16384
 """Objects that are prepared at a time, so that intermediate arrays of 128 KiB stay near the core."""
 
-Term = Callable[[Array, slice], Array]
-"""A function that returns what unit normals (..., m, 4, rows) of the objects at a place add to a sum."""
+
+class Tile(NamedTuple):
+    """Unit normals (..., objects, 4, rows) of one side, for the objects from ``start`` on; for a stack of catalogues
+    the first axis is that of the catalogues.
+    """
+
+    start: int
+    normals: Array
+
+    def head(self, n_obj: int) -> Array:
+        """Return the part that belongs to a catalogue of ``n_obj`` objects."""
+        return self.normals[..., : max(0, n_obj - self.start), :, :]
+
+
+def tiles(rngs: Sequence[np.random.Generator], stack: Stack, rows: int, n_obj: int) -> Iterator[Tile]:
+    """Yield the unit normals of ``n_obj`` objects of the catalogues of a stack, from a generator of each; a tile is
+    valid until the next one.
+    """
+    objects = max(1, TILE // (4 * rows))  # from the rows alone, so that other points do not change the tiles
+    # full size even for few objects: where an array begins in memory must not depend on the points that share it
+    buffer = np.empty((*stack, min(objects, n_obj) if stack else objects, 4, rows))
+    for start in range(0, n_obj, objects):
+        part = buffer[..., : n_obj - start, :, :]
+        for rng, normals in zip(rngs, part if stack else [part], strict=True):
+            rng.standard_normal(out=normals)
+        yield Tile(start, part)
 
 
 def parts(n_obj: int, size: int = PART) -> list[slice]:
@@ -48,7 +82,7 @@ class Prefixes:
     """Arrays over objects that have been computed for a block; ask for those of the largest catalogue first."""
 
     def __init__(self) -> None:
-        self._known: dict[Hashable, list[tuple[tuple[Array, ...], list[Hashable], Array]]] = {}
+        self._known: dict[Hashable, list[tuple[tuple[Array, ...], Array]]] = {}
         self._products: dict[Hashable, Array] = {}
         self._objects: dict[Hashable, list[tuple[slice, Objects]]] = {}
 
@@ -58,14 +92,12 @@ class Prefixes:
         ``settings`` identify the computation; a row of the result may only depend on them and on that row of the
         arguments.
         """
-        known, origins = self._known.setdefault(settings, []), [origin(rows) for rows in objects]
-        n_obj = len(objects[0])
-        for larger, theirs, result in known:
-            pairs = zip(origins, theirs, objects, larger, strict=True)
-            if n_obj <= len(result) and all(a == b or _begin_alike(part, whole) for a, b, part, whole in pairs):
+        known, n_obj = self._known.setdefault(settings, []), len(objects[0])
+        for larger, result in known:
+            if n_obj <= len(result) and all(map(_begins, larger, objects)):
                 return result[:n_obj]
         result = compute(*objects)
-        known.append((objects, origins, result))
+        known.append((objects, result))
         return result
 
     def objects(self, ra: Array, dec: Array, pmra: Array, pmdec: Array) -> list[tuple[slice, Objects]]:
@@ -93,9 +125,13 @@ class Prefixes:
         return total
 
 
-def _begin_alike(part: Array, whole: Array) -> bool:
-    """Whether the bits of an array are those that another one begins with."""
-    return np.array_equal(part.view(np.uint64), whole[: len(part)].view(np.uint64))
+def _begins(whole: Array, part: Array) -> bool:
+    """Whether an array begins with another one, to the last bit: in most cases it is the same memory."""
+    return origin(whole) == origin(part) or np.array_equal(part.view(np.uint64), whole[: len(part)].view(np.uint64))
+
+
+Term = Callable[[Array, slice], Array]
+"""A function that returns what unit normals (..., m, 4, rows) of the objects at a place add to a sum."""
 
 
 class SharedSums:
@@ -137,53 +173,32 @@ class SharedSums:
 
 @dataclass(frozen=True)
 class Noise:
-    """True errors of one side: standard errors (N, 4) and, where they are correlated, Cholesky factors (N, 4, 4).
-
-    They are ``inflation`` times the errors in the weights.  A ``field`` has further errors, which objects share.
+    """True errors of one side: ``inflation`` times standard errors (N, 4), those of the weights; where they are
+    correlated with Cholesky factors (N, 4, 4).  A ``field`` has further errors, which objects share.
     """
 
-    sigma: Array
+    stated: Array
     factor: Array | None
     inflation: float = 1.0
     field: Field | None = None
 
-    @staticmethod
-    def of(model: ErrorModel, catalogue: Catalogue, shared: Prefixes) -> "Noise":
-        """Return the errors that a model gives the objects of a catalogue."""
-
-        def compute(*_: Array) -> Array:
-            return np.ascontiguousarray(model.standard_errors(catalogue).T)
-
-        correlation = model.correlation(catalogue)
-        sigma = shared.once(("errors", model), compute, catalogue.v_mag) if model.is_elementwise() else compute()
-        return Noise(sigma, None if correlation is None else np.asarray(np.linalg.cholesky(correlation)))
-
-    def inflated(self, factor: float) -> "Noise":
-        """Return errors ``factor`` times as large, with the same weights."""
-        if factor == 1.0 or not self._any:
-            return self
-        return replace(self, sigma=factor * self.sigma, inflation=factor * self.inflation)
-
-    def with_zonal(self, errors: ZonalErrors | None, catalogue: Catalogue) -> "Noise":
-        """Return these errors with zonal errors of the objects of a catalogue added."""
-        return self if errors is None else replace(self, field=Field(errors, catalogue.ra, catalogue.dec))
+    @cached_property
+    def is_drawn(self) -> bool:
+        """Whether objects have errors of their own."""
+        return bool(np.any(self.stated))
 
     def __bool__(self) -> bool:
-        return self.field is not None or self._any
+        return self.field is not None or self.is_drawn
 
     @cached_property
-    def _any(self) -> bool:
-        return bool(np.any(self.sigma))
+    def sigma(self) -> Array:
+        """The true standard errors; shape (N, 4)."""
+        return self.stated if self.inflation == 1.0 else self.inflation * self.stated
 
     @property
     def as_weighed(self) -> bool:
         """Whether all errors are independent and equal to those in the weights."""
-        return self.factor is None and self.field is None and self.inflation == 1.0
-
-    @property
-    def ratio(self) -> float:
-        """The errors of single objects over those in the weights; 0 where only a field has errors."""
-        return self.inflation if self._any else 0.0
+        return self.factor is None and self.field is None and (self.inflation == 1.0 or not self.is_drawn)
 
     def draw_field(self, rows: int, rng: np.random.Generator) -> DrawnField | None:
         """Return ``rows`` realisations of the errors that objects share, or None."""
@@ -246,60 +261,59 @@ class Setup:
         return slice(SPIN.start if positions else ORIENTATION.start, SPIN.start if motions else len(self.truth))
 
 
-@dataclass(frozen=True)
-class Draw:
-    """One catalogue and the true orientation (rad) and spin (rad/yr) that go with it: steps A and B."""
+def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Prefixes, stack: Stack = ()) -> Setup:
+    """Return the errors and differences of the objects of a catalogue; ``vectors`` (2, 3) are its true orientation
+    (rad) and spin (rad/yr).
 
-    catalogue: Catalogue
-    epsilon: Array
-    omega: Array
-    stack: Stack = ()
-
-    @staticmethod
-    def of(scenario: Scenario, catalogue: Catalogue, direction_rng: np.random.Generator, stack: Stack = ()) -> "Draw":
-        """Draw the vectors that go with a catalogue, or with all of a stack, for which they are not random."""
-        return Draw(catalogue, scenario.epsilon.draw(direction_rng), scenario.omega.draw(direction_rng), stack)
-
-
-def prepare(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Setup:
-    """Return the errors and differences of the objects; raises LinkError where these cannot be weighed, UnlikeError
-    for a stack in which only some catalogues have errors, or errors are correlated.
+    Raises LinkError where they cannot be weighed, UnlikeError for a stack in which only some catalogues have errors, or
+    errors are correlated.
     """
-    catalogue, glide = drawn.catalogue, np.array(scenario.aberration)
-    reference = Noise.of(scenario.reference_errors, catalogue, shared)
-    satellite = Noise.of(scenario.satellite_errors, catalogue, shared)
-    for side in (reference, satellite) if drawn.stack else ():
+    reference, satellite = (_noise(scenario, side, catalogue, shared) for side in ("reference", "satellite"))
+    for side in (reference, satellite) if stack else ():
         if side.factor is not None:
             raise UnlikeError("the errors of an object are correlated")
-        any_errors = side.sigma.reshape(*drawn.stack, -1).any(axis=-1)
-        if any_errors.any() and not any_errors.all():
+        if bool(np.any(side.stated)) != all(map(np.any, side.stated.reshape(*stack, -1))):
             raise UnlikeError("some of the catalogues have no errors")
-
-    def combine(*sides: Array) -> Array:
-        return np.ascontiguousarray(combined_error(*(side.T for side in sides)).T)
-
-    if np.all(satellite.sigma > 0.0):  # then the result of an object depends on no other one
-        sigma, kinds = shared.once("combined errors", combine, reference.sigma, satellite.sigma), (True, True)
+    if np.all(satellite.stated > 0.0):  # then the result of an object depends on no other one
+        sigma = shared.once("combined errors", combined_error, reference.stated, satellite.stated)
+        kinds = True, True
     else:
-        sigma, kinds = combine(reference.sigma, satellite.sigma), measured(reference.sigma.T + satellite.sigma.T)
+        sigma, kinds = combined_error(reference.stated, satellite.stated), measured(reference.stated + satellite.stated)
+    glide = [-np.array(scenario.aberration)] if scenario.solve_glide else []
     return Setup(
         scenario=scenario,
         catalogue=catalogue,
-        truth=np.concatenate([drawn.epsilon, drawn.omega, *([-glide] if scenario.solve_glide else [])]),
-        differences=_differences(scenario, drawn, shared),
-        reference=reference.inflated(scenario.reference_error_ratio),
-        satellite=satellite.inflated(scenario.satellite_error_ratio).with_zonal(scenario.zonal, catalogue),
+        truth=np.concatenate([*vectors, *glide]),
+        differences=_differences(scenario, catalogue, vectors, shared),
+        reference=reference,
+        satellite=satellite,
         sigma=sigma,
         measured=kinds,
-        stack=drawn.stack,
+        stack=stack,
     )
 
 
-def _differences(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Array:
+def _noise(scenario: Scenario, side: str, catalogue: Catalogue, shared: Prefixes) -> Noise:
+    """Return the true errors of one side of the objects of a catalogue."""
+    is_satellite = side == "satellite"
+    model = scenario.satellite_errors if is_satellite else scenario.reference_errors
+
+    def compute(*_: Array) -> Array:
+        return model.standard_errors(catalogue)
+
+    correlation = model.correlation(catalogue)
+    field = Field(scenario.zonal, catalogue.ra, catalogue.dec) if is_satellite and scenario.zonal is not None else None
+    return Noise(
+        stated=shared.once(("errors", model), compute, catalogue.v_mag) if model.is_elementwise else compute(),
+        factor=None if correlation is None else np.asarray(np.linalg.cholesky(correlation)),
+        inflation=scenario.satellite_error_ratio if is_satellite else scenario.reference_error_ratio,
+        field=field,
+    )
+
+
+def _differences(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Prefixes) -> Array:
     """Return the observables reference - satellite without random errors; shape (N, 4)."""
-    catalogue, vectors = drawn.catalogue, np.array([drawn.epsilon, drawn.omega, scenario.aberration])
-    epsilon, omega, glide = vectors
-    systematics = scenario.systematics
+    (epsilon, omega), glide, systematics = vectors, np.array(scenario.aberration), scenario.systematics
 
     def compute(ra: Array, dec: Array, pmra: Array, pmdec: Array, *v_mag: Array) -> Array:
         differences = np.empty((len(ra), 4))
@@ -316,7 +330,7 @@ def _differences(scenario: Scenario, drawn: Draw, shared: Prefixes) -> Array:
                 differences[part, 2:] += systematics.differences(here.ra, here.dec, *(v[part] for v in v_mag)).T
         return differences
 
-    settings = "differences", scenario.arithmetic, vectors.tobytes(), systematics
+    settings = "differences", scenario.arithmetic, vectors.tobytes(), scenario.aberration, systematics
     # magnitudes only where they matter, so that objects that differ in nothing else are shared
     v_mag = (catalogue.v_mag,) if systematics.need_magnitudes else ()
     return shared.once(settings, compute, catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec, *v_mag)

@@ -1,18 +1,19 @@
 """Steps A-F of the simulation for a block of realisations, in bounded memory."""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
+from functools import partial
 from itertools import zip_longest
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from linksweep.core.catalogue import Catalogue, NestedDraw
+from linksweep.core.catalogues import Catalogue
 from linksweep.core.fixed_design import FixedDesign, Projected, Solved, fixed_designs
 from linksweep.core.frames import MAS, Array, Stack
 from linksweep.core.link import LinkError
-from linksweep.core.noise import ROWS, chunks, stacked_catalogue, tiles
-from linksweep.core.noisy_design import NoisyDesign, NoisySums
+from linksweep.core.noisy_design import NoisyDesign
 from linksweep.core.scenario import Scenario
-from linksweep.core.setup import Draw, Prefixes, SharedSums, prepare
+from linksweep.core.setup import ROWS, Prefixes, SharedSums, prepare, tiles
 from linksweep.core.unknowns import ALWAYS, GLIDE, GLIDE_LABELS, ORIENTATION, SPIN
 
 Streams = tuple[np.random.Generator, np.random.Generator]
@@ -66,10 +67,8 @@ def can_stack(scenario: Scenario, n_sim: int) -> bool:
     They may not where each has its own truth or draws more than normals, nor for a single realisation, because sums
     over objects would be added in another order.
     """
-    draw = scenario.draw_catalogue
     return (
-        isinstance(draw, NestedDraw)
-        and draw.takes_several
+        scenario.draw_catalogue.takes_several
         and scenario.method == "catalogue"
         and scenario.zonal is None
         and not scenario.random_directions
@@ -83,24 +82,27 @@ def _simulate(
 ) -> list[Sums]:
     """Return the sums of each scenario, for a catalogue from one pair of streams or a stack from several pairs."""
     drawn, prefixes = _draws(scenarios, [catalogue_rng for _, catalogue_rng in streams], stack), Prefixes()
-    order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k].catalogue))  # the others may be its beginning
-    setups = [prepare(scenarios[k], drawn[k], prefixes) for k in order]
+    order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k][0]))  # the others may be its beginning
+    setups = [prepare(scenarios[k], *drawn[k], prefixes, stack) for k in order]
     designs = dict(zip(order, fixed_designs(setups, prefixes), strict=True))
     points = [_Point(designs[k], n_sim, keep_estimates) for k in range(len(drawn))]
+    noisy = [point.path for point in points if isinstance(point.path, NoisyDesign)]
     zonal = any(scenario.zonal is not None for scenario in scenarios)
     satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
-    for rows in chunks(n_sim):
+    for start in range(0, n_sim, ROWS):
+        rows = min(ROWS, n_sim - start)
         satellite_rngs, reference_rngs = zip(*(rng.spawn(2) for rng, _ in streams), strict=True)
         field_rng = satellite_rngs[0].spawn(1)[0] if zonal else satellite_rngs[0]  # which draws nothing
-        shared, noisy = SharedSums(), list[NoisySums]()
-        solved = [point.begin(rows, satellite_rngs[0], field_rng, shared, noisy) for point in points]
+        shared = SharedSums()
+        solved = [point.begin(rows, satellite_rngs[0], field_rng, shared) for point in points]
         for satellite, reference in zip_longest(
             tiles(satellite_rngs, stack, rows, satellite_objects), tiles(reference_rngs, stack, rows, reference_objects)
         ):
             if satellite is not None:
                 shared.add(satellite)
-            for sums in noisy:
-                sums.add(satellite, reference)
+            if reference is not None:
+                for path in noisy:
+                    path.add(satellite, reference)
         for point, result in zip(points, solved, strict=True):
             point.add(*result())
     return [point.sums() for point in points]
@@ -130,31 +132,14 @@ class _Point:
             return 0, 0
         return self.setup.n_obj * bool(self.setup.satellite), self.setup.n_obj * bool(self.setup.reference)
 
-    def begin(
-        self,
-        rows: int,
-        rng: np.random.Generator,
-        field_rng: np.random.Generator,
-        shared: SharedSums,
-        noisy: list[NoisySums],
-    ) -> Solved:
+    def begin(self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator, shared: SharedSums) -> Solved:
         """Return what gives the solutions of ``rows`` realisations, having asked for the sums that it needs; the
-        projected method draws from the beginning of the satellite's stream, zonal errors from that of their own, and
-        both are reset for other points.
+        projected method draws from the beginning of the satellite's stream, zonal errors from that of their own.
         """
-        path = self.path
-        if isinstance(path, Projected):
-            state = rng.bit_generator.state
-            drawn = path.draw(rows, rng)
-            rng.bit_generator.state = state
+        if isinstance(self.path, Projected):
+            drawn = _from_start(rng, partial(self.path.draw, rows))
             return lambda: drawn
-        state = field_rng.bit_generator.state
-        field = self.setup.satellite.draw_field(rows, field_rng)
-        field_rng.bit_generator.state = state
-        if isinstance(path, FixedDesign):
-            return path.begin(rows, field, shared)
-        noisy.append(NoisySums(path, rows, field))
-        return noisy[-1].solved
+        return self.path.begin(rows, _from_start(field_rng, partial(self.setup.satellite.draw_field, rows)), shared)
 
     def add(self, error: Array, chi2: Array) -> None:
         """Add realisations: their estimate - truth (..., K, rows), and the sum of their chi2."""
@@ -198,26 +183,59 @@ class _Point:
         return sums
 
 
-def _draws(scenarios: Sequence[Scenario], catalogue_rngs: Sequence[np.random.Generator], stack: Stack) -> list[Draw]:
-    """Return what each scenario draws, all from the same state: directions have a stream of their own, so that they are
-    the same for catalogues of any size.
+def _draws(
+    scenarios: Sequence[Scenario], catalogue_rngs: Sequence[np.random.Generator], stack: Stack
+) -> list[tuple[Catalogue, Array]]:
+    """Return the catalogue and the true vectors (2, 3) of each scenario, all from the same state: directions have a
+    stream of their own, so that they are the same for catalogues of any size.
     """
-    if stack:
+    if stack:  # directions are fixed
         (scenario,) = scenarios
-        catalogue = stacked_catalogue(scenario.draw_catalogue, catalogue_rngs)
-        return [Draw.of(scenario, catalogue, catalogue_rngs[0], stack)]  # fixed directions: nothing is drawn
+        several: Any = Generators(catalogue_rngs)
+        drawn = scenario.draw_catalogue(cast(np.random.Generator, several))
+        whole = drawn.repeated(len(catalogue_rngs)) if drawn.ra.ndim == 1 else drawn
+        return [(whole.flattened(), _truth(scenario, catalogue_rngs[0]))]
     (catalogue_rng,) = catalogue_rngs
-    objects, (directions,) = catalogue_rng.bit_generator.state, catalogue_rng.spawn(1)
-    start = directions.bit_generator.state
-    draws = [scenario.draw_catalogue for scenario in scenarios]
-    nests = [(d.family, d.n_obj) if isinstance(d, NestedDraw) else (k, None) for k, d in enumerate(draws)]
+    (directions,) = catalogue_rng.spawn(1)
     largest: dict[Hashable, Catalogue] = {}
-    drawn: dict[int, Draw] = {}
-    for k in sorted(range(len(draws)), key=lambda k: -(nests[k][1] or 0)):  # a family's largest first
-        family, n_obj = nests[k]
-        if family not in largest:
-            catalogue_rng.bit_generator.state = objects
-            largest[family] = draws[k](catalogue_rng)
-        directions.bit_generator.state = start
-        drawn[k] = Draw.of(scenarios[k], largest[family].take(slice(n_obj)), directions)
-    return [drawn[k] for k in range(len(draws))]
+    for draw in sorted((scenario.draw_catalogue for scenario in scenarios), key=lambda draw: -draw.n_obj):
+        if draw.family not in largest:
+            largest[draw.family] = _from_start(catalogue_rng, draw)
+    return [
+        (
+            largest[scenario.draw_catalogue.family].take(slice(scenario.draw_catalogue.n_obj)),
+            _from_start(directions, partial(_truth, scenario)),
+        )
+        for scenario in scenarios
+    ]
+
+
+class Generators:
+    """Several generators as one: the arrays that a method returns have a first axis of generators."""
+
+    def __init__(self, generators: Sequence[np.random.Generator]) -> None:
+        self._generators = generators
+
+    def __getattr__(self, name: str) -> Callable[..., Array]:
+        methods = [getattr(generator, name) for generator in self._generators]
+        return lambda *arguments, **options: np.stack([method(*arguments, **options) for method in methods])
+
+
+def _truth(scenario: Scenario, rng: np.random.Generator) -> Array:
+    """Return the true orientation (rad) and spin (rad/yr) of one catalogue; shape (2, 3)."""
+    vectors = np.array([scenario.epsilon, scenario.omega])
+    for vector in vectors if scenario.random_directions else ():
+        direction = rng.standard_normal(3)
+        vector[:] = np.linalg.norm(vector) * direction / np.linalg.norm(direction)
+    return vectors
+
+
+Drawn = TypeVar("Drawn")
+
+
+def _from_start(rng: np.random.Generator, draw: Callable[[np.random.Generator], Drawn]) -> Drawn:
+    """Return what is drawn from the state of a generator, which is then reset, so that other points draw the same."""
+    state = rng.bit_generator.state
+    drawn = draw(rng)
+    rng.bit_generator.state = state
+    return drawn

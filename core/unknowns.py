@@ -11,8 +11,8 @@ from functools import cached_property
 
 import numpy as np
 
+from linksweep.core.fields import HIGHEST_DEGREE, KINDS, Kind, fill_toroidal, terms, turned
 from linksweep.core.frames import Array, Indices, Triad, triad
-from linksweep.core.harmonics import HIGHEST_DEGREE, KINDS, Kind, fill_toroidal, terms, turned
 from linksweep.core.link import require_off_poles
 
 RA, DEC, PARALLAX, PMRA, PMDEC = range(5)

@@ -49,14 +49,12 @@ class Ring(CatalogueKind):
 '''
 DOUBLE = '''
 
-class Double(ErrorKind):
+@dataclass(frozen=True)
+class Double(ErrorModel):
     """Errors of 2 mas and 4 mas/yr."""
 
-    def uses(self, side):
-        return frozenset()
-
-    def model(self, point, side):
-        return NormalErrors(2.0, 4.0)
+    def at(self, v_mag):
+        return 2.0, 4.0
 '''
 LINK = """
 import numpy as np
@@ -122,15 +120,22 @@ def backwards(reference, workers, say, limits, dashboard):
 
 TOYS = [
     entry(
-        *("error model", "core/errors.py", DOUBLE, "        return NO_ERRORS\n", '"catalogue": Listed(),', "double"),
-        ("Double()", LINK.replace("CHANGES", '"satellite_errors": "double"')),
+        *(
+            "error model",
+            "core/errors.py",
+            DOUBLE,
+            "        return cls(0.0, 0.0)\n",
+            '"catalogue": CatalogueErrors,',
+            "double",
+        ),
+        ("Double", LINK.replace("CHANGES", '"satellite_errors": "double"')),
     ),
     entry(
         *(
             "catalogue",
             "core/catalogues.py",
             RING,
-            '            return f"{error} ({error.where})"\n',
+            '            return f"{error} ({where})" if where else str(error)\n',
             '"file": File(),',
             "ring",
         ),

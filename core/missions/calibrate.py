@@ -20,12 +20,13 @@ from typing import Any, Literal
 import numpy as np
 from scipy.optimize import NonlinearConstraint, least_squares, minimize
 
-from linksweep.core.catalogue import Catalogue, Sky
 from linksweep.core.catalogues import (
     COUNT,
     GALAXY_FAINT_LIMIT_MAG,
     N_GALAXIES,
     V_MAX,
+    Catalogue,
+    Sky,
     galaxies,
     quasars,
     radio_stars,
@@ -122,7 +123,7 @@ def spin_variance(
 
 def _skies(catalogues: Sequence[Catalogue], counts: tuple[int, ...]) -> Skies:
     v_mag, ra, dec = (np.stack([getattr(c, name) for c in catalogues]) for name in ("v_mag", "ra", "dec"))
-    own = [c.sigma[2:] for c in catalogues if c.sigma is not None]
+    own = [c.own.sigma[:, 2:].T for c in catalogues if c.own is not None]
     if own:
         return Skies(v_mag, np.stack(own) / MAS, _geometry(ra, dec), counts)
     return Skies(v_mag, np.zeros_like(v_mag)[:, None], _geometry(ra, dec).sum(axis=1, keepdims=True), counts)

@@ -1,4 +1,4 @@
-"""What a search gives: matches as columns, as ECSV and as 46-byte table, the map, and the summary."""
+"""What a search gives: matches as a table, as ECSV and in 46 bytes a row, the map, and the summary."""
 
 import io
 import os
@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
 
-from linksweep.core.crossmatch import CLASS_NAMES, REASON_NAMES
-from linksweep.core.frames import ARCSEC, Array, Indices
+from linksweep.core.frames import ARCSEC, DEGREE, Array, galactic
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import with_error
-from linksweep.sweep.search.search import Result, Search, match_tables, read_tables
-from linksweep.sweep.search.tables import MAGNITUDES, MOTIONS, NUMBERS, TYC
+from linksweep.sweep.search.crossmatch import CLASSES
+from linksweep.sweep.search.search import MAGNITUDES, MOTIONS, NUMBERS, TYC, Result, Search, find_matches, table_name
 from linksweep.sweep.stores.location import Folder
 from linksweep.sweep.table_writer import Column, Table
 from linksweep.sweep.tables.columns import unit_of
@@ -47,13 +46,20 @@ MATCH_COLUMNS: Mapping[str, tuple[str | None, str]] = {
 }
 """The columns of the ECSV beside those of the star table, their units and what they mean."""
 
-LETTERS = "GUS"
-"""The class letters of the 46-byte table in order of the codes certain, uncertain, supplement."""
+LETTERS = dict(zip(CLASSES, "GUS", strict=True))
+"""The letters of the classes in the 46-byte table."""
 
 LARGEST = {"TYC1": ("1-4", 9999), "TYC2": ("6-10", 99999), "TYC3": ("12-12", 9), "PGC": ("14-18", 99999)}
 """The bytes of the integers in the 46-byte table, and the largest number that fits."""
 
 PROBLEMS_NAMED = 10
+
+STYLES = {"certain": ("o", "#0072B2"), "uncertain": ("^", "#D55E00"), "supplement": ("s", "#009E73")}
+"""Marker and colour of each class, from the colour-blind safe palette of Okabe & Ito (2008)."""
+
+BACKGROUND = "#b0b0b0"
+MAX_BACKGROUND = 30_000
+"""More background points would fill the map: of a larger number a random share is drawn, and the legend gives it."""
 
 
 @dataclass(frozen=True)
@@ -75,27 +81,23 @@ def find_galaxies(search: Search, outputs: Outputs | None = None, overwrite: boo
     Raises SweepError for all that is wrong with tables, options and names of files; then nothing is written.
     """
     outputs = outputs or Outputs()
-    _check(outputs, search, overwrite)
-    stars, galaxies = read_tables(search)
-    if outputs.table is not None and (without := [table.path for table in stars if table.tyc is None]):
-        needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3, or TYC with strings like '1-13-1'"
-        raise SweepError([f"{path}: {needed}" for path in without])
-    result = match_tables(search, stars, galaxies)
+    _check(outputs, search, overwrite)  # better before a long search than after it
+    result = find_matches(search)
     contents: dict[Path, bytes] = {}
     if outputs.table is not None:
-        contents[outputs.table] = galaxy_table(match_columns(result), result.matches.code).encode("ascii")
+        pairs = zip(search.stars, result.stars, strict=True)
+        if without := [path for path, table in pairs if TYC[0] not in table]:
+            needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3, or TYC with strings like '1-13-1'"
+            raise SweepError([f"{path}: {needed}" for path in without])
+        contents[outputs.table] = galaxy_table(match_columns(result)).encode("ascii")
     if outputs.ecsv is not None:
         text = io.StringIO()
         matches_table(result).write(text, format="ascii.ecsv")
         contents[outputs.ecsv] = text.getvalue().encode()
     if outputs.sky_map is not None:
-        from linksweep.sweep.search.skymap import sky_map
-
-        columns, drawn = match_columns(result), io.BytesIO()
-        chosen = {name: columns["class"] == name for name in CLASS_NAMES}
-        classes = {name: (columns["ra"][mine], columns["dec"][mine]) for name, mine in chosen.items()}
-        ra, dec = (np.concatenate([table.numbers[key] for table in galaxies]) for key in ("ra", "dec"))
-        sky_map(classes, (ra, dec)).savefig(drawn, format=outputs.sky_map.suffix[1:].lower(), dpi=200)
+        drawn, background = io.BytesIO(), pd.concat([table[["ra", "dec"]] for table in result.galaxies])
+        figure = sky_map(match_columns(result), background)
+        figure.savefig(drawn, format=outputs.sky_map.suffix[1:].lower(), dpi=200)
         contents[outputs.sky_map] = drawn.getvalue()
     for path, content in contents.items():
         write(path, content, overwrite)
@@ -103,9 +105,9 @@ def find_galaxies(search: Search, outputs: Outputs | None = None, overwrite: boo
 
 
 def _check(outputs: Outputs, search: Search, overwrite: bool) -> None:
-    """Raise SweepError if an output cannot or must not be written: better before a long search than after it."""
+    """Raise SweepError if an output cannot or must not be written."""
     problems: list[str] = []
-    inputs = {path.resolve() for path in (search.stars, search.supplement, *search.galaxies) if path is not None}
+    inputs = {path.resolve() for path in (*search.stars, *search.galaxies)}
     wanted = [path.resolve() for path in outputs.paths()]
     for path in outputs.paths():
         parent = next(p for p in path.absolute().parents if p.exists())
@@ -140,84 +142,73 @@ def write(path: Path, content: bytes, overwrite: bool) -> None:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
 
-def match_columns(result: Result) -> dict[str, NDArray[Any]]:
-    """Return columns with a row for each match: those of the star tables, then those of `MATCH_COLUMNS`.
+def match_columns(result: Result) -> pd.DataFrame:
+    """Return a table with a row for each match: columns of the star tables, then those of `MATCH_COLUMNS`.
 
-    Numbers that a table does not have are NaN, identifiers 0.
+    Numbers that a table does not have are NaN, identifiers 0, names empty.
     """
-    stars, galaxies, matches = result.stars, result.galaxies, result.matches
-    starts = np.cumsum([0, *(len(table) for table in stars)])
-    which = np.searchsorted(starts, matches.star, side="right") - 1
-    row = matches.star - starts[which]
-    names = np.array([table.name for table in galaxies])
-
-    def of_star(columns: Sequence[NDArray[Any] | None], missing: float) -> NDArray[Any] | None:
-        return _gathered(columns, which, row, missing)
-
-    def of_galaxy(columns: Sequence[NDArray[Any] | None], missing: float | str) -> NDArray[Any] | None:
-        return _gathered(columns, matches.catalogue, matches.entry, missing)
-
-    tyc = of_star([table.tyc for table in stars], 0)
+    matches, search = result.matches, result.search
+    galaxy_tables = np.array([table_name(path) for path in search.galaxies])
+    star, galaxy = _together(result.stars, search.stars), _together(result.galaxies, search.galaxies)
+    starts = np.cumsum([0, *map(len, result.galaxies)])
+    star = star.iloc[matches["star"]].reset_index(drop=True)
+    galaxy = galaxy.iloc[starts[matches["catalogue"]] + matches["entry"]].reset_index(drop=True)
+    reasons = matches.reasons.columns.to_numpy()
     columns = {
-        **({} if tyc is None else dict(zip(TYC, tyc.T, strict=True))),
-        "source_id": of_star([table.source_id for table in stars], 0),
-        "PGC": matches.identifier,
-        **{
-            STAR_MOTIONS.get(name, name): of_star([table.numbers.get(name) for table in stars], np.nan)
-            for name in NUMBERS
-        },
-        "class": np.array(CLASS_NAMES)[matches.code],
-        "reason": np.array(
-            [",".join(n for bit, n in REASON_NAMES.items() if r & bit) or "none" for r in matches.reason], dtype=str
-        ),
-        "offset": matches.offset / ARCSEC,
-        "offset_ra": matches.d_ra / ARCSEC,
-        "offset_dec": matches.d_dec / ARCSEC,
-        "offset_sigma": matches.n_sigma,
-        "n_near": matches.n_near,
-        "n_rival": matches.n_rival,
-        "galaxy_table": names[matches.catalogue],
-        "galaxy_row": matches.entry + 1,
-        "galaxy_name": of_galaxy([table.names for table in galaxies], ""),
-        "galaxy_ra": of_galaxy([table.numbers["ra"] for table in galaxies], np.nan),
-        "galaxy_dec": of_galaxy([table.numbers["dec"] for table in galaxies], np.nan),
-        "found_in": np.array([",".join(names[there]) for there in matches.found_in], dtype=str),
-        "star_table": np.array([table.name for table in stars])[which],
-        "star_row": row + 1,
+        **{name: star[name] for name in (*TYC, "source_id") if name in star},
+        "PGC": matches["identifier"],
+        **{STAR_MOTIONS.get(name, name): star[name] for name in NUMBERS if name in star},
+        "class": matches["class"],
+        "reason": [",".join(reasons[doubts]) or "none" for doubts in matches.reasons.to_numpy()],
+        "offset": matches["offset"] / ARCSEC,
+        "offset_ra": matches["d_ra"] / ARCSEC,
+        "offset_dec": matches["d_dec"] / ARCSEC,
+        "offset_sigma": matches["n_sigma"],
+        "n_near": matches["n_near"],
+        "n_rival": matches["n_rival"],
+        "galaxy_table": galaxy["table"],
+        "galaxy_row": galaxy["row"],
+        **({"galaxy_name": galaxy["name"]} if "name" in galaxy else {}),
+        "galaxy_ra": galaxy["ra"],
+        "galaxy_dec": galaxy["dec"],
+        "found_in": [",".join(galaxy_tables[there]) for there in matches.found_in],
+        "star_table": star["table"],
+        "star_row": star["row"],
     }
-    return {name: column for name, column in columns.items() if column is not None}
+    return pd.DataFrame(columns)
 
 
-def _gathered(
-    columns: Sequence[NDArray[Any] | None], which: Indices, row: Indices, missing: float | str
-) -> NDArray[Any] | None:
-    """Return rows of one column of several tables, ``missing`` where a table has no such column; None if none has."""
-    known = [column for column in columns if column is not None]
-    if not known:
-        return None
-    dtype = np.result_type(*(column.dtype for column in known))  # for text, that of the longest
-    gathered = np.full((len(row), *known[0].shape[1:]), missing, dtype=dtype)
-    for t, column in enumerate(columns):
-        if column is not None:
-            gathered[which == t] = column[row[which == t]]
-    return gathered
+def _together(tables: Sequence[pd.DataFrame], paths: Sequence[Path]) -> pd.DataFrame:
+    """Return the rows of several tables, with the table's name and the number of each row, from 1."""
+    missing = {**dict.fromkeys((*TYC, "source_id"), 0), "name": ""}  # fills before integers would become floats
+    known = {name for table in tables for name in table} & set(missing)
+    each = [
+        table.assign(
+            table=table_name(path), row=np.arange(len(table)) + 1, **{k: missing[k] for k in known - set(table)}
+        )
+        for table, path in zip(tables, paths, strict=True)
+    ]
+    return pd.concat(each, ignore_index=True)
 
 
 def matches_table(result: Result) -> Any:
     """Return the matches as an astropy Table with units and descriptions; missing values are masked, ``meta`` is the
     summary.
     """
-    from astropy.table import MaskedColumn, Table
+    from astropy.table import MaskedColumn
+    from astropy.table import Table as AstropyTable
 
-    table = Table(meta={"linksweep": version("linksweep"), **summarise(result)})
-    for name, values in match_columns(result).items():
-        missing = np.isnan(values) if values.dtype.kind == "f" else (values == 0) & (name in (*TYC, "source_id", "PGC"))
+    table = AstropyTable(meta={"linksweep": version("linksweep"), **summarise(result)})
+    for name, column in match_columns(result).items():
+        missing = column.isna() | ((column == 0) & (name in (*TYC, "source_id", "PGC")))
+        values = column.to_numpy() if column.dtype.kind in "if" else column.to_numpy(dtype=str)
         unit, meaning = MATCH_COLUMNS.get(name, (unit_of(name.removeprefix("star_")) or None, None))
-        table[name] = MaskedColumn(values, mask=missing if missing.any() else False, unit=unit, description=meaning)
+        mask = missing.to_numpy() if missing.any() else False
+        table[name] = MaskedColumn(values, mask=mask, unit=unit, description=meaning)
     return table
 
 
-def galaxy_table(columns: Mapping[str, NDArray[Any]], code: Indices) -> str:
+def galaxy_table(columns: pd.DataFrame) -> str:
     r"""Return the matches in the format of the paper's tables at CDS: one line of 46 bytes and a ``\n`` for each.
 
     TYC1, TYC2, TYC3 and PGC are integers in the bytes of `LARGEST`, ra (20-31) and dec (33-44) of the star are F12.8,
@@ -226,16 +217,16 @@ def galaxy_table(columns: Mapping[str, NDArray[Any]], code: Indices) -> str:
     """
     problems: list[str] = []
     lines: list[str] = []
-    rows = zip(*(columns[name].tolist() for name in (*TYC, "PGC", "ra", "dec")), code.tolist(), strict=True)
-    for *tyc, pgc, ra, dec, letter in rows:
-        star = f"TYC {tyc[0]}-{tyc[1]}-{tyc[2]}"
+    for *numbers, ra, dec, name in columns[[*TYC, "PGC", "ra", "dec", "class"]].itertuples(index=False):
+        tyc1, tyc2, tyc3, pgc = numbers
+        star = f"TYC {tyc1}-{tyc2}-{tyc3}"
         if pgc == 0:
             problems.append(f"{star} has no PGC number")
-        for (name, (place, largest)), number in zip(LARGEST.items(), (*tyc, pgc), strict=True):
+        for (field, (place, largest)), number in zip(LARGEST.items(), numbers, strict=True):
             if not 0 <= number <= largest:
-                problems.append(f"{star}: {name} = {number} does not fit bytes {place}, at most {largest}")
+                problems.append(f"{star}: {field} = {number} does not fit bytes {place}, at most {largest}")
         wrapped = 0.0 if f"{ra:.8f}" == "360.00000000" else ra
-        lines.append(f"{tyc[0]:4d} {tyc[1]:5d} {tyc[2]:1d} {pgc:5d} {wrapped:12.8f} {dec:12.8f} {LETTERS[letter]}\n")
+        lines.append(f"{tyc1:4d} {tyc2:5d} {tyc3:1d} {pgc:5d} {wrapped:12.8f} {dec:12.8f} {LETTERS[name]}\n")
     if problems:
         more = len(problems) - PROBLEMS_NAMED
         raise SweepError([*problems[:PROBLEMS_NAMED], *([f"and {more} more"] if more > 0 else [])])
@@ -250,34 +241,32 @@ def summarise(result: Result) -> dict[str, Any]:
     search, matches, rules = result.search, result.matches, result.search.rules
     columns = match_columns(result)
     magnitude = next((name for name in MAGNITUDES if name in columns), None)
-    chosen = {name: matches.code == code for code, name in enumerate(CLASS_NAMES)}
-    chosen["all"] = np.ones(len(matches), dtype=bool)
+    stars = {table_name(path): table for path, table in zip(search.stars, result.stars, strict=True)}
     notes = []
-    for table in result.stars:
-        if "pmra" not in table.numbers:
-            notes.append(f"{table.name} has no proper motions: its positions were taken as they are")
-        elif missing := np.count_nonzero(np.isnan(table.numbers["pmra"])):
-            notes.append(f"{missing:,} stars of {table.name} have no proper motion; it was taken as zero")
+    for name, table in stars.items():
+        if "pmra" not in table:
+            notes.append(f"{name} has no proper motions: its positions were taken as they are")
+        elif missing := np.count_nonzero(np.isnan(table["pmra"])):
+            notes.append(f"{missing:,} stars of {name} have no proper motion; it was taken as zero")
+    catalogues = zip(search.galaxies, result.galaxies, matches.chance, matches.found_in.sum(axis=0), strict=True)
     return {
-        "stars": {table.name: len(table) for table in result.stars},
+        "stars": {name: len(table) for name, table in stars.items()},
         "galaxies": matches.n_galaxies,
         "catalogues": {
-            table.name: {
+            table_name(path): {
                 "entries": len(table),
-                "radius_arcsec": search.radius_arcsec[table.name],
+                "radius_arcsec": search.radius_arcsec[table_name(path)],
                 "pairs": chance.pairs,
-                "matches": int(matches.found_in[:, t].sum()),
+                "matches": int(found),
                 "chance_pairs_uniform": chance.uniform,
                 "chance_pairs_local": chance.local,
                 "chance_pairs_local_error": chance.local_error,
             }
-            for t, (table, chance) in enumerate(zip(result.galaxies, matches.chance, strict=True))
+            for path, table, chance, found in catalogues
         },
-        "classes": {
-            name: _means({key: column[mine] for key, column in columns.items()}, magnitude, search)
-            for name, mine in chosen.items()
-        },
-        "reasons": {name: int(np.sum((matches.reason & bit) > 0)) for bit, name in REASON_NAMES.items()},
+        "classes": {name: _means(columns[columns["class"] == name], magnitude, search) for name in CLASSES}
+        | {"all": _means(columns, magnitude, search)},
+        "reasons": {name: int(doubt.sum()) for name, doubt in matches.reasons.items()},
         "magnitude": magnitude,
         "epoch": search.epoch,
         "k_sigma": rules.k_sigma,
@@ -290,32 +279,29 @@ def summarise(result: Result) -> dict[str, Any]:
     }
 
 
-def _means(columns: Mapping[str, NDArray[Any]], magnitude: str | None, search: Search) -> dict[str, Any]:
+def _means(columns: pd.DataFrame, magnitude: str | None, search: Search) -> dict[str, Any]:
     """Return number, means and scatter of a class, and the proper-motion error from a second epoch,
     sqrt(s1^2 + s2^2)/years.
 
     Source: Metz & Geffert 2004, Sect. 3.2: 117 and 127 mas give about 6 mas/yr, which is 20 yr with a second epoch
     without error.
     """
-    errors = {key: _mean_and_scatter(columns[f"{key}_error"]) for key in ("ra", "dec")}
-    second, years = search.second_epoch_error_mas, search.epoch_difference_yr
+
+    def stats(name: str) -> dict[str, float | None]:
+        values = {"mean": columns[name].mean(), "scatter": columns[name].std()}
+        return {key: None if np.isnan(value) else float(value) for key, value in values.items()}
+
+    errors = {key: stats(f"{key}_error") for key in ("ra", "dec")}
+    years, second = search.epoch_difference_yr, search.second_epoch_error_mas
     return {
-        "n": len(columns["ra"]),
+        "n": len(columns),
         "ra_error_mas": errors["ra"],
         "dec_error_mas": errors["dec"],
-        "magnitude": None if magnitude is None else _mean_and_scatter(columns[magnitude]),
+        "magnitude": None if magnitude is None else stats(magnitude),
         "pm_error_mas_yr": {
             key: None if error["mean"] is None else float(np.hypot(error["mean"], second)) / years
             for key, error in errors.items()
         },
-    }
-
-
-def _mean_and_scatter(values: Array) -> dict[str, float | None]:
-    known = values[~np.isnan(values)]
-    return {
-        "mean": float(known.mean()) if len(known) else None,
-        "scatter": float(known.std(ddof=1)) if len(known) > 1 else None,
     }
 
 
@@ -364,3 +350,41 @@ def summary_lines(summary: Mapping[str, Any]) -> list[str]:
         f"second epoch: {summary['epoch_difference_yr']:g} yr later, error {summary['second_epoch_error_mas']:g} mas",
         *summary["notes"],
     ]
+
+
+def sky_map(matches: pd.DataFrame, background: pd.DataFrame) -> Any:
+    """Return a Mollweide map in Galactic coordinates, longitude growing to the left, the Galactic centre in the middle.
+
+    ``matches`` have columns ra, dec (deg) and class, ``background`` ra and dec of all entries of the galaxy catalogues.
+    The figure belongs to no window; save it with its ``savefig``.
+    """
+    from matplotlib.figure import Figure
+
+    from linksweep.sweep.plots.sky import GALACTIC, on_map, prepare_sky
+
+    def places(table: pd.DataFrame) -> tuple[Array, Array]:
+        longitude, latitude = galactic(table["ra"].to_numpy() * DEGREE, table["dec"].to_numpy() * DEGREE)
+        return on_map(longitude / DEGREE, GALACTIC), latitude
+
+    figure = Figure(figsize=(8.0, 4.9))
+    axes: Any = figure.add_subplot(projection="mollweide")
+    prepare_sky(axes, GALACTIC)
+    axes.set_position((0.1, 0.14, 0.88, 0.86))  # left, bottom, width, height
+    step = -(-len(background) // MAX_BACKGROUND)
+    if step:
+        # rows of a catalogue are often sorted by position, so a random choice instead of every step-th row
+        few = background.sample(len(background) // step, random_state=0)
+        points = {"linestyle": "none", "marker": ".", "markeredgewidth": 0.0, "color": BACKGROUND}
+        axes.plot(*places(few), **points, markersize=1.2, rasterized=True, zorder=1)
+        # a point of the map is too small to be seen in the legend
+        share = f", 1 in {step} drawn" if step > 1 else ""
+        axes.plot([], [], **points, markersize=4.0, label=f"galaxy catalogues ({len(background):,}{share})")
+    axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")
+    for name, (marker, colour) in STYLES.items():
+        mine = matches[matches["class"] == name]
+        style = {"linestyle": "none", "marker": marker, "markersize": 5.0, "markerfacecolor": colour}
+        style |= {"markeredgecolor": "white", "markeredgewidth": 0.5, "zorder": 4}
+        # an object at the edge of the map is shown whole
+        axes.plot(*places(mine), **style, clip_on=False, label=f"{name} ({len(mine):,})")
+    figure.legend(loc="lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.3)
+    return figure

@@ -1,42 +1,71 @@
 """A search for galaxies in a star catalogue: what to search, from the options of the command line, and its matches."""
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import pandas as pd
 
-from linksweep.core.crossmatch import MAX_RADIUS, GalaxyCatalogue, Matches, Positions, Rules, at_epoch, cross_match
-from linksweep.core.frames import ARCSEC, DEGREE, MAS
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array
 from linksweep.sweep.contract import SweepError, suggest
 from linksweep.sweep.formatting import split_assignment
-from linksweep.sweep.search.tables import (
-    MOTIONS,
-    QUANTITIES,
-    WITH_UNITS,
-    Reading,
-    SkyTable,
-    read_sky_table,
-    table_name,
-    tyc_code,
+from linksweep.sweep.search.crossmatch import (
+    MAX_RADIUS,
+    GalaxyCatalogue,
+    Matches,
+    Positions,
+    Rules,
+    at_epoch,
+    cross_match,
 )
-from linksweep.sweep.tables.columns import EPOCHS
+from linksweep.sweep.tables.columns import EPOCHS, Columns, unit_of
+from linksweep.sweep.tables.reader import read_table
 
 DEFAULT_RADIUS_ARCSEC = 5.0
+
+MOTIONS = ("pmra", "pmdec", "pmra_error", "pmdec_error")
+MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
+"""The columns of magnitudes, best first."""
+
+NUMBERS = ("ra", "dec", "ra_error", "dec_error", *MOTIONS, "ref_epoch", *MAGNITUDES)
+TYC = ("TYC1", "TYC2", "TYC3")
+QUANTITIES = (*NUMBERS, *TYC, "TYC", "PGC", "source_id", "name")
+WITH_UNITS = tuple(quantity for quantity in NUMBERS if unit_of(quantity))
+
+TYC_LIMITS = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
+"""Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3."""
+
+_TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How one table is read: names of its columns, units that it does not give, and values in place of a column.
+
+    ``error_arcsec`` is the error of each coordinate, ``ref_epoch`` (yr) the epoch of all positions.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    error_arcsec: float | None = None
+    ref_epoch: float | None = None
+    missing_pm: Literal["error", "zero"] = "error"
 
 
 @dataclass(frozen=True)
 class Search:
     """What to search and how: files, match radius and `Reading` by table name, epoch (Julian year) and rules.
 
-    The summary assumes a second epoch ``epoch_difference_yr`` later, with errors of ``second_epoch_error_mas``.
+    ``stars`` are the star catalogue and, if there is one, the supplement.  The summary assumes a second epoch
+    ``epoch_difference_yr`` later, with errors of ``second_epoch_error_mas``.
     """
 
-    stars: Path
+    stars: tuple[Path, ...]
     galaxies: tuple[Path, ...]
-    supplement: Path | None
     radius_arcsec: Mapping[str, float]
     readings: Mapping[str, Reading]
     epoch: float
@@ -47,12 +76,17 @@ class Search:
 
 @dataclass(frozen=True)
 class Result:
-    """A search, its tables (``stars`` holds the star catalogue and, if there is one, the supplement) and matches."""
+    """A search, the rows of its star tables and of its galaxy tables (see `read_sky_table`), and the matches."""
 
     search: Search
-    stars: tuple[SkyTable, ...]
-    galaxies: tuple[SkyTable, ...]
+    stars: tuple[pd.DataFrame, ...]
+    galaxies: tuple[pd.DataFrame, ...]
     matches: Matches
+
+
+def table_name(path: Path) -> str:
+    """Return the name of a table in options: its file name up to the first dot."""
+    return path.name.split(".")[0]
 
 
 def plan_search(
@@ -82,27 +116,26 @@ def plan_search(
     The other arguments are those of `Rules` and `Search`.
     Raises SweepError for two tables with the same name, unknown names and values out of range.
     """
-    star_names = [table_name(path) for path in (stars, supplement) if path is not None]
-    galaxy_names = [table_name(path) for path in galaxies]
+    star_paths = (stars,) if supplement is None else (stars, supplement)
+    star_names, galaxy_names = [table_name(path) for path in star_paths], [table_name(path) for path in galaxies]
     names = star_names + galaxy_names
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise SweepError(f"two tables are called {', '.join(map(repr, twice))}; give the files different names")
-    for name, value in (
-        ("k_sigma", k_sigma),
-        ("crowding_radius_arcsec", crowding_radius_arcsec),
-        ("merge_radius_arcsec", 1.0 if merge_radius_arcsec is None else merge_radius_arcsec),
-        ("epoch_difference_yr", epoch_difference_yr),
+    # NaN passes the command line's own limits
+    for option, value, least, most in (
+        ("k_sigma", k_sigma, 0.0, np.inf),
+        ("crowding_radius_arcsec", crowding_radius_arcsec, 0.0, np.inf),
+        ("merge_radius_arcsec", merge_radius_arcsec or 0.0, 0.0, np.inf),
+        ("epoch_difference_yr", epoch_difference_yr, 0.0, np.inf),
+        ("second_epoch_error_mas", second_epoch_error_mas, 0.0, np.inf),
+        ("epoch", epoch, *EPOCHS),
     ):
-        if not 0.0 < value < math.inf:
-            raise SweepError(f"{name} = {value:g}: must be a finite number above 0")
-    if not 0.0 <= second_epoch_error_mas < math.inf:
-        raise SweepError(f"second_epoch_error_mas = {second_epoch_error_mas:g}: must be a finite number, 0 or above")
-    if not EPOCHS[0] <= epoch <= EPOCHS[1]:
-        raise SweepError(f"epoch {epoch:g}: must be a Julian year {EPOCHS[0]:g}..{EPOCHS[1]:g}")
+        if not least <= value <= most or math.isinf(value):
+            raise SweepError(f"{option} = {value:g}: must be a number from {least:g} to {most:g}")
     problems: list[str] = []
 
-    def number(option: str, texts: Sequence[str], tables: Sequence[str], common: Sequence[str], unit: str) -> Any:
-        low, high = EPOCHS if unit == "yr" else (0.0, MAX_RADIUS / ARCSEC)
+    def number(option: str, texts: Sequence[str], tables: Sequence[str], common: Sequence[str]) -> dict[str, float]:
+        low, high, unit = (*EPOCHS, "yr") if option == "--ref-epoch" else (0.0, MAX_RADIUS / ARCSEC, "arcsec")
 
         def checked(_key: str, text: str) -> float:
             try:
@@ -113,9 +146,8 @@ def plan_search(
                 raise ValueError(f"must be a number above {low:g} and at most {high:g} [{unit}]")
             return value
 
-        return {
-            table: found[""] for table, found in _by_table(option, texts, tables, common, checked, problems).items()
-        }
+        by_table = _by_table(option, texts, tables, common, checked, problems)
+        return {table: values[""] for table, values in by_table.items()}
 
     def quantity(option: str, texts: Sequence[str], known: Sequence[str]) -> dict[str, dict[str, str]]:
         def checked(key: str, value: str) -> str:
@@ -125,25 +157,23 @@ def plan_search(
                 raise ValueError(f"there is no quantity {key!r}{suggest(key, known)}")
             return value
 
-        return {name: {} for name in names} | _by_table(option, texts, names, star_names, checked, problems)
+        return _by_table(option, texts, names, star_names, checked, problems)
 
-    radii = number("--radius", radius, galaxy_names, galaxy_names, "arcsec")
-    errors = number("--error", error, names, galaxy_names, "arcsec")
-    epochs = number("--ref-epoch", ref_epoch, star_names, star_names, "yr")
+    radii = number("--radius", radius, galaxy_names, galaxy_names)
+    errors = number("--error", error, names, galaxy_names)
+    epochs = number("--ref-epoch", ref_epoch, star_names, star_names)
     columns, units = quantity("--column", column, QUANTITIES), quantity("--unit", unit, WITH_UNITS)
     if problems:
         raise SweepError(problems)
     merge_radius = None if merge_radius_arcsec is None else merge_radius_arcsec * ARCSEC
+    readings = {
+        name: Reading(columns.get(name, {}), units.get(name, {}), errors.get(name), epochs.get(name), missing_pm)
+        for name in names
+    }
     return Search(
-        stars,
-        tuple(galaxies),
-        supplement,
-        dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | radii,
-        {name: Reading(columns[name], units[name], errors.get(name), epochs.get(name), missing_pm) for name in names},
-        epoch,
+        *(star_paths, tuple(galaxies), dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | radii, readings, epoch),
         Rules(k_sigma, crowding_radius_arcsec * ARCSEC, crowding_stars, merge_radius),
-        epoch_difference_yr,
-        second_epoch_error_mas,
+        *(epoch_difference_yr, second_epoch_error_mas),
     )
 
 
@@ -161,72 +191,156 @@ def _by_table(
     tables, what was said twice, and what ``checked`` raises as a ValueError.
     """
     keyed = option in ("--column", "--unit")
-    said: dict[tuple[str, str], Any] = {}
+    values: dict[tuple[str, str], Any] = {}
     for text in texts:
         name, value = split_assignment(text) if keyed or "=" in text else ("", text)
         table, key = name.rpartition(":")[::2] if keyed else (name, "")
         try:
             if table and table not in tables:
                 raise ValueError(f"no table {table!r}{suggest(table, tables)}")
-            if (table, key) in said:
+            if (table, key) in values:
                 raise ValueError(f"given twice{f' for {table!r}' if table else ''}")
-            said[table, key] = checked(key, value)
+            values[table, key] = checked(key, value)
         except ValueError as error:
             problems.append(f"{option} {text}: {error}")
-    found: dict[str, dict[str, Any]] = {}
-    for (table, key), value in sorted(said.items(), key=lambda item: bool(item[0][0])):
+    by_table: dict[str, dict[str, Any]] = {}
+    for (table, key), value in sorted(values.items(), key=lambda item: bool(item[0][0])):  # those of all tables first
         for one in [table] if table else common:
-            found.setdefault(one, {})[key] = value
-    return found
+            by_table.setdefault(one, {})[key] = value
+    return by_table
 
 
-def read_tables(search: Search) -> tuple[tuple[SkyTable, ...], tuple[SkyTable, ...]]:
-    """Return the star tables and the galaxy tables of a search; raises SweepError with the problems of all."""
-    stars: list[SkyTable] = []
-    galaxies: list[SkyTable] = []
+def find_matches(search: Search) -> Result:
+    """Read the tables of a search and match them.
+
+    Raises SweepError with the problems of all tables, and for a radius that would pair everything with everything.
+    """
     problems: list[str] = []
-    star_paths = [path for path in (search.stars, search.supplement) if path is not None]
-    for path in (*star_paths, *search.galaxies):
+    tables: list[pd.DataFrame] = []
+    for path in (*search.stars, *search.galaxies):
         try:
-            table = read_sky_table(path, search.readings[table_name(path)], path in star_paths)
-            (stars if path in star_paths else galaxies).append(table)
+            tables.append(read_sky_table(path, search.readings[table_name(path)], path in search.stars))
         except SweepError as bad:
             problems += [f"{path}: {problem}" for problem in bad.problems]
     if problems:
         raise SweepError(problems)
-    tyc = [table.tyc for table in stars if table.tyc is not None]
-    if len(tyc) == 2 and len(both := tyc[1][np.isin(tyc_code(tyc[1]), tyc_code(tyc[0]))]):
-        named = ", ".join("-".join(map(str, t)) for t in both[:5].tolist())
-        more = f" and {len(both) - 5} more" if len(both) > 5 else ""
-        raise SweepError(f"TYC {named}{more}: in the star table and again in the supplement")
-    return tuple(stars), tuple(galaxies)
-
-
-def match_tables(search: Search, stars: tuple[SkyTable, ...], galaxies: tuple[SkyTable, ...]) -> Result:
-    """Return the matches; ``stars`` are the star table and, if there is one, the supplement.
-
-    Raises SweepError for a radius that would pair everything with everything.
-    """
+    stars, galaxies = tuple(tables[: len(search.stars)]), tuple(tables[len(search.stars) :])
+    if all(set(TYC) <= set(table) for table in stars):
+        both = pd.concat([table[list(TYC)] for table in stars])
+        if len(again := both[both.duplicated()]):
+            names = ", ".join("-".join(map(str, tyc)) for tyc in again[:5].itertuples(index=False))
+            more = f" and {len(again) - 5} more" if len(again) > 5 else ""
+            raise SweepError(f"TYC {names}{more}: in the star table and again in the supplement")
     parts = [_star_positions(table, search.epoch) for table in stars]
-    positions = Positions(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Positions)))
+    positions = Positions(*map(np.concatenate, zip(*parts, strict=True)))
     supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars])
-    radii = [search.radius_arcsec[table.name] * ARCSEC for table in galaxies]
-    catalogues = [GalaxyCatalogue(_positions(t), t.pgc, radius) for t, radius in zip(galaxies, radii, strict=True)]
+    catalogues = [
+        GalaxyCatalogue(_positions(table), table["PGC"].to_numpy(), radius * ARCSEC)
+        for table, radius in zip(galaxies, search.radius_arcsec.values(), strict=True)
+    ]
     try:
         return Result(search, stars, galaxies, cross_match(positions, supplement, catalogues, search.rules))
     except ValueError as error:
         raise SweepError(str(error)) from error
 
 
-def _positions(table: SkyTable) -> Positions:
-    n = table.numbers
-    return Positions(n["ra"] * DEGREE, n["dec"] * DEGREE, n["ra_error"] * MAS, n["dec_error"] * MAS)
+def _positions(table: pd.DataFrame) -> Positions:
+    units = {"ra": DEGREE, "dec": DEGREE, "ra_error": MAS, "dec_error": MAS}
+    return Positions(*(table[name].to_numpy() * unit for name, unit in units.items()))
 
 
-def _star_positions(table: SkyTable, epoch: float) -> Positions:
-    positions, numbers = _positions(table), table.numbers
-    if "pmra" not in numbers:
+def _star_positions(table: pd.DataFrame, epoch: float) -> Positions:
+    positions = _positions(table)
+    if "pmra" not in table:
         return positions
     none = np.zeros(len(table))
-    motions = {key: np.nan_to_num(numbers.get(key, none)) * MAS for key in MOTIONS}
-    return at_epoch(positions, **motions, years=epoch - numbers["ref_epoch"])
+    motions = {key: np.nan_to_num(table.get(key, none)) * MAS for key in MOTIONS}
+    return at_epoch(positions, **motions, years=epoch - table["ref_epoch"].to_numpy())
+
+
+def read_sky_table(path: Path, reading: Reading, stars: bool) -> pd.DataFrame:
+    """Return the rows of a table of stars, or of galaxies: ra, dec and their errors; of stars also proper motions and
+    their epoch, magnitudes and identifiers, of galaxies PGC numbers (0 where there is none) and names.
+
+    Columns are those of `QUANTITIES` in deg, mas, mas/yr, yr and mag; NaN is a missing magnitude or proper motion,
+    nothing else may be missing.  Proper motions of galaxies are not read: galaxies do not move, and measured motions
+    are noise.  Raises SweepError with all problems: missing or unusable columns and units, rows without a value or with
+    an impossible one, repeated identifiers.
+    """
+    read = Columns(read_table(path), str(path), reading.columns, reading.units, QUANTITIES)
+    if not len(read):
+        raise SweepError("has no rows", str(path))
+    columns: dict[str, Any] = _read_positions(read, reading.error_arcsec)
+    if stars:
+        columns |= _read_motions(read, reading)
+        columns |= {key: read.quantity(key, "allowed") for key in MAGNITUDES if read.has(key)}
+        columns |= _read_tyc(read)
+        columns |= {"source_id": read.integers("source_id")} if read.has("source_id") else {}
+    else:
+        columns["PGC"] = read.integers("PGC", may_miss=True) if read.has("PGC") else np.zeros(len(read), dtype=np.int64)
+        read.check(columns["PGC"] < 0, "a negative PGC number", columns["PGC"])
+        columns |= {"name": read.text(str(read.name("name")), missing="")} if read.has("name") else {}
+    read.finish()
+    return pd.DataFrame(columns)
+
+
+def _read_positions(read: Columns, error_arcsec: float | None) -> dict[str, Array]:
+    columns = {key: read.quantity(key) for key in ("ra", "dec") if read.require(key)}
+    if len(columns) == 2:
+        ra, dec = columns["ra"], columns["dec"]
+        read.check((ra < 0.0) | (ra > 360.0), "an ra outside 0..360 deg", ra)
+        swapped = "; are ra and dec swapped?" if np.all(np.abs(ra) <= 90.0) else ""
+        read.check(np.abs(dec) > 90.0, "a dec outside -90..90 deg", dec, swapped)
+    for key in ("ra_error", "dec_error"):
+        if error_arcsec is not None:
+            columns[key] = np.full(len(read), 1000.0 * error_arcsec)
+        elif read.require(key, "; or give its error in arcsec with --error"):
+            columns[key] = read.quantity(key)
+            read.check(columns[key] <= 0.0, f"a {read.label(key)} that is not above 0", columns[key])
+    return columns
+
+
+def _read_motions(read: Columns, reading: Reading) -> dict[str, Array]:
+    """Return the proper motions, NaN in rows that lack one of them, and the epoch of the positions."""
+    columns: dict[str, Array] = {}
+    known = len(read.problems)
+    has_motions = read.has("pmra") or read.has("pmdec")
+    if has_motions and all([read.require("pmra"), read.require("pmdec")]):
+        columns = {key: read.quantity(key, "allowed") for key in MOTIONS if read.has(key)}
+        missing = np.isnan(columns["pmra"]) | np.isnan(columns["pmdec"])
+        for key, values in columns.items():
+            read.check(np.isinf(values), f"an infinite {read.label(key)}")
+            if key.endswith("_error"):
+                read.check(values < 0.0, f"a negative {read.label(key)}", values)
+                read.check(np.isnan(values) & ~missing, f"no {read.label(key)}")
+            columns[key] = np.where(missing, np.nan, values)
+        if reading.missing_pm == "error" and len(read.problems) == known:
+            read.check(missing, "no proper motion (--missing-pm zero takes it as zero)")
+    if reading.ref_epoch is not None:
+        columns["ref_epoch"] = np.full(len(read), reading.ref_epoch)
+    elif read.has("ref_epoch"):
+        columns["ref_epoch"] = read.epochs()
+    elif has_motions:
+        read.require("ref_epoch", "; proper motions need the epoch of the positions, e.g. --ref-epoch NAME=2000")
+    return columns
+
+
+def _read_tyc(read: Columns) -> dict[str, Any]:
+    """Return the Tycho identifiers from three columns or one of text, nothing for a table without them."""
+    known = len(read.problems)
+    if any(read.has(key) for key in TYC):
+        tyc = pd.DataFrame({key: read.integers(key) for key in TYC if read.require(key)})
+    elif read.has("TYC"):
+        matches = [_TYC_TEXT.fullmatch(text) for text in read.text(str(read.name("TYC")), missing="")]
+        bad = np.array([one is None for one in matches])
+        read.check(bad, f"a {read.label('TYC')} that is no Tycho identifier like '1-13-1'")
+        tyc = pd.DataFrame([list(map(int, one.groups())) for one in matches if one], columns=list(TYC))
+    else:
+        return {}
+    if len(read.problems) > known:
+        return {}
+    for key, limit in TYC_LIMITS.items():
+        read.check(((tyc[key] < 1) | (tyc[key] > limit)).to_numpy(), f"a {read.label(key)} outside 1..{limit}")
+    if len(read.problems) == known:
+        read.check(tyc.duplicated().to_numpy(), "the Tycho identifier of an earlier row")
+    return dict(tyc)

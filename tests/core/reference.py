@@ -4,16 +4,30 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from linksweep.core.link import LinkError, require_off_poles
-from linksweep.core.unknowns import Objects, link_unknowns
+from tests.core.points import LinkError
+
+POLE = 1e-8
 
 
 def design_matrix(ra, dec, pmra, pmdec, corrections=True, glide=False):
-    """Derivatives of the observables by the unknowns, shape (4, ..., K): observable, object, unknown."""
-    objects = Objects(ra, dec, pmra, pmdec)
-    require_off_poles(dec, objects.triad.q[2])
-    _, derivatives = link_unknowns(glide, corrections).derivatives(objects)
-    return np.moveaxis(derivatives, 0, -1)
+    """Derivatives of the observables by the unknowns, shape (4, ..., K): observable, object, unknown.
+
+    Written out with NumPy alone.  Source: Metz & Geffert 2004, Eqs. 1-3 and 11-13.
+    """
+    sin_ra, cos_ra, sin_dec, cos_dec, zero = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec), np.zeros_like(ra)
+    if np.any(cos_dec < POLE):
+        at = np.argwhere(cos_dec < POLE)[0]
+        raise LinkError(f"object {at[-1]} is at a celestial pole")
+    p = np.stack([-sin_ra, cos_ra, zero], axis=-1)
+    q = np.stack([-sin_dec * cos_ra, -sin_dec * sin_ra, cos_dec], axis=-1)
+    design = np.zeros((4, *np.shape(ra), 9))
+    design[0, ..., :3] = design[2, ..., 3:6] = q
+    design[1, ..., :3] = design[3, ..., 3:6] = -p
+    design[2, ..., 6:], design[3, ..., 6:] = p, q
+    if corrections:
+        eta = np.stack([cos_ra / cos_dec, sin_ra / cos_dec, zero], axis=-1)
+        design[2, ..., :3], design[3, ..., :3] = -pmdec[..., None] * eta, pmra[..., None] * eta
+    return design if glide else design[..., :6]
 
 
 def paper_design_matrix(ra, dec, mu_alpha, mu_delta):

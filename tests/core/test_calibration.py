@@ -3,11 +3,6 @@
 import numpy as np
 import pytest
 
-from linksweep.core.catalogue import Sky
-from linksweep.core.catalogues import quasars, radio_stars, resample
-from linksweep.core.errors import MagnitudeErrors
-from linksweep.core.frames import MAS
-from linksweep.core.missions import MISSIONS
 from linksweep.core.missions.calibrate import (
     IN_CODE,
     PublishedSigma,
@@ -21,6 +16,7 @@ from linksweep.core.missions.calibrate import (
     published_numbers,
     spin_variance,
 )
+from tests.core.points import MAS, MISSIONS, drawn, of_objects, point, run, scenario
 from tests.core.reference import design_matrix, solve
 
 
@@ -51,26 +47,22 @@ def test_the_refit_gives_the_papers_numbers(refit):
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-def test_the_closed_form_is_the_covariance_of_the_solution(weighting):
-    """For the same catalogue `core.link.solve` reports the same formal error; to rounding."""
-    skies = draw_skies("quasars", 1, seed=5, faintest=14.5)
-    catalogue = quasars(np.random.default_rng(5), 14.5, Sky())
-    design = design_matrix(catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec)
-    sigma = MagnitudeErrors(MISSIONS["amex"]).standard_errors(catalogue)
-    solution = solve(design, np.zeros_like(sigma), sigma, weighting)
+def test_the_closed_form_is_that_of_the_link(weighting):
+    """Of the same catalogue, to rounding: 28 and 49 quasars."""
+    skies, quasars = draw_skies("quasars", 1, seed=5, faintest=14.5), drawn(5, catalogue="quasars", v_max=14.5)
+    predicted = run(of_objects(quasars, scenario(point(model="amex", weighting=weighting))), 1)["predicted_variance"]
     variance = spin_variance(skies, MISSIONS["amex"].curve_pm_mas_yr, weighting)
-    assert variance.shape == (2, 1)  # 28 and 49 quasars
-    assert variance[1, 0] == pytest.approx(np.mean((solution.formal_error[3:] / MAS) ** 2), rel=1e-9)
+    assert variance.shape == (2, 1)
+    assert variance[1, 0] == pytest.approx(np.mean(predicted[3:]), rel=1e-9)
 
 
 def test_radio_stars_with_both_errors_and_a21_give_the_same_closed_form():
     """Two errors an object and large proper motions: what the closed form leaves out is below 1e-5."""
-    stars = resample(np.random.default_rng(8), radio_stars(), 100, Sky())
-    skies = draw_skies("radio-stars", 1, seed=8)
+    stars, skies = drawn(8, catalogue="radio-stars", n_obj=100), draw_skies("radio-stars", 1, seed=8)
     np.testing.assert_array_equal(skies.v_mag[0], stars.v_mag)
-    satellite = MagnitudeErrors(MISSIONS["amex"]).standard_errors(stars)
+    satellite = scenario(point(model="amex")).satellite_errors.standard_errors(stars)
     design = design_matrix(stars.ra, stars.dec, stars.pmra, stars.pmdec)
-    solution = solve(design, np.zeros((4, 100)), np.hypot(satellite, 0.5 * stars.sigma))
+    solution = solve(design, np.zeros((4, 100)), np.hypot(satellite, 0.5 * stars.own.sigma).T)
     variance = spin_variance(skies, MISSIONS["amex"].curve_pm_mas_yr, reference_error_scale=0.5)
     assert variance[-1, 0] == pytest.approx(np.mean((solution.formal_error[3:] / MAS) ** 2), rel=2e-5)
 
@@ -123,3 +115,35 @@ def test_equal_weights_fit_the_quasars_and_miss_the_radio_stars():
     assert max(abs(row["equal_weights"]) for what, row in residuals.items() if "quasars" in what) < 0.03
     assert min(row["equal_weights"] for row in stars) > 0.8
     assert min(row["perfect_satellite"] for row in stars) > 0.1
+
+
+def test_errors_of_a_calibration_grow_with_a_misfit():
+    """The covariance of the constants is that of least squares, times chi2/dof where the numbers do not fit."""
+    skies = {"quasars": draw_skies("quasars", 4, seed=4, faintest=17.0)}
+    counts = skies["quasars"].counts
+    exact = [PublishedSigma("quasars", n, 1.0, 1e-5) for n in counts]
+    sigma, _ = published_model(exact, skies, IN_CODE["gaia"], "inverse-variance")
+    wrong = sigma * np.where(np.arange(len(sigma)) % 2, 0.8, 1.25)
+    found = fit("gaia", [PublishedSigma("quasars", n, s, 1e-5) for n, s in zip(counts, wrong, strict=True)], skies)
+    assert found.chi2 / found.dof > 10.0
+
+    def misfit(log_constants):
+        values, _ = published_model(exact, skies, curve_of("gaia", np.exp(log_constants)), "inverse-variance")
+        return np.log(values / wrong) / found.relative_error
+
+    at, step = np.log(found.constants), 1e-5
+    jacobian = np.stack([(misfit(at + d) - misfit(at - d)) / (2 * step) for d in step * np.eye(2)], axis=1)
+    expected = np.linalg.inv(jacobian.T @ jacobian) * found.chi2 / found.dof
+    np.testing.assert_allclose(found.log_covariance, expected, rtol=1e-3)
+    np.testing.assert_allclose(found.standard_error, found.constants * np.sqrt(np.diag(expected)), rtol=1e-3)
+
+
+def test_the_scale_of_the_reference_errors_in_a_calibration():
+    """A satellite without errors: the spin's variance is that of the radio stars, times the scale squared."""
+    stars = draw_skies("radio-stars", 6, seed=3)
+
+    def exact(v_mag):
+        return np.zeros_like(v_mag)
+
+    whole, half = (spin_variance(stars, exact, reference_error_scale=scale) for scale in (1.0, 0.5))
+    np.testing.assert_allclose(half, whole / 4.0, rtol=1e-9)

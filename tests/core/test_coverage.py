@@ -6,10 +6,8 @@ import functools
 import numpy as np
 import pytest
 
+import linksweep
 from linksweep.core.missions.calibrate import IN_CODE, all_skies, constants_of, fit, published_model, published_numbers
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.run import run_study
-from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.in_memory import results_of
 from tests.sweep.test_coverage import assert_covers
 
@@ -78,7 +76,7 @@ def test_the_error_at_which_a_precision_stops(tmp_path, precision):
         "fixed": QUASARS,
         "sampling": {"n_sim": 64, "n_cat": 1, "seed": 5, "precision": precision},
     }
-    dataset, _ = run_study(study_from_dict(document), tmp_path / "s.zarr", Resources(pool="serial"))
+    dataset = linksweep.run(document, tmp_path / "s.zarr", pool="serial")
     assert np.all(dataset["n_sim_done"] > 64)
     for name in ("sigma_spin", "sigma_orientation"):
         assert np.all(dataset[f"{name}_mc_error"] <= precision * dataset[name])

@@ -1,11 +1,18 @@
-"""The triad, the finite rotation of step B and the two ways of differencing catalogues."""
+"""The triad, the finite rotation of step B and differences of catalogues; against SciPy, astropy, and FK5 in ERFA."""
 
+import erfa
 import numpy as np
 import pytest
+from astropy import units
+from astropy.coordinates import SkyCoord
 from scipy.spatial.transform import Rotation
 
 from linksweep.core.frames import (
+    ARCSEC,
+    DEGREE,
+    GALACTIC_AXES,
     MAS,
+    MICROARCSEC,
     exact_differences,
     position,
     rotation_matrix,
@@ -14,6 +21,7 @@ from linksweep.core.frames import (
     stored_differences,
     triad,
 )
+from tests.core.reference import design_matrix, solve
 
 ROUNDING = 1e-15  # a few units in the last place of numbers of order 1
 MILLI_ROTATION = (np.array([1.0, -2.0, 0.5]) * MAS, np.array([0.3, 0.7, -1.1]) * MAS)
@@ -153,3 +161,147 @@ def test_an_object_at_a_pole_is_carried_without_infinities():
         triad(ra, dec).r[:, 0], Rotation.from_rotvec([-0.1, 0, 0]).apply([0, 0, 1]), atol=ROUNDING
     )
     np.testing.assert_allclose(np.hypot(pmra, pmdec), 1.0, rtol=ROUNDING)
+
+
+# astropy
+
+FRAME_BIAS = 0.03 / 3600 * DEGREE  # astropy hangs the Galactic axes on FK5, 0.023 arcsec from ICRS
+
+
+def test_units_are_astropys():
+    for ours, theirs in ((MAS, units.mas), (MICROARCSEC, units.uas), (DEGREE, units.deg), (ARCSEC, units.arcsec)):
+        assert ours == pytest.approx(theirs.to(units.rad), rel=1e-14)
+
+
+def test_galactic_axes_against_astropy():
+    xyz = SkyCoord([0, 90, 0] * units.deg, [0, 0, 90] * units.deg, frame="galactic").icrs.cartesian.xyz.value
+    np.testing.assert_allclose(GALACTIC_AXES, xyz.T, rtol=0.0, atol=FRAME_BIAS)
+    np.testing.assert_allclose(GALACTIC_AXES @ GALACTIC_AXES.T, np.eye(3), atol=1e-15)
+    assert np.linalg.det(GALACTIC_AXES) == pytest.approx(1.0, abs=1e-14)
+
+
+def test_space_motion_of_astropy_is_the_velocity_on_the_triad():
+    """One year of motion at 10 pc, where the speed is 1e-4 of light's and its square is left out."""
+    ra, dec, pmra, pmdec = sky(300, mean_pm=500.0 * MAS)
+    pm = {"pm_ra_cosdec": pmra * units.rad / units.yr, "pm_dec": pmdec * units.rad / units.yr}
+    star = SkyCoord(
+        ra * units.rad, dec * units.rad, distance=10 * units.pc, radial_velocity=0 * units.km / units.s, **pm
+    )
+    moved = star.apply_space_motion(dt=1 * units.yr)
+    p, q, r = triad(ra, dec)
+    step = triad(*position(r + p * pmra + q * pmdec)).r - triad(moved.ra.rad, moved.dec.rad).r
+    assert np.abs(step).max() < 0.01 * MICROARCSEC  # (v/c)^2 of a motion is 1e-8 of 2 arcsec
+
+
+# SciPy
+
+
+def noisy_link(epsilon, sigma, n_obj=200):
+    """Return the link of a noisy satellite with equal weights, and the vectors of both catalogues."""
+    rng = np.random.default_rng(11)
+    ra, dec, *_ = sky(n_obj, 12)
+    still = np.zeros(n_obj)
+    ra_sat, dec_sat, _, _ = satellite_catalogue(ra, dec, still, still, epsilon, np.zeros(3))
+    noise = np.zeros((4, n_obj))
+    noise[:2] = sigma * rng.standard_normal((2, n_obj))
+    y = exact_differences(ra, dec, still, still, epsilon, np.zeros(3)) - noise
+    sat = triad(ra_sat, dec_sat)
+    solution = solve(design_matrix(ra, dec, still, still), y, np.full_like(y, MAS), "equal")
+    return solution.estimate[:3], triad(ra, dec).r, sat.r + sat.p * noise[0] + sat.q * noise[1]
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1.0, 30.0])
+def test_orientation_equals_the_best_exact_rotation(sigma):
+    epsilon = np.array([1.0, -2.0, 0.5]) * MAS
+    estimate, reference, satellite = noisy_link(epsilon, sigma * MAS)
+    exact, _ = Rotation.align_vectors(reference.T, satellite.T)
+    np.testing.assert_allclose(estimate, exact.as_rotvec(), rtol=0.0, atol=0.01 * MICROARCSEC)
+    assert sigma == 0.0 or np.abs(estimate - epsilon).max() > 1.0 * MICROARCSEC  # the noise is really there
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-3])
+def test_small_angle_link_departs_from_the_exact_rotation_to_second_order(size):
+    estimate, reference, satellite = noisy_link(size * np.array([0.6, -0.8, 0.0]), 0.0)
+    exact, _ = Rotation.align_vectors(reference.T, satellite.T)
+    departure = np.abs(estimate - exact.as_rotvec()).max()
+    assert 1e-3 * size**2 < departure < size**2
+
+
+# FK5 against Hipparcos in ERFA: an orientation and a spin that somebody else published and coded
+#
+# ERFA rotates the frame where the link rotates the vector, so seen from Hipparcos (the satellite) to FK5 (the
+# reference) the signs are ERFA's own: r_FK5 = R^T r_Hip with R = exp(-[epsilon x]).
+
+EPSILON = np.array([-19.9, -9.1, 22.9]) * MAS  # Mignard & Froeschle 2000, A&A 354, 732
+OMEGA = np.array([-0.30, 0.60, 0.70]) * MAS  # per Julian year; both catalogues at J2000.0
+SECOND_ORDER = 0.01 * MICROARCSEC  # epsilon^2 is 0.005 microarcsec, and partly averages out
+
+
+def fk5_and_hipparcos(n_obj=400):
+    """Return the same stars in both catalogues, each as (ra, dec, pmra, pmdec), pmra with cos dec."""
+    rng = np.random.default_rng(52)
+    ra, dec = rng.uniform(0.0, 2.0 * np.pi, n_obj), np.arcsin(rng.uniform(-0.95, 0.95, n_obj))
+    pmra, pmdec = rng.normal(0.0, 100.0 * MAS, (2, n_obj))
+    parallax = np.full(n_obj, 1.0)  # arcsec: ERFA needs a distance, and near stars have motions far below light's
+    fk5 = erfa.fk52h(ra, dec, pmra / np.cos(dec), pmdec, parallax, np.zeros(n_obj))  # d(ra)/dt, without cos dec
+    return (ra, dec, pmra, pmdec), (fk5[0], fk5[1], fk5[2] * np.cos(fk5[1]), fk5[3])
+
+
+def differences(reference, satellite):
+    d_ra = (reference[0] - satellite[0] + np.pi) % (2.0 * np.pi) - np.pi
+    return np.stack([d_ra * np.cos(reference[1]), *(a - b for a, b in zip(reference[1:], satellite[1:], strict=True))])
+
+
+def link(reference, satellite):
+    y = differences(reference, satellite)
+    return solve(design_matrix(*reference), y, np.full_like(y, MAS))
+
+
+def test_rotation_matrix_of_erfa_turns_the_frame():
+    matrix, spin = erfa.fk5hip()
+    np.testing.assert_allclose(rotation_matrix(-EPSILON), matrix, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(spin, OMEGA, rtol=1e-12)
+    np.testing.assert_allclose(rotation_matrix(np.array([0.3, -2.0, 0.9])), erfa.rv2m([-0.3, 2.0, -0.9]), atol=1e-15)
+
+
+def test_step_b_reproduces_the_hipparcos_catalogue_star_by_star():
+    fk5, hipparcos = fk5_and_hipparcos()
+    ours = satellite_catalogue(*fk5, EPSILON, OMEGA)
+    assert np.abs(differences(ours, hipparcos)).max() < 0.01 * MICROARCSEC
+
+
+def test_link_of_fk5_and_hipparcos_recovers_the_published_vectors():
+    fk5, hipparcos = fk5_and_hipparcos()
+    solution = link(fk5, hipparcos)
+    np.testing.assert_allclose(solution.estimate, np.concatenate([EPSILON, OMEGA]), rtol=0.0, atol=SECOND_ORDER)
+    assert np.sqrt(np.mean(solution.residuals**2)) < 2 * SECOND_ORDER
+
+
+def test_exchanging_the_two_catalogues_flips_the_sign():
+    fk5, hipparcos = fk5_and_hipparcos()
+    np.testing.assert_allclose(
+        link(hipparcos, fk5).estimate, -np.concatenate([EPSILON, OMEGA]), rtol=0.0, atol=SECOND_ORDER
+    )
+
+
+def test_corrections_are_needed_for_moving_stars():
+    fk5, hipparcos = fk5_and_hipparcos()
+    y = differences(fk5, hipparcos)
+    without = solve(design_matrix(*fk5, corrections=False), y, np.full_like(y, MAS)).residuals
+    assert np.abs(without[2:]).max() > 100 * np.abs(link(fk5, hipparcos).residuals[2:]).max()
+
+
+def test_reading_d_ra_dt_as_pmra_would_be_noticed():
+    (ra, dec, pmra, pmdec), hipparcos = fk5_and_hipparcos()
+    mistaken = link((ra, dec, pmra / np.cos(dec), pmdec), hipparcos)
+    assert np.abs(mistaken.estimate[3:] - OMEGA).max() > MAS
+
+
+@pytest.mark.parametrize("ra", [0.1, 2.5, 6.2])
+@pytest.mark.parametrize("dec", [-1.2, 0.0, 0.8])
+def test_triad_from_erfa_position_and_velocity(ra, dec):
+    """The derivative of the direction by time, for unit motions in ra* and dec."""
+    _, q, r = triad(np.array(ra), np.array(dec))
+    pv = erfa.s2pv(ra, dec, 1.0, 1.0 / np.cos(dec), 1.0, 0.0)
+    np.testing.assert_allclose(pv["p"], r, atol=1e-15)
+    np.testing.assert_allclose(pv["v"] - q, Rotation.from_rotvec([0, 0, ra]).apply([0, 1, 0]), atol=1e-15)

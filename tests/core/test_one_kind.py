@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from linksweep.core.checks import warn
-from linksweep.core.experiment import check, evaluate, link, samples, summarise
-from linksweep.sweep.tables.file import table_file
+from tests.core import points
+from tests.core.points import generators, link, table_file
 
 N_OBJ = 12
 RNG = np.random.default_rng(8)
@@ -34,10 +33,8 @@ def point(folder, kind, correlated=False, **changes):
     return link.defaults() | given | {"reference_errors": "catalogue"} | changes
 
 
-def results(*points, n_sim=2000):
-    sums = evaluate(points, n_sim, np.random.default_rng(4), np.random.default_rng(5))
-    ones = np.ones(len(points))
-    return summarise(sums, n_sim * ones, ones)
+def results(*here):
+    return points.results(2000, *here, seed=4)
 
 
 def covariance_of_one(correlated):
@@ -85,7 +82,7 @@ def test_one_kind_of_observable_is_solved_alone(kind, weighting, side, method, c
     other = {"reference": "satellite", "satellite": "reference"}[side]
     errors = {f"{side}_errors": "catalogue", f"{other}_errors": "none"}
     at = point(tmp_path, kind, correlated, weighting=weighting, method=method, **errors)
-    assert check(at) is None
+    assert link.check(at) is None
     found, n_sim = results(at), 2000
     expected = sandwich(weighting, correlated)
     (name, part), (name_beside, beside) = SOLVED[kind], BESIDE[kind]
@@ -149,17 +146,17 @@ def test_the_spin_has_the_numbers_that_it_has_beside_positions():
 
 def test_a_glide_is_solved_for_with_motions_alone_and_refused_without(tmp_path):
     at = point(tmp_path, "motions", solve_glide=True, aberration=True)
-    assert check(at) is None
+    assert link.check(at) is None
     found = results(at)
     assert found["dof"] == 2 * N_OBJ - 6
     assert np.isfinite(found["glide_sigma"]).all()
     assert abs(found["chi2"][0] - (2 * N_OBJ - 6)) < 4.5 * np.sqrt(2.0 * (2 * N_OBJ - 6) / 2000.0)
-    problem = check(point(tmp_path, "positions", solve_glide=True))
+    problem = link.check(point(tmp_path, "positions", solve_glide=True))
     assert problem == "solve_glide: the proper motions have no errors on either side, so they are not measured"
 
 
 def test_samples_of_what_is_not_determined_are_nan(tmp_path):
-    found = samples([point(tmp_path, "motions")], 50, np.random.default_rng(4), np.random.default_rng(5))["estimate"]
+    found = link.samples([point(tmp_path, "motions")], 50, *generators(4))["estimate"]
     assert np.isnan(found[0, :, :3]).all()
     assert np.isfinite(found[0, :, 3:]).all()
 
@@ -173,8 +170,8 @@ def test_samples_of_what_is_not_determined_are_nan(tmp_path):
 )
 def test_what_is_not_measured_is_said(kind, words, tmp_path):
     (said,) = [
-        sentence for sentence in warn(point(tmp_path, kind, satellite_errors="none")) if "either side" in sentence
+        sentence for sentence in link.warn(point(tmp_path, kind, satellite_errors="none")) if "either side" in sentence
     ]
     assert said.startswith(words)
     assert "is not determined (NaN)" in said
-    assert not any("either side" in sentence for sentence in warn(link.defaults() | {"n_obj": 20}))
+    assert not any("either side" in sentence for sentence in link.warn(link.defaults() | {"n_obj": 20}))

@@ -6,14 +6,19 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from linksweep.core.checks import check
-from linksweep.core.errors import CatalogueErrors, NormalErrors
-from linksweep.core.experiment import evaluate, link, scenario
-from linksweep.core.fixed_design import Projected, fixed_designs, neglected
-from linksweep.core.frames import MAS
-from linksweep.core.link import LinkError
-from linksweep.core.setup import Draw, Prefixes, prepare
-from linksweep.core.simulate import simulate
+from tests.core import points
+from tests.core.points import (
+    MAS,
+    LinkError,
+    OwnErrors,
+    design_of,
+    link,
+    neglected,
+    of_objects,
+    random_covariances,
+    scenario,
+    set_up,
+)
 from tests.core.reference import design_matrix, solve
 
 
@@ -21,15 +26,13 @@ def point(**changes):
     return link.defaults() | {"n_obj": 12, "mean_pm": 300.0} | changes
 
 
-def run(point, n_sim, seed=1, catalogue_seed=2):
-    generators = np.random.default_rng(seed), np.random.default_rng(catalogue_seed)
-    return simulate([scenario(point)], n_sim, *generators, keep_estimates=True)[0]
+def run(here, n_sim, seed=1, catalogue_seed=2):
+    return points.run(scenario(here), n_sim, seed, catalogue_seed)
 
 
-def set_up(point, seed=2):
-    physics = scenario(point)
-    draw = Draw.of(physics, physics.draw_catalogue(np.random.default_rng(seed)), np.random.default_rng(3))
-    return prepare(physics, draw, Prefixes())
+def setup_of(here):
+    physics = scenario(here)
+    return set_up(physics.draw_catalogue(np.random.default_rng(2)), physics)
 
 
 @pytest.mark.parametrize(
@@ -77,7 +80,7 @@ def test_chi2_has_the_distribution_of_the_catalogue_method(changes):
     def chi2(method):
         rng = np.random.default_rng(7)
         return [
-            evaluate([point(method=method, **changes)], 1, rng, np.random.default_rng(2))["chi2"][0]
+            link.evaluate([point(method=method, **changes)], 1, rng, np.random.default_rng(2))["chi2"][0]
             for _ in range(1500)
         ]
 
@@ -90,18 +93,15 @@ def test_chi2_of_one_realisation_is_correlated_with_its_estimate_as_in_the_catal
 
     def correlation(method):
         rng = np.random.default_rng(8)
-        blocks = [run_one(point(method=method, n_obj=3, weighting="equal"), rng) for _ in range(3000)]
-        error, chi2 = np.array([b["error"] for b in blocks]), np.array([b["chi2"] for b in blocks])
+        here = point(method=method, n_obj=3, weighting="equal")
+        blocks = [link.evaluate([here], 1, rng, np.random.default_rng(2)) for _ in range(3000)]
+        error, chi2 = (np.array([block[name][0] for block in blocks]) for name in ("error", "chi2"))
         size = np.sum(error**2 / blocks[0]["predicted_variance"], axis=1)
         return stats.spearmanr(size, chi2).statistic
 
     with_objects, without = correlation("catalogue"), correlation("projected")
     assert with_objects > 0.1
     assert abs(with_objects - without) < 4.5 * np.sqrt(2 / 3000)
-
-
-def run_one(point, rng):
-    return simulate([scenario(point)], 1, rng, np.random.default_rng(2))[0]
 
 
 def link_methods():
@@ -140,8 +140,8 @@ def test_what_is_neglected_is_bounded(changes):
     """The same errors of arcseconds, with the design of each realisation and with the one of the true reference."""
     arcsec = {"reference_errors": "normal", "reference_sigma_pos": 1000.0, "reference_sigma_pm": 500.0}
     arcsec |= {"satellite_errors": "normal", "satellite_sigma_pos": 700.0, "satellite_sigma_pm": 200.0}
-    setup = set_up(point(**(arcsec | changes)))
-    design, n_sim, rng = fixed_designs([setup], Prefixes())[0], 200, np.random.default_rng(5)
+    setup = setup_of(point(**(arcsec | changes)))
+    design, n_sim, rng = design_of(setup), 200, np.random.default_rng(5)
     sigma = np.sqrt(design.predicted_variance())
     whole, fixed = [], []
     for _ in range(n_sim):
@@ -164,7 +164,7 @@ def test_errors_of_an_arcsecond_may_be_projected_and_much_larger_ones_not():
     for arcsec, fits in ((1.0, True), (5.0, True), (300.0, False), (9000.0, False)):
         one = point(n_obj=300, mean_pm=0.0, reference_errors="normal", reference_sigma_pos=1000.0 * arcsec)
         one |= {"method": "projected"}
-        assert (check(one) is None) == fits
+        assert (link.check(one) is None) == fits
         if fits:
             assert np.all(np.isfinite(run(one, 2)["error"]))
         else:
@@ -178,30 +178,19 @@ def test_a_truth_far_beyond_the_errors_is_refused():
 
 
 def test_no_reference_error_neglects_nothing():
-    np.testing.assert_array_equal(neglected(fixed_designs([set_up(point())], Prefixes())[0]), 0.0)
+    np.testing.assert_array_equal(neglected(design_of(setup_of(point()))), 0.0)
 
 
 def test_correlated_errors_are_refused():
-    setup = set_up(point())
-    n_obj = len(setup.catalogue)
-    correlation = np.tile(0.5 * np.eye(4) + 0.5, (n_obj, 1, 1))
-    catalogue = replace(setup.catalogue, sigma=np.full((4, n_obj), MAS), correlation=correlation)
-    correlated = replace(
-        setup.scenario, draw_catalogue=lambda _: catalogue, satellite_errors=CatalogueErrors(), method="projected"
+    physics, (sigma, correlation) = (
+        scenario(point(method="projected", satellite_errors="catalogue")),
+        random_covariances(12),
     )
-    with pytest.raises(LinkError, match="uncorrelated"):
-        simulate([correlated], 1, np.random.default_rng(1), np.random.default_rng(2))
-    harmless = replace(correlated, satellite_errors=NormalErrors(1.0, 1.0))
-    simulate([harmless], 1, np.random.default_rng(1), np.random.default_rng(2))
-
-
-def test_the_triangle_has_the_products_of_the_columns():
-    """R^T R = P^T P, however many objects there are: those of one more part than fit in one, and fewer than columns."""
-    for n_obj in (2, 40, 5000):
-        design = fixed_designs([set_up(point(n_obj=n_obj, weighting="equal"))], Prefixes())[0]
-        columns = design.columns.reshape(4 * n_obj, -1)
-        products, triangle = columns.T @ columns, Projected(design).triangle
-        scale = np.sqrt(np.diag(products))
-        np.testing.assert_allclose(
-            triangle.T @ triangle / scale / scale[:, None], products / scale / scale[:, None], atol=1e-12
-        )
+    objects = scenario(point()).draw_catalogue(np.random.default_rng(2))
+    for own in (OwnErrors(sigma * MAS, correlation), OwnErrors(sigma * MAS)):
+        here = of_objects(replace(objects, own=own), physics)
+        if own.correlation is None:
+            points.run(here, 1)
+            continue
+        with pytest.raises(LinkError, match="uncorrelated"):
+            points.run(here, 1)

@@ -1,106 +1,118 @@
 """A block of realisations: what it recovers, how large its errors are, and that it is the plain loop made fast."""
 
+import math
 import tracemalloc
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
-from linksweep.core.catalogues import synthetic
-from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
-from linksweep.core.frames import MAS, exact_differences, triad
-from linksweep.core.link import LinkError, combined_error
-from linksweep.core.missions import MISSIONS
-from linksweep.core.noise import ROWS, TILE
-from linksweep.core.scenario import Scenario, TrueVector
-from linksweep.core.simulate import simulate
+from tests.core.points import (
+    DEGREE,
+    MAS,
+    MISSIONS,
+    ROWS,
+    TILE,
+    Catalogue,
+    CatalogueErrors,
+    LinkError,
+    OwnErrors,
+    SharedSums,
+    design_of,
+    drawn,
+    exact_differences,
+    neglected,
+    of_objects,
+    point,
+    random_covariances,
+    run,
+    scenario,
+    set_up,
+    tiles,
+    transposed_product,
+    triad,
+)
 from tests.core.reference import design_matrix, solve
-from tests.tiers import slow
+from tests.tiers import examples, slow
 
-EPSILON, OMEGA = np.array([1.0, -0.7, 0.4]) * MAS, np.array([-0.5, 0.9, 1.2]) * MAS
-TRUTH_MAS = np.concatenate([EPSILON, OMEGA]) / MAS
-GLIDE = np.array([0.3, -0.2, 0.5]) * MAS
-
-
-def scenario(n_obj, mean_pm_mas_yr=0.0, **changes):
-    draw = partial(synthetic, n_obj=n_obj, v_min=5.0, v_max=15.0, mean_pm=mean_pm_mas_yr * MAS)
-    amex = MagnitudeErrors(MISSIONS["amex"])
-    return replace(Scenario(draw, NO_ERRORS, amex, TrueVector(tuple(EPSILON)), TrueVector(tuple(OMEGA))), **changes)
+TRUTH = {"epsilon": (1.0, -0.7, 0.4), "omega": (-0.5, 0.9, 1.2)}
+TRUTH_MAS = np.concatenate(list(TRUTH.values()))
+GLIDE_UAS = (300.0, -200.0, 500.0)
+NORMAL = {"satellite_errors": "normal"}
+NOISY = {"reference_errors": "normal", "reference_sigma_pos": 0.4, "reference_sigma_pm": 0.7}
+WELL_POSED = 1e3
+"""Condition number of the design: its square, that of the normal matrix, times 2^-52 is 2e-10."""
 
 
-def run(scenario, n_sim, seed=1, catalogue_seed=2):
-    return simulate([scenario], n_sim, np.random.default_rng(seed), np.random.default_rng(catalogue_seed))[0]
-
-
-def sample(scenario, n_sim, rng, catalogue_rng):
-    return simulate([scenario], n_sim, rng, catalogue_rng, keep_estimates=True)[0]["estimate"]
-
-
-def summed_by_plain_loop(scenario, n_sim, seed=1, catalogue_seed=2):
-    """Solve one realisation after the other with `core.link.solve`, drawing normals in the order of `simulate`."""
-    rng, catalogue = np.random.default_rng(seed), scenario.draw_catalogue(np.random.default_rng(catalogue_seed))
-    true = np.stack([catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec])
-    sides = scenario.reference_errors, scenario.satellite_errors
-    sigma_ref, sigma_sat = (e.standard_errors(catalogue) for e in sides)
-    sigma = combined_error(sigma_ref, sigma_sat)
-    y = exact_differences(*true, EPSILON, OMEGA)
-    p, q, _ = triad(catalogue.ra, catalogue.dec)
-    y[2:] -= np.stack([p.T @ scenario.aberration, q.T @ scenario.aberration])
-    truth = np.concatenate([TRUTH_MAS, -np.array(scenario.aberration)[: 3 * scenario.solve_glide] / MAS])
-    solutions = []
-    for normals in both_sides(rng, n_sim, len(catalogue)):
-        shift, satellite = (errors(*side) for side in zip(sides, normals, [catalogue] * 2, strict=True))
-        seen = true + shift / np.stack([np.cos(catalogue.dec), *np.ones((3, len(catalogue)))])
-        design = design_matrix(*seen, corrections=scenario.corrections, glide=scenario.solve_glide)
-        solutions.append(solve(design, y + shift - satellite, sigma, scenario.weighting))
-    error = np.array([s.estimate for s in solutions]) / MAS - truth
-    return error.sum(axis=0), error.T @ error, sum(s.chi2 for s in solutions), solutions[0]
-
-
-def assert_sums(sums, error, products, sigma, n_sim):
-    """What is summed of the six unknowns, and of a glide, is as good as equal to ``error`` and ``products``."""
-    near = 1e-9 * n_sim * sigma
-    assert np.all(np.abs(sums["error"] - error[:6]) < near[:6])
-    assert np.all(np.abs(sums["error_products"] - products[:6, :6]) < np.outer(near, sigma)[:6, :6])
-    if len(error) > 6:
-        assert np.all(np.abs(sums["glide_error"] - error[6:]) < near[6:])
-        assert np.all(np.abs(sums["glide_squares"] - np.diag(products)[6:]) < (near * sigma)[6:])
-
-
-def errors(model, normals, catalogue):
-    """Turn unit normals (4, N) into errors, with each object's own covariance."""
-    sigma, correlation = model.standard_errors(catalogue), model.correlation(catalogue)
-    if correlation is None:
-        return sigma * normals
-    covariances = sigma.T[:, :, None] * correlation * sigma.T[:, None, :]
-    return np.stack([np.linalg.cholesky(c) @ n for c, n in zip(covariances, normals.T, strict=True)], axis=1)
+def physics_of(**changes):
+    return scenario(point(**(TRUTH | changes)))
 
 
 def both_sides(rng, n_sim, n_obj):
-    """Yield the normals (4, N) of the reference and of the satellite: a stream of each for every chunk of realisations,
+    """Yield the normals (N, 4) of the reference and of the satellite: a stream of each for every chunk of realisations,
     object by object.
     """
     for start in range(0, n_sim, ROWS):
         shape = n_obj, 4, min(ROWS, n_sim - start)
         satellite, reference = (stream.standard_normal(shape) for stream in rng.spawn(2))
-        yield from zip(reference.transpose(2, 1, 0), satellite.transpose(2, 1, 0), strict=True)
+        yield from zip(reference.transpose(2, 0, 1), satellite.transpose(2, 0, 1), strict=True)
+
+
+def one_by_one(physics, n_sim, seed=1, catalogue_seed=2):
+    """The solution of each realisation by singular value decomposition of its design matrix, from the same normals;
+    the estimates - truth, and the truth.
+    """
+    catalogue = physics.draw_catalogue(np.random.default_rng(catalogue_seed))
+    setup = set_up(catalogue, physics)
+    true = np.stack([catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec])
+    y = exact_differences(*true, *np.array([physics.epsilon, physics.omega]))
+    p, q, _ = triad(catalogue.ra, catalogue.dec)
+    y[2:] -= np.stack([p.T @ physics.aberration, q.T @ physics.aberration])
+    truth = np.concatenate([physics.epsilon, physics.omega, -np.array(physics.aberration)[: 3 * physics.solve_glide]])
+    for normals in both_sides(np.random.default_rng(seed), n_sim, len(catalogue)):
+        sides = zip((physics.reference_errors, physics.satellite_errors), normals, strict=True)
+        shift, satellite = (errors(model, unit, catalogue).T for model, unit in sides)
+        seen = true + shift / np.stack([np.cos(catalogue.dec), *np.ones((3, len(catalogue)))])
+        design = design_matrix(*seen, corrections=physics.corrections, glide=physics.solve_glide)
+        solution = solve(design, y + shift - satellite, setup.sigma.T, physics.weighting)
+        yield solution, solution.estimate - truth
+
+
+def errors(model, normals, catalogue):
+    """Turn unit normals (N, 4) into errors, with each object's own covariance."""
+    sigma, correlation = model.standard_errors(catalogue), model.correlation(catalogue)
+    if correlation is None:
+        return sigma * normals
+    covariances = sigma[:, :, None] * correlation * sigma[:, None, :]
+    return np.stack([np.linalg.cholesky(c) @ n for c, n in zip(covariances, normals, strict=True)])
+
+
+def assert_is_the_plain_loop(physics, n_sim):
+    sums = run(physics, n_sim)
+    solutions, found = zip(*one_by_one(physics, n_sim), strict=True)
+    error, sigma = np.array(found) / MAS, solutions[0].formal_error / MAS
+    near, products = 1e-9 * n_sim * sigma, error.T @ error
+    assert np.all(np.abs(sums["error"] - error.sum(axis=0)[:6]) < near[:6])
+    assert np.all(np.abs(sums["error_products"] - products[:6, :6]) < np.outer(near, sigma)[:6, :6])
+    if physics.solve_glide:
+        assert np.all(np.abs(sums["glide_error"] - error.sum(axis=0)[6:]) < near[6:])
+        assert np.all(np.abs(sums["glide_squares"] - np.diag(products)[6:]) < (near * sigma)[6:])
+    assert sums["chi2"] == pytest.approx(sum(s.chi2 for s in solutions), rel=1e-9)
+    return sums, sigma
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize("reference_errors", [NO_ERRORS, NormalErrors(0.4, 0.7)])
+@pytest.mark.parametrize("reference", [{}, NOISY])
 @pytest.mark.parametrize(("n_obj", "n_sim"), [(20, 520), (1500, 20), slow(20, 1000)])
 @pytest.mark.parametrize(("corrections", "solve_glide"), [(False, False), (True, True), slow(True, False)])
-def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, corrections, solve_glide):
-    point = scenario(n_obj, 100.0, reference_errors=reference_errors, weighting=weighting, corrections=corrections)
-    point = replace(point, aberration=tuple(GLIDE), solve_glide=solve_glide)
+def test_equals_the_plain_loop(weighting, reference, n_obj, n_sim, corrections, solve_glide):
     assert n_sim > ROWS or 4 * n_obj * n_sim > TILE  # several chunks or several tiles
-    sums = run(point, n_sim)
-    error, products, chi2, solution = summed_by_plain_loop(point, n_sim)
-    sigma = solution.formal_error / MAS
-    assert_sums(sums, error, products, sigma, n_sim)
-    assert sums["chi2"] == pytest.approx(chi2, rel=1e-9)
-    if not np.any(reference_errors.standard_errors(point.draw_catalogue(np.random.default_rng(2)))):
+    options = {"weighting": weighting, "corrections": corrections, "solve_glide": solve_glide}
+    physics = physics_of(n_obj=n_obj, mean_pm=100.0, aberration=True, glide=GLIDE_UAS, **options, **reference)
+    sums, sigma = assert_is_the_plain_loop(physics, n_sim)
+    if not reference:
         np.testing.assert_allclose(sums["predicted_variance"], n_sim * sigma[:6] ** 2, rtol=1e-9)
         means = [np.mean(sigma[:3] ** 2), np.mean(sigma[3:6] ** 2)]
         squares = n_sim * np.square([*sigma[:6] ** 2, *means])
@@ -109,68 +121,103 @@ def test_equals_the_plain_loop(weighting, reference_errors, n_obj, n_sim, correc
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize("reference_errors", [CatalogueErrors(), slow(NormalErrors(0.4, 0.7)), slow(NO_ERRORS)])
+@pytest.mark.parametrize("reference_errors", ["catalogue", slow("normal"), slow("none")])
 def test_correlated_errors_equal_the_plain_loop(weighting, reference_errors):
-    n_obj, n_sim = 20, 500
-    factor = np.tril(np.random.default_rng(3).uniform(0.3, 1.0, (n_obj, 4, 4)))
-    factor /= np.linalg.norm(factor, axis=2, keepdims=True)
-    sigma = np.random.default_rng(4).uniform(0.2, 3.0, (4, n_obj)) * MAS
-    plain = scenario(n_obj, 100.0).draw_catalogue(np.random.default_rng(2))
-    catalogue = replace(plain, sigma=sigma, correlation=factor @ np.swapaxes(factor, 1, 2))
-    point = scenario(n_obj, reference_errors=reference_errors, satellite_errors=CatalogueErrors(0.5))
-    point = replace(point, draw_catalogue=lambda _: catalogue, weighting=weighting)
-    sums = run(point, n_sim)
-    error, products, chi2, solution = summed_by_plain_loop(point, n_sim)
-    scale = solution.formal_error / MAS
-    assert_sums(sums, error, products, scale, n_sim)
-    assert sums["chi2"] == pytest.approx(chi2, rel=1e-9)
+    sigma, correlation = random_covariances(20)
+    objects = replace(drawn(2, n_obj=20, mean_pm=100.0), own=OwnErrors(sigma * MAS, correlation))
+    physics = physics_of(reference_errors=reference_errors, satellite_errors="catalogue", weighting=weighting)
+    assert_is_the_plain_loop(of_objects(objects, physics), 500)
 
 
-@pytest.mark.parametrize("mean_pm_mas_yr", [0.0, 500.0])
+@settings(max_examples=examples(150))
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n_obj=st.integers(4, 60),
+    sigma_mas=st.sampled_from([1e-3, 1.0, 1e3, 1e5, 1e6]),
+    motion_mas=st.sampled_from([0.0, 1.0, 1e4]),
+    polar=st.sampled_from([0.0, 0.3]),
+    correlated=st.booleans(),
+    weighting=st.sampled_from(["inverse-variance", "equal"]),
+    corrections=st.booleans(),
+    solve_glide=st.booleans(),
+)
+def test_equals_the_svd_of_each_realisation(seed, n_obj, sigma_mas, motion_mas, polar, correlated, **options):
+    """Objects anywhere, some near a pole, with errors of their own from microarcseconds to a quarter of a degree."""
+    rng = np.random.default_rng(seed)
+    sin_dec = rng.uniform(-1.0, 1.0, n_obj)
+    near = np.sign(sin_dec) * rng.uniform(85.0, 89.5, n_obj) * DEGREE
+    sigma, correlation = random_covariances(n_obj, seed)
+    motions = motion_mas * MAS * rng.standard_normal((2, n_obj))
+    objects = Catalogue(
+        *(rng.uniform(-np.pi, 2.0 * np.pi, n_obj), np.where(rng.random(n_obj) < polar, near, np.arcsin(sin_dec))),
+        *(*motions, np.zeros(n_obj)),
+        OwnErrors(sigma_mas * MAS * sigma / 2.5, correlation if correlated else None),
+    )
+    plain = physics_of(**options, aberration=options["solve_glide"])
+    physics = of_objects(
+        objects, plain, reference_errors=CatalogueErrors(), satellite_errors=CatalogueErrors(scale=0.7)
+    )
+    try:
+        solutions, expected = zip(*one_by_one(physics, 3), strict=True)
+    except LinkError as error:
+        with pytest.raises(LinkError, match=str(error)[:40]):
+            run(physics, 3)
+        return
+    assume(all(s.condition_number < WELL_POSED for s in solutions))
+    sums, each = run(physics, 3), np.array(expected)
+    truth = np.concatenate([set_up(objects, physics).truth])
+    error, formal = sums["estimate"] * MAS - truth, np.array([s.formal_error for s in solutions])
+    size = np.abs(truth) * 1e-15  # what the sum with the truth rounds away
+    assert np.all(np.abs(error - each) < 1e-9 * formal + size)
+    assert sums["chi2"] == pytest.approx(sum(s.chi2 for s in solutions), rel=1e-9)
+
+
+def test_an_object_that_its_error_carries_over_the_pole_is_named():
+    zero = np.zeros(40)
+    objects = replace(drawn(5, n_obj=40), own=OwnErrors(np.full((40, 4), MAS)), pmra=zero, pmdec=zero)
+    objects.dec[35] = 90.0 * DEGREE - 0.5 * MAS
+    physics = of_objects(objects, physics_of(**NORMAL, reference_errors="catalogue"))
+    with pytest.raises(LinkError, match=r"object 35 is at a celestial pole or, with its error, beyond"):
+        run(physics, 512)
+
+
+@pytest.mark.parametrize("mean_pm", [0.0, 500.0])
 @pytest.mark.parametrize("n_obj", [2, 50])
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-def test_error_free_data_return_the_truth(mean_pm_mas_yr, n_obj, weighting):
-    sums = run(scenario(n_obj, mean_pm_mas_yr, satellite_errors=NO_ERRORS, weighting=weighting), 3)
+def test_error_free_data_return_the_truth(mean_pm, n_obj, weighting):
+    sums = run(physics_of(n_obj=n_obj, mean_pm=mean_pm, satellite_errors="none", weighting=weighting), 3)
     assert np.all(np.abs(sums["error"] / 3) < 1e-6 * np.abs(TRUTH_MAS))  # epsilon^2 mu is 1e-8 of omega
     np.testing.assert_array_equal(sums["predicted_variance"], 0.0)
 
 
-def test_without_corrections_the_spin_is_hundreds_of_times_worse():
+def test_corrections_matter_for_objects_with_motions_alone():
     def spin_error(corrections):
-        point = scenario(300, 500.0, satellite_errors=NO_ERRORS, corrections=corrections)
-        return np.linalg.norm([run(point, 1, catalogue_seed=k)["error"][3:] for k in range(10)])
+        physics = physics_of(n_obj=300, mean_pm=500.0, satellite_errors="none", corrections=corrections)
+        return np.linalg.norm([run(physics, 1, catalogue_seed=k)["error"][3:] for k in range(10)])
 
     assert spin_error(corrections=False) > 100 * spin_error(corrections=True)
-
-
-def test_corrections_do_not_matter_for_objects_without_motion():
-    with_terms, without = (run(scenario(20, corrections=c), 100) for c in (True, False))
-    np.testing.assert_array_equal(with_terms["error_products"], without["error_products"])
+    still = [run(physics_of(n_obj=20, corrections=c), 100)["error_products"] for c in (True, False)]
+    np.testing.assert_array_equal(*still)
 
 
 def test_stored_angles_leave_the_floor_of_double_precision():
-    stored, exact = (
-        np.abs([run(scenario(100, satellite_errors=NO_ERRORS, arithmetic=a), 1, 1, k)["error"][:3] for k in range(20)])
-        for a in ("stored", "exact")
-    )
-    tiny = scenario(100, satellite_errors=NO_ERRORS, epsilon=TrueVector(tuple(1e-3 * EPSILON)))
-    tiny = replace(tiny, omega=TrueVector(tuple(1e-3 * OMEGA)))
-    floor = np.abs([run(replace(tiny, arithmetic="stored"), 1, 1, k)["error"][:3] for k in range(20)])
-    below = np.abs([run(tiny, 1, 1, k)["error"][:3] for k in range(20)])
-    assert 1e-9 < np.sqrt(np.mean(floor**2)) < 1e-6  # mas; the last bit of an angle is 4e-7 mas at most
-    assert np.sqrt(np.mean(stored**2)) > 1e-9
-    assert below.max() < 1e-3 * np.sqrt(np.mean(floor**2))
-    assert exact.max() < 1e-7  # epsilon^2 is 5e-9 mas
+    def errors(arithmetic, size=1.0):
+        truth = {name: tuple(size * np.array(vector)) for name, vector in TRUTH.items()}
+        physics = scenario(point(n_obj=100, satellite_errors="none", arithmetic=arithmetic, **truth))
+        return np.abs([run(physics, 1, 1, k)["error"][:3] for k in range(20)])
+
+    floor = np.sqrt(np.mean(errors("stored", 1e-3) ** 2))
+    assert 1e-9 < floor < 1e-6  # mas; the last bit of an angle is 4e-7 mas at most
+    assert np.sqrt(np.mean(errors("stored") ** 2)) > 1e-9
+    assert errors("exact", 1e-3).max() < 1e-3 * floor
+    assert errors("exact").max() < 1e-7  # epsilon^2 is 5e-9 mas
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize(
-    ("reference_errors", "n_sim"), [(NO_ERRORS, 20_000), (NormalErrors(0.8, 1.2), 5000)], ids=["fixed", "noisy"]
-)
+@pytest.mark.parametrize(("reference", "n_sim"), [({}, 20_000), (NOISY, 5000)], ids=["fixed", "noisy"])
 @pytest.mark.parametrize("solve_glide", [False, True])
-def test_realised_errors_are_the_predicted_ones(weighting, reference_errors, n_sim, solve_glide):
-    point = scenario(40, 50.0, reference_errors=reference_errors, weighting=weighting, solve_glide=solve_glide)
-    sums = run(point, n_sim)
+def test_realised_errors_are_the_predicted_ones(weighting, reference, n_sim, solve_glide):
+    sums = run(physics_of(n_obj=40, mean_pm=50.0, weighting=weighting, solve_glide=solve_glide, **reference), n_sim)
     sigma = np.sqrt(np.diag(sums["error_products"]) / n_sim)
     predicted = np.sqrt(sums["predicted_variance"] / n_sim)
     assert np.all(np.abs(sigma - predicted) < 4 * predicted / np.sqrt(2 * n_sim))
@@ -180,39 +227,39 @@ def test_realised_errors_are_the_predicted_ones(weighting, reference_errors, n_s
         assert abs(sums["chi2"] / n_sim - dof) < 4 * np.sqrt(2 * dof / n_sim)  # the variance of chi2 is 2 dof
 
 
+def test_errors_of_arcseconds_do_not_bias_the_estimate():
+    arcsec = {"reference_sigma_pos": 1000.0, "reference_sigma_pm": 1000.0, "reference_errors": "normal"}
+    error = run(physics_of(n_obj=50, mean_pm=1e4, **NORMAL, **arcsec), 4000)["estimate"] - TRUTH_MAS
+    assert np.all(np.abs(error.mean(axis=0) / error.std(axis=0)) < 4.5 / np.sqrt(4000))
+
+
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 def test_both_paths_agree_for_a_tiny_noise_of_the_reference(weighting):
     """The satellite's normals are a stream of their own, so they do not change."""
-    point = scenario(30, 100.0, weighting=weighting)
-    fixed = run(point, 1000)
-    noisy = run(replace(point, reference_errors=NormalErrors(1e-12, 1e-12)), 1000)
+    tiny = NOISY | {"reference_sigma_pos": 1e-12, "reference_sigma_pm": 1e-12}
+    fixed, noisy = (run(physics_of(mean_pm=100.0, weighting=weighting, **side), 1000) for side in ({}, tiny))
     sigma = np.sqrt(fixed["predicted_variance"])
     assert np.all(np.abs(noisy["error"] - fixed["error"]) < 1e-9 * np.sqrt(1000) * sigma)
     assert noisy["chi2"] == pytest.approx(fixed["chi2"], rel=1e-9)
 
 
 def test_the_two_generators_decide_different_things():
-    point = scenario(30)
-    first = run(point, 10)
-    other_errors, other_catalogue = run(point, 10, seed=3), run(point, 10, catalogue_seed=3)
+    physics = physics_of()
+    first, other_errors, other_catalogue = (run(physics, 10, *seeds) for seeds in ((1, 2), (3, 2), (1, 3)))
     np.testing.assert_array_equal(first["predicted_variance"], other_errors["predicted_variance"])
     assert np.all(first["error"] != other_errors["error"])
     assert np.all(first["predicted_variance"] != other_catalogue["predicted_variance"])
-    np.testing.assert_array_equal(first["error"], run(point, 10)["error"])
+    np.testing.assert_array_equal(first["error"], run(physics, 10)["error"])
 
 
-@pytest.mark.parametrize(
-    ("reference_errors", "few", "many"),
-    [(NO_ERRORS, 2 * ROWS, 8 * ROWS), (NormalErrors(1.0, 1.0), 2 * ROWS, 4 * ROWS)],
-    ids=["fixed", "noisy"],
-)
-def test_memory_does_not_grow_with_the_number_of_realisations(reference_errors, few, many):
-    point = scenario(200, reference_errors=reference_errors)
+@pytest.mark.parametrize(("reference", "few", "many"), [({}, 2, 8), (NOISY, 2, 4)], ids=["fixed", "noisy"])
+def test_memory_does_not_grow_with_the_number_of_realisations(reference, few, many):
+    physics = physics_of(n_obj=200, **reference)
 
-    def peak(n_sim):
-        run(point, 1)
+    def peak(chunks):
+        run(physics, 1, keep=False)
         tracemalloc.start()
-        run(point, n_sim)
+        run(physics, chunks * ROWS, keep=False)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return peak
@@ -220,39 +267,121 @@ def test_memory_does_not_grow_with_the_number_of_realisations(reference_errors, 
     assert peak(many) < 1.05 * peak(few)
 
 
-def test_errors_that_cannot_be_weighed():
-    with pytest.raises(LinkError, match=r"negative standard error"):
-        run(scenario(10, satellite_errors=NormalErrors(-1.0, 1.0)), 1)
+def test_what_does_not_determine_the_link_is_refused():
+    one_place = drawn(1, n_obj=2).take(np.zeros(10, dtype=np.intp))
+    for reference in ({}, {**NOISY, "reference_sigma_pos": 1e-9, "reference_sigma_pm": 1e-9}):
+        with pytest.raises(LinkError, match="rank deficient"):
+            run(of_objects(one_place, physics_of(**NORMAL, **reference)), 3)
+    with pytest.raises(LinkError, match="negative standard error"):
+        run(physics_of(**NORMAL, satellite_error_scale=-1.0), 1)
 
 
-def test_a_sky_that_does_not_determine_the_link():
-    def one_place(rng):
-        return synthetic(rng, 1, 5.0, 15.0).take(np.zeros(10, dtype=np.intp))
+@given(
+    rows=st.integers(1, ROWS),
+    n_obj=st.integers(0, 300),
+    fewer=st.integers(0, 300),
+    stack=st.sampled_from([(), (1,), (3,)]),
+)
+def test_tiles_are_the_streams_object_by_object(rows, n_obj, fewer, stack):
+    def drawn():
+        rngs = [np.random.default_rng(seed) for seed in range(math.prod(stack))]
+        return tiles(rngs, stack, rows, n_obj)
 
-    with pytest.raises(LinkError, match="rank deficient"):
-        run(scenario(10, draw_catalogue=one_place), 1)
+    plain = np.array([np.random.default_rng(k).standard_normal((n_obj, 4, rows)) for k in range(math.prod(stack))])
+    plain = plain.reshape(*stack, n_obj, 4, rows)
+    found = [(tile.start, tile.normals.copy()) for tile in drawn()]
+    for start, normals in found:
+        np.testing.assert_array_equal(normals, plain[..., start : start + normals.shape[-3], :, :])
+    assert sum(normals.shape[-3] for _, normals in found) == n_obj
+    few = min(fewer, n_obj)
+    assert sum(tile.head(few).shape[-3] for tile in drawn()) == few
+    columns = np.random.default_rng(9).standard_normal((*stack, n_obj, 4, 3))
+    shared, terms = SharedSums(), []
+
+    def products_of(size):
+        def products(normals, place):
+            terms.append(normals.shape[-3])
+            return transposed_product(columns[..., :size, :, :][..., place, :, :], normals)
+
+        return products
+
+    # of two nested catalogues, the smaller one asked for at either place
+    asked = {size: shared.ask("ours", size, products_of(size)) for size in (few, n_obj, few) if size}
+    for tile in drawn():
+        shared.add(tile)
+    for size, total in asked.items():
+        expected = np.einsum("...nic,...nir->...cr", columns[..., :size, :, :], plain[..., :size, :, :])
+        np.testing.assert_allclose(total(), expected, rtol=1e-9, atol=1e-9 * np.sqrt(size))
+    assert len(terms) <= -(-n_obj // max(1, TILE // (4 * rows))) + 1  # of what they share, once
 
 
-@pytest.mark.parametrize("solve_glide", [False, True])
-@pytest.mark.parametrize("reference_errors", [NO_ERRORS, NormalErrors(0.8, 1.2)])
-@pytest.mark.parametrize("n_sim", [1, 2000])
-def test_samples_are_the_estimates_that_are_added_up(solve_glide, reference_errors, n_sim):
-    point = scenario(30, 100.0, reference_errors=reference_errors, aberration=tuple(GLIDE), solve_glide=solve_glide)
-    sums = run(point, n_sim)
-    estimates = sample(point, n_sim, np.random.default_rng(1), np.random.default_rng(2))
-    error = estimates - [*TRUTH_MAS, *(-GLIDE / MAS)][: estimates.shape[1]]
-    assert estimates.shape == (n_sim, 9 if solve_glide else 6)
-    assert_sums(sums, error.sum(axis=0), error.T @ error, np.ones(9), n_sim)
+# the closed forms
 
 
-def test_random_directions_are_the_catalogues_and_the_link_finds_them():
-    point = scenario(30, satellite_errors=NO_ERRORS)
-    point = replace(point, epsilon=TrueVector(tuple(EPSILON), True), omega=TrueVector(tuple(OMEGA), True))
-    found = np.array(
-        [sample(point, 2, np.random.default_rng(k), np.random.default_rng(j)) for j in range(5) for k in range(2)]
-    ).reshape(5, 4, 6)  # catalogue, realisation of either error generator, unknown
-    np.testing.assert_array_equal(found, np.repeat(found[:, :1], 4, axis=1))
-    for part, vector in ((slice(0, 3), EPSILON), (slice(3, 6), OMEGA)):
-        np.testing.assert_allclose(np.linalg.norm(found[:, 0, part], axis=1), np.linalg.norm(vector) / MAS, rtol=1e-7)
-        assert np.abs(np.diff(found[:, 0, part], axis=0)).max(axis=1).min() > 0.1  # another one for each catalogue
-    assert np.all(np.abs(run(point, 1)["error"]) < 1e-7)  # and the truth that is subtracted is the one drawn
+def test_the_predicted_bias_is_what_a_link_without_errors_returns():
+    objects = drawn(3, n_obj=30)
+    setup = set_up(objects, physics_of(**NORMAL, aberration=True, glide=(1000.0, -2000.0, 3000.0)))
+    solution = solve(
+        design_matrix(objects.ra, objects.dec, objects.pmra, objects.pmdec), setup.differences.T, np.full((4, 30), MAS)
+    )
+    expected = solution.estimate - setup.truth
+    assert np.abs(expected[3:]).max() > 0.03 * MAS
+    np.testing.assert_allclose(design_of(setup).bias, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_the_condition_number_of_a_clustered_sky_is_numpys():
+    """Twelve masers on a patch of the sky: NumPy's own condition of the scaled design, squared."""
+    zero = np.zeros(12)
+    patch = Catalogue(np.linspace(4.0, 4.1, 12), np.linspace(-0.5, -0.4, 12), zero, zero, zero)
+    columns = design_matrix(patch.ra, patch.dec, patch.pmra, patch.pmdec).reshape(-1, 6)
+    expected = np.linalg.cond(columns / np.linalg.norm(columns, axis=0)) ** 2
+    found = design_of(set_up(patch, physics_of(**NORMAL))).condition_number
+    assert found == pytest.approx(expected, rel=1e-6)
+    assert found > 100.0
+
+
+def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covariance_matrix():
+    """G Sigma G^T with a block of Sigma an object, formed without factors."""
+    sigma, correlation = random_covariances(30, 8)
+    objects = replace(drawn(3, n_obj=30), own=OwnErrors(sigma * MAS, correlation))
+    found = design_of(set_up(objects, physics_of(satellite_errors="catalogue"))).predicted_variance()
+    design = np.moveaxis(design_matrix(objects.ra, objects.dec, objects.pmra, objects.pmdec), 0, 1)
+    a, weights = design.reshape(-1, 6), (sigma.ravel() * MAS) ** -2.0
+    gain = np.linalg.inv(a.T @ (weights[:, None] * a)) @ (a * weights[:, None]).T
+    whole = np.zeros((120, 120))
+    for k in range(30):
+        part = slice(4 * k, 4 * k + 4)
+        whole[part, part] = correlation[k] * np.outer(sigma[k], sigma[k]) * MAS**2
+    np.testing.assert_allclose(found, np.diag(gain @ whole @ gain.T), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("n_obj_factor", "length_factor"), [(1, 1.5), (4, 1)])
+def test_scaling_of_the_prediction(n_obj_factor, length_factor):
+    """sigma(omega) ~ N^-1/2 T^-3/2 and sigma(epsilon) ~ N^-1/2 T^-1/2: one catalogue, taken several times."""
+    nominal, objects = MISSIONS["amex"].nominal_length_yr, drawn(7, n_obj=30)
+    before, after = (
+        run(of_objects(objects.take(np.tile(np.arange(30), copies)), physics_of(mission_length=factor * nominal)), 1)[
+            "predicted_variance"
+        ]
+        for copies, factor in ((1, 1.0), (n_obj_factor, length_factor))
+    )
+    ratio = np.sqrt(after / before)
+    np.testing.assert_allclose(ratio[:3], n_obj_factor**-0.5 * length_factor**-0.5, rtol=1e-9)
+    np.testing.assert_allclose(ratio[3:], n_obj_factor**-0.5 * length_factor**-1.5, rtol=1e-9)
+
+
+def test_the_bound_of_what_is_projected_contains_the_mean_change():
+    """All objects in one quarter: the means of q's turn with the errors of ra add up, their scatter does not."""
+    rng, n, sigma = np.random.default_rng(5), 80_000, 200.0
+    zero = np.zeros(n)
+    quarter = Catalogue(rng.uniform(0.0, 0.5 * np.pi, n), rng.uniform(0.3, 0.7, n), zero, zero, zero)
+    errors = {"reference_errors": "normal", "reference_sigma_pos": sigma, "reference_sigma_pm": sigma}
+    bound = neglected(design_of(set_up(quarter, physics_of(**NORMAL, **errors))))
+    variance = (sigma**2 + 1.0) * MAS**2
+    size = np.tan(quarter.dec) * (sigma * MAS) ** 2 / variance
+    mean = np.array([np.sum(size * np.sin(quarter.ra)), -np.sum(size * np.cos(quarter.ra)), 0.0, 0.0, 0.0, 0.0])
+    a = np.moveaxis(design_matrix(quarter.ra, quarter.dec, zero, zero), 0, 1).reshape(-1, 6)
+    covariance = variance * np.linalg.inv(a.T @ a)
+    shift = np.abs(covariance @ mean) / np.sqrt(np.diag(covariance))
+    assert np.all(bound >= shift * (1 - 1e-9))
+    assert np.all(bound[:2] < 1.5 * shift[:2])  # so that the mean decides here

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
+from linksweep.core.fields import terms
 from linksweep.core.frames import MAS
-from linksweep.core.harmonics import terms
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, positive_definite
 from linksweep.core.tie.clips import MEDIAN_RAYLEIGH, SourceTable, clipped, parse_clip, separation, sky_cells

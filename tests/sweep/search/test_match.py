@@ -7,26 +7,15 @@ import subprocess
 import sys
 
 import numpy as np
+import pandas as pd
 import pytest
 from astropy.io import ascii as text_tables
 from astropy.table import MaskedColumn, Table
 from click.testing import CliRunner
 
 from linksweep import SweepError
-from linksweep.core.crossmatch import CLASS_NAMES
 from linksweep.sweep.cli import main
-from linksweep.sweep.search.outputs import (
-    LETTERS,
-    Outputs,
-    find_galaxies,
-    galaxy_table,
-    match_columns,
-    summarise,
-    write,
-)
-from linksweep.sweep.search.search import plan_search
-from linksweep.sweep.search.skymap import MAX_BACKGROUND, sky_map
-from linksweep.sweep.search.tables import Reading, read_sky_table
+from linksweep.sweep.search.outputs import LETTERS, MAX_BACKGROUND, galaxy_table, sky_map, write
 from tests.documents import commands
 
 ARCSEC = 1.0 / 3600.0
@@ -42,10 +31,6 @@ def read_galaxy_table(path):
     starts, ends = (0, 5, 11, 13, 19, 32, 45), (3, 9, 11, 17, 30, 43, 45)
     names = ("TYC1", "TYC2", "TYC3", "PGC", "RAdeg", "DEdeg", "class")
     return text_tables.read(path, format="fixed_width_no_header", names=names, col_starts=starts, col_ends=ends)
-
-
-def read_stars(path, reading=None):
-    return read_sky_table(path, reading or Reading(), stars=True)
 
 
 def star_table(**changes):
@@ -112,13 +97,6 @@ def run(*arguments):
     return CliRunner().invoke(main, ["match", *arguments])
 
 
-def search(**options):
-    options.setdefault("error", ("wide=1", "sharp=0.3"))
-    from pathlib import Path
-
-    return plan_search(Path("stars.fits"), [Path("wide.csv"), Path("sharp.ecsv")], Path("extra.ecsv"), **options)
-
-
 # ---- the whole way
 
 
@@ -141,7 +119,7 @@ def test_the_search_from_files_to_files(folder):
     assert table.meta["classes"]["certain"]["n"] == 2
     galaxies = read_galaxy_table(folder / "out.dat")
     assert galaxies["PGC"].tolist() == table["PGC"].tolist()
-    assert [CLASS_NAMES[LETTERS.index(letter)] for letter in galaxies["class"]] == table["class"].tolist()
+    assert list(galaxies["class"]) == [LETTERS[name] for name in table["class"]]
     assert [list(row)[:3] for row in galaxies] == [[4012, 1, 1], [1, 13, 1], [1234, 567, 2], [5, 6, 1]]
     assert (folder / "out.png").read_bytes().startswith(b"\x89PNG")
     assert sorted(path.name for path in folder.iterdir() if path.name.startswith(("out", "."))) == [
@@ -153,7 +131,6 @@ def test_the_search_from_files_to_files(folder):
 
 def test_json_is_the_summary(folder):
     report = json.loads(run(*WITH_SUPPLEMENT, "--json").stdout)
-    assert report == summarise(find_galaxies(search()))
     assert {name: row["n"] for name, row in report["classes"].items()} == {
         "certain": 2,
         "uncertain": 1,
@@ -233,16 +210,12 @@ def test_columns_by_other_names_and_units(folder):
     ]
     table.remove_columns(["TYC1", "TYC2", "TYC3"])
     table.write("odd.ecsv")
-    names = {"ra": "RAmdeg", "dec": "DEmdeg", "ref_epoch": "epoch"}
     columns = ["--column", "ra=RAmdeg", "--column", "odd:dec=DEmdeg", "--column", "ref_epoch=epoch"]
     assert run("odd.ecsv", *ARGUMENTS[1:], *columns, "-o", "odd_out.ecsv").exit_code == 0
     assert run(*ARGUMENTS, "-o", "out.ecsv").exit_code == 0
     odd, plain = read_matches(folder / "odd_out.ecsv"), read_matches(folder / "out.ecsv")
     for name in set(plain.colnames) - {"star_table", "class", "reason", "found_in", "galaxy_table"}:
         np.testing.assert_allclose(odd[name], plain[name], rtol=1e-12, atol=1e-9, err_msg=name)
-    assert (
-        read_stars(folder / "odd.ecsv", Reading(names)).tyc.tolist() == read_stars(folder / "stars.fits").tyc.tolist()
-    )
 
 
 def test_missing_proper_motions_may_be_zero(folder):
@@ -269,10 +242,10 @@ def test_gaia_identifiers_are_carried(folder):
 # ---- the map
 
 
-def test_the_map_shows_every_class_with_longitude_to_the_left(folder):
-    classes = {"certain": 2, "uncertain": 1, "supplement": 1}
-    places = {name: (np.full(n, 200.0), np.zeros(n)) for name, n in classes.items()}
-    figure = sky_map(places, (np.linspace(0.0, 300.0, 5), np.zeros(5)))
+def test_the_map_shows_every_class_with_longitude_to_the_left():
+    classes = ["certain", "certain", "uncertain", "supplement"]
+    background = pd.DataFrame({"ra": np.linspace(0.0, 300.0, 5), "dec": 0.0})
+    figure = sky_map(pd.DataFrame({"ra": 200.0, "dec": 0.0, "class": classes}), background)
     axes = figure.axes[0]
     lines = {line.get_label(): line for line in axes.lines}
     assert {"certain (2)", "uncertain (1)", "supplement (1)", "galaxy catalogues (5)"} <= set(lines)
@@ -284,14 +257,14 @@ def test_the_map_shows_every_class_with_longitude_to_the_left(folder):
     assert 0.0 < x[0] < np.pi / 2
     tick = {text.get_text(): text.get_position()[0] for text in axes.texts}
     assert tick["60°"] < tick["0°"] < tick["300°"]
-    assert len(figure.legends) == 1
 
 
 def test_a_big_background_is_thinned_and_says_so():
     n = 2 * MAX_BACKGROUND + 1
-    figure = sky_map({}, (np.linspace(0, 360, n), np.zeros(n)))
-    drawn = figure.axes[0].lines[0]
-    assert len(drawn.get_xdata()) == n // 3
+    figure = sky_map(
+        pd.DataFrame({"ra": [], "dec": [], "class": []}), pd.DataFrame({"ra": np.linspace(0, 360, n), "dec": 0.0})
+    )
+    assert len(figure.axes[0].lines[0].get_xdata()) == n // 3
     assert any("1 in 3 drawn" in text.get_text() for text in figure.legends[0].get_texts())
 
 
@@ -314,14 +287,6 @@ def test_without_numbers_for_the_table_nothing_is_written(folder):
 
 
 # ---- ECSV
-
-
-def test_the_ecsv_holds_every_column_bit_for_bit(folder):
-    result = find_galaxies(search(), Outputs(folder / "m.ecsv"))
-    back = read_matches(folder / "m.ecsv")
-    for name, values in match_columns(result).items():
-        read = np.ma.filled(back[name], np.nan if values.dtype.kind == "f" else "" if values.dtype.kind == "U" else 0)
-        np.testing.assert_array_equal(read, values, err_msg=name)
 
 
 def test_the_ecsv_is_the_catalogue_of_a_study(folder):
@@ -484,8 +449,8 @@ def test_a_star_in_both_star_tables_is_refused(folder):
         (["--radius", "stars=3"], "--radius stars=3: no table 'stars'"),
         (["--error", "wide=x"], "--error wide=x: must be a number"),
         (["--ref-epoch", "3000"], "--ref-epoch 3000: must be a number above 1700"),
-        (["--epoch", "2448349"], "epoch 2.44835e+06: must be a Julian year"),
-        (["--k-sigma", "nan"], "k_sigma = nan: must be a finite number above 0"),
+        (["--epoch", "2448349"], "epoch = 2.44835e+06: must be a number from 1700 to"),
+        (["--k-sigma", "nan"], "k_sigma = nan: must be a number"),
         (["--second-epoch-error", "nan"], "second_epoch_error_mas = nan"),
         (["--column", "ra"], "--column ra: write KEY=COLUMN or NAME:KEY=COLUMN"),
         (["--column", "rs=RAmdeg"], "--column rs=RAmdeg: there is no quantity 'rs'"),
@@ -565,14 +530,13 @@ def test_units_on_the_command_line_are_checked(text, folder):
 # ---- the 46-byte table
 
 
-def columns_of(rows):
-    """The columns of tuples (TYC1, TYC2, TYC3, PGC, ra, dec)."""
-    return dict(zip(("TYC1", "TYC2", "TYC3", "PGC", "ra", "dec"), map(np.array, zip(*rows, strict=True)), strict=True))
+def table_of(rows):
+    return galaxy_table(pd.DataFrame(rows, columns=["TYC1", "TYC2", "TYC3", "PGC", "ra", "dec", "class"]))
 
 
 def test_the_byte_positions_of_the_table():
-    rows = [(1, 13, 1, 7, 0.5, -89.12345678), (9537, 12121, 3, 65866, 359.999999999, 4.25)]
-    text = galaxy_table(columns_of(rows), np.array([0, 2]))
+    rows = [(1, 13, 1, 7, 0.5, -89.12345678, "certain"), (9537, 12121, 3, 65866, 359.999999999, 4.25, "supplement")]
+    text = table_of(rows)
     #                   1234567890123456789012345678901234567890123456
     assert text == ("   1    13 1     7   0.50000000 -89.12345678 G\n9537 12121 3 65866   0.00000000   4.25000000 S\n")
 
@@ -582,18 +546,17 @@ def test_the_table_is_read_back_as_it_was_written(tmp_path):
     limits = (9537, 12121, 3, 99999)
     whole = [rng.integers(1, limit + 1, n) for limit in limits]
     ra, dec = rng.integers(0, 36_000_000_000, n) / 1e8, rng.integers(-9_000_000_000, 9_000_000_001, n) / 1e8
-    code = rng.integers(0, 3, n)
-    names = ("TYC1", "TYC2", "TYC3", "PGC", "RAdeg", "DEdeg")
-    (tmp_path / "t.dat").write_text(galaxy_table(columns_of(list(zip(*whole, ra, dec, strict=True))), code))
+    classes = rng.choice(list(LETTERS), n)
+    (tmp_path / "t.dat").write_text(table_of(list(zip(*whole, ra, dec, classes, strict=True))))
     back = read_galaxy_table(tmp_path / "t.dat")
-    for name, values in zip(names, (*whole, ra, dec), strict=True):
+    letters = [LETTERS[name] for name in classes]
+    for name, values in zip(back.colnames, (*whole, ra, dec, letters), strict=True):
         np.testing.assert_array_equal(back[name], values)
-    assert [LETTERS.index(letter) for letter in back["class"]] == code.tolist()
 
 
 def test_a_galaxy_without_pgc_number_or_with_a_long_one_does_not_fit():
     with pytest.raises(SweepError) as error:
-        galaxy_table(columns_of([(1, 13, 1, 0, 0.0, 0.0), (1, 14, 1, 100_000, 0.0, 0.0)]), np.zeros(2, dtype=int))
+        table_of([(1, 13, 1, 0, 0.0, 0.0, "certain"), (1, 14, 1, 100_000, 0.0, 0.0, "certain")])
     assert error.value.problems == [
         "TYC 1-13-1 has no PGC number",
         "TYC 1-14-1: PGC = 100000 does not fit bytes 14-18, at most 99999",

@@ -2,36 +2,28 @@
 
 import astropy.units as u
 import numpy as np
+import pandas as pd
 import pytest
 from astropy.coordinates import SkyCoord, search_around_sky
 from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.core.crossmatch import (
-    CERTAIN,
-    CROWDED,
-    OFFSET,
-    RIVAL,
-    SUPPLEMENT,
-    UNCERTAIN,
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, MICROARCSEC, galactic
+from linksweep.sweep.search.crossmatch import (
     GalaxyCatalogue,
     Matches,
     Positions,
     Rules,
     at_epoch,
     chance_pairs,
-    classify,
-    count_near,
     cross_match,
-    displacement,
     merge_galaxies,
     one_to_one,
     pairs_within,
     sky_tree,
     uniform_pairs,
 )
-from linksweep.core.frames import ARCSEC, DEGREE, MAS, MICROARCSEC, galactic
 from tests.tiers import examples
 
 
@@ -47,13 +39,14 @@ def sky(rng, n, error_arcsec=1.0):
 
 def near(rng, where, sigma_arcsec):
     """The same objects as seen with errors, by rotating each along its own triad (safe at poles)."""
-    none, n = np.zeros(len(where)), len(where)
+    n = len(where.ra)
+    none = np.zeros(n)
     east, north = (rng.normal(0.0, sigma_arcsec * ARCSEC, n) for _ in "en")
     return at_epoch(where, east, north, none, none, np.ones(n))
 
 
 def catalogue(where, radius_arcsec, identifier=None):
-    names = np.zeros(len(where), dtype=np.int64) if identifier is None else np.asarray(identifier, dtype=np.int64)
+    names = np.zeros(len(where.ra), dtype=np.int64) if identifier is None else np.asarray(identifier, dtype=np.int64)
     return GalaxyCatalogue(where, names, radius_arcsec * ARCSEC)
 
 
@@ -62,15 +55,11 @@ def coordinates(where):
 
 
 def no_supplement(stars):
-    return np.zeros(len(stars), dtype=bool)
+    return np.zeros(len(stars.ra), dtype=bool)
 
 
 def concatenated(*parts):
-    return Positions(*(np.concatenate([getattr(p, f) for p in parts]) for f in ("ra", "dec", "ra_error", "dec_error")))
-
-
-def take(where, index):
-    return Positions(where.ra[index], where.dec[index], where.ra_error[index], where.dec_error[index])
+    return Positions(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 # ---- pairs
@@ -80,28 +69,28 @@ def take(where, index):
 def test_pairs_are_those_of_astropy(radius_arcsec):
     rng = np.random.default_rng(1)
     first = sky(rng, 4000)
-    second = concatenated(near(rng, take(first, slice(0, 1500)), 40.0), sky(rng, 3000))
-    found = pairs_within(sky_tree(first), sky_tree(second), radius_arcsec * ARCSEC)
+    second = concatenated(near(rng, first.take(slice(0, 1500)), 40.0), sky(rng, 3000))
+    a, b, offset = pairs_within(sky_tree(first), sky_tree(second), radius_arcsec * ARCSEC)
     i, j, separation, _ = search_around_sky(coordinates(first), coordinates(second), radius_arcsec * u.arcsec)
-    order, expected = np.lexsort((found.second, found.first)), np.lexsort((j, i))
-    np.testing.assert_array_equal(found.first[order], i[expected])
-    np.testing.assert_array_equal(found.second[order], j[expected])
+    order, expected = np.lexsort((b, a)), np.lexsort((j, i))
+    np.testing.assert_array_equal(a[order], i[expected])
+    np.testing.assert_array_equal(b[order], j[expected])
     # unit vectors hold an angle to 2e-16 rad = 0.05 microarcsec; astropy's haversine is no better
-    np.testing.assert_allclose(found.offset[order], separation.rad[expected], atol=0.5 * MICROARCSEC, rtol=1e-12)
+    np.testing.assert_allclose(offset[order], separation.rad[expected], atol=0.5 * MICROARCSEC, rtol=1e-12)
 
 
 def test_coincident_positions_are_a_pair():
     same = positions([10.0], [20.0])
     found = pairs_within(sky_tree(same), sky_tree(same), ARCSEC)
-    assert (found.first.tolist(), found.second.tolist(), found.offset.tolist()) == ([0], [0], [0.0])
+    assert [column.tolist() for column in found] == [[0], [0], [0.0]]
 
 
 def test_pairs_across_ra_zero_and_the_poles():
     first = positions([0.0001, 10.0, 77.0], [0.0, 89.9999, -90.0])
     second = positions([359.9999, 190.0, 257.0], [0.0, 89.9999, -89.9999])
     found = pairs_within(sky_tree(first), sky_tree(second), 1.0 * ARCSEC)
-    assert sorted(zip(found.first.tolist(), found.second.tolist(), strict=True)) == [(0, 0), (1, 1), (2, 2)]
-    np.testing.assert_allclose(np.sort(found.offset) / ARCSEC, [0.36, 0.72, 0.72], atol=1e-6)
+    assert sorted(zip(*(column.tolist() for column in found[:2]), strict=True)) == [(0, 0), (1, 1), (2, 2)]
+    np.testing.assert_allclose(np.sort(found[2]) / ARCSEC, [0.36, 0.72, 0.72], atol=1e-6)
 
 
 @pytest.mark.parametrize("radius", [0.0, -1.0, np.nan, 2.0 * DEGREE])
@@ -121,11 +110,11 @@ def test_nearest_match_is_that_of_astropy():
     """One catalogue without doubt: every star has at most one galaxy and the other way round."""
     rng = np.random.default_rng(3)
     stars = sky(rng, 3000)
-    galaxies = near(rng, take(stars, np.arange(0, 3000, 3)), 0.5)
+    galaxies = near(rng, stars.take(np.arange(0, 3000, 3)), 0.5)
     matches = cross_match(stars, no_supplement(stars), [catalogue(galaxies, 3.0)])
     index, separation, _ = coordinates(galaxies).match_to_catalog_sky(coordinates(stars))
     inside = separation < 3.0 * u.arcsec
-    assert dict(zip(matches.entry.tolist(), matches.star.tolist(), strict=True)) == {
+    assert dict(zip(matches["entry"].tolist(), matches["star"].tolist(), strict=True)) == {
         int(g): int(index[g]) for g in np.flatnonzero(inside)
     }
 
@@ -175,7 +164,7 @@ def test_the_match_is_made_at_the_common_epoch():
     moved = at_epoch(start, *(np.array([x * MAS]) for x in (-1000.0, 700.0, 0.0, 0.0)), np.array([20.0]))
     matches = cross_match(moved, none, [catalogue(galaxies, 2.0)])
     # a great circle turns against the parallels: 24" x 20" x tan(dec) = 2.4 mas on the way there and back
-    assert matches.offset[0] < 3.0 * MAS
+    assert matches["offset"][0] < 3.0 * MAS
 
 
 # ---- one to one
@@ -198,8 +187,8 @@ pair_lists = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), unique=Tr
 @settings(derandomize=True)
 @given(pair_lists)
 def test_one_to_one_is_the_greedy_loop(pairs):
-    first, second = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    assert one_to_one(first, second).tolist() == greedy(first.tolist(), second.tolist())
+    table = pd.DataFrame(pairs, columns=["a", "b"], dtype=np.int64)
+    assert one_to_one(table, "a", "b").index.tolist() == np.flatnonzero(greedy(table["a"], table["b"])).tolist()
 
 
 grid_sky = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 3), st.integers(0, 4)), min_size=1, max_size=12)
@@ -217,9 +206,9 @@ def placed(matches: Matches, stars, catalogues):
     """The matches as positions, which do not depend on the order of rows."""
     rows = []
     for m in range(len(matches)):
-        there = catalogues[matches.catalogue[m]].positions
-        star, entry = matches.star[m], matches.entry[m]
-        rows.append((stars.ra[star], stars.dec[star], there.ra[entry], there.dec[entry], matches.code[m]))
+        there = catalogues[matches["catalogue"][m]].positions
+        star, entry = matches["star"][m], matches["entry"][m]
+        rows.append((stars.ra[star], stars.dec[star], there.ra[entry], there.dec[entry], matches["class"][m]))
     return sorted(rows)
 
 
@@ -232,24 +221,24 @@ def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c,
         catalogue(*[on_grid(p, identified)[0], r, on_grid(p, identified)[1]]) for p, r in ((b, 2.5), (c, 1.2))
     ]
     matches = cross_match(stars, no_supplement(stars), catalogues)
-    assert len(set(matches.star.tolist())) == len(matches)
-    assert len(set(matches.galaxy.tolist())) == len(matches)
-    named = matches.identifier[matches.identifier > 0]
+    assert len(set(matches["star"].tolist())) == len(matches)
+    assert len(set(matches["galaxy"].tolist())) == len(matches)
+    named = matches["identifier"][matches["identifier"] > 0]
     assert len(set(named.tolist())) == len(named)
     assert (matches.found_in.sum(axis=1) >= 1).all()
-    assert matches.found_in[np.arange(len(matches)), matches.catalogue].all()
+    assert matches.found_in[np.arange(len(matches)), matches["catalogue"]].all()
 
     def shuffled(n):
         order = list(range(n))
         random.shuffle(order)
         return np.array(order)
 
-    star_order = shuffled(len(stars))
-    other_stars = take(stars, star_order)
+    star_order = shuffled(len(stars.ra))
+    other_stars = stars.take(star_order)
     others = []
     for c_ in catalogues:
-        order = shuffled(len(c_.positions))
-        others.append(GalaxyCatalogue(take(c_.positions, order), c_.identifier[order], c_.radius))
+        order = shuffled(len(c_.positions.ra))
+        others.append(GalaxyCatalogue(c_.positions.take(order), c_.identifier[order], c_.radius))
     again = cross_match(other_stars, no_supplement(other_stars), others)
     assert placed(again, other_stars, others) == placed(matches, stars, catalogues)
 
@@ -258,8 +247,8 @@ def test_of_two_stars_the_closer_one_is_taken_and_the_other_galaxy_gets_what_is_
     stars = positions([0.0, 2.0 / 3600.0], [0.0, 0.0])
     galaxies = positions([1.5 / 3600.0, 4.0 / 3600.0], [0.0, 0.0])  # offsets: s0-g0 1.5", s1-g0 0.5", s1-g1 2"
     matches = cross_match(stars, no_supplement(stars), [catalogue(galaxies, 5.0)])
-    assert (matches.star.tolist(), matches.entry.tolist()) == ([0, 1], [1, 0])
-    assert (matches.reason & RIVAL).all()
+    assert (matches["star"].tolist(), matches["entry"].tolist()) == ([0, 1], [1, 0])
+    assert matches.reasons["rival"].all()
 
 
 # ---- merging of catalogues
@@ -318,7 +307,7 @@ def test_a_galaxy_in_two_catalogues_is_found_once_in_both():
     far = catalogue(positions([200.0], [20.0]), 2.0)
     matches = cross_match(stars, no_supplement(stars), [wide, sharp, far])
     assert len(matches) == 1
-    assert (matches.catalogue[0], matches.identifier[0], matches.n_rival[0]) == (1, 123, 0)
+    assert (matches["catalogue"][0], matches["identifier"][0], matches["n_rival"][0]) == (1, 123, 0)
     assert matches.found_in.tolist() == [[True, True, False]]
     assert matches.n_galaxies == 2
 
@@ -328,28 +317,11 @@ def test_a_galaxy_in_two_catalogues_is_found_once_in_both():
 
 def test_offsets_are_galaxy_minus_star_in_units_of_the_combined_error():
     star, galaxy = positions([10.0], [60.0], 0.3), positions([10.0 + 8.0 / 3600.0], [60.0 + 3.0 / 3600.0], 0.4)
-    d_ra, d_dec, n_sigma = displacement(star, galaxy)
+    matches = cross_match(star, no_supplement(star), [catalogue(galaxy, 10.0)])
     expected = coordinates(star).spherical_offsets_to(coordinates(galaxy))
-    np.testing.assert_allclose(d_ra, expected[0].rad, atol=MICROARCSEC)
-    np.testing.assert_allclose(d_dec, expected[1].rad, atol=MICROARCSEC)
-    np.testing.assert_allclose(n_sigma, np.hypot(d_ra, d_dec) / (0.5 * ARCSEC))
-
-
-@pytest.mark.parametrize(
-    ("supplement", "n_sigma", "n_near", "n_rival", "code", "reason"),
-    [
-        (False, 3.0, 2, 0, CERTAIN, 0),
-        (False, 3.001, 0, 0, UNCERTAIN, OFFSET),
-        (False, 0.0, 3, 0, UNCERTAIN, CROWDED),
-        (False, 0.0, 0, 1, UNCERTAIN, RIVAL),
-        (False, 9.0, 9, 9, UNCERTAIN, OFFSET | CROWDED | RIVAL),
-        (True, 0.0, 0, 0, SUPPLEMENT, 0),
-        (True, 9.0, 9, 0, SUPPLEMENT, OFFSET | CROWDED),
-    ],
-)
-def test_each_rule_of_the_classes(supplement, n_sigma, n_near, n_rival, code, reason):
-    found = classify(np.array([supplement]), np.array([n_sigma]), np.array([n_near]), np.array([n_rival]), Rules())
-    assert (found[0].tolist(), found[1].tolist()) == ([code], [reason])
+    np.testing.assert_allclose(matches["d_ra"], expected[0].rad, atol=MICROARCSEC)
+    np.testing.assert_allclose(matches["d_dec"], expected[1].rad, atol=MICROARCSEC)
+    np.testing.assert_allclose(matches["n_sigma"], np.hypot(matches["d_ra"], matches["d_dec"]) / (0.5 * ARCSEC))
 
 
 def test_each_rule_of_the_classes_in_a_search():
@@ -359,16 +331,17 @@ def test_each_rule_of_the_classes_in_a_search():
     second = positions([130.0], [4.0 / 3600.0], 0.1)
     stars = concatenated(positions(ra, np.zeros(5), 0.3), crowd, second)
     galaxies = positions(ra, np.array([0.0, 0.0, 2.0, 0.0, 0.0]) / 3600.0, 0.4)
-    supplement = np.arange(len(stars)) == 4
+    supplement = np.arange(len(stars.ra)) == 4
     matches = cross_match(stars, supplement, [catalogue(galaxies, 5.0)])
-    assert matches.star.tolist() == [0, 1, 2, 3, 4]
-    assert matches.code.tolist() == [CERTAIN, UNCERTAIN, UNCERTAIN, UNCERTAIN, SUPPLEMENT]
-    assert matches.reason.tolist() == [0, CROWDED, OFFSET, RIVAL, 0]
-    assert matches.n_near.tolist() == [0, 3, 0, 1, 0]
-    np.testing.assert_allclose(matches.n_sigma, [0, 0, 4, 0, 0], atol=1e-6)
-    np.testing.assert_allclose(matches.d_dec / ARCSEC, [0, 0, 2, 0, 0], atol=1e-6)  # galaxy - star
+    assert matches["star"].tolist() == [0, 1, 2, 3, 4]
+    assert matches["class"].tolist() == ["certain", "uncertain", "uncertain", "uncertain", "supplement"]
+    doubts = pd.DataFrame({"crowded": [0, 1, 0, 0, 0], "offset": [0, 0, 1, 0, 0], "rival": [0, 0, 0, 1, 0]}, dtype=bool)
+    pd.testing.assert_frame_equal(matches.reasons, doubts)
+    assert matches["n_near"].tolist() == [0, 3, 0, 1, 0]
+    np.testing.assert_allclose(matches["n_sigma"], [0, 0, 4, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(matches["d_dec"] / ARCSEC, [0, 0, 2, 0, 0], atol=1e-6)  # galaxy - star
     kinder = cross_match(stars, supplement, [catalogue(galaxies, 5.0)], Rules(4.5, 100.0 * ARCSEC, 3))
-    assert kinder.reason.tolist() == [0, 0, 0, RIVAL, 0]
+    assert kinder["class"].tolist() == ["certain", "certain", "certain", "uncertain", "supplement"]
 
 
 def test_three_sigma_is_exceeded_as_often_as_normal_errors_do():
@@ -377,14 +350,10 @@ def test_three_sigma_is_exceeded_as_often_as_normal_errors_do():
     stars = sky(rng, n, 0.12)
     seen, galaxies = near(rng, stars, 0.12), near(rng, stars, 1.0)
     error = np.full(n, ARCSEC)
-    _, _, n_sigma = displacement(seen, Positions(galaxies.ra, galaxies.dec, error, error))
+    there = Positions(galaxies.ra, galaxies.dec, error, error)
+    doubtful = cross_match(seen, no_supplement(stars), [catalogue(there, 10.0)]).reasons["offset"]
     expected = n * np.exp(-4.5)  # Rayleigh
-    assert abs(int((n_sigma > 3.0).sum()) - expected) < 4.0 * np.sqrt(expected)
-
-
-def test_neighbours_are_counted_without_the_star_itself():
-    stars = positions([0.0, 0.001, 359.999, 90.0], [0.0, 0.0, 0.0, 0.0])
-    assert count_near(sky_tree(stars), stars, 5.0 * ARCSEC).tolist() == [2, 1, 1, 0]
+    assert abs(int(doubtful.sum()) - expected) < 4.0 * np.sqrt(expected)
 
 
 # ---- chance
@@ -393,7 +362,7 @@ def test_neighbours_are_counted_without_the_star_itself():
 def test_uniform_chance_pairs_agree_with_counts():
     rng = np.random.default_rng(6)
     stars, galaxies, radius = sky(rng, 20_000), sky(rng, 20_000), 200.0 * ARCSEC
-    found = len(pairs_within(sky_tree(stars), sky_tree(galaxies), radius).first)
+    found = len(pairs_within(sky_tree(stars), sky_tree(galaxies), radius)[0])
     expected = uniform_pairs(20_000, 20_000, radius)  # about 94
     assert abs(found - expected) < 4.0 * np.sqrt(expected)
 

@@ -1,0 +1,93 @@
+"""The link as the platform sees it, for tests: points of it, what they draw, and what comes out."""
+
+# ruff: noqa: F401 (tests import from here what they need of the core)
+from dataclasses import replace
+
+import numpy as np
+
+from linksweep.core import experiment
+from linksweep.core.catalogues import Catalogue, NestedDraw, OwnErrors
+from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
+from linksweep.core.experiment import link
+from linksweep.core.fixed_design import fixed_designs, neglected
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, exact_differences, transposed_product, triad
+from linksweep.core.link import LinkError
+from linksweep.core.missions import MISSIONS, FunctionCurve, Mission, mission_from_table
+from linksweep.core.scenario import scenario
+from linksweep.core.setup import ROWS, TILE, Prefixes, SharedSums, prepare, tiles
+from linksweep.core.simulate import can_stack, simulate, simulate_stack
+from linksweep.sweep.cli import main
+from linksweep.sweep.contract import Named
+from linksweep.sweep.tables.file import table_file
+
+
+def point(**changes):
+    """A point of the link, by default of 30 synthetic objects."""
+    assert set(changes) <= set(link.defaults())
+    return link.defaults() | {"n_obj": 30} | changes
+
+
+def generators(seed=1):
+    return np.random.default_rng(seed), np.random.default_rng(seed + 1)
+
+
+def drawn(seed=1, **changes):
+    """The catalogue that a generator gives a point."""
+    return scenario(link.defaults() | changes).draw_catalogue(np.random.default_rng(seed))
+
+
+def evaluated(n_sim, *points, seed=1):
+    """The sums of points over realisations of one catalogue each."""
+    return link.evaluate(points, n_sim, *generators(seed))
+
+
+def results(n_sim, *points, seed=1):
+    """The results of points, one row each."""
+    ones = np.ones(len(points))
+    return link.summarise(evaluated(n_sim, *points, seed=seed), n_sim * ones, ones)
+
+
+def run(physics, n_sim, seed=1, catalogue_seed=2, keep=True):
+    """The sums of a scenario, with its estimates."""
+    streams = np.random.default_rng(seed), np.random.default_rng(catalogue_seed)
+    return simulate([physics], n_sim, *streams, keep_estimates=keep)[0]
+
+
+def of_objects(catalogue, physics, **changes):
+    """A scenario with the objects of a catalogue."""
+    return replace(physics, draw_catalogue=NestedDraw("these", len(catalogue), lambda _: catalogue), **changes)
+
+
+def set_up(catalogue, physics):
+    """The setup of a catalogue for a scenario whose truth is not random."""
+    assert not physics.random_directions
+    return prepare(physics, catalogue, np.array([physics.epsilon, physics.omega]), Prefixes())
+
+
+def design_of(setup):
+    return fixed_designs([setup], Prefixes())[0]
+
+
+def random_covariances(n_obj, seed=2):
+    """Standard errors (n_obj, 4) in mas and correlations (n_obj, 4, 4) of random covariance matrices."""
+    factor = np.random.default_rng(seed).standard_normal((n_obj, 4, 6))
+    covariance = factor @ np.swapaxes(factor, 1, 2)
+    deviation = np.sqrt(np.einsum("nii->ni", covariance))
+    return deviation, covariance / (deviation[:, :, None] * deviation[:, None, :])
+
+
+class Function:
+    """A function with a name and a digest, as the platform loads it."""
+
+    digest = "0123456789ab"
+
+    def __init__(self, function, name="sigma"):
+        self.function, self.name = function, name
+
+    def __call__(self, *arguments):
+        return self.function(*arguments)
+
+
+def mission_of_function(function):
+    curve = FunctionCurve(Function(function))
+    return Mission(curve, curve, 1.0, np.inf, "a test")

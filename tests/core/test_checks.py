@@ -1,0 +1,474 @@
+"""What is said about a point before anything runs: why it cannot be computed, what it sets in vain, and warnings."""
+
+import json
+
+import numpy as np
+import pytest
+from astropy.table import Table
+from click.testing import CliRunner
+
+import linksweep
+from linksweep import SweepError
+from tests.core.points import (
+    MISSIONS,
+    Function,
+    LinkError,
+    Named,
+    evaluated,
+    link,
+    main,
+    mission_from_table,
+    point,
+    table_file,
+)
+
+
+def gaia_table(folder, magnitudes=True, errors=True, **changes):
+    """A file of six objects with Gaia's names, of magnitudes 10 to 15."""
+    r = np.array([[1, 2, 3], [-2, 1, 1], [0, -3, 1], [1, -1, -4], [-1, -1, 2], [5, 0, -1.0]]).T
+    columns = {"source_id": np.arange(6), "ra": np.degrees(np.arctan2(r[1], r[0])) % 360.0}
+    columns["dec"] = np.degrees(np.arctan2(r[2], np.hypot(r[0], r[1])))
+    columns |= {"pmra": np.arange(6.0), "pmdec": -np.arange(6.0)}
+    if magnitudes:
+        columns["phot_g_mean_mag"] = np.arange(10.0, 16.0)
+    if errors:
+        columns |= {f"{name}_error": np.linspace(0.1, 0.2, 6) for name in ("ra", "dec", "pmra", "pmdec")}
+        columns["pmra_pmdec_corr"] = np.full(6, 0.6)
+    path = folder / "six.ecsv"
+    Table(columns | changes).write(path, overwrite=True)
+    return table_file(path)
+
+
+def from_file(table, **changes):
+    return point(**({"catalogue": "file", "file": table, "n_obj": None} | changes))
+
+
+def computes(point):
+    assert link.check(point) is None
+    with np.errstate(all="raise"):
+        sums = evaluated(2, point)
+    for name, values in sums.items():
+        assert np.all(np.isfinite(values) | (name.startswith("glide") and not point["solve_glide"])), name
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"satellite_errors": "none"},
+        {"satellite_errors": "none", "reference_errors": "normal"},
+        {"satellite_errors": "normal", "reference_errors": "normal", "reference_error_scale": 0.0},
+        {"satellite_errors": "normal", "satellite_sigma_pos": 0.0, "satellite_sigma_pm": 0.0},
+        {"satellite_errors": "normal", "satellite_sigma_pm": 0.0, "reference_errors": "normal"},
+        {"error_scale": 0.0},
+        {"model": "gaia-2001", "v_max": 21.0},
+        {"catalogue": "quasars", "n_obj": None, "v_max": 15.0},
+        {"catalogue": "quasars", "n_obj": None, "v_max": 16.3, "v_min": 14.7, "counts": "completed"},
+        {"catalogue": "galaxies", "v_min": 12.0, "n_obj": None},
+        {"catalogue": "quasars", "n_obj": 1000, "v_max": 16.5, "counts": "completed"},
+        {"catalogue": "galaxies", "n_obj": None},
+        {"catalogue": "galaxies", "v_max": 11.0, "aberration": True},
+        {"catalogue": "radio-stars", "n_obj": None},
+        {"catalogue": "radio-stars", "positions": "own", "reference_errors": "catalogue"},
+        {"zone_of_avoidance": 89.0, "sky_contrast": -0.99},
+        {"solve_glide": True, "n_obj": 3},
+        {"solve_glide": True, "aberration": True, "reference_errors": "normal", "corrections": False},
+        {"directions": "random", "epsilon_size": 5.0, "omega_size": 0.0},
+        {"mean_pm": 100.0, "pm_distribution": "rayleigh"},
+    ],
+)
+def test_points_without_a_problem_can_be_computed(changes):
+    computes(point(**changes))
+
+
+@pytest.mark.parametrize(
+    ("contents", "changes"),
+    [
+        ({}, {}),
+        ({}, {"v_max": 11.0}),
+        ({}, {"n_obj": 3, "v_max": 14.0, "solve_glide": True}),
+        ({}, {"reference_errors": "catalogue"}),
+        (
+            {f"reference_{name}_error": np.full(6, 0.3) for name in ("ra", "dec", "pmra", "pmdec")},
+            {"reference_errors": "catalogue", "satellite_errors": "catalogue", "weighting": "equal"},
+        ),
+        ({}, {"satellite_errors": "catalogue", "positions": "isotropic"}),
+        ({"errors": False}, {"model": "gaia-2001"}),
+        ({"magnitudes": False}, {"satellite_errors": "catalogue"}),
+        ({"magnitudes": False, "errors": False}, {"satellite_errors": "none"}),
+    ],
+)
+def test_files_without_a_problem_can_be_computed(contents, changes, tmp_path):
+    computes(from_file(gaia_table(tmp_path, **contents), **changes))
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"catalogue": "quasars", "v_max": 12.0}, "v_max = 12 mag is outside the quasar counts"),
+        (
+            {"catalogue": "quasars", "n_obj": 89, "v_max": 15.0},
+            "n_obj = 89: only 88 quasars are brighter than v_max = 15 mag",
+        ),
+        ({"n_obj": None}, "n_obj: a synthetic catalogue needs a number of objects"),
+        ({"v_max": 5.0}, "v_max = 5 mag: must be fainter than the brightest object, v_min = 5 mag"),
+        ({"catalogue": "file"}, "file: catalogue = 'file' needs a file"),
+        ({"catalogue": "galaxies", "v_max": 10.9}, "v_max = 10.9 mag: the galaxies have magnitudes from 11 to 13.5"),
+        ({"catalogue": "radio-stars", "v_max": 9.0}, "v_max: the radio stars have no limiting magnitude"),
+        ({"catalogue": "radio-stars", "aberration": True}, "aberration: the glide is that of extragalactic objects"),
+        ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': the synthetic catalogue has no errors"),
+        (
+            {"catalogue": "quasars", "reference_errors": "catalogue"},
+            "reference_errors = 'catalogue': the quasars catalogue has no errors of its own",
+        ),
+        ({"satellite_errors": "normal", "satellite_sigma_pm": 1e-10}, "errors of 1 mas and 1e-10 mas/yr: must be from"),
+        ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
+        ({"model": "gaia-2001", "v_max": 21.5}, "v_max = 21.5 mag: the curve of 'gaia-2001' ends at 21 mag"),
+    ],
+)
+def test_points_with_a_problem(changes, problem):
+    assert link.check(point(**changes)).startswith(problem)
+
+
+@pytest.mark.parametrize(
+    ("contents", "changes", "problem"),
+    [
+        ({}, {"catalogue": "synthetic"}, "file: catalogue = 'file' needs a file, and other catalogues have none"),
+        ({}, {"n_obj": 7}, "n_obj = 7: only 6 objects of the file are there"),
+        ({}, {"n_obj": 4, "v_max": 12.5}, "n_obj = 4: only 3 objects of the file are brighter than v_max = 12.5 mag"),
+        ({"magnitudes": False}, {}, "satellite_errors = 'magnitude' needs a magnitude column"),
+        ({"phot_g_mean_mag": np.full(6, 22.0)}, {"model": "gaia-2001"}, "v_max = 22 mag: the curve of 'gaia-2001'"),
+        ({}, {"columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
+        (
+            {"dec": np.full(6, 90.0)},
+            {},
+            "a dec that is not between -90 and 90 deg, poles excluded, in row 1 (90), 2 (90)",
+        ),
+        (
+            {"pmra_error": np.array([0, 1, 1, 1, 1, 1.0])},
+            {"satellite_errors": "catalogue"},
+            "object 1 has an observable",
+        ),
+        ({"pmra_error": np.full(6, 1e-10)}, {"satellite_errors": "catalogue"}, "errors of 0.1 mas and 1e-10 mas/yr"),
+    ],
+)
+def test_files_with_a_problem(contents, changes, problem, tmp_path):
+    assert link.check(from_file(gaia_table(tmp_path, **contents), **changes)).startswith(problem)
+
+
+BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
+
+
+def test_one_set_of_errors_is_not_that_of_both_sides(tmp_path):
+    problem = link.check(from_file(gaia_table(tmp_path), **BOTH))
+    assert problem.startswith("reference_errors and satellite_errors are both 'catalogue', but the objects have errors")
+    stars = link.check(point(catalogue="radio-stars", n_obj=None, **BOTH))
+    assert stars.startswith("reference_errors and satellite_errors")
+    table = gaia_table(tmp_path, vlbi_a=np.full(6, 3.0), vlbi_d=np.full(6, 4.0))
+    columns = (("reference_pmdec_error", "vlbi_d"), ("reference_pmra_error", "vlbi_a"))
+    computes(from_file(table, columns=columns, **BOTH))
+
+
+def test_correlated_errors_of_a_file_cannot_be_projected(tmp_path):
+    projected = from_file(gaia_table(tmp_path), method="projected")
+    assert "correlated" in link.check(projected | {"satellite_errors": "catalogue"})
+    computes(projected)
+
+
+def test_an_object_without_any_error_beside_others_with_errors_is_a_problem(tmp_path):
+    sigma = np.array([0.1, 0.1, 0.0, 0.1, 0.1, 0.1])
+    table = gaia_table(tmp_path, **{f"{name}_error": sigma for name in ("ra", "dec", "pmra", "pmdec")})
+    exact = from_file(table, satellite_errors="catalogue")
+    with pytest.raises(LinkError, match="zero standard error beside non-zero ones"):
+        evaluated(1, exact)
+    assert link.check(exact) is not None
+
+
+@pytest.mark.parametrize(
+    ("contents", "columns", "problem"),
+    [
+        ({}, (("ra", "alpha"),), "no column 'alpha'"),
+        ({"pmra": np.array([1, 2, np.nan, 4, 5, 6])}, (), "no pmra in row 3"),
+    ],
+)
+def test_what_is_wrong_in_a_table_is_a_problem_of_the_point(contents, columns, problem, tmp_path):
+    assert problem in link.check(from_file(gaia_table(tmp_path, **contents), columns=columns))
+
+
+def test_a_limit_for_objects_without_magnitudes_is_a_problem_of_the_magnitudes(tmp_path):
+    table = gaia_table(tmp_path, magnitudes=False)
+    assert "magnitude column" in link.check(from_file(table, v_max=12.0, satellite_errors="none"))
+
+
+def test_check_of_a_magnitude_where_the_curve_overflows():
+    assert link.check(point(v_max=1000.0)) is not None
+
+
+class Watched(dict):
+    """A point that notes what is looked at, and is never copied."""
+
+    def __init__(self, point):
+        super().__init__(point)
+        self.read = set()
+
+    def __getitem__(self, name):
+        self.read.add(name)
+        return super().__getitem__(name)
+
+    def __iter__(self):
+        raise AssertionError("copied")
+
+    keys = items = values = copy = __or__ = __iter__
+
+
+FILE_ONLY = {"columns", "units", "pmra_cos_dec"}
+SIGMAS = {f"{side}_sigma_{what}" for side in ("reference", "satellite") for what in ("pos", "pm")}
+NEVER = {"mean_pm", "pm_distribution", "epsilon", "omega", "epsilon_size", "omega_size", "directions", "glide"}
+NEVER |= {"corrections", "arithmetic"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "not_for_check", "not_for_cost"),
+    [
+        ({}, FILE_ONLY | SIGMAS | {"counts"}, SIGMAS | {"counts"}),
+        ({"satellite_errors": "normal"}, {"model", "mission_length"}, {"model", "mission_length", "v_max"}),
+        ({"satellite_errors": "none"}, SIGMAS | {"model", "mission_length", "error_scale"}, SIGMAS | {"error_scale"}),
+        ({"catalogue": "quasars", "n_obj": None}, SIGMAS, SIGMAS),
+        ({"catalogue": "radio-stars"}, SIGMAS | {"counts"}, SIGMAS | {"v_min", "v_max"}),
+    ],
+)
+def test_check_and_cost_look_only_at_what_matters(changes, not_for_check, not_for_cost):
+    for function, spared in ((link.check, not_for_check), (link.cost, not_for_cost)):
+        watched = Watched(point(**changes))
+        assert function(watched) == function(point(**changes))
+        assert not watched.read & (spared | NEVER | {"weighting"}), function.__name__
+
+
+def test_a_mission_so_short_that_its_errors_overflow_is_a_problem():
+    assert link.check(point(mission_length=5e-324)).startswith("errors of inf mas and inf mas/yr: must be from")
+    assert link.check(point(mission_length=1e-250)).endswith("mas and inf mas/yr: must be from 1e-09 to 1e+07")
+
+
+def own(table, function=None):
+    value, identity = mission_from_table(table, lambda reference: function)
+    return Named("mine", json.dumps(identity), value)
+
+
+MINE = {"nominal_length": 4.0, "sigma_pm": [[9.0, 0.1], [17.0, 3.2]], "position_ratio": 0.5}
+
+
+def test_a_mission_of_the_study_has_the_numbers_of_its_table():
+    exponential = {"at": 15.0, "sigma": 0.01496, "slope": 0.443}
+    mine = own(
+        {"nominal_length": 5.0, "sigma_pm": [exponential], "position_ratio": 1.15, "floor_pm": 3e-3, "floor_pos": 3e-3}
+    )
+    theirs, ours = (evaluated(20, point(model=model, mission_length=3.0)) for model in ("gaia", mine))
+    for name in link.sums:
+        np.testing.assert_array_equal(ours[name], theirs[name])
+    assert link.cost(point(model=mine)) == link.cost(point(model="gaia"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "good"),
+    [({}, False), ({"v_min": 8.5}, True), ({"catalogue": "quasars"}, True), ({"catalogue": "radio-stars"}, False)],
+)
+def test_a_function_is_asked_about_all_magnitudes_that_objects_can_have(changes, good):
+    mine = own(
+        {"nominal_length": 4.0, "sigma_pm": "x.py:f", "position_ratio": 1.0},
+        Function(lambda v: np.where(v < 8.0, -1.0, 0.1), "counted"),
+    )
+    problem = link.check(point(model=mine, **changes))
+    assert problem is None if good else "'counted' returns -1 at V = " in problem
+
+
+# what changes nothing
+
+
+def study(axes=None, exclude=(), **fixed):
+    return {"title": "", "axes": axes or {}, "fixed": fixed, "exclude": list(exclude), "sampling": {"n_sim": 1}}
+
+
+def problems(axes=None, exclude=(), **fixed):
+    with pytest.raises(SweepError) as error:
+        linksweep.run(study(axes, exclude, **fixed), "never.zarr", pool="serial")
+    return error.value.problems
+
+
+@pytest.mark.parametrize(
+    ("fixed", "sentence"),
+    [
+        ({"catalogue": "quasars", "mean_pm": 5.0}, "mean_pm = 5.0 changes nothing: it is for catalogue = 'synthetic'"),
+        (
+            {"n_obj": 9, "reference_sigma_pm": 2.0},
+            "reference_sigma_pm = 2.0 changes nothing: it is for reference_errors",
+        ),
+        ({"n_obj": 9, "satellite_errors": "normal", "model": "gaia"}, "model = 'gaia' changes nothing: it is for sate"),
+        (
+            {"catalogue": "quasars", "positions": "own"},
+            "positions = 'own' changes nothing: it is for catalogue = 'radi",
+        ),
+        (
+            {"n_obj": 9, "pm_distribution": "constant"},
+            "pm_distribution = 'constant' changes nothing: it is for objects",
+        ),
+        ({"n_obj": 9, "pmra_cos_dec": True}, "pmra_cos_dec = True changes nothing: it is for catalogue = 'file'"),
+        (
+            {"n_obj": 9, "glide": [0.0, 0.0, 4.0]},
+            "glide = (0.0, 0.0, 4.0) changes nothing: it is for aberration = true",
+        ),
+        (
+            {"n_obj": 9, "satellite_errors": "none", "weighting": "equal"},
+            "weighting = 'equal' changes nothing: without",
+        ),
+        (
+            {"n_obj": 9, "directions": "random", "epsilon_size": 1.0, "epsilon": [0.0, 0.0, 1.0]},
+            "epsilon = (0.0, 0.0, 1.0) changes nothing: its direction is random",
+        ),
+    ],
+)
+def test_what_changes_nothing_is_refused_by_name(fixed, sentence):
+    (found,) = problems(**fixed)
+    assert found.startswith(sentence)
+
+
+def test_an_axis_is_refused_where_it_changes_nothing_unless_those_points_are_excluded(tmp_path):
+    axes = {"catalogue": ["synthetic", "quasars"], "mean_pm": [0.0, 50.0]}
+    (found,) = problems(axes, n_obj=20)
+    assert found.startswith("the axis mean_pm changes nothing at some points")
+    rest = study(axes, [{"catalogue": "quasars", "mean_pm": 50.0}], n_obj=20)
+    assert linksweep.run(rest, tmp_path / "rest.zarr", pool="serial")["sigma_spin"].count() == 3
+
+
+@pytest.mark.parametrize("catalogue", ["synthetic", "quasars", "galaxies", "radio-stars"])
+def test_what_is_unused_really_changes_nothing_and_the_rest_of_a_catalogue_something(catalogue):
+    """Another value of each parameter, one at a time: the same bits if and only if it is said to be unused."""
+    others = {
+        **{"v_min": 13.0, "v_max": 13.4, "counts": "completed", "mean_pm": 50.0, "pm_distribution": "constant"},
+        **{"positions": "own", "zone_of_avoidance": 20.0, "sky_contrast": 0.4, "model": "gaia", "mission_length": 3.0},
+        **{"error_scale": 2.0, "satellite_error_scale": 2.0, "reference_error_scale": 2.0, "glide": (0.0, 0.0, 9.0)},
+        **{
+            "satellite_sigma_pos": 2.0,
+            "reference_sigma_pos": 2.0,
+            "satellite_sigma_pm": 2.0,
+            "reference_sigma_pm": 2.0,
+        },
+        "weighting": "equal",
+        **{"satellite_floor_pm": 0.5, "reference_floor_pm": 0.5, "satellite_error_ratio": 2.0},
+        **{"reference_error_ratio": 2.0, "zonal_pm": 1.0, "zonal_length": 60.0, "omega_slope": (0.0, 0.0, 1.0)},
+        **{"omega_slope_size": 1.0, "magnitude_equation_pmra": 1.0, "magnitude_equation_pmdec": 1.0, "v_zero": 9.0},
+        **{"motion_field": "t_2_0", "motion_field_size": 2.0},
+    }
+    base = link.defaults() | {"catalogue": catalogue, "n_obj": 8}
+    unused, reference = link.unused(base), evaluated(4, base)
+    for name, value in others.items():
+        if link.check(base | {name: value}) is not None:
+            assert catalogue == "radio-stars", name  # which has no limits, and says so
+            continue
+        found = evaluated(4, base | {name: value})
+        same = all(np.array_equal(found[k], reference[k], equal_nan=True) for k in reference)
+        assert same == (name in unused), name
+
+
+@pytest.mark.parametrize(
+    ("fixed", "sentence"),
+    [
+        ({"motion_field": "t_2"}, "motion_field = 't_2': 't_2' is no vector spherical harmonic; those are t_L_0"),
+        ({"motion_field": "t_2_3_re"}, "'t_2_3_re' is no vector spherical harmonic"),
+        ({"motion_field": "t_51_0"}, "degrees L = 1 to 50"),
+        ({"motion_field": "t_2_0=x"}, "t_2_0 = 'x': must be a number"),
+        ({"motion_field": "t_2_0=nan"}, "t_2_0 = 'nan': must be a number"),
+        ({"motion_field": "t_2_0=0"}, "no harmonic with a coefficient that is not zero"),
+        ({"motion_field": ""}, "no harmonic with a coefficient that is not zero"),
+        ({"motion_field": "t_2_0,t_2_0"}, "t_2_0 twice"),
+        ({"motion_field_size": 1.0}, "motion_field_size = 1.0 changes nothing: it is for a motion_field"),
+        ({"zonal_length": 20.0}, "zonal_length = 20.0 changes nothing: it is for zonal errors, zonal_pos or zonal_pm"),
+        ({"zonal_length": 5.0, "zonal_pm": 1.0}, "zonal_length = 5"),
+        ({"v_zero": 3.0}, "v_zero = 3.0 changes nothing: it is for an omega_slope or a magnitude equation"),
+        ({"satellite_errors": "none", "satellite_floor_pm": 1.0}, "satellite_floor_pm = 1.0 changes nothing"),
+        ({"reference_error_ratio": 2.0}, "reference_error_ratio = 2.0 changes nothing"),
+        ({"method": "projected", "zonal_pm": 1.0}, "method = 'projected' needs errors that are independent"),
+        ({"method": "projected", "satellite_error_ratio": 2.0}, "satellite_error_ratio = 1"),
+    ],
+)
+def test_a_study_is_told_what_is_wrong(fixed, sentence):
+    assert sentence in " ".join(problems(**({"n_obj": 9} | fixed)))
+
+
+# warnings
+
+
+def sky(path, v_mag, **columns):
+    rng, n = np.random.default_rng(2), len(v_mag)
+    position = {"ra": rng.uniform(0.0, 360.0, n), "dec": np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, n)))}
+    Table(columns | position | {"v_mag": v_mag}).write(path, overwrite=True)
+    return table_file(path)
+
+
+def test_a_curve_is_never_better_than_its_floor():
+    bright = np.array([3.0, 7.9])
+    np.testing.assert_array_equal(1000.0 * MISSIONS["gaia"].sigma_pm_mas_yr(bright), 3.0)
+    assert np.all(MISSIONS["gaia-dr3"].sigma_pm_mas_yr(bright) > 0.046)
+    for name, mission in MISSIONS.items():
+        sigma = mission.sigma_pm_mas_yr(np.linspace(-5.0, 20.0, 251))
+        held = mission.sigma_pm_mas_yr(np.linspace(-5.0, min(5.0, mission.floor.brighter_than_mag), 20))
+        assert held.min() >= mission.floor.pm_mas_yr, name
+        assert sigma.min() > 1e-3, name  # no uas/yr
+
+
+@pytest.mark.parametrize("name", ["amex", "gaia"])
+def test_the_floor_leaves_the_papers_magnitudes_to_the_curve(name):
+    mission, v_mag = MISSIONS[name], np.linspace({"amex": 2.1, "gaia": 12.8}[name], 20.0, 400)
+    np.testing.assert_array_equal(mission.sigma_pm_mas_yr(v_mag), mission.curve_pm_mas_yr(v_mag))
+    np.testing.assert_array_equal(mission.sigma_pos_mas(v_mag), mission.curve_pos_mas(v_mag))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"model": "gaia"}, "model = 'gaia': its accuracy curve is known from V = 12.8 to 20, and the catalogue has"),
+        ({"model": "gaia-dr3"}, "known from V = 8 to 21, and the catalogue has or may have objects beyond"),
+        ({"model": "gaia", "v_min": 13.0, "v_max": 20.5}, "objects beyond, where it is extrapolated"),
+        ({"model": "gaia", "v_min": 13.0}, None),
+        ({"model": "amex"}, None),
+        ({"model": "gaia", "catalogue": "quasars", "n_obj": None}, None),
+        ({"model": "gaia", "satellite_errors": "normal"}, None),
+    ],
+)
+def test_magnitudes_outside_of_a_curves_range_are_warned_of(changes, words):
+    found = link.warn(point(**changes))
+    assert len(found) == (words is not None)
+    assert all(words in sentence for sentence in found)
+
+
+def test_an_object_with_most_of_the_weight_is_named_with_its_share(tmp_path):
+    v_mag = np.array([9.37, *np.full(40, 15.0)])
+    table = sky(tmp_path / "sky.ecsv", v_mag, Name=np.array(["Mrk 421", *(f"q{k}" for k in range(40))]))
+    one = point(catalogue="file", file=table, n_obj=None, satellite_errors="magnitude", model="amex")
+    (found,) = link.warn(one)
+    weight = MISSIONS["amex"].sigma_pm_mas_yr(v_mag) ** -2.0
+    assert f"row 1 (Mrk 421, V = 9.37) holds {100 * weight[0] / weight.sum():.0f} % of the weight" in found
+    assert link.warn(one | {"v_min": 10.0}) == []
+    assert link.warn(one | {"weighting": "equal"}) == []
+
+
+def test_a_run_says_and_stores_its_warnings_and_show_repeats_them(tmp_path):
+    study, store = tmp_path / "bright.toml", tmp_path / "bright.zarr"
+    study.write_text('title = "t"\n[axes]\nmodel = ["gaia"]\n[fixed]\nn_obj = 12\n[sampling]\nn_sim = 3\n')
+    run = CliRunner()
+    planned = run.invoke(main, ["plan", str(study), "-o", str(store)])
+    assert "its accuracy curve is known from V = 12.8 to 20" in planned.output
+    ran = run.invoke(main, ["run", str(study), "-o", str(store)])
+    assert "warning: model = 'gaia'" in ran.output + ran.stderr
+    (stored,) = json.loads(linksweep.open(store).attrs["warnings"])
+    assert stored.endswith("held at its floor (1 point)")
+    assert f"warning: {stored}" in " ".join(run.invoke(main, ["show", str(store)]).output.split())
+
+
+@pytest.mark.parametrize(("last", "warned"), [(2016.5, True), (2016.0, False), (np.nan, False)])
+def test_rows_of_different_epochs_are_told(tmp_path, last, warned):
+    file = sky(tmp_path / "sky.ecsv", np.full(30, 15.0), ref_epoch=[2016.0] * 29 + [last])
+    found = [s for s in link.warn(point(catalogue="file", file=file, n_obj=None)) if "ref_epoch" in s]
+    assert found == warned * [
+        "file: ref_epoch is between 2016 and 2016.5, and the simulation takes all rows as of one epoch; "
+        "`sweep tie` links rows of different epochs"
+    ]

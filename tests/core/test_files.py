@@ -1,0 +1,238 @@
+"""A catalogue from a table: what is read of it, and every way in which a table can be wrong."""
+
+import importlib.util
+import warnings
+
+import numpy as np
+import pytest
+from astropy.table import MaskedColumn, Table
+
+from tests.core.points import DEGREE, MAS, drawn, link, point, table_file
+
+RA, DEC = np.array([10.0, 100.0, 200.0, 359.0]), np.array([60.0, -30.0, 0.5, -80.0])
+PMRA, PMDEC = np.array([1.5, -20.25, 0.0, 7.0]), np.array([-3.0, 4.0, 100.5, 0.25])
+MAG = np.array([9.5, 12.0, 14.0, 17.5])
+NAMES = ("ra", "dec", "pmra", "pmdec")
+ERRORS = {f"{name}_error": 0.1 * k + np.array([0.01, 0.02, 0.03, 0.04]) for k, name in enumerate(NAMES, 1)}
+ANONYMOUS = {"ra": RA, "dec": DEC, "pmra": PMRA, "pmdec": PMDEC, "phot_g_mean_mag": MAG}
+GAIA = ANONYMOUS | {"source_id": np.arange(4)}
+UNITS = {"ra": "deg", "dec": "deg", "pmra": "mas / yr", "pmdec": "mas / yr", "phot_g_mean_mag": "mag",
+         "ra_error": "mas", "dec_error": "mas", "pmra_error": "mas / yr", "pmdec_error": "mas / yr"}  # fmt: skip
+FORMATS = {".ecsv": "ascii.ecsv", ".csv": "ascii.csv", ".fits": "fits", ".vot": "votable", ".mrt": "ascii.mrt"}
+if importlib.util.find_spec("pyarrow"):
+    FORMATS[".parquet"] = "parquet"
+
+
+@pytest.fixture
+def write(tmp_path):
+    """A function that writes a table with astropy and opens it as the platform does."""
+
+    def write(columns, suffix=".ecsv", units=UNITS):
+        table, path = Table(columns), tmp_path / f"four{suffix}"
+        for name in set(units) & set(columns):
+            table[name].unit = units[name]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of astropy, about what a format cannot keep
+            table.write(path, format=FORMATS[suffix], overwrite=True)
+        return table_file(path)
+
+    return write
+
+
+def read(table, columns=None, **changes):
+    changes |= {"columns": tuple((columns or {}).items())}
+    return drawn(catalogue="file", file=table, **changes)
+
+
+def problem(table, columns=None, **changes):
+    changes |= {"columns": tuple((columns or {}).items()), "satellite_errors": "none"}
+    return link.check(point(catalogue="file", file=table, n_obj=None, **changes)) or ""
+
+
+def is_the_four(found, errors=False):
+    np.testing.assert_allclose([found.ra, found.dec], np.array([RA, DEC]) * DEGREE, rtol=1e-14)
+    np.testing.assert_allclose([found.pmra, found.pmdec], np.array([PMRA, PMDEC]) * MAS, rtol=1e-14)
+    np.testing.assert_array_equal(found.v_mag, MAG)
+    assert (found.own is not None) == errors
+    if errors:
+        np.testing.assert_allclose(found.own.sigma.T, np.array(list(ERRORS.values())) * MAS, rtol=1e-14)
+    return True
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_round_trip_through_every_format(suffix, write):
+    assert is_the_four(read(write(GAIA | ERRORS, suffix)), errors=True)
+
+
+def test_units_are_converted_and_those_that_are_not_there_are_the_usual_ones(write):
+    other = {"ra": np.radians(RA), "pmra": PMRA * 1e-3, "pmdec": PMDEC / 3600.0, "ra_error": ERRORS["ra_error"] / 3.6e6}
+    units = UNITS | {"ra": "rad", "pmra": "arcsec / yr", "pmdec": "deg / kyr", "ra_error": "deg"}
+    assert is_the_four(read(write(GAIA | ERRORS | other, units=units)), errors=True)
+    assert is_the_four(read(write(GAIA | ERRORS, units={})), errors=True)
+    for name, unit in (("ra", "mas / yr"), ("pmra", "km / s"), ("phot_g_mean_mag", "deg")):
+        said = problem(write(GAIA, units=UNITS | {name: unit}))
+        assert f"column '{name}' is in {unit}, not convertible to {UNITS[name]}" in said
+
+
+def test_hours_and_seconds_of_time(write):
+    hours = write(GAIA | {"ra": RA / 15.0}, ".csv")
+    assert "column 'ra' has no unit and lies within 0.666667 to 23.9333: hours, degrees" in problem(hours)
+    assert is_the_four(read(hours, units=(("ra", "hourangle"),)))
+    np.testing.assert_allclose(read(hours, units=(("ra", "deg"),)).ra, RA / 15.0 * DEGREE, rtol=1e-14)
+    second = 15e3 * np.cos(np.radians(DEC))  # mas of ra*, which an ra in time does not have
+    timed = {name: (ANONYMOUS | ERRORS)[name] / second for name in ("pmra", "ra_error", "pmra_error")}
+    units = UNITS | {"pmra": "s / yr", "pmra_error": "s / yr", "ra_error": "s"}
+    assert is_the_four(read(write(ANONYMOUS | ERRORS | timed, units=units)), errors=True)
+
+
+@pytest.mark.parametrize("missing", [np.nan, np.inf, None])
+@pytest.mark.parametrize("suffix", [".ecsv", ".csv", ".vot"])
+def test_missing_values_are_named_by_their_rows(missing, suffix, write):
+    mask = np.array([False, True, False, True])
+    column = MaskedColumn(PMRA, mask=mask) if missing is None else np.where(mask, missing, PMRA)
+    said = problem(write(GAIA | {"pmra": column}, suffix))
+    assert said.startswith(("no pmra in row 2, 4", "an infinite pmra in row 2, 4"))
+    assert is_the_four(read(write(GAIA | {"parallax": column}, suffix)))  # unused columns may be anything
+
+
+@pytest.mark.parametrize("name", ["v_mag", "phot_g_mean_mag", "vt_mag"])
+def test_names_of_columns_in_any_case_and_by_a_map(name, write):
+    plain = {key: values for key, values in GAIA.items() if key != "phot_g_mean_mag"} | {name: MAG}
+    archive = {"ra": "RA_ICRS", "dec": "DE_ICRS", "pmra": "pmRA", "pmdec": "pmDE"}
+    archive |= {"ra_error": "e_RA_ICRS", "dec_error": "e_DE_ICRS", "pmra_error": "e_pmRA", "pmdec_error": "e_pmDE"}
+    found = read(write({archive.get(key, key): values for key, values in (plain | ERRORS).items()}))
+    assert is_the_four(found, errors=True)
+    odd = write(plain | {"other": 2 * MAG})
+    np.testing.assert_array_equal(read(odd, {"v_mag": "other"}).v_mag, 2 * MAG)  # a map comes first
+    assert "no column 'pm_dec' for pmdec" in problem(odd, {"pmdec": "pm_dec"})
+    assert "columns: parallax is no quantity" in problem(odd, {"parallax": "plx"})
+    assert "units: parallax is no quantity" in problem(odd, units=(("parallax", "mas"),))
+
+
+def test_positions_are_needed_and_motions_come_in_pairs(write):
+    for missing in NAMES:
+        without = {name: values for name, values in GAIA.items() if name != missing}
+        assert f"no column '{missing}'" in problem(write(without))
+    found = read(write({"ra": RA, "dec": DEC}))
+    assert np.all(np.isnan(found.v_mag))
+    assert not np.any([found.pmra, found.pmdec])
+    assert found.own is None
+
+
+def test_pmra_with_and_without_cos_dec(write):
+    table = write(ANONYMOUS)
+    assert "column 'pmra' may or may not include cos(dec): say pmra_cos_dec" in problem(table)
+    without = PMRA * np.cos(np.radians(DEC)) * MAS
+    np.testing.assert_allclose(read(table, pmra_cos_dec=True).pmra, PMRA * MAS, rtol=1e-14)
+    np.testing.assert_allclose(read(table, pmra_cos_dec=False).pmra, without, rtol=1e-14)
+    np.testing.assert_allclose(
+        read(write(GAIA), pmra_cos_dec=False).pmra, without, rtol=1e-14
+    )  # what is declared holds
+    for mark in ("source_id", "designation", "solution_id"):
+        assert is_the_four(read(write(ANONYMOUS | {mark: np.arange(4)})))
+    renamed = {{"pmra": "pm_ra_cosdec"}.get(name, name): values for name, values in ANONYMOUS.items()}
+    assert is_the_four(read(write(renamed), {"pmra": "pm_ra_cosdec"}))
+
+
+def chosen(*names):
+    return {f"{name}_error": ERRORS[f"{name}_error"] for name in names}
+
+
+def test_errors_of_both_motions_or_of_the_position_count_and_the_others_are_zero(write):
+    for names, exact in ((("pmra", "pmdec"), (0, 1)), (("dec", "pmra", "pmdec"), (0,)), (("ra", "dec"), (2, 3))):
+        expected = np.array(list(ERRORS.values())).T * MAS
+        expected[:, list(exact)] = 0.0
+        np.testing.assert_allclose(read(write(GAIA | chosen(*names))).own.sigma, expected, rtol=1e-14)
+    for names in (("ra",), ("ra", "dec", "pmra"), ("pmdec",)):
+        assert read(write(GAIA | chosen(*names))).own is None
+    for name in ERRORS:
+        bad = ERRORS | {name: np.array([0.1, 0.1, -0.1, 0.1])}
+        assert problem(write(GAIA | bad)).startswith(f"a negative {name} in row 3 (-0.1)")
+
+
+def test_correlations_are_those_of_each_pair(write):
+    pairs = [(i, j) for i in range(4) for j in range(i + 1, 4)]
+    some = {
+        f"{NAMES[i]}_{NAMES[j]}_corr": 0.05 * (k + 1) * np.array([1, -1, 2, 0]) for k, (i, j) in enumerate(pairs[1:])
+    }
+    found, expected = read(write(GAIA | ERRORS | some)).own.correlation, np.tile(np.eye(4), (4, 1, 1))
+    for (i, j), values in zip(pairs[1:], some.values(), strict=True):
+        expected[:, i, j] = expected[:, j, i] = values
+    np.testing.assert_array_equal(found, expected)  # of the pair that is not there it is zero
+    assert read(write(GAIA | ERRORS)).own.correlation is None
+    each_pair_alone_would_do = {"ra_dec_corr": 0.9, "ra_pmra_corr": 0.9, "dec_pmra_corr": -0.9}
+    for impossible in ({"ra_dec_corr": 1.2}, {"ra_dec_corr": -1.0}, each_pair_alone_would_do):
+        columns = {name: np.array([0.0, value, 0.0, value]) for name, value in impossible.items()}
+        assert problem(write(GAIA | ERRORS | columns)).startswith("impossible correlations")
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        ({"dec": [60.0, -30.0, 0.5, 90.0]}, "a dec that is not between -90 and 90 deg, poles excluded, in row 4 (90)"),
+        ({"dec": [60.0, -30.0, -200.0, 0.5]}, "a dec that is not between -90 and 90 deg"),
+        ({"ra": [-180.1, 0.0, 360.0, 10.0]}, "an ra that is not between -180 and 360 deg in row 1 (-180.1)"),
+        ({"ra": [10.0, 360.5, -180.0, 400.0]}, "an ra that is not between -180 and 360 deg in row 2 (360.5), 4 (400)"),
+        ({"ra": [80.0] * 4, "dec": [95.0] * 4}, "4 (95); are ra and dec swapped?"),
+        ({"dec": ["60", "-30", "0.5", "-80"]}, "column 'dec' is text that is no angle"),
+    ],
+)
+def test_impossible_positions_are_named(columns, sentence, write):
+    assert sentence in problem(write(GAIA | columns))
+
+
+def test_a_file_is_taken_whole_by_magnitude_or_by_chance(write):
+    table = write(GAIA | ERRORS)
+    np.testing.assert_array_equal(read(table, v_max=14.0).v_mag, MAG[:3])
+    np.testing.assert_array_equal(read(table, v_min=10.0, v_max=14.0).v_mag, MAG[1:3])
+    pairs = [
+        tuple(drawn(seed, catalogue="file", file=table, n_obj=2, v_max=14.0).v_mag.tolist()) for seed in range(300)
+    ]
+    counts = [pairs.count(pair) for pair in ((9.5, 12.0), (9.5, 14.0), (12.0, 14.0))]
+    assert sum(counts) == 300  # no object twice, none beyond the limit
+    assert np.all(np.abs(np.array(counts) - 100) < 4 * np.sqrt(300 * 2 / 9))  # binomial
+    moved = read(table, positions="isotropic", zone_of_avoidance=10.0)
+    np.testing.assert_allclose(moved.pmra, PMRA * MAS, rtol=1e-14)
+    np.testing.assert_array_equal(moved.v_mag, MAG)
+    assert not np.any(np.isin(moved.ra, RA * DEGREE))
+
+
+def side(name, factor):
+    return {f"{name}_{key}": factor * values for key, values in ERRORS.items()}
+
+
+@pytest.mark.parametrize(
+    ("columns", "reference", "satellite"),
+    [
+        (ERRORS, 1.0, 1.0),
+        (side("reference", 2.0) | side("satellite", 3.0), 2.0, 3.0),
+        (side("reference", 2.0) | side("satellite", 3.0) | ERRORS, 2.0, 3.0),
+        (side("reference", 2.0) | ERRORS, 2.0, 1.0),
+        (side("satellite", 3.0) | ERRORS, 1.0, 3.0),
+        (side("reference", 2.0), 2.0, None),
+        (side("satellite", 3.0), None, 3.0),
+    ],
+)
+def test_each_side_has_its_own_errors_or_those_of_both(columns, reference, satellite, write):
+    table = write(GAIA | columns)
+    found = read(table).take(np.array([2, 0]))
+    for name, factor in (("reference", reference), ("satellite", satellite)):
+        if factor is None:
+            asked = point(catalogue="file", file=table, n_obj=None) | {f"{name}_errors": "catalogue"}
+            if name == "satellite":
+                assert "has no errors of its own" in link.check(asked)
+            continue
+        expected = factor * np.array(list(ERRORS.values())).T[[2, 0]] * MAS
+        np.testing.assert_allclose(found.own_errors(name).sigma, expected, rtol=1e-14)
+
+
+def test_correlations_are_those_of_their_side_and_a_column_is_that_of_one(write):
+    table = write(GAIA | side("reference", 2.0) | ERRORS | {"reference_pmra_pmdec_corr": np.full(4, 0.5)})
+    found = read(table)
+    assert found.own_errors("satellite").correlation is None
+    assert np.all(found.own_errors("reference").correlation[:, 2, 3] == 0.5)
+    both = {"reference_pmra_error": "pmra_error", "satellite_pmra_error": "pmra_error"}
+    said = problem(write(GAIA | ERRORS), both)
+    assert "reference_pmra_error and satellite_pmra_error are both column 'pmra_error'" in said
+    said = problem(write(GAIA | ERRORS), {"reference_pmra_error": "pmra_error"})
+    assert "reference_pmra_error needs reference_pmra_error and reference_pmdec_error" in said
