@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from linksweep.sweep.api import answer, open, plot, run  # noqa: A004
     from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
     from linksweep.sweep.executing.pools import Limits
-    from linksweep.sweep.functions.declared import experiment
+    from linksweep.sweep.functions.adapter import experiment
     from linksweep.sweep.studies.reader import load_study
     from linksweep.sweep.studies.study import Study
     from linksweep.sweep.tie.forecast import forecast
@@ -79,7 +79,7 @@ _MODULES = {
     "linksweep.sweep.api": ("answer", "open", "plot", "run"),
     "linksweep.sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),
     "linksweep.sweep.executing.pools": ("Limits",),
-    "linksweep.sweep.functions.declared": ("experiment",),
+    "linksweep.sweep.functions.adapter": ("experiment",),
     "linksweep.sweep.studies.reader": ("load_study",),
     "linksweep.sweep.studies.study": ("Study",),
     "linksweep.sweep.tie.link": ("tie",),

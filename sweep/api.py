@@ -139,11 +139,10 @@ def run(
     return _drawable(dataset)
 
 
-def _not_repeatable(found: Experiment) -> Experiment:
-    if not isinstance(found, FunctionExperiment) or found.function is None:
+def _not_repeatable(experiment: Experiment) -> Experiment:
+    if not isinstance(experiment, FunctionExperiment) or experiment.call is None:
         raise SweepError("deterministic: is for a plain function; an Experiment draws from the generators that it gets")
-    declaration = replace(found.function.declaration, deterministic=False)
-    return replace(found, function=replace(found.function, declaration=declaration))
+    return replace(experiment, declaration=replace(experiment.declaration, deterministic=False))
 
 
 def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)

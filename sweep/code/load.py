@@ -26,8 +26,7 @@ from weakref import WeakKeyDictionary
 from linksweep.sweep.code.files import OURS, LocalFiles, read_files, without_package
 from linksweep.sweep.code.reach import Reach, distributions_at, distributions_of, version_of
 from linksweep.sweep.contract import Experiment, SweepError, shown
-from linksweep.sweep.functions.adapter import experiment_of, is_plain_function
-from linksweep.sweep.functions.declared import ATTRIBUTE, name_of
+from linksweep.sweep.functions.adapter import ATTRIBUTE, experiment_of, is_plain_function, name_of
 
 SESSION = "session"
 """Stands in place of a module in the reference of a function that only this session has."""

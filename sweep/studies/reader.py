@@ -23,8 +23,7 @@ from linksweep.sweep.contract import (
     shown,
     suggest,
 )
-from linksweep.sweep.functions.adapter import is_plain_function
-from linksweep.sweep.functions.declared import name_of
+from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies.claims import ClaimContext, check_figure, checked_claim, checked_conclusion
 from linksweep.sweep.studies.document import (
     Overrides,
