@@ -78,7 +78,7 @@ def check(
     sweep check results/quasars.zarr
     sweep check results/quasars.zarr --repair
     """
-    from linksweep.sweep.stores import repair as files
+    from linksweep.sweep.stores import store as files
 
     if repair and as_json:
         raise click.UsageError("--json is for a check without --repair")

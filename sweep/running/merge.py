@@ -25,8 +25,7 @@ from linksweep.sweep.running.study_store import create_store, differences, find_
 from linksweep.sweep.running.writer import Writer
 from linksweep.sweep.stores.code import CodeRecord, as_json, records_of
 from linksweep.sweep.stores.ledger import Ledger, Record
-from linksweep.sweep.stores.location import Location, Where, located
-from linksweep.sweep.stores.lock import holder, is_left_over, locked
+from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
 from linksweep.sweep.stores.store import CODE, OpenStore, Store, is_new
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.record import RECORD, Recorded, provenance, recorded, recorded_study

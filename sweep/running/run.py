@@ -19,8 +19,7 @@ from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyF
 from linksweep.sweep.running.study_store import check_points, create_store, find_store, open_store, replace_store
 from linksweep.sweep.running.writer import Taken, Writer
 from linksweep.sweep.stores.code import check_code, record_code
-from linksweep.sweep.stores.location import Where, writing
-from linksweep.sweep.stores.lock import locked
+from linksweep.sweep.stores.location import Where, locked, writing
 from linksweep.sweep.stores.store import Store
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded
 from linksweep.sweep.studies.study import Study
