@@ -34,8 +34,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from linksweep.sweep.analysis.crossings import find, interpolate
-    from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+    from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, ratio
     from linksweep.sweep.analysis.sensitivity import sensitivity
     from linksweep.sweep.api import answer, open, plot, run  # noqa: A004
     from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
@@ -73,8 +72,7 @@ __all__ = [
 ]
 
 _MODULES = {
-    "linksweep.sweep.analysis.crossings": ("find", "interpolate"),
-    "linksweep.sweep.analysis.laws": ("fit_levelling", "fit_power_law", "ratio"),
+    "linksweep.sweep.analysis.laws": ("find", "fit_levelling", "fit_power_law", "interpolate", "ratio"),
     "linksweep.sweep.analysis.sensitivity": ("sensitivity",),
     "linksweep.sweep.api": ("answer", "open", "plot", "run"),
     "linksweep.sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),

@@ -27,10 +27,10 @@ Kind = Literal["grid", "law", "crossings", "sensitivity", "scaling", "tie", "for
 
 MODULES: Mapping[Kind, str] = {
     "grid": "linksweep.sweep.analysis.results_table",
-    "law": "linksweep.sweep.analysis.laws",
-    "crossings": "linksweep.sweep.analysis.crossings",
-    "sensitivity": "linksweep.sweep.analysis.sensitivity",
-    "scaling": "linksweep.sweep.running.scaling",
+    "law": "linksweep.sweep.analysis.derived",
+    "crossings": "linksweep.sweep.analysis.derived",
+    "sensitivity": "linksweep.sweep.analysis.derived",
+    "scaling": "linksweep.sweep.analysis.derived",
     "tie": "linksweep.sweep.tie.result",
     "forecast": "linksweep.sweep.tie.result",
 }

@@ -325,8 +325,7 @@ def fit(
     sweep fit radio-stars --range 50: --at reference_error_scale=1
     sweep fit results/quasars.zarr --over v_max --law levelling
     """
-    from linksweep.sweep.analysis.crossings import parse_range
-    from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law
+    from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, parse_range
     from linksweep.sweep.analysis.quantity import between, main_quantity, require_axis
 
     if law == "levelling" and expect is not None:
@@ -361,15 +360,15 @@ def find(
     sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --over v_max
     sweep find grid --where "sigma_spin <= 0.5" --over n_obj --at model=amex
     """
-    from linksweep.sweep.analysis import crossings
+    from linksweep.sweep.analysis import laws
     from linksweep.sweep.analysis.quantity import require_axis, varied_parameters
 
-    limit = crossings.parse_limit(where)
+    limit = laws.parse_limit(where)
     with part_of(store, at) as dataset:
         if over is None and len(varied_parameters(dataset)) > 1:
-            print_headlines(crossings.points_where(dataset, limit), "json" if as_json else "text")
+            print_headlines(laws.points_where(dataset, limit), "json" if as_json else "text")
             return
-        result = crossings.find(dataset, limit, require_axis(dataset, limit.variable, over))
+        result = laws.find(dataset, limit, require_axis(dataset, limit.variable, over))
     print_result(result, "json" if as_json else "text")
 
 

@@ -8,8 +8,13 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from linksweep.sweep.analysis.compare import claims_of
-from linksweep.sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity, varied_parameters
+from linksweep.sweep.analysis.quantity import (
+    claims_of,
+    main_quantity,
+    numeric_axes,
+    require_quantity,
+    varied_parameters,
+)
 from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 from linksweep.sweep.plots import KINDS

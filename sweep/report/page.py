@@ -26,15 +26,15 @@ from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from linksweep.sweep.analysis import sensitivity
+from linksweep.sweep.analysis import derived, sensitivity
 from linksweep.sweep.analysis.answer import Answer, answer_in_short, answers, completeness, said_first
 from linksweep.sweep.analysis.compare import (
     Comparison,
-    caveats,
     compare,
     in_readable_unit,
     notes,
     numbers_in_words,
+    remarks,
     summary_line,
 )
 from linksweep.sweep.analysis.quantity import headlines, in_readable_units, place_in_words, varied_parameters
@@ -232,10 +232,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         f"{one.title}, {dataset[one.title.split()[0]].attrs['long_name']}, with every kind of error": _of_columns(one)
         for one in tables_with_errors(dataset, MOST_ROWS)
     }
-    tables |= {
-        f"Sensitivity of {name}: {sensitivity.notes(one)[0]}": _of_columns(sensitivity.tables(one)[0])
-        for name, one in indices.items()
-    }
+    tables |= {f"S{derived.notes(one)[0][1:]}": _of_columns(derived.tables(one)[0]) for one in indices.values()}
     condition = condition_warning(dataset)
     return _section(
         store,
@@ -261,7 +258,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         caption="Headline results, ± their one-sigma errors",
         tables=tables,
         comparison=_comparison(comparisons) if comparisons else None,
-        notes=[*warnings_of(dataset), *([condition] if condition else []), *notes(comparisons), *caveats(dataset)],
+        notes=[*warnings_of(dataset), *([condition] if condition else []), *notes(comparisons), *remarks(dataset)],
         failures=failures,
         failures_not_named=count_status(dataset["status"].values)[Status.FAILED] - len(failures),
         provenance={_worded(label, about): text for label, text in _provenance("study", about).items()}

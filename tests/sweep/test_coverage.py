@@ -10,9 +10,8 @@ from scipy.stats import binom, chi2, t
 
 from linksweep.core.crossmatch import Positions, chance_pairs, sky_tree
 from linksweep.sweep.analysis.compare import compare
-from linksweep.sweep.analysis.crossings import find, interpolate, parse_limit
 from linksweep.sweep.analysis.fits import levelling, power_law
-from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, parse_limit, ratio
 from linksweep.sweep.running.scaling import _dataset
 from tests.sweep import spread
 from tests.sweep.in_memory import results_of

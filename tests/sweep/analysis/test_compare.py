@@ -12,7 +12,6 @@ from click.testing import CliRunner
 from linksweep.sweep.analysis.compare import (
     all_is_well,
     as_json,
-    claims_of,
     compare,
     notes,
     records,
@@ -20,6 +19,7 @@ from linksweep.sweep.analysis.compare import (
     summary,
     summary_line,
 )
+from linksweep.sweep.analysis.quantity import claims_of
 from linksweep.sweep.cli import main
 from linksweep.sweep.cli.published_stores import paper_studies, store_of, unfinished
 from linksweep.sweep.contract import SweepError
@@ -388,7 +388,7 @@ def test_the_store_carries_the_printed_digits_the_tolerance_and_the_claims(publi
     assert found[("gold", 5)] in ("reproduced", "within tolerance")
     assert found[("tin", 20)] == "NOT reproduced"
     assert ("tin",) in found
-    assert remarks(dataset) == ["share: 1 published number is not in this grid and not compared"]
+    assert remarks(dataset) == ["share: published numbers that are not in this grid and not compared: 1"]
 
 
 def test_a_claim_does_not_change_what_the_numbers_mean(published_coins, coins, tmp_path):

@@ -13,7 +13,6 @@ from linksweep.sweep.analysis.sensitivity import (
     first_order,
     indices_of_grid,
     saltelli_indices,
-    tables,
     weights_of_order,
 )
 from linksweep.sweep.studies.values import DESIGNS
@@ -347,17 +346,11 @@ def only_one(x: float, y: float):
     return 2.0 * x
 
 
-def test_indices_that_are_rounding_are_shown_as_zero(tmp_path):
+def test_indices_that_are_rounding_are_zero(tmp_path):
     axes = {"x": [0.1, 0.7, 1.3], "y": [0.3, 1.1]}
     found = sensitivity(linksweep.run(only_one, tmp_path / "one.zarr", pool="serial", axes=axes))
-    found["first"].values[:] = [1.0, 5.06e-33]
-    found["first_error"].values[:] = [1e-3, 5e-33]
-    found["total"].values[:] = [1.0, -2e-16]
-    cells = {column.name: column.cells for column in tables(found)[0].columns}
-    assert cells["first"] == ["1.0000 ± 0.0010", "0"]
-    assert cells["total"][1].startswith("0")
-    found["first_error"].values[1] = 0.01  # a known error of 0 stays
-    assert tables(found)[0].columns[1].cells[1] == "0.000 ± 0.010"
+    assert found["first"].values.tolist() == [1.0, 0.0]
+    assert found["total"].values[1] == 0.0
 
 
 def flat(x: float, y: float):
