@@ -328,11 +328,8 @@ def all_is_well(comparisons: Sequence[Comparison]) -> bool:
 
 
 def remarks(dataset: xr.Dataset) -> list[str]:
-    """Return sentences about what was changed in the study, what a comparison of this dataset leaves out, and what
-    affects its meaning.
-    """
-    overrides = dataset.attrs.get("study_overrides")
-    sentences = [f"the study was changed on the command line: {overrides}"] if overrides else []
+    """Return sentences about what a comparison of this dataset leaves out, and about what affects its meaning."""
+    sentences = []
     compared = [str(name).removesuffix("_published") for name in dataset.data_vars if str(name).endswith("_published")]
     compared += [claim.quantity().variable for claim in quantity.claims_of(dataset)]
     sentences += [part for name in dict.fromkeys(compared) for part in quantity.unknown_parts(dataset, name)]

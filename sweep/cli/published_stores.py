@@ -34,7 +34,9 @@ def compare_stores(stores: Sequence[Where]) -> tuple[list[Comparison], list[str]
             found = compare(dataset)
         except SweepError as error:
             raise SweepError(error.problems, str(store)) from error
-        about = remarks(dataset)
+        overrides = dataset.attrs.get("study_overrides")
+        changed = [f"the study was changed on the command line: {overrides}"] if overrides else []
+        about = [*changed, *remarks(dataset)]
         if not found and not about:
             raise SweepError("its study has neither published numbers nor claims to compare with", str(store))
         comparisons += found
