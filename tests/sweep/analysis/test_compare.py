@@ -533,7 +533,6 @@ def test_an_override_that_takes_a_claim_its_place_is_no_mistake_of_the_study(tmp
         study = load_study(path, **changes)
         dataset, _ = run_study(study, tmp_path / f"{number}.zarr", SERIAL)
         assert {c.verdict for c in compare(dataset)} == {"incomplete"}
-        assert "changed on the command line" in remarks(dataset)[0]
 
 
 def test_a_row_of_a_fixed_parameter_is_found_however_its_number_is_written(coins, tmp_path, monkeypatch):
