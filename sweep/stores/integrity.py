@@ -46,26 +46,14 @@ TYPES = ("<f8", "<i8", "|b1", "<M8[ns]", "|O")
 """Types of the fields of a row of the ledger; the last is text."""
 
 
-class DamagedError(ValueError):
-    """Files that are not what was written; ``files`` maps their names to what is wrong."""
-
-    def __init__(self, files: dict[str, str]) -> None:
-        super().__init__("; ".join(f"{file}: {problem}" for file, problem in files.items()))
-        self.files = files
-
-
 @contextmanager
-def noting(damaged: dict[str, str], file: str | None = None) -> Iterator[None]:
-    """Go on after a DamagedError, whose files are added to ``damaged``, and after an error that the content of ``file``
-    causes: one that is forged may be too large or too deep.
+def noting(damaged: dict[str, str], file: str) -> Iterator[None]:
+    """Add a ``file`` to ``damaged`` and go on after an error that its content causes: one that is forged may be too
+    large or too deep.
     """
     try:
         yield
-    except DamagedError as error:
-        damaged.update(error.files)
     except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, RuntimeError) as error:
-        if file is None:
-            raise
         damaged[file] = str(error) or type(error).__name__
 
 

@@ -22,7 +22,7 @@ from linksweep.sweep.contract.block import KEY_BYTES, BlockRows
 from linksweep.sweep.contract.reducer import converted
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import MANIFEST, File, Manifest, Part, noting
-from linksweep.sweep.stores.location import Location
+from linksweep.sweep.stores.location import Location, reading, writing
 
 FOLDER = MANIFEST.rpartition("/")[0]
 
@@ -32,9 +32,14 @@ PART_BYTES = 2**22
 RECENT = 4
 """Parts whose samples are kept in memory for those who read them more or less in order."""
 
+MOST_UNWRITTEN = 2**26
+"""Bytes of rows and samples that may wait for the next flush."""
+
 MAX_TRACEBACKS, TRACEBACK_BYTES = 1000, 4096
 
 CHANGED = "its ledger was removed, or changed by others, during this run"
+
+REPAIR = "`sweep check {} --repair` repairs what can be repaired"
 
 Record = dict[str, str]
 """The record of a failed point: place, kind, message, traceback, host, when."""
@@ -43,18 +48,30 @@ Blocks = tuple[NDArray[Any], NDArray[Any]]
 """Rows with their keys, and the samples of them all one after the other."""
 
 
+class DamagedError(SweepError):
+    """Files of a ledger are not what was written; ``files`` maps their names to what is wrong."""
+
+    def __init__(self, location: Location, files: Mapping[str, str]) -> None:
+        problems = [f"{file} is damaged ({problem})" for file, problem in files.items()]
+        problems[-1] += f"; {REPAIR.format(location)}, and the next `sweep run` computes again what is lost"
+        super().__init__(problems, str(location))
+
+
 class Ledger:
-    """Knows the row of every finished block, and appends others."""
+    """Knows the row of every finished block, and appends others; raises SweepError where files cannot be read or
+    written, and DamagedError.
+    """
 
     def __init__(self, location: Location, of_root: Manifest) -> None:
-        """Read all but the samples; ``damaged`` has what is wrong with which file.  Raises OSError.
+        """Read all but the samples; ``damaged`` has what is wrong with which file.
 
         ``of_root`` is the manifest that the root document knows.
         """
         self._location = location
         self.damaged: dict[str, str] = {}
-        self.keys = frozenset(location.keys())
-        content = location.get(MANIFEST)
+        with reading(location):
+            self.keys = frozenset(location.keys())
+            content = location.get(MANIFEST)
         self._contents: tuple[bytes | None, ...] = (content,)
         self.manifest = of_root
         with noting(self.damaged, MANIFEST):
@@ -64,7 +81,8 @@ class Ledger:
         missing = {path_of(part.samples) for part in self.parts if part.samples} - self.keys
         self.damaged |= dict.fromkeys(missing, integrity.MISSING)
         documents = self.manifest.documents
-        contents = location.get_all(map(path_of, [*documents.values(), *(part.rows for part in self.parts)]))
+        with reading(location):
+            contents = location.get_all(map(path_of, [*documents.values(), *(part.rows for part in self.parts)]))
         self._documents: dict[str, dict[str, Any]] = {}
         for kind, file in documents.items():
             with noting(self.damaged, path_of(file)):
@@ -104,20 +122,19 @@ class Ledger:
         return {key for key in self.keys if ours.fullmatch(key)} - set(self.files)
 
     def read(self) -> Rows:
-        """Return all rows; `rows` has the place of each block in them.  Raises DamagedError, OSError."""
+        """Return all rows; `rows` has the place of each block in them."""
         self.flush()
         if self._rows is None:
             damaged: dict[str, str] = {}
-            contents = self._location.get_all([path_of(part.rows) for part in self.parts])
+            with reading(self._location):
+                contents = self._location.get_all([path_of(part.rows) for part in self.parts])
             self._rows = np.ascontiguousarray(self._records(contents, damaged)["row"])
             if damaged:
-                raise integrity.DamagedError(damaged)
+                raise DamagedError(self._location, damaged)
         return self._rows
 
     def samples(self, key: bytes) -> Array:
-        """Return the kept samples of a finished block that was flushed, (realisations, width); raises DamagedError,
-        OSError.
-        """
+        """Return the kept samples of a finished block that was flushed, (realisations, width)."""
         starts = [0, *accumulate(part.records for part in self.parts)]
         number = bisect_right(starts, self.rows[key]) - 1
         records, samples = self._part(self.parts[number])
@@ -128,17 +145,32 @@ class Ledger:
     def verify(self) -> None:
         """Add to ``damaged`` the samples that are not what was written; opening has checked the rest."""
         for file in (part.samples for part in self.parts if part.samples):
-            with noting(self.damaged, path_of(file)):
+            with reading(self._location), noting(self.damaged, path_of(file)):
                 integrity.whole(self._location.get(path_of(file)), file.checksum)
 
-    def append(self, keys: Sequence[bytes], rows: Rows, samples: Sequence[Array]) -> None:
-        """Add finished blocks; durable after `flush`."""
+    def append(self, keys: Sequence[bytes], rows: Rows, samples: Sequence[Array] = ()) -> None:
+        """Add finished blocks, with their samples if these are kept; durable after `flush`."""
+        if not keys:
+            return
         records = np.zeros(len(keys), dtype=_record_type(self.dtype))
         records["key"] = np.frombuffer(b"".join(keys), dtype=f"V{KEY_BYTES}")
         records["row"] = rows
         self._new.append((records, np.concatenate([np.zeros((0, self.samples_width)), *samples])))
         self.rows.extend(keys)
         self._rows, self._changed = None, True
+        if sum(array.nbytes for blocks in self._new for array in blocks) > MOST_UNWRITTEN:
+            self.flush()
+
+    def fail(self, digest: bytes, record: Record) -> None:
+        """Remember that a point failed; durable after `flush`."""
+        self.failures[digest] = record
+        self.put("failures", {})
+
+    def clear_failures(self, digests: Iterable[bytes]) -> None:
+        """Forget failures of points, if there are any, so that they are computed again; durable after `flush`."""
+        for digest in self.failures.keys() & set(digests):
+            del self.failures[digest]
+            self.put("failures", {})
 
     def retype(self, dtype: np.dtype[np.void], samples_width: int, drop: Iterable[bytes]) -> None:
         """Give rows another type, those that are there without the blocks to ``drop``; durable after `flush`."""
@@ -152,7 +184,8 @@ class Ledger:
             kept = np.array([key.tobytes() not in gone for key in records["key"]], dtype=bool)
             changed["key"][kept] = records["key"][kept]
             samples = samples[np.repeat(kept, _counts(records).astype(np.intp))] if part.samples else samples
-            self.parts.append(self._put((changed, samples), revision, 10**6 + number))
+            with writing(self._location):
+                self.parts.append(self._put((changed, samples), revision, 10**6 + number))
         self.rows.remove(gone)
         self.dtype, self.samples_width, self._rows, self._changed = dtype, samples_width, None, True
 
@@ -162,17 +195,6 @@ class Ledger:
         self._new_documents.add(kind)
         self._changed = True
 
-    def put_failures(self) -> None:
-        """Replace the document of failed points with `failures`: all messages, and the ends of some tracebacks."""
-        kept: dict[str, Record] = {}
-        tracebacks = 0
-        for digest, record in self.failures.items():
-            text = record.get("traceback", "")
-            tracebacks += bool(text)
-            end = text.encode()[-TRACEBACK_BYTES:].decode(errors="ignore")  # the end says what was raised and where
-            kept[digest.hex()] = record | {"traceback": end if tracebacks <= MAX_TRACEBACKS else ""}
-        self.put("failures", {"failures": kept})
-
     def is_unchanged(self) -> bool:
         """Return whether the manifest is as it was read or written last; raises OSError."""
         return self._location.get(MANIFEST) in self._contents
@@ -180,12 +202,17 @@ class Ledger:
     def flush(self, *, again: bool = False) -> None:
         """Make everything durable, the manifest last, that too if nothing is new but ``again`` is set.
 
-        Raises OSError, and SweepError where others have changed or removed the ledger meanwhile.
+        Raises SweepError too where others have changed or removed the ledger meanwhile.
         """
-        if not (self._changed or again):
-            return
+        if self._changed or again:
+            with writing(self._location):
+                self._flush()
+
+    def _flush(self) -> None:
         if not self.is_unchanged():
             raise SweepError(CHANGED, str(self._location))
+        if "failures" in self._new_documents:
+            self._documents["failures"] = {"failures": _recorded(self.failures)}
         revision, before = self.manifest.revision + 1, set(self.files)
         parts = self._with_new(revision)
         documents: Any = {k: file for k, file in self.manifest.documents.items() if k in self._documents}
@@ -210,8 +237,9 @@ class Ledger:
 
     def tidy(self) -> None:
         """Remove the files that did not count any more at the last flush."""
-        for key in self._old - set(self.files):
-            self._location.delete(key)
+        with writing(self._location):
+            for key in self._old - set(self.files):
+                self._location.delete(key)
         self._old = set()
 
     def mend(self, damaged: Iterable[str]) -> None:
@@ -272,20 +300,20 @@ class Ledger:
         return records
 
     def _part(self, part: Part) -> Blocks:
-        """Return the rows and samples of a part that was written; raises DamagedError, OSError."""
+        """Return the rows and samples of a part that was written."""
         if part.rows.name in self._recent:
             return self._recent[part.rows.name]
         damaged: dict[str, str] = {}
         samples = np.zeros((0, self.samples_width))
-        with noting(damaged, path_of(part.rows)):
+        with reading(self._location), noting(damaged, path_of(part.rows)):
             content = _raw(part.rows, self._location.get(path_of(part.rows)))
             records = _unpacked(content, part.records, self.dtype)
-        with noting(damaged, path_of(part.samples)):
+        with reading(self._location), noting(damaged, path_of(part.samples)):
             if part.samples is not None and not damaged:
                 content = _raw(part.samples, self._location.get(path_of(part.samples)))
                 samples = np.frombuffer(content).reshape(int(_counts(records).sum()), self.samples_width)
         if damaged:
-            raise integrity.DamagedError(damaged)
+            raise DamagedError(self._location, damaged)
         self._remember(part, (records, samples))
         return records, samples
 
@@ -298,6 +326,15 @@ class Ledger:
 def path_of(file: File | None) -> str:
     """Return the name of a file of the ledger in its store."""
     return "" if file is None else f"{FOLDER}/{file.name}"
+
+
+def _recorded(failures: Mapping[bytes, Record]) -> dict[str, Record]:
+    """Return failures as JSON holds them: digests in hexadecimal, the ends of the first `MAX_TRACEBACKS` tracebacks."""
+    kept: dict[str, Record] = {}
+    for number, (digest, record) in enumerate(failures.items()):
+        end = record.get("traceback", "").encode()[-TRACEBACK_BYTES:]  # it says what was raised and where
+        kept[digest.hex()] = record | {"traceback": end.decode(errors="ignore") if number < MAX_TRACEBACKS else ""}
+    return kept
 
 
 def _record_type(dtype: np.dtype[np.void]) -> np.dtype[np.void]:

@@ -18,8 +18,8 @@ import platform
 import re
 import sys
 import warnings
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
@@ -30,11 +30,11 @@ from zarr.buffer import cpu
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
-from linksweep.sweep.contract import Array, Rows, SweepError
+from linksweep.sweep.contract import SweepError
 from linksweep.sweep.contract.reducer import EXACT_INT, lost_integers
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
-from linksweep.sweep.stores.ledger import FOLDER, Ledger, Record, path_of
+from linksweep.sweep.stores.ledger import FOLDER, REPAIR, DamagedError, Ledger, path_of
 from linksweep.sweep.stores.location import Folder, Location, Where, holder, located, locked, reading, writing
 
 if TYPE_CHECKING:
@@ -55,9 +55,6 @@ ORIGIN = "written_by"
 RESCUED = "rescued_of"
 """The attribute of a store of results alone: of which store they are that was lost while a run wrote to it."""
 
-MOST_UNWRITTEN = 2**26
-"""Bytes of rows and samples that may wait for the next flush."""
-
 ATTEMPTS = 20
 """How often a reader begins anew because what it reads was replaced meanwhile."""
 
@@ -71,8 +68,6 @@ TIMES: Mapping[str, Any] = {**SINCE, "dtype": "int64", FILL: MISSING_INT}
 """The encoding of times, to the last nanosecond."""
 
 CHUNK_NAMES = ({"name": "default", "separator": "."}, {"name": "v2", "separator": "."})
-
-REPAIR = "`sweep check {} --repair` repairs what can be repaired"
 
 MARKS = (b"linksweep_format", b"study_meaning", b"study_digest")
 """Words by which a document of a store can be recognised even if it is damaged."""
@@ -123,14 +118,14 @@ class OpenStore:
 
     def ledger(self) -> Ledger:
         """Return the ledger; raises SweepError that names the damaged files of it."""
-        with reading_ledger(self.location):
-            for attempt in range(ATTEMPTS):
-                ledger = Ledger(self.location, manifest_of(self.root))
-                if not ledger.damaged:
-                    return ledger
-                if ledger.is_unchanged() or attempt == ATTEMPTS - 1:
+        for _ in range(ATTEMPTS):
+            ledger = Ledger(self.location, manifest_of(self.root))
+            if not ledger.damaged:
+                return ledger
+            with reading(self.location):
+                if ledger.is_unchanged():
                     break  # else a run has replaced files that were not read yet
-            raise integrity.DamagedError(ledger.damaged)
+        raise DamagedError(self.location, ledger.damaged)
 
 
 class Store(OpenStore):
@@ -145,8 +140,9 @@ class Store(OpenStore):
         self._meaning = dict(meaning)
         self._ledger = self.ledger()
         self.failures, self.rows = self._ledger.failures, self._ledger.rows
-        self._failures_changed = False
-        self._unwritten = 0
+        self.read, self.samples, self.append = self._ledger.read, self._ledger.samples, self._ledger.append
+        self.fail, self.clear_failures = self._ledger.fail, self._ledger.clear_failures
+        self.flush, self.tidy = self._ledger.flush, self._ledger.tidy
         self._files = _of_arrays(self._ledger.keys, arrays_of(self.root))
 
     def hold(self, dtype: np.dtype[np.void], samples_width: int) -> None:
@@ -163,56 +159,14 @@ class Store(OpenStore):
                 "but to compute more run the study into a new store with -o",
                 str(self.location),
             )
-        with reading_ledger(self.location):
-            lost, keys = lost_integers(self._ledger.read(), dtype), self.rows.keys_of_rows()
-            self._ledger.retype(dtype, samples_width, [keys[row] for row in lost if keys[row] in self.rows])
-
-    def read(self) -> Rows:
-        """Return all rows of the ledger; `rows` has the place of each block in them."""
-        with reading_ledger(self.location):
-            return self._ledger.read()
-
-    def samples(self, key: bytes) -> Array:
-        """Return the kept samples of a finished block, (realisations, width); raises SweepError where they are
-        damaged.
-        """
-        with reading_ledger(self.location):
-            return self._ledger.samples(key)
+        lost, keys = lost_integers(self._ledger.read(), dtype), self.rows.keys_of_rows()
+        self._ledger.retype(dtype, samples_width, [keys[row] for row in lost if keys[row] in self.rows])
 
     def verify(self) -> None:
         """Raise SweepError where files of the ledger that opening did not read are damaged."""
-        with reading_ledger(self.location):
-            self._ledger.verify()
-            if self._ledger.damaged:
-                raise integrity.DamagedError(self._ledger.damaged)
-
-    def append(self, keys: Sequence[bytes], rows: Rows, samples: Sequence[Array] = ()) -> None:
-        """Add finished blocks, with their samples if the study keeps them; they are durable after the next `flush`."""
-        if not keys:
-            return
-        self._ledger.append(keys, rows, samples)
-        self._unwritten += rows.nbytes + sum(kept.nbytes for kept in samples)
-        if self._unwritten > MOST_UNWRITTEN:
-            self.flush()
-
-    def fail(self, digest: bytes, record: Record) -> None:
-        """Remember that a point failed; durable after the next `flush`."""
-        self.failures[digest] = record
-        self._failures_changed = True
-
-    def clear_failures(self, digests: Iterable[bytes]) -> None:
-        """Forget failures of points, if there are any, so that they are computed again; durable after `flush`."""
-        for digest in digests:
-            self._failures_changed |= self.failures.pop(digest, None) is not None
-
-    def flush(self) -> None:
-        """Make everything appended so far durable; raises SweepError where that is not possible."""
-        with writing(self.location):
-            if self._failures_changed:
-                self._ledger.put_failures()
-                self._failures_changed = False
-            self._ledger.flush()
-            self._unwritten = 0
+        self._ledger.verify()
+        if self._ledger.damaged:
+            raise DamagedError(self.location, self._ledger.damaged)
 
     def write(self, dataset: "xr.Dataset") -> None:
         """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
@@ -250,11 +204,6 @@ class Store(OpenStore):
             self.location.put(ROOT, integrity.sealed(self.root, ROOT))
             self._delete(gone)
         self._files = in_use
-
-    def tidy(self) -> None:
-        """Remove the files of the ledger that do not count any more, at the end of a run."""
-        with writing(self.location):
-            self._ledger.tidy()
 
     def lost(self) -> list[str]:
         """Return those of the files that were written which are not there any more, as after the folder was moved;
@@ -477,23 +426,6 @@ def was_written_here(location: Location, attributes: Mapping[str, Any]) -> bool:
     return bool(attributes.get(ORIGIN) == origin(location))
 
 
-def damaged_ledger(location: Location, files: Mapping[str, str]) -> SweepError:
-    """Return the error that names damaged files of a ledger, and what to do."""
-    problems = [f"{file} is damaged ({problem})" for file, problem in files.items()]
-    problems[-1] += f"; {REPAIR.format(location)}, and the next `sweep run` computes again what is lost"
-    return SweepError(problems, str(location))
-
-
-@contextmanager
-def reading_ledger(location: Location) -> Iterator[None]:
-    """Turn an OSError, or the DamagedError of a ledger, into a SweepError."""
-    try:
-        with reading(location):
-            yield
-    except integrity.DamagedError as error:
-        raise damaged_ledger(location, error.files) from error
-
-
 class _DaskArrays:
     """Replaces xarray's record of a module of arrays: has the class if it was imported, and imports it for the rest."""
 
@@ -554,7 +486,7 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
     expected = chunk_checksums(root).items()
     problems = {key: integrity.problem_of(contents[key], checksum) for key, checksum in expected}
     if damaged := {key: problem for key, problem in problems.items() if problem}:
-        raise integrity.DamagedError(damaged)
+        raise ValueError("; ".join(f"{key}: {problem}" for key, problem in damaged.items()))
     files: dict[str, Any] = {
         key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None
     }
@@ -694,9 +626,8 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], Ledger]:
         with integrity.noting(report.identity, ROOT):
             integrity.unsealed(location.get(ROOT), ROOT)
     of_root = integrity.Manifest(store=attributes[STORE]) if root is None else manifest_of(root)
-    with reading_ledger(location):
-        ledger = Ledger(location, of_root)
-        ledger.verify()
+    ledger = Ledger(location, of_root)
+    ledger.verify()
     report.ledger.update(ledger.damaged)
     if (copy_file := path_of(ledger.manifest.documents.get("study"))) in report.ledger:
         report.identity[copy_file] = report.ledger.pop(copy_file)
