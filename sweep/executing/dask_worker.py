@@ -11,8 +11,7 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code.files import LocalFiles
-from linksweep.sweep.code.load import Live, provide
+from linksweep.sweep.code.load import Live, LocalFiles, provide
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.process import Deadlines
 from linksweep.sweep.executing.task import Call, Task
