@@ -218,7 +218,7 @@ class AskedStudy:
 
 def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
     """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""
-    from linksweep.sweep.running.trust import require_trust_of_study
+    from linksweep.sweep.running.code import require_trust_of_study
     from linksweep.sweep.studies.document import find_study, reference_in
     from linksweep.sweep.studies.reader import load_study
 

@@ -13,6 +13,7 @@ import json
 import logging
 import os
 import pickle
+import platform
 import re
 import subprocess
 import sys
@@ -24,6 +25,8 @@ from pathlib import Path, PurePosixPath
 from types import ModuleType
 from typing import Any
 from weakref import WeakKeyDictionary
+
+from threadpoolctl import threadpool_info
 
 from linksweep.sweep.code.reach import (
     PREFIX,
@@ -44,6 +47,8 @@ OURS = "linksweep"
 SESSION = "session"
 """Stands in place of a module in the reference of a function that only this session has."""
 
+DECIDING = ("linksweep", "numpy", "scipy")
+OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
 SUFFIXES = (".py", *importlib.machinery.EXTENSION_SUFFIXES)
 DIGEST = re.compile("[0-9a-f]{24}")
 DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
@@ -162,8 +167,8 @@ class Live:
     def __init__(self, value: Callable[..., Any] | Experiment) -> None:
         self.value, self.reach = value, _reach(value)
         self.parts, self.digest = self.reach.parts, _digest(self.reach.parts)
-        name = value.name if isinstance(value, Experiment) else name_of(value)
-        self.path = _importable(value) or f"{SESSION}:{name}-{self.digest}"
+        self.name = value.name if isinstance(value, Experiment) else name_of(value)
+        self.path = _importable(value) or f"{SESSION}:{self.name}-{self.digest}"
 
     @cached_property
     def pickled(self) -> bytes:
@@ -179,7 +184,7 @@ class Live:
             _by_value(file, self.reach).dump(self.value)
         except Exception as error:  # whatever keeps an object from being pickled
             raise SweepError(
-                f"the function {name_of(self.value)} cannot be sent to workers "
+                f"the function {self.name} cannot be sent to workers "
                 f"({type(error).__name__}: {error}); use pool='threads' or pool='serial', or give it as 'FILE.py:NAME'"
             ) from error
         finally:
@@ -190,7 +195,7 @@ class Live:
     def __getstate__(self) -> dict[str, Any]:
         """Return the state with the function pickled once; raises SweepError as `pickled`."""
         acting = [name for name in self.reach.acting if name != "__main__"]
-        same = {name: vars(self)[name] for name in ("parts", "digest", "path")}
+        same = {name: vars(self)[name] for name in ("parts", "digest", "name", "path")}
         return {**same, "pickled": self.pickled, "paths": sys.path, "acting": acting}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -509,3 +514,57 @@ def _is_no(wanted: str, reference: str, value: object) -> SweepError:
     attribute = reference.rpartition(":")[2]
     kind = "has no attribute" if value is None else f"has a {type(value).__name__}, not {wanted}, at"
     return SweepError(f"{shown(reference)}: the module {kind} {shown(attribute)}")
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a process computes with, by name: versions and code that decide the numbers, and other versions."""
+
+    deciding: Mapping[str, str]
+    others: Mapping[str, str]
+
+
+def identity(reference: str, digest: str | None = None) -> Identity:
+    """Return with what this process would compute an experiment; raises SweepError as `load_experiment`."""
+    digest = digest or source_digest(reference)
+    return _identity.__wrapped__(reference, None) if digest is None else _identity(reference, digest)
+
+
+@lru_cache(maxsize=64)  # workers compare it with every task; not that of a module, which may be reloaded
+def _identity(reference: str, digest: str | None) -> Identity:
+    experiment = load_experiment(reference, digest=digest)
+    code = code_of(reference, experiment, digest).items()
+    deciding = {name: version_of(name) for name in DECIDING}
+    deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
+    deciding |= {name: text for name, text in code if not name.startswith("value ")}  # such as a time
+    others = {"python": platform.python_version(), "machine": platform.machine(), "linear algebra": _kernels()}
+    return Identity(deciding, others | {name: version_of(name) for name in OTHERS})
+
+
+@cache
+def _kernels() -> str:
+    """Return for which processor each library of linear algebra computes, on which the rounding of sums depends."""
+    known = (info for info in threadpool_info() if "architecture" in info)
+    return ", ".join(sorted({f"{info['internal_api']} for {info['architecture']}" for info in known})) or "unknown"
+
+
+def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
+    """Return a phrase for everything that differs between two processes."""
+    pairs = {name: (here.get(name, "unknown"), there.get(name, "unknown")) for name in {**here, **there}}
+    return [f"{name} is {one} here, {other} there" for name, (one, other) in pairs.items() if one != other]
+
+
+def require_same(expected: Mapping[str, str], answers: Mapping[str, Any]) -> None:
+    """Raise SweepError with a list of the workers, by their addresses, that have answered with an exception or with an
+    `Identity` in which something that decides the numbers is not as ``expected``.
+
+    A worker that has gone meanwhile (OSError) is left out: should it return, it is compared with its first task.
+    """
+    problems = []
+    for worker, what in sorted(answers.items()):
+        if isinstance(what, BaseException) and not isinstance(what, OSError):
+            problems.append(f"{worker}: {type(what).__name__}: {what}")
+        elif isinstance(what, Identity):
+            problems += [f"{worker}: {text}" for text in differences(expected, what.deciding)]
+    if problems:
+        raise SweepError(problems, "workers that would not compute what this process would")

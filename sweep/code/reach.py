@@ -274,7 +274,7 @@ class Reach:
         reduced = registered(value) if registered is not None else value.__reduce_ex__(4)
         if isinstance(reduced, str):
             return (reduced,)
-        function, args, state, items, pairs, *_ = *reduced, None, None, None
+        function, args, state, items, pairs = (*reduced, None, None, None)[:5]
         states = state if isinstance(state, tuple) else (state,)  # __dict__ and slots
         kept = [self._kept(value, one) if isinstance(one, dict) else one for one in states]
         return function, args, *kept, list(items or ()), list(pairs or ())

@@ -250,14 +250,11 @@ def test_a_package_that_is_not_installed(here):
     (here / "own" / "inner" / "__init__.py").touch()
     (here / "own" / "inner" / "part.py").write_text("from ..other import unit\ndef f(x: float): return x\n")
     (here / "own" / "other.py").write_text("unit = 1.0\n")
-    for reference, phrase in (
-        ("own/inner/part.py:f", f"named by its module: PYTHONPATH={here} sweep run own.inner.part:f"),
-        ("own.inner.part:f", f"No module named 'own'; it is not installed: PYTHONPATH={here} finds it here"),
-    ):
+    for reference in ("own/inner/part.py:f", "own.inner.part:f"):
         command = [sys.executable, "-P", "-m", "linksweep", "run", reference, "--axis", "x=1"]  # as the command is
         done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout) == (2, "")
-        assert phrase in done.stderr
+        assert "name a function of a package by its module, and put the package's folder in PYTHONPATH" in done.stderr
 
 
 def test_a_check_that_raises_is_a_reason(here):
