@@ -60,9 +60,11 @@ def catalogue_from_table(
     read.check((ra < -180.0) | (ra > 360.0), "an ra that is not between -180 and 360 deg", ra)
     pmra, pmdec = np.zeros((2, len(ra)))
     if moving:
-        pmra, pmdec = read.quantity("pmra"), read.quantity("pmdec")
-        if not _includes_cos_dec(read, pmra_cos_dec):
-            pmra = pmra * read.cos_dec
+        name = read.name("pmra")
+        known = read.in_time("pmra") or name == "pm_ra_cosdec" or any(mark in read.names for mark in GAIA_MARKS)
+        if pmra_cos_dec is None and not known:
+            read.problems.append(f"column {name!r} may or may not include cos(dec): say pmra_cos_dec = true or false")
+        pmra, pmdec = read.quantity("pmra", cos_dec=pmra_cos_dec), read.quantity("pmdec")
     both, reference, satellite = (_own_errors(read, side, len(ra)) for side in ("", *SIDES))
     own = satellite or both
     v_mag = read.quantity("v_mag") if read.has("v_mag") else np.full(len(ra), np.nan)
@@ -77,16 +79,6 @@ def catalogue_from_table(
         correlation=None if own is None else own.correlation,
         reference=reference or (both if satellite else None),
     )
-
-
-def _includes_cos_dec(read: Any, declared: bool | None) -> bool:
-    """Return whether pmra, as it was read, includes cos(dec), as declared or as the table shows."""
-    if read.in_time("pmra"):
-        return True  # the reader has multiplied
-    name = read.name("pmra")
-    if declared is None and name != "pm_ra_cosdec" and not any(mark in read.names for mark in GAIA_MARKS):
-        read.problems.append(f"column {name!r} may or may not include cos(dec): say pmra_cos_dec = true or false")
-    return declared is not False
 
 
 def _own_errors(read: Any, side: str, n_obj: int) -> OwnErrors | None:

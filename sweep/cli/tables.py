@@ -108,8 +108,8 @@ def _tables(
     extragalactic: Sequence[str] = table("The table with mean positions of quasars, which hold at any epoch."),
     jitter: Sequence[str] = many("Added in quadrature to rows of a kind, or of all.", metavar="KIND=MAS[:MAS_YR]"),
 ) -> dict[str, Any]:
-    """Return the options of the tables as `linksweep.sweep.tie.options.Options` has them."""
-    from linksweep.sweep.tie.options import TableOptions
+    """Return the options of the tables as `linksweep.sweep.tie.setup.Options` has them."""
+    from linksweep.sweep.tie.tables import TableOptions
 
     further = dict(_assigned("--mission", "NAME=TABLE", item) for item in missions)
     if len(further) < len(missions):
@@ -129,7 +129,7 @@ def _tables(
             extragalactic=name in extragalactic,
             positions=positions if name == "reference" else None,
             zero_errors=zero_errors,
-            pmra_cos_dec=name not in without_cos_dec,
+            pmra_cos_dec=False if name in without_cos_dec else None,
         )
         for name in names
     }
@@ -300,7 +300,7 @@ def tie(
     """
     from linksweep.sweep.tie.link import MisfitError
     from linksweep.sweep.tie.link import tie as solve
-    from linksweep.sweep.tie.options import parse_bins
+    from linksweep.sweep.tie.setup import parse_bins
 
     target.check()
     with suppress(ValueError, AttributeError):  # the name of a table, or none
