@@ -1,5 +1,5 @@
-"""The command group and the process around it: whatever ends a command becomes a message and an exit code, and no text
-of others controls the terminal.
+"""The command group and the process around it: whatever ends a command becomes a message and an exit code, no text of
+others controls the terminal, and results are printed in the width that there is.
 """
 
 import atexit
@@ -9,18 +9,23 @@ import inspect
 import io
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from linksweep.sweep.cli.options import call, group, parameters_of
-from linksweep.sweep.formatting import COMMAND, harmless
+from linksweep.sweep.cli import options
+from linksweep.sweep.formatting import COMMAND, WIDTH, harmless
+
+if TYPE_CHECKING:
+    from linksweep.sweep.table_writer import Table
 
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
@@ -67,20 +72,15 @@ class _Group(click.Group):
                 COMMAND[:] = before
 
     def invoke(self, ctx: click.Context) -> Any:
+        from linksweep.sweep.contract import SweepError
         from linksweep.sweep.interrupt import RunInterruptedError, how_ended, watched
 
         try:
             with watched():  # click itself would end with 1, which means that points failed
-                return self._invoke(ctx)
+                return super().invoke(ctx)
         except RunInterruptedError as stop:
             click.echo(how_ended(stop.signal.name), err=True)
             end_stopped(stop.signal)
-
-    def _invoke(self, ctx: click.Context) -> Any:
-        from linksweep.sweep.contract import SweepError
-
-        try:
-            return super().invoke(ctx)
         except SweepError as error:
             where, problems = f"{error.where}: " if error.where else "", error.problems
             click.echo(f"error: {where}{problems[0] if len(problems) == 1 else f'{len(problems)} problems'}", err=True)
@@ -105,11 +105,11 @@ def command(section: str, summary: str, name: str | None = None) -> Callable[[Ca
     """Return a decorator that makes a function, whose parameters declare its options, a command of a section."""
 
     def decorate(function: Callable[..., Any]) -> click.Command:
-        declared = group(function)
+        declared = options.group(function)
         made = click.Command(
             name or function.__name__,
-            params=list(parameters_of(declared).values()),
-            callback=lambda **values: call(declared, values),
+            params=list(declared.parameters().values()),
+            callback=lambda **values: declared.call(values),
             help=inspect.getdoc(function),
             short_help=summary,
         )
@@ -186,22 +186,22 @@ class _Unfailing(io.TextIOWrapper):
     problem: OSError | None = None
 
     def write(self, text: str) -> int:
-        try:
-            return super().write(text)
-        except OSError as error:
-            self._keep(error)
-            return len(text)
+        with self._kept():
+            super().write(text)
+        return len(text)
 
     def flush(self) -> None:
-        try:
+        with self._kept():
             super().flush()
-        except OSError as error:
-            self._keep(error)
 
-    def _keep(self, error: OSError) -> None:
-        if error.errno == errno.EPIPE:
-            raise error
-        self.problem = self.problem or error
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if error.errno == errno.EPIPE:
+                raise
+            self.problem = self.problem or error
 
 
 class _Harmless:
@@ -258,3 +258,66 @@ def prepare_streams() -> None:
             lines, through = stream.line_buffering, stream.write_through
             unfailing = _Unfailing(stream.buffer, stream.encoding, "backslashreplace", None, lines, through)
             setattr(sys, name, unfailing)
+
+
+def print_wrapped(text: str, first: str = "", later: str = "") -> None:
+    """Print a sentence in lines of the width of a terminal, the first and the later ones behind a prefix."""
+    click.echo(click.wrap_text(text, WIDTH, first, later))
+
+
+def print_styled(text: str, **style: bool) -> None:
+    """Print text in a style of ours, which it cannot change."""
+    click.secho(harmless(text), file=getattr(sys.stdout, "unescaped", None), **style)
+
+
+def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
+    """Print tables with the columns for which there is room, and sentences below them; no number is cut."""
+    width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
+    for number, table in enumerate(tables):
+        kept, left_out = table.fitting(width)
+        text = kept.text(width, styled=True)
+        click.echo(f"\n{text}" if number else text, file=getattr(sys.stdout, "unescaped", None))
+        if left_out:
+            print_wrapped(f"left out to fit {width} columns: {left_out}; --json has them")
+    for sentence in notes:
+        print_wrapped(sentence)
+
+
+def print_result(dataset: Any, table_format: str) -> None:
+    """Print results of any kind: their tables and notes, or their table for programs."""
+    from linksweep.sweep.result import Result
+
+    result = Result(dataset)
+    if table_format == "text":
+        notes = result.notes()
+        print_tables(result.tables(), ["", *notes] if notes else ())
+    else:
+        click.echo(result.written(table_format).rstrip("\n"))
+
+
+def print_headlines(dataset: Any, as_json: bool) -> None:
+    """Print the headline results of a study and what is to be said about them, or all results for programs."""
+    from linksweep.sweep.analysis.results_table import headline_table, notes
+
+    if as_json:
+        print_result(dataset, "json")
+    else:
+        print_tables([headline_table(dataset)], notes(dataset))
+
+
+def drawing_styles() -> Any:
+    """Return `linksweep.sweep.plots.style`; raises click.UsageError where matplotlib, which it needs, is missing."""
+    try:
+        from linksweep.sweep.plots import style
+    except ImportError as error:
+        raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
+    return style
+
+
+def save_figure(dataset: Any, path: Path) -> None:
+    """Draw a dataset into a file, in the way that suits it."""
+    from linksweep.sweep.plots import style
+    from linksweep.sweep.plots.figure import draw_figure
+
+    with style.settings():
+        style.save(draw_figure(dataset), path)

@@ -21,11 +21,12 @@ from linksweep.sweep.analysis.compare import (
 )
 from linksweep.sweep.analysis.quantity import claims_of
 from linksweep.sweep.cli import main
-from linksweep.sweep.cli.published_stores import paper_studies, store_of, unfinished
+from linksweep.sweep.cli.look import is_finished, paper_studies
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.running.run import run_study
+from linksweep.sweep.stores.location import located
 from linksweep.sweep.studies.document import built_in_studies
 from linksweep.sweep.studies.reader import load_study, study_from_dict
 from linksweep.sweep.studies.study import printed_rounding
@@ -589,23 +590,21 @@ def test_bad_input_is_exit_code_2(coins, tmp_path, monkeypatch, arguments, phras
 
 
 def test_all_runs_what_is_missing_and_only_that(tmp_path, monkeypatch, coin_study):
-    monkeypatch.setattr("linksweep.sweep.cli.published_stores.built_in_studies", lambda: {str(coin_study): coin_study})
-    studies, results = paper_studies(published=True), tmp_path / "results"
-    assert [s.name for s in unfinished(studies, results)] == ["study"]
-    run_study(studies[0], store_of(studies[0], results), SERIAL)
-    assert unfinished(studies, results) == []
-    overridden = load_study(str(coin_study), axes=["coins=1,5,20,30"])
-    run_study(overridden, store_of(overridden, results), SERIAL)
-    assert len(unfinished(studies, results)) == 1  # complete, but not what the study asks for
-    coin_study.write_text(coin_study.read_text().replace('"0.5"', '"0.4"'))
-    assert len(unfinished(paper_studies(published=True), results)) == 1
+    monkeypatch.setattr("linksweep.sweep.studies.document.built_in_studies", lambda: {str(coin_study): coin_study})
+    [study], store = paper_studies(published=True), located(tmp_path / "study.zarr")
+    assert not is_finished(study, store)
+    run_study(study, store, SERIAL)
+    assert is_finished(study, store)
+    run_study(load_study(str(coin_study), axes=["coins=1,5,20,30"]), store, SERIAL)
+    assert not is_finished(study, store)  # complete, but not what the study asks for
     coin_study.write_text(coin_study.read_text().replace("seed = 7", "seed = 8"))
-    with pytest.raises(SweepError, match="a different study"):
-        unfinished(paper_studies(published=True), results)
+    outcome = CliRunner().invoke(main, ["compare", "--all", "--results", str(tmp_path), "--pool", "serial"])
+    assert outcome.exit_code == 2
+    assert "a different study" in outcome.stderr
 
 
 def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coin_study):
-    monkeypatch.setattr("linksweep.sweep.cli.published_stores.built_in_studies", lambda: {str(coin_study): coin_study})
+    monkeypatch.setattr("linksweep.sweep.studies.document.built_in_studies", lambda: {str(coin_study): coin_study})
     for _ in range(2):
         arguments = ["compare", "--all", "--results", str(tmp_path / "all"), "--pool", "serial"]
         outcome = CliRunner().invoke(main, arguments)

@@ -428,10 +428,10 @@ def attributes(store, change):
 
 
 def flip(folder, files="*"):
-    chunk = next(p for p in sorted(folder.rglob(files)) if p.is_file() and p.name != "zarr.json")
-    content = bytearray(chunk.read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    chunk.write_bytes(content)
+    for chunk in [path for path in folder.rglob(files) if path.is_file() and path.name != "zarr.json"]:
+        content = bytearray(chunk.read_bytes())
+        content[len(content) // 2] ^= 0xFF
+        chunk.write_bytes(content)
 
 
 GOING_ON = {

@@ -383,7 +383,7 @@ def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coins, sweep):
     study += f"[sampling]\nn_sim = 1000\nn_cat = 20\nseed = 7\n[[claim]]\n{claim}value = {{ variable = 'share' }}\n"
     (tmp_path / "coins.toml").write_text(study)
     path = tmp_path / "coins.toml"
-    monkeypatch.setattr("linksweep.sweep.cli.published_stores.built_in_studies", lambda: {str(path): path})
+    monkeypatch.setattr("linksweep.sweep.studies.document.built_in_studies", lambda: {str(path): path})
     code, _, err = sweep("report", "--all", "--results", "all", "--pool", "serial")
     assert code == 0, err
     page = (tmp_path / "paper-report.html").read_text()
