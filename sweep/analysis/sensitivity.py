@@ -24,8 +24,8 @@ from linksweep.sweep.analysis.derived import derived
 from linksweep.sweep.contract import Array, SweepError
 from linksweep.sweep.formatting import units_of
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.studies.points import DESIGNS, MORRIS_LEVELS, Range, salib, unit_cube
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
-from linksweep.sweep.studies.values import DESIGNS, MORRIS_LEVELS, Range, salib, unit_cube
 
 # The attribute of a dataset of indices that says how they were made.
 METHOD = "sensitivity_method"

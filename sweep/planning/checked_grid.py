@@ -7,8 +7,8 @@ from typing import Any, Generic, TypeVar
 
 from linksweep.sweep.contract import Point, SweepError, shown
 from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.studies.points import remarks
 from linksweep.sweep.studies.study import POINT, Study
-from linksweep.sweep.studies.values import remarks
 
 T = TypeVar("T")
 

@@ -444,11 +444,11 @@ BAD_CLAIMS = {  # the rest of the claim -> what is said
     ),
     "unknown output": (
         'value = { variable = "shares" }',
-        "claim.0.value.variable (line 16): unknown output 'shares'; did you mean 'share'?",
+        "claim.0.value.variable (line 16): 'shares' is no output; did you mean 'share'?",
     ),
     "axis fixed": (
         'slope = { variable = "share", over = "coins" }\nwhere = { coins = 5 }',
-        "claim.0.slope.over (line 16): 'coins' cannot vary, because 'where' fixes 'coins'",
+        "claim.0 (line 12): 'coins' cannot vary, because 'where' fixes coins",
     ),
     "value not on the axis": (
         'value = { variable = "share", at = { coins = 6 } }',
@@ -456,15 +456,15 @@ BAD_CLAIMS = {  # the rest of the claim -> what is said
     ),
     "ratio of one place": (
         'ratio = { variable = "share", of = { coins = 5 }, to = { coins = 5 } }',
-        "claim.0.ratio (line 16): 'of' and 'to' are the same place",
+        "claim.0.ratio (line 16): 'of' and 'to' must give different values of the same axes",
     ),
     "place given twice": (
         f"{PLACE}\nwhere = {{ coins = 1 }}",
-        "claim.0.value.at.coins (line 16): is given by 'where' too; leave out one of the two",
+        "claim.0 (line 12): coins: is given by 'where' too; leave out one of the two",
     ),
     "tolerance without a reason": (
         f"{PLACE}\ntolerance = 0.1",
-        "claim.0.tolerance (line 17): a tolerance needs a tolerance_reason, and the other way round",
+        "claim.0 (line 12): a tolerance needs a tolerance_reason, and the other way round",
     ),
 }
 
@@ -491,18 +491,18 @@ def test_all_problems_of_all_claims_at_once(tmp_path):
     (tmp_path / "study.toml").write_text(f"{GOOD}{CLAIM}{other}\n[published]\nfile = 'no.csv'\nsource = ''\n")
     with pytest.raises(SweepError) as refused:
         load_study(str(tmp_path / "study.toml"))
-    assert [p.partition(" (")[0] for p in refused.value.problems] == [
+    assert {p.partition(" (")[0] for p in refused.value.problems} == {
         *("published.file", "claim.0", "claim.1.published", "claim.1.value.variable"),
         *("claim.1.value.at.coins", "claim.1.value.at.metl"),
-    ]
+    }
 
 
 def test_a_slope_needs_two_positive_values_that_are_free_to_vary(coins):
     slope = claim(slope={"variable": "share", "over": "coins"})
-    with pytest.raises(SweepError, match="'coins' needs at least two values"):
+    with pytest.raises(SweepError, match="'coins' needs at least two numbers"):
         study_from_dict(coins | {"axes": {"coins": [5]}, "claim": [slope]})
     zipped = {"axes": {"coins": [1, 5], "chance": [0.3, 0.6]}, "fixed": {}, "grid": {"zip": [["coins", "chance"]]}}
-    with pytest.raises(SweepError, match="'coins' cannot vary, because 'where' fixes 'chance'"):
+    with pytest.raises(SweepError, match="'coins' cannot vary, because 'where' fixes chance"):
         study_from_dict(coins | zipped | {"claim": [slope | {"where": {"chance": 0.3}}]})
 
 
@@ -513,9 +513,9 @@ def test_results_with_dimensions_need_a_component(link_study):
 
     text = link_study.read_text()
     assert read('variable = "sigma", component = "omega_x"').claims[0].quantity().component == "omega_x"
-    with pytest.raises(SweepError, match=r"sigma needs a component: one of epsilon_x, .*omega_z"):
+    with pytest.raises(SweepError, match=r"component = None: must be one of epsilon_x, .*omega_z"):
         read('variable = "sigma"')
-    with pytest.raises(SweepError, match="unknown component 'omega_q'; did you mean 'omega_"):
+    with pytest.raises(SweepError, match=r"component = 'omega_q': must be one of epsilon_x, .*"):
         read('variable = "sigma", component = "omega_q"')
     with pytest.raises(SweepError, match="covariance has the dimensions component, component_other; at most one"):
         read('variable = "covariance", component = "omega_x"')

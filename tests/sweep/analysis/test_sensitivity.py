@@ -15,7 +15,7 @@ from linksweep.sweep.analysis.sensitivity import (
     saltelli_indices,
     weights_of_order,
 )
-from linksweep.sweep.studies.values import DESIGNS
+from linksweep.sweep.studies.points import DESIGNS
 from tests.tiers import slow
 
 PI = np.pi
@@ -286,7 +286,7 @@ def test_errors_of_given_points_cover_the_truth(n):
 def test_errors_of_saltelli_designs_are_one_sigma():
     """Half of SALib's intervals of 95 % are 1.96 standard deviations of the same resamples."""
     sobol = pytest.importorskip("SALib.analyze.sobol")
-    unit = DESIGNS["saltelli"].make(64, 3, 1)
+    unit = np.asarray(DESIGNS["saltelli"].draw(64, 3, np.random.default_rng(1)))
     values = ishigami_of(*(2 * PI * unit.T - PI))
     problem = {"num_vars": 3, "names": list(BOX), "bounds": [[0.0, 1.0]] * 3}
     theirs = sobol.analyze(problem, values, calc_second_order=False, num_resamples=200, conf_level=0.95, seed=1)
@@ -299,7 +299,7 @@ def test_errors_of_saltelli_designs_are_one_sigma():
 def test_errors_of_saltelli_designs_cover_the_truth():
     found = []
     for seed in range(60):
-        unit = DESIGNS["saltelli"].make(256, 3, seed)
+        unit = np.asarray(DESIGNS["saltelli"].draw(256, 3, np.random.default_rng(seed)))
         found.append(saltelli_indices(ishigami_of(*(2 * PI * unit.T - PI)), 3, seed))
     first, first_error, total, total_error = np.moveaxis(np.array(found), 1, 0)
     for k in range(3):

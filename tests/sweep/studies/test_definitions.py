@@ -150,7 +150,7 @@ def test_points_are_known_by_the_curve_and_not_by_its_name(here):
 
 def test_one_curve_under_two_names_is_one_value(here):
     copy = STUDY[STUDY.index("[define.model.small]") : STUDY.index("[define.model.coded]")].replace("small", "copy")
-    with pytest.raises(SweepError, match="duplicate value 'small'"):
+    with pytest.raises(SweepError, match="duplicate values 'small'"):
         edited(here, ("[fixed]", f"{copy}[fixed]"), ('"small", "coded"', '"small", "copy"'))
 
 
