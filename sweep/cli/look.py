@@ -1,6 +1,5 @@
 """Commands that look at results: list, show, plot, report, fit, find, sensitivity and compare."""
 
-import logging
 import sys
 import tomllib
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ import click
 from linksweep.sweep.cli import group, options
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command, print_result
 from linksweep.sweep.cli.options import AT, JSON, STORE, At, arg, choice, flag, json_or, many, opt, parsed, part_of
-from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress, watching
+from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress
 from linksweep.sweep.formatting import to_json
 from linksweep.sweep.plots import ALL_KINDS, KINDS
 
@@ -22,11 +21,9 @@ if TYPE_CHECKING:
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.study import Study
 
+KIND_HELP = f"What to draw: {', '.join(ALL_KINDS)}.  [default: what suits the results]"
 PERCENT = click.FloatRange(0.0, 100.0, min_open=True, max_open=True)
 LAWS = "power: variable ~ over^p; levelling: variable^2 = plateau^2 + c exp(-rate x over)."
-
-TABLES = (".csv", ".json")
-"""Tables that `sweep sensitivity` writes, beside stores and pictures."""
 
 PAPER_ORDER = (
     *("algorithm", "error-surface", "sqrt-n", "scatter", "quasars", "galaxies", "completeness", "mission-length"),
@@ -113,9 +110,7 @@ class Drawing:
     """What is drawn, as the command line names it."""
 
     source: str | None = arg(required=False)
-    kind: str | None = choice(
-        f"What to draw: {', '.join(ALL_KINDS)}.  [default: what suits the results]", ALL_KINDS, metavar="KIND"
-    )
+    kind: str | None = choice(KIND_HELP, ALL_KINDS, metavar="KIND")
     variables: At = many("The quantity; several become panels.  [default: the main result]", "--variable")
     over: At = many("The axis to draw along; give both for a map, or two components of a scatter.")
     log: At = many("Give this axis or quantity a logarithmic axis.", metavar="NAME")
@@ -130,9 +125,7 @@ class Drawing:
         if self.models and self.kind != "accuracy":
             raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=NAME")
         if self.kind in KINDS["catalogue"] and (self.variables or self.over or self.log or self.linear):
-            raise click.UsageError(
-                f"--variable and --over do not go with --kind {self.kind}, nor do --log and --linear"
-            )
+            raise click.UsageError(f"--variable, --over, --log and --linear do not go with --kind {self.kind}")
 
     def figure(self) -> tuple[Any, Any]:
         """Return a figure, and the dataset that it shows."""
@@ -166,11 +159,7 @@ class Drawing:
 @command("Look", "Draw results")
 def plot(
     drawn: Drawing = options.group(Drawing),
-    width: float | None = opt(
-        "How wide it will be printed, 88mm or 180mm; letters have the same size at any.  [default: each kind's own]",
-        metavar="MM",
-        callback=_millimetres,
-    ),
+    width: float | None = opt("How wide it is printed, e.g. 88mm or 180mm.", metavar="MM", callback=_millimetres),
     style: str | None = choice("Sizes of letters and lines.  [default: paper]", ("paper", "talk")),
     caption: bool = flag("Write NAME.txt beside the picture: caption and alternative text."),
     output: Path | None = options.output("Picture to write: .png, .svg or .pdf.  [default: NAME.png]"),
@@ -249,7 +238,7 @@ class AskedStores:
     everything: bool = flag("Every built-in study (with something published), run if it has not been yet.", "--all")
     results: Path | None = opt("Folder with the stores of --all.  [default: results]", type=options.FILE)
     resources: "Resources" = options.group(resources)
-    watching: Watching = options.group(watching)
+    watching: Watching = options.group(Watching)
 
     def require_either(self) -> None:
         """Raise click.UsageError unless there are either stores or --all, and for options of --all without it."""
@@ -257,7 +246,9 @@ class AskedStores:
 
         if self.everything == bool(self.stores):
             raise click.UsageError("name stores, or give --all")
-        is_about_runs = self.results is not None or self.resources != Resources() or self.watching != Watching()
+        is_about_runs = (
+            self.results is not None or self.resources != Resources() or self.watching != Watching(False, False, None)
+        )
         if is_about_runs and not self.everything:
             raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without")
 
@@ -282,7 +273,7 @@ class AskedStores:
                 pending.append((study, store))
             stores.append(store)
         for study, store in pending:
-            if self.watching.level < logging.ERROR:
+            if not self.watching.quiet:
                 click.echo(f"{study.name}:", err=True)
             run_with_progress(study, store, Running(self.resources, self.watching, None, False, False, None))
         return stores
@@ -389,7 +380,7 @@ def sensitivity(
     store: "Location" = STORE,
     variable: str | None = opt("What varies.  [default: the main result]"),
     at: At = AT,
-    output: Path | None = options.output("Write .csv, .json or .zarr, or draw .png, .svg, .pdf."),
+    output: Path | None = options.output("Write .zarr, or draw .png, .svg, .pdf."),
     as_json: bool = JSON,
 ) -> None:
     """Estimate how much of the variance of a result in STORE is due to each parameter, with errors.
@@ -402,23 +393,17 @@ def sensitivity(
     sweep sensitivity results/sir.zarr --variable peak -o peak.png
     """
     from linksweep.sweep.analysis.sensitivity import sensitivity as indices_of
-    from linksweep.sweep.contract import SweepError
     from linksweep.sweep.result import Result, require_free
 
     suffix = "" if output is None else output.suffix.lower()
     with part_of(store, at) as dataset:
         if output is not None and suffix == ".zarr":
             require_free(output)
-        elif output is not None and suffix not in TABLES and suffix not in (formats := group.drawing_styles().FORMATS):
-            raise SweepError(f"the name must end with {', '.join((*TABLES, '.zarr', *formats))}", str(output))
+        elif output is not None:
+            group.drawing_styles().require_format(output)
         result = indices_of(dataset, variable)
     if output is not None and suffix == ".zarr":
         Result(result).save(output)
-    elif output is not None and suffix in TABLES:
-        try:
-            output.write_text(Result(result).written(suffix[1:]).rstrip("\n") + "\n", encoding="utf-8")
-        except OSError as error:
-            raise SweepError(f"cannot be written: {error.strerror or error}", str(output)) from error
     elif output is not None:
         group.save_figure(result, output)
     print_result(result, "json" if as_json else "text")

@@ -94,14 +94,6 @@ def resources(
     return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit), dashboard)
 
 
-@dataclass(frozen=True)
-class Watching:
-    """How much the user wants to see: ``level`` of the logging module, and the log file."""
-
-    level: int = logging.INFO
-    log: TextIO | None = None
-
-
 def _log_file(context: click.Context, _parameter: click.Parameter, value: str | None) -> TextIO | None:
     if value is None or context.resilient_parsing:
         return None
@@ -112,15 +104,22 @@ def _log_file(context: click.Context, _parameter: click.Parameter, value: str | 
         raise click.BadParameter(f"{value!r} cannot be written: {reason}") from error
 
 
-def watching(
-    quiet: bool = flag("Print only errors, and the table.", "--quiet", "-q"),
-    verbose: bool = flag("Print a line for each point, and Dask's warnings.", "--verbose", "-v"),
-    log: TextIO | None = opt("Append everything to FILE, with times.", metavar="FILE", callback=_log_file),
-) -> Watching:
-    """Return what the user wants to see; raises click.UsageError for options that contradict each other."""
-    if quiet and verbose:
-        raise click.UsageError("--quiet and --verbose contradict each other")
-    return Watching(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO, log)
+@dataclass(frozen=True)
+class Watching:
+    """How much the user wants to see, and the log file; raises click.UsageError for options that contradict."""
+
+    quiet: bool = flag("Print only errors, and the table.", "--quiet", "-q")
+    verbose: bool = flag("Print a line for each point, and Dask's warnings.", "--verbose", "-v")
+    log: TextIO | None = opt("Append everything to FILE, with times.", metavar="FILE", callback=_log_file)
+
+    def __post_init__(self) -> None:
+        if self.quiet and self.verbose:
+            raise click.UsageError("--quiet and --verbose contradict each other")
+
+    @property
+    def level(self) -> int:
+        """The level of the logging module."""
+        return logging.ERROR if self.quiet else logging.DEBUG if self.verbose else logging.INFO
 
 
 class _Lines(logging.Handler):
@@ -184,14 +183,12 @@ class Running:
     """How a study is run: on what, what the user sees (no results if ``as_json`` is None), and what it may continue."""
 
     resources: "Resources" = options.group(resources)
-    watching: Watching = options.group(watching)
+    watching: Watching = options.group(Watching)
     as_json: bool | None = options.JSON
     break_lock: bool = options.BREAK_LOCK
     accept_code: bool = options.ACCEPT_CODE
     max_failures: "MaxFailures | None" = opt(
-        "End the run when more points fail; 100% never.  [default: if the first 20 all fail for one reason]",
-        metavar="N|P%",
-        callback=_max_failures,
+        "End when more points fail.  [default: if the first 20 fail alike]", metavar="N|P%", callback=_max_failures
     )
 
 
@@ -207,7 +204,7 @@ def run_with_progress(
     from linksweep.sweep.running.run import run_study
     from linksweep.sweep.stores.location import short_name
 
-    bar = how.watching.level < logging.ERROR
+    bar = not how.watching.quiet
     with group.a_signal_ends_the_command(), _logged(how.watching), TerminalProgress(study, bar) as progress:
         try:
             dataset, failures = run_study(
@@ -218,9 +215,8 @@ def run_with_progress(
             group.end_stopped(stop.signal)
         if how.as_json is not None:
             group.print_headlines(dataset, how.as_json)
-        name = short_name(store)
-        next_commands = (f"sweep plot {name}", f"sweep report {name}")
-        progress.finish(failures, store, () if how.as_json is None else next_commands)
+        looks = () if how.as_json is None else ("plot", "report")
+        progress.finish(failures, store, [f"sweep {look} {short_name(store)}" for look in looks])
     if how.as_json is False:
         for sentence in answer_in_short(dataset):
             group.print_wrapped(sentence)
@@ -248,9 +244,7 @@ def run(
     how: Running = options.group(Running),
     retry: bool = flag("STUDY is a store: compute its failed points again, and only those."),
     fresh: bool = flag("Replace an existing store, whatever its study and code."),
-    verify: int = opt(
-        "At the end compute so many points again.", type=click.IntRange(0), default=0, show_default=False
-    ),
+    verify: int = opt("At the end compute so many points again.", type=click.IntRange(0), default=0),
 ) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
 
@@ -268,7 +262,7 @@ def run(
         raise click.UsageError("--retry and --fresh contradict each other")
     study, store = asked.stored() if retry else asked.load()
     failures = run_with_progress(study, store, how, retry=retry, fresh=fresh)
-    differing = verify and print_verified(study, store, verify, how.watching.level < logging.ERROR)
+    differing = verify and print_verified(study, store, verify, not how.watching.quiet)
     if failures or differing:
         sys.exit(EXIT_FAILED_POINTS)
 
@@ -339,7 +333,6 @@ def scaling(
     """
     if figure is not None:
         group.drawing_styles().require_format(figure)
-    from linksweep.sweep.interrupt import RunInterruptedError
     from linksweep.sweep.result import Result, require_free
     from linksweep.sweep.running.scaling import measure_scaling
     from linksweep.sweep.stores.location import default_store
@@ -348,15 +341,8 @@ def scaling(
     path = output or default_store(f"{loaded.name}-scaling")
     require_free(path)
     with group.a_signal_ends_the_command():
-        try:
-            dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
-        except RunInterruptedError as stop:
-            group.end_stopped(stop.signal)
-    if as_json:
-        records = Result(dataset).records()
-        click.echo(to_json([dict(zip((c.name for c in records.columns), row, strict=True)) for row in records.rows]))
-    else:
-        group.print_result(dataset, "text")
+        dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
+    group.print_result(dataset, "json" if as_json else "text")
     Result(dataset).save(path)
     if figure is not None:
         group.save_figure(dataset, figure)
@@ -423,9 +409,8 @@ def check(
     if as_json:
         click.echo(to_json(report))
     else:
-        damaged = report.identity | report.ledger | report.results
-        lines = [] if report else [WHOLE]
-        lines += [f"{file}: {problem}" for file, problem in damaged.items()]
+        damaged = (report.identity | report.ledger | report.results).items()
+        lines = [f"{file}: {problem}" for file, problem in damaged] or [WHOLE]
         click.echo("\n".join([*lines, *(f"{store} {remark}" for remark in report.remarks)]))
     if report:
         click.echo(f"`sweep check {store} --repair` repairs what can be repaired", err=True)
