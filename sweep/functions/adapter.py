@@ -15,8 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Experiment, GeneratorPair, SweepError, shown
-from linksweep.sweep.contract.declaration import RESERVED, TAKEN, packages_problems, parameter_problems
-from linksweep.sweep.contract.parameter import Kind, Output, Parameter, Point
+from linksweep.sweep.contract.parameter import (
+    RESERVED,
+    TAKEN,
+    Kind,
+    Output,
+    Parameter,
+    Point,
+    packages_problems,
+    parameter_problems,
+)
 from linksweep.sweep.contract.reducer import Array, Outcome, Reducer, ResultError, Rows
 from linksweep.sweep.contract.units import unit_problem
 from linksweep.sweep.functions import results
@@ -359,6 +367,10 @@ class FunctionExperiment(Experiment):
     def repeatable(self) -> bool:
         """Whether every call at a point is to return the same."""
         return not self.rng and self.call is not None and self.declaration.deterministic
+
+    def not_repeatable(self) -> "FunctionExperiment":
+        """Return the experiment of a function that may return other results each time."""
+        return replace(self, declaration=replace(self.declaration, deterministic=False))
 
     @property
     def undeclared(self) -> bool:

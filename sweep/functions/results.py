@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, shown, suggest
-from linksweep.sweep.contract.declaration import name_problem
+from linksweep.sweep.contract.parameter import name_problem
 from linksweep.sweep.contract.reducer import beyond_floats, not_finite
 from linksweep.sweep.contract.units import is_quantity, same_unit
 
