@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, SweepError, suggest
-from linksweep.sweep.tables.delimited import MISSING
+from linksweep.sweep.tables.reader import MISSING
 
 Flags = NDArray[np.bool_]
 
@@ -56,6 +56,9 @@ HOURS = 24.0
 
 MJD_FROM, JD_FROM, JD_OF_MJD = 15000.0, 2.3e6, 2400000.5
 """Epochs above the first are modified Julian dates, and those above the second Julian dates."""
+
+GAIA_MARKS = {"source_id", "ref_epoch"}
+"""A table with these columns is of the Gaia archive, whose ra is in degrees."""
 
 SEXAGESIMAL = {"deg": False, "d:m:s": False, "hourangle": True, "h": True, "h:m:s": True}
 """Units of angles that are text, and whether these are hours."""
@@ -324,7 +327,8 @@ class Columns:
             size = float(np.max(np.abs(values), where=~np.isnan(values), initial=0.0))
             if wanted == "deg" and _NAMED_RADIANS.search(name) and size <= 2.0 * np.pi:
                 return np.degrees(values)
-            if quantity == "ra" and np.isfinite(values).any():
+            # the Gaia archive's CSV has no units, and a small field may lie anywhere
+            if quantity == "ra" and np.isfinite(values).any() and not (name == "ra" and {*self.names} >= GAIA_MARKS):
                 _check_hours(name, values, size)
             return values
         factor = _factor(unit, wanted, along_ra)
