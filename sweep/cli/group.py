@@ -44,7 +44,8 @@ SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Com
 _stopped_by: list[int] = []
 """The signal that ended the command, if one did."""
 
-atexit.register(gc.freeze)  # else Python searches all imports for garbage at the end, which takes a fifth of a second
+# Else Python searches all imports for garbage at the end, which takes a fifth of a second.
+atexit.register(gc.freeze)
 
 
 class _Group(click.Group):
@@ -63,6 +64,7 @@ class _Group(click.Group):
             try:
                 return super().main(args, *further, **named)
             except SystemExit as end:
+                # A full disk is noticed only now where the output was short.
                 sys.stdout.flush()
                 if (problem := getattr(sys.stdout, "problem", None)) is None:
                     raise
@@ -76,7 +78,8 @@ class _Group(click.Group):
         from linksweep.sweep.interrupt import RunInterruptedError, how_ended, watched
 
         try:
-            with watched():  # click itself would end with 1, which means that points failed
+            with watched():
+                # Click itself would end with 1 at Ctrl-C, which means that points failed.
                 return super().invoke(ctx)
         except RunInterruptedError as stop:
             click.echo(how_ended(stop.signal.name), err=True)
@@ -133,6 +136,7 @@ def a_signal_ends_the_command() -> Iterator[None]:
     before = {number: handler for number, handler in answered.items() if handler not in (signal.SIG_IGN, None)}
     for number in before:
         signal.signal(number, _leave_at_once)
+    # In `sys.warnoptions`, because only what stands there is passed on to processes that Python starts.
     sys.warnoptions.append(NO_LEAK_WARNING)
     try:
         yield
@@ -146,6 +150,7 @@ def end_stopped(number: int) -> NoReturn:
     """End the process with the exit code of a signal; workers that still compute are not waited for."""
     _stopped_by.append(number)
     _kill_children()
+    # Threads of Dask and of C code may never come back; Python would join them first.
     without_clean_up = threading.Timer(LAST_SECOND, os._exit, (128 + number,))
     without_clean_up.daemon = True
     without_clean_up.start()
@@ -167,7 +172,8 @@ def leave_with_exit_code() -> None:
 def _leave_at_once(number: int, _frame: FrameType | None) -> NoReturn:
     _kill_children()
     with suppress(OSError):
-        show_cursor = "\x1b[?25h" if os.isatty(2) else ""  # a progress bar hides it
+        # A progress bar hides the cursor.
+        show_cursor = "\x1b[?25h" if os.isatty(2) else ""
         os.write(2, f"{show_cursor}stopped at once\n".encode())
     os._exit(128 + number)
 
@@ -210,7 +216,8 @@ class _Harmless:
     What brings a style of our own writes to ``unescaped``.
     """
 
-    encoding = "utf-8"  # whatever it is: click writes to the bytes below a stream of ASCII
+    # Whatever it is: click writes to the bytes below a stream of ASCII.
+    encoding = "utf-8"
 
     def __init__(self, stream: Any) -> None:
         self.unescaped = stream
@@ -231,6 +238,7 @@ def _harmless_streams() -> Iterator[None]:
     try:
         yield
     except SystemExit:
+        # Any other error goes on to Python, which prints its traceback through these streams.
         sys.stdout, sys.stderr = before
         raise
 
@@ -272,6 +280,7 @@ def print_styled(text: str, **style: bool) -> None:
 
 def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
     """Print tables with the columns for which there is room, and sentences below them; no number is cut."""
+    # A file or a pipe has no width: the same bytes whatever terminal the command was typed in.
     width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
     for number, table in enumerate(tables):
         kept, left_out = table.fitting(width)

@@ -59,6 +59,7 @@ def _answer(name: str) -> list[str]:
     from linksweep.sweep.stores.location import default_store
 
     if not default_store(name).exists():
+        # Before the imports: most studies of the list were never run here.
         return []
     from linksweep.sweep.analysis.answer import answer_in_short, completeness
     from linksweep.sweep.contract import SweepError
@@ -180,6 +181,7 @@ def plot(
     styles = group.drawing_styles()
     drawn.require_choices()
     path = output or Path(Path(drawn.source or "accuracy").stem + ".png")
+    # Before a large store is read and drawn.
     styles.require_format(path)
     with styles.settings(width, style):
         figure, dataset = drawn.figure()
@@ -213,6 +215,7 @@ def is_finished(study: "Study", store: "Location") -> bool:
         if store.is_free():
             return False
     attributes = OpenStore(store).attributes
+    # The text, too: a new title or published number changes what a page says, though not the digest.
     same = attributes.get("study_digest") == study.digest() and attributes.get("study") == study.text
     return same and bool(attributes.get("complete"))
 
@@ -265,6 +268,7 @@ class AskedStores:
         stores, pending = [], []
         for study in paper_studies(published):
             store = located((self.results or RESULTS) / f"{study.name}.zarr")
+            # All stores are looked at before the first study runs: an hour later is late for a refusal.
             if not is_finished(study, store):
                 if problem := lacking_package(study):
                     click.echo(f"left out: {study.name}: {problem}", err=True)

@@ -34,6 +34,7 @@ At = tuple[str, ...]
 
 def opt(help: str, *names: str, **more: Any) -> Any:  # noqa: A002 (as click has it)
     """Declare an option as the default of a parameter, by which it is called if it has no ``names``."""
+    # Else only the pages would say what happens without an option.
     more = {"show_default": True} | more
     return lambda name: click.Option([name, *(names or ["--" + name.replace("_", "-")])], help=help, **more)
 
@@ -135,7 +136,8 @@ def _studies(_context: Context, _parameter: Parameter, incomplete: str) -> list[
     """Offer the built-in studies and the TOML files here; where neither fits, whatever file the shell knows."""
     names = [*_built_in(), *sorted(path.name for path in Path().glob("*.toml"))]
     fitting = [CompletionItem(name) for name in names if name.startswith(incomplete)]
-    return fitting or [CompletionItem(incomplete, type="file")]  # a shell takes one kind or the other
+    # A shell takes one kind or the other.
+    return fitting or [CompletionItem(incomplete, type="file")]
 
 
 def _folders(_context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
@@ -144,11 +146,14 @@ def _folders(_context: Context, _parameter: Parameter, incomplete: str) -> list[
 
 def _keys(context: Context, _parameter: Parameter, incomplete: str, more: Sequence[str] = ()) -> list[CompletionItem]:
     """Offer the axes of the study that was given before, what it fixes, and ``more``."""
-    study = str(context.params.get("study") or next(iter(context.args), ""))  # not parsed where an option lacks a value
+    # The study is not parsed yet where an option lacks its value.
+    study = str(context.params.get("study") or next(iter(context.args), ""))
     document: dict[str, Any] = {}
-    with suppress(OSError, ValueError, RecursionError):  # a shell has no place for an error
+    with suppress(OSError, ValueError, RecursionError):
+        # A shell has no place for an error.
         path = _built_in().get(study, Path(study))
         if path.stat().st_size < 100_000:
+            # A shell waits for this at each press of a key.
             document = tomllib.loads(path.read_text(encoding="utf-8"))
     tables = [table for key in ("axes", "fixed") if isinstance(table := document.get(key), dict)]
     keys = [f"{key}=" for table in (*tables, more) for key in table]
@@ -222,6 +227,7 @@ def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
     from linksweep.sweep.studies.document import find_study, reference_in
     from linksweep.sweep.studies.reader import load_study
 
+    # Before anything is read: a study or a function inside a store came with the store, from whoever sent that.
     if (function := reference_in(study)) is None:
         require_trust_of_study(find_study(study), trust)
     elif (file := function.rpartition(":")[0]).endswith(".py"):
@@ -257,7 +263,8 @@ def part_of(store: "Location", at: At, excluded_too: bool = False) -> Iterator[A
     try:
         part = select(dataset, places)
         for name in set(array_outputs(dataset)) - set(array_outputs(part)):
-            if not name.endswith(ERROR_SUFFIXES):  # a place along an output's own dimension is for that output
+            if not name.endswith(ERROR_SUFFIXES):
+                # A place along an output's own dimension is for that output.
                 part[name].attrs["headline"] = 1
         if at and not excluded_too and (part["status"].values == Status.EXCLUDED).all():
             points = "this point" if part["status"].size == 1 else "all of these points"
@@ -266,4 +273,5 @@ def part_of(store: "Location", at: At, excluded_too: bool = False) -> Iterator[A
     except SweepError as error:
         if error.where:
             raise
+        # What knows only datasets cannot name the store.
         raise SweepError(error.problems, str(store)) from error

@@ -50,6 +50,7 @@ WHOLE = "every file is as it was written"
 
 @parsed
 def _bytes(text: str) -> int:
+    # The same words as in Dask's own configuration.
     from dask.utils import parse_bytes
 
     try:
@@ -152,6 +153,7 @@ def _logged(watching: Watching) -> Iterator[None]:
 
         handle(Sentences(watching.level), SENTENCES)
         SENTENCES.setLevel(logging.DEBUG if watching.log is not None else watching.level)
+        # Else Python prints what nobody handles to standard error.
         handle(logging.NullHandler(), RECORD)
         RECORD.propagate = False
         if watching.level == logging.DEBUG:
@@ -164,6 +166,7 @@ def _logged(watching: Watching) -> Iterator[None]:
         try:
             yield
         except SweepError as error:
+            # The command prints it; the log file has to have it, too.
             RECORD.error("%s: %s", error.where, "; ".join(error.problems))
             raise
         except Exception:
@@ -215,6 +218,7 @@ def run_with_progress(
             group.end_stopped(stop.signal)
         if how.as_json is not None:
             group.print_headlines(dataset, how.as_json)
+        # Nothing to look at next where a caller goes on itself, as `sweep report --all` does.
         looks = () if how.as_json is None else ("plot", "report")
         progress.finish(failures, store, [f"sweep {look} {short_name(store)}" for look in looks])
     if how.as_json is False:
@@ -339,6 +343,7 @@ def scaling(
 
     loaded = options.load_trusted(study, trust, settings, axes)
     path = output or default_store(f"{loaded.name}-scaling")
+    # Before minutes of measuring.
     require_free(path)
     with group.a_signal_ends_the_command():
         dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
@@ -364,6 +369,7 @@ def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> N
     if as_json:
         click.echo(to_json(report))
         return
+    # For the headings of axes alone.
     units = report.pop("units", {})
     for key, value in report.items():
         if key == "axes":
@@ -447,6 +453,7 @@ def reproduce(
     except SweepError:
         raise
     except Exception as error:
+        # Of the experiment: the traceback is what was asked for.
         traceback.print_exception(error)
         if debug:
             import pdb

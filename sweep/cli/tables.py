@@ -326,8 +326,10 @@ def tie(
     from linksweep.sweep.tie.link import tie as solve
     from linksweep.sweep.tie.setup import parse_bins
 
+    # Before millions of rows are matched.
     target.check()
-    with suppress(ValueError, AttributeError):  # the name of a table, or none
+    with suppress(ValueError, AttributeError):
+        # Else it is the name of a table, or None.
         known_spin = [float(part) for part in known_spin.split(",")]
     shown = target.as_json or target.output is not None or target.figures is not None
     further = {"per_source": shown and not no_sources, "bins": bins and parse_bins(bins), "known_spin": known_spin}

@@ -76,6 +76,7 @@ def whole(content: bytes | None, expected: str) -> bytes:
 
 def sealed(document: Mapping[str, Any], file: str) -> bytes:
     """Return a document, with its checksum, as it is stored in a file of this name."""
+    # What a reader will see: keys are texts, tuples are lists.
     plain = json.loads(json.dumps(document))
     plain["attributes"].pop(SEAL, None)
     plain["attributes"][SEAL] = _digest(file, plain)
@@ -153,6 +154,7 @@ class _Part(BaseModel):
 
 
 class _Written(BaseModel):
+    # Forbids what a newer version may add: such a manifest must not be continued as if that had no meaning.
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
 
 
@@ -208,8 +210,10 @@ def read_manifest(content: bytes | None) -> Manifest:
 def newest(content: bytes | None, of_root: Manifest) -> Manifest:
     """Return the manifest in a ledger's file; raises ValueError where it is damaged, or older than that ``of_root``."""
     if content is None and not of_root.revision:
-        return of_root  # a run that has just begun
+        # A run that has just begun.
+        return of_root
     manifest = read_manifest(content)
+    # The root has the manifest of its own writing; after that the ledger only grows.
     is_older = manifest.revision <= of_root.revision and manifest != of_root
     if is_older or manifest.store != of_root.store:
         raise ValueError(ANOTHER)

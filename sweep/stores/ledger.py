@@ -72,6 +72,7 @@ class Ledger:
         with reading(location):
             self.keys = frozenset(location.keys())
             content = location.get(MANIFEST)
+        # Manifests of ours: any other content means that others write.
         self._contents: tuple[bytes | None, ...] = (content,)
         self.manifest = of_root
         with noting(self.damaged, MANIFEST):
@@ -93,13 +94,15 @@ class Ledger:
                 recorded = integrity.checked(integrity.Failures, self._documents["failures"]).failures
                 self.failures = {bytes.fromhex(digest): record for digest, record in recorded.items()}
         records = self._records(contents, self.damaged)
+        # Kept for the one who opens the store; gone with the first new rows, since it may be as large as all results.
         self._rows: Rows | None = np.ascontiguousarray(records["row"])
         self.rows = BlockRows(records["key"].tobytes())
         self._new: list[Blocks] = []
         self._new_documents: set[str] = set()
         self._changed = False
         self._recent: dict[str, Blocks] = {}
-        self._old = self._strangers()  # left by a run that was killed
+        # Left by a run that was killed.
+        self._old = self._strangers()
 
     @property
     def copy(self) -> dict[str, Any] | None:
@@ -135,6 +138,7 @@ class Ledger:
 
     def samples(self, key: bytes) -> Array:
         """Return the kept samples of a finished block that was flushed, (realisations, width)."""
+        # Samples have no index: the key of a block says how many realisations it has, and a lost row has the key zero.
         starts = [0, *accumulate(part.records for part in self.parts)]
         number = bisect_right(starts, self.rows[key]) - 1
         records, samples = self._part(self.parts[number])
@@ -177,8 +181,10 @@ class Ledger:
         self.flush()
         revision, gone = self.manifest.revision + 1, set(drop)
         before, self.parts = self.parts, []
-        for number, part in enumerate(before):  # one by one: samples may not fit into memory together
+        for number, part in enumerate(before):
+            # One by one: samples may not fit into memory together.
             records, samples = self._part(part)
+            # A dropped row stays, with the key zero.
             changed = np.zeros(len(records), dtype=_record_type(dtype))
             changed["row"] = converted(records["row"], dtype)
             kept = np.array([key.tobytes() not in gone for key in records["key"]], dtype=bool)
@@ -217,6 +223,7 @@ class Ledger:
         parts = self._with_new(revision)
         documents: Any = {k: file for k, file in self.manifest.documents.items() if k in self._documents}
         for kind in self._new_documents:
+            # Under new names: the old ones count until the manifest is replaced.
             documents[kind] = self._file(f"{kind}.{revision}.0", json.dumps(self._documents[kind]).encode())
         manifest = Manifest(
             store=self.manifest.store,
@@ -227,13 +234,15 @@ class Ledger:
             documents=documents,
         )
         content = manifest.sealed()
-        self._contents = (*self._contents, content)  # an answer may be lost although it was written
+        # It may be written although the answer is lost.
+        self._contents = (*self._contents, content)
         self._location.put(MANIFEST, content)
         # Only now do the new files count: after an error all of this is written again.
         self.manifest, self._contents, self.parts = manifest, (content,), parts
         self._new, self._new_documents, self._changed = [], set(), False
         self.tidy()
-        self._old = before - set(self.files)  # kept until the next flush, for who reads the store meanwhile
+        # Kept until the next flush, for those who read the store meanwhile.
+        self._old = before - set(self.files)
 
     def tidy(self) -> None:
         """Remove the files that did not count any more at the last flush."""
@@ -260,6 +269,7 @@ class Ledger:
         """Return all parts after writing those with new rows, which take up the last one unless that is finished."""
         if not self._new:
             return self.parts
+        # A part below its size is written again with what is new, so that few files hold many small flushes.
         is_open = bool(self.parts) and sum(file.size for file in self.parts[-1].files) < PART_BYTES
         kept = self.parts[:-1] if is_open else self.parts
         blocks = [*map(self._part, self.parts[len(kept) :]), *self._new]
@@ -332,7 +342,8 @@ def _recorded(failures: Mapping[bytes, Record]) -> dict[str, Record]:
     """Return failures as JSON holds them: digests in hexadecimal, the ends of the first `MAX_TRACEBACKS` tracebacks."""
     kept: dict[str, Record] = {}
     for number, (digest, record) in enumerate(failures.items()):
-        end = record.get("traceback", "").encode()[-TRACEBACK_BYTES:]  # it says what was raised and where
+        # It says what was raised and where.
+        end = record.get("traceback", "").encode()[-TRACEBACK_BYTES:]
         kept[digest.hex()] = record | {"traceback": end.decode(errors="ignore") if number < MAX_TRACEBACKS else ""}
     return kept
 
@@ -351,7 +362,9 @@ def _columns(records: NDArray[Any]) -> tuple[list[NDArray[Any]], list[NDArray[An
 def _packed(records: NDArray[Any]) -> bytes:
     """Return rows with their keys as bytes: column by column, then all texts as JSON."""
     fixed, texts = _columns(records)
-    listed = [text or "" for column in texts for text in column.reshape(-1).tolist()]  # 0 in a lost row
+    # A lost row has 0 in place of a text.
+    listed = [text or "" for column in texts for text in column.reshape(-1).tolist()]
+    # Column by column, since bytes that are alike stand together there and compress.
     return b"".join([*(column.tobytes() for column in fixed), *([json.dumps(listed).encode()] if texts else [])])
 
 
@@ -367,7 +380,8 @@ def _unpacked(content: bytes, count: int, dtype: np.dtype[np.void]) -> NDArray[A
     if sum(column.size for column in texts) != len(listed) or not all(isinstance(text, str) for text in listed):
         raise ValueError("it has other texts than rows")
     known: dict[str, str] = {}
-    shared = np.array([known.setdefault(text, text) for text in listed], dtype=object)  # equal texts are one object
+    # Equal texts are one object.
+    shared = np.array([known.setdefault(text, text) for text in listed], dtype=object)
     for column in texts:
         column[...] = shared[: column.size].reshape(column.shape)
         shared = shared[column.size :]
@@ -377,7 +391,8 @@ def _unpacked(content: bytes, count: int, dtype: np.dtype[np.void]) -> NDArray[A
 def _raw(file: File, content: bytes | None) -> bytes:
     """Return the unpacked ``content`` of a file; raises ValueError, RuntimeError where it is not what was written."""
     packed, raw = integrity.whole(content, file.checksum), bytearray(file.size)
-    if len(zstd.decompress(packed, raw)) != len(raw):  # of a forged file no more is unpacked than it should have
+    if len(zstd.decompress(packed, raw)) != len(raw):
+        # Of a forged file no more is unpacked than it should have.
         raise ValueError("it has fewer records than it should")
     return bytes(raw)
 

@@ -72,7 +72,8 @@ class Folder:
     @property
     def parent(self) -> "Folder":
         """The folder around it."""
-        return Folder(Path(os.path.realpath(self.path)).parent)  # Path.resolve raises where links form a loop
+        # Path.resolve raises where links form a loop.
+        return Folder(Path(os.path.realpath(self.path)).parent)
 
     def get(self, key: str) -> bytes | None:
         """Return the content of a file, None where there is none."""
@@ -87,6 +88,7 @@ class Folder:
     def put(self, key: str, content: bytes) -> None:
         """Write a file by renaming a finished one, and wait until it and its name are on the disk."""
         path = self._write(key, content, durable=True)
+        # A rename is lost with the power unless the folder, too, is written: its entry is what names the new content.
         folder = os.open(path.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -102,11 +104,13 @@ class Folder:
         """Write a file unless there is one, by linking a finished one to its name; return whether it was written."""
         path = self._at(key)
         with suppress(FileExistsError), _finished(path, content, durable=True) as temporary:
+            # A link fails where the name exists, and brings the whole content with it: no reader sees half a lock.
             try:
                 os.link(temporary, path)
             except FileExistsError:
                 raise
-            except OSError:  # a file system without links
+            except OSError:
+                # A file system without links.
                 with path.open("xb") as file:
                     file.write(content)
             return True
@@ -123,7 +127,8 @@ class Folder:
             try:
                 try:
                     fcntl.flock(file, fcntl.LOCK_EX)
-                except OSError:  # some network disks have no locks; a file that only one process can make has to do
+                except OSError:
+                    # Some network disks have no locks; a file that only one process can make has to do.
                     guard.touch(exist_ok=False)
                     has_guard = True
                 # Who waited for the lock of a file that was replaced meanwhile does not hold that of the new one.
@@ -188,7 +193,9 @@ class Folder:
     def tidied(self) -> Iterator[None]:
         """Remove folders that were not there before and are empty now."""
         folders = (self.path, *self.path.parents)
-        missing = [folder for folder in folders if not os.path.exists(folder)]  # no error where a name is too long
+        # The lock beside a store makes `results/` even for a run that is refused a moment later.
+        # No error where a name is too long.
+        missing = [folder for folder in folders if not os.path.exists(folder)]
         try:
             yield
         finally:
@@ -198,6 +205,7 @@ class Folder:
 
     def _at(self, key: str) -> Path:
         """Return where a file is or will be; raises OSError where that, or a folder on the way to it, is special."""
+        # Every folder on the way, since a link anywhere leads outside; `resolve` would follow it.
         names = key.rstrip("/").split("/")
         for number in range(1, len(names) + 1):
             name = "/".join(names[:number])
@@ -231,7 +239,8 @@ def _refuse_special(path: str, name: str) -> None:
     # Who follows a link in a store that came from elsewhere reads, or overwrites, what lies outside.
     try:
         mode = os.lstat(path).st_mode
-    except OSError:  # nothing is there, or reading it will say why it cannot be
+    except OSError:
+        # Nothing is there, or reading it will say why it cannot be.
         return
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         kind = "a symbolic link" if stat.S_ISLNK(mode) else "a pipe, a socket or a device"
@@ -271,6 +280,7 @@ class Bucket:
             prefix=self.prefix or None,
             client_options={
                 "allow_http": is_here or os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true"),
+                # So that a server which drops packets is tried three times.
                 "connect_timeout": TIMEOUT / 3,
                 "timeout": timedelta(seconds=60),
             },
@@ -289,6 +299,7 @@ class Bucket:
 
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes | None]:
         """Return the contents of objects, some at a time."""
+        # Threads and not asyncio: a notebook runs its own loop.
         names = list(keys)
         with ThreadPoolExecutor(AT_ONCE) as pool:
             return dict(zip(names, pool.map(self.get, names), strict=True))
@@ -383,7 +394,8 @@ def _explained(error: Exception) -> str:
     text, endpoint = str(error), _endpoint() or "AWS"
     if isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError):
         return f"{endpoint} refuses these credentials (AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY)"
-    if "169.254.169.254" in text or "/latest/api/token" in text:  # where a machine of AWS would find them
+    if "169.254.169.254" in text or "/latest/api/token" in text:
+        # Where a machine of AWS would find them.
         return "there are no credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
     if "BadScheme" in text:
         return f"{endpoint} is not encrypted; AWS_ALLOW_HTTP=true allows that"
@@ -409,7 +421,8 @@ def located(where: Where) -> Location:
     if not isinstance(where, str | Path):
         return where
     address = str(where)
-    if address.startswith("s3:/"):  # pathlib makes one slash of two
+    if address.startswith("s3:/"):
+        # `Path` makes one slash of two.
         match = ADDRESS.fullmatch(address)
         if match is None or any(part in ("", ".", "..") for part in match["prefix"].split("/")):
             rule = "with a bucket of 3 to 63 small letters, digits, dots and dashes"
@@ -453,8 +466,10 @@ def default_store(name: str) -> Path:
 def store_named(where: Where) -> Location:
     """Return the place that an address, a path or the name of a study names; an existing path takes precedence."""
     if isinstance(where, str) and Path(where).name == where:
+        # A path with a folder is never a name.
         default = default_store(where.removesuffix(".toml"))
-        with suppress(OSError, ValueError):  # names that no file can have
+        with suppress(OSError, ValueError):
+            # There are names that no file can have.
             if not Path(where).exists() and default.exists():
                 return located(default)
     return located(where)
@@ -488,6 +503,7 @@ class Holder:
 
     def state(self) -> Literal["runs", "has ended", "cannot be judged"]:
         """Say whether the holder runs, as far as that can be told on this host."""
+        # Process numbers mean nothing elsewhere: another host, a container with a namespace of its own, after a reboot.
         if (self.host, self.boot) != _this_host():
             return "cannot be judged"
         if self.started:
@@ -513,7 +529,9 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
         try:
             yield
         finally:
-            with suppress(OSError):  # the next run finds that this process has ended
+            with suppress(OSError):
+                # The next run finds that this process has ended.
+                # Who was broken with --break-lock must leave the lock of the next one.
                 if _parsed(location.parent.get(_lock_of(location))) == mine:
                     location.parent.delete(_lock_of(location))
 
@@ -541,12 +559,15 @@ def _take(location: Location, mine: Holder, break_lock: bool) -> None:
             return
         other = location.parent.get(key)
         if other == content:
-            return  # a request that was repeated after its answer was lost
-        if other is not None:  # else it was released just now
+            # A request that was repeated after its answer was lost.
+            return
+        if other is not None:
+            # Else it was released just now.
             _refuse_unless_free(location, _parsed(other), break_lock)
             if location.parent.swap(key, other, content):
                 return
-            time.sleep(PAUSE_S)  # another process takes it over
+            # Another process takes it over.
+            time.sleep(PAUSE_S)
     raise SweepError(
         f"its lock {key} keeps changing hands; if no other process runs there, remove {key} and {key}{TAKING}",
         str(location),
@@ -593,4 +614,5 @@ def _start_of(pid: int) -> str:
         state, *rest = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     except OSError:
         return ""
+    # A zombie computes nothing any more.  The name before the bracket may hold blanks, hence the count from there.
     return "" if state in "ZX" else rest[18]

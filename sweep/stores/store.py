@@ -102,9 +102,11 @@ class OpenStore:
             try:
                 with reading(self.location):
                     dataset = decode(self.root, self.location.get_all(chunk_checksums(self.root)))
-                break  # these are the very chunks that the root document means
+                # These are the very chunks that the root document means.
+                break
             except ValueError as error:
                 problem = error
+            # A run may have replaced these chunks meanwhile; then the root is another one, and that is read instead.
             before, self.root = self.root, read_root(self.location)
             if self.root == before:
                 rewrite = "`sweep run` the study again to write them anew from the ledger"
@@ -124,7 +126,8 @@ class OpenStore:
                 return ledger
             with reading(self.location):
                 if ledger.is_unchanged():
-                    break  # else a run has replaced files that were not read yet
+                    # Else a run has replaced files that were not read yet.
+                    break
         raise DamagedError(self.location, ledger.damaged)
 
 
@@ -186,6 +189,7 @@ class Store(OpenStore):
         gone = {f"{name}/zarr.json" for name in arrays_of(self.root)} - described.keys()
         in_use = {*described, *chunks, *chunk_checksums(self.root)}
         with writing(self.location):
+            # The order is what makes a kill harmless: rows, then results, then the root that refers to both.
             self.keep_copy(attributes)
             self.flush()
             self._delete(self._files - in_use - gone)
@@ -307,6 +311,7 @@ def put_root(location: Location, attributes: Mapping[str, Any]) -> dict[str, Any
 def free_beside(location: Location) -> Location:
     """Return a free place beside a store, for what was computed for it."""
     for number in itertools.count(1):
+        # Something else, or another store that was rescued, may have the name.
         place = located(f"{location}.rescued{number if number > 1 else ''}")
         with suppress(SweepError):
             if find_root(place) is None:
@@ -350,7 +355,8 @@ def find_root(location: Location) -> dict[str, Any] | None:
             if readable_copy(location) is not None:
                 problem = "it is another document" if isinstance(error, KeyError) else error
                 raise SweepError(f"{ROOT} is damaged ({problem}); {REPAIR.format(where)}", where) from error
-            with suppress(ValueError, KeyError, TypeError, RecursionError):  # the checksum of another format
+            with suppress(ValueError, KeyError, TypeError, RecursionError):
+                # The checksum of another format.
                 _check_format(json.loads(content or b"")["attributes"], where)
             if location.get(MANIFEST) is not None or any(mark in (content or b"") for mark in MARKS):
                 raise SweepError(
@@ -398,6 +404,7 @@ def readable_copy(location: Location) -> dict[str, Any] | None:
         attributes: dict[str, Any] = json.loads(integrity.whole(location.get(path_of(file)), file.checksum))
         integrity.check_attributes(attributes)
     except (ValueError, LookupError, RecursionError):
+        # Who asks has a damaged root already, and says so.
         return None
     return attributes if (attributes.get(FORMAT_OF), attributes[STORE]) == (FORMAT, manifest.store) else None
 
@@ -413,7 +420,8 @@ def origin(location: Location) -> str:
     place = str(location.path.resolve()) if isinstance(location, Folder) else str(location)
     try:
         user = getpass.getuser()
-    except (KeyError, OSError):  # a user without a name, as in a container
+    except (KeyError, OSError):
+        # A user without a name, as in a container.
         user = str(os.getuid())
     return json.dumps({"host": platform.node(), "user": user, "path": place})
 
@@ -446,7 +454,8 @@ def dask_arrays_only_where_imported() -> None:
 
     # Private: saves a quarter of the time of `sweep show`, since no array is Dask's where nobody has imported it.
     # Since pydata/xarray#7179 other imports of xarray wait until they are needed.
-    known: Any = getattr(pycompat, "_cached_duck_array_modules", {})  # a version without it does this in another way
+    # A version without it does this in another way.
+    known: Any = getattr(pycompat, "_cached_duck_array_modules", {})
     known.setdefault("dask", _DaskArrays())
 
 
@@ -492,15 +501,18 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
     }
     files[ROOT] = cpu.Buffer.from_bytes(json.dumps(root).encode())
     try:
-        with warnings.catch_warnings():  # zarr-python#3709: consolidated metadata is not in the v3 specification yet
+        with warnings.catch_warnings():
+            # Zarr-python#3709: consolidated metadata is not in the v3 specification yet.
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
             dataset: xr.Dataset = opened.load()
             gaps = [n for n, d in arrays_of(root).items() if d["data_type"] == "int64" and dataset[n].dtype.kind == "f"]
-            if any((np.abs(dataset[name].values) >= EXACT_INT).any() for name in gaps):  # xarray has rounded them
+            if any((np.abs(dataset[name].values) >= EXACT_INT).any() for name in gaps):
+                # Xarray has rounded them.
                 stored = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, mask_and_scale=False)
                 dataset = dataset.assign({n: dataset[n].copy(data=with_gaps(stored[n].values)) for n in gaps})
-    except Exception as error:  # of forged documents: each codec of Zarr raises its own
+    except Exception as error:
+        # Of forged documents: each codec of Zarr raises its own.
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
     for name in (CHUNKS, LEDGER_THEN, STORE):
         dataset.attrs.pop(name, None)
@@ -529,6 +541,7 @@ def chunk_shape(variable: "xr.Variable") -> tuple[int, ...]:
     """Return a shape for chunks of at most `MOST_VALUES` that are whole in the last dimensions: a point's values stay
     together, and a coordinate is one chunk.
     """
+    # Values are counted, not bytes: what is on the same axes has the same chunks.
     shape = list(variable.shape)
     for axis in range(variable.ndim):
         rest = math.prod(shape[axis + 1 :])
@@ -586,7 +599,8 @@ def repair(where: Where, *, break_lock: bool = False) -> list[str]:
     """
     location = located(where)
     with reading(location):
-        _check(location)  # raises for what is no store, before anything is written
+        # Raises for what is no store, before anything is written.
+        _check(location)
     with locked(location, break_lock=break_lock), writing(location):
         report, attributes, ledger = _check(location)
         done: list[str] = []
@@ -627,6 +641,7 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], Ledger]:
             integrity.unsealed(location.get(ROOT), ROOT)
     of_root = integrity.Manifest(store=attributes[STORE]) if root is None else manifest_of(root)
     ledger = Ledger(location, of_root)
+    # The samples, which opening leaves unread.
     ledger.verify()
     report.ledger.update(ledger.damaged)
     if (copy_file := path_of(ledger.manifest.documents.get("study"))) in report.ledger:
@@ -658,7 +673,8 @@ def _check_results(location: Location, root: Mapping[str, Any], report: Report) 
             if about[STORE] != attributes[STORE] or not (document == files[file] or is_later):
                 raise ValueError(integrity.ANOTHER)
             cut_short |= document != files[file]
-    for file, checksum in chunk_checksums(root).items():  # one by one: never all in memory
+    for file, checksum in chunk_checksums(root).items():
+        # One by one: never all in memory.
         if problem := integrity.problem_of(location.get(file), checksum):
             report.results[file] = problem
     return cut_short
