@@ -291,7 +291,7 @@ def places_along(dataset: xr.Dataset | xr.DataArray, dimensions: Iterable[Hashab
 def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
     """Return the values of the axes at an index along dimensions, in the order of the grid (Zarr sorts by name)."""
     places: dict[str, Any] = {}
-    for dimension in (d for d in axes_of(dataset) if d in index):
+    for dimension in (d for d in dict.fromkeys([*axes_of(dataset), *index]) if d in index):
         names = dict.fromkeys([dimension, *map(str, dataset.coords)])
         along = [n for n in names if n in dataset.coords and dataset[n].dims == (dimension,)]
         places |= {name: dataset[name][index[dimension]].item() for name in along}
