@@ -223,7 +223,7 @@ def is_finished(study: "Study", store: "Location") -> bool:
 def lacking_package(study: "Study") -> str:
     """Return which optional package must be installed to run a study; '' if none."""
     from linksweep.sweep.contract import SweepError
-    from linksweep.sweep.planning.checked_grid import make_grid
+    from linksweep.sweep.planning.grid import make_grid
 
     try:
         make_grid(study)

@@ -11,8 +11,7 @@ from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources
 from linksweep.sweep.executing.task import Executor, RefusedError, TaskResult
 from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.checked_grid import make_grid
-from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.grid import Grid, make_grid
 from linksweep.sweep.planning.plan import Plan, Survey, Work
 from linksweep.sweep.planning.work_queue import TUNED, Tuning
 from linksweep.sweep.running.code import check_code, record_code

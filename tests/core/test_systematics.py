@@ -17,7 +17,7 @@ from linksweep.core.setup import Draw, Prefixes, prepare
 from linksweep.core.simulate import simulate
 from linksweep.core.systematics import Field, Systematics, ZonalErrors, parse_pattern, pattern_field, rms
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.core.reference import design_matrix
 

@@ -9,7 +9,7 @@ from linksweep.core.errors import ERROR_KINDS
 from linksweep.core.experiment import evaluate, link
 from linksweep.core.parameters import PARAMETERS
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict
 
 

@@ -9,9 +9,8 @@ import xarray as xr
 from linksweep.sweep.contract import Experiment, Outcome
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.checked_grid import make_grid
-from linksweep.sweep.planning.plan import Plan
-from linksweep.sweep.planning.streams import generators
+from linksweep.sweep.planning.grid import make_grid
+from linksweep.sweep.planning.plan import Plan, generators
 from linksweep.sweep.planning.work_queue import Pending, Tuning
 from linksweep.sweep.running.run import plan_study, run_study
 from linksweep.sweep.studies.reader import study_from_dict

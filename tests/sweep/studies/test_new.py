@@ -10,7 +10,7 @@ from jsonschema import Draft202012Validator
 
 from linksweep.sweep.code.load import load_experiment
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.studies.study import new_study, study_schema
 from tests.conftest import COINS

@@ -11,7 +11,7 @@ from astropy.utils.masked import Masked
 
 from linksweep import Parameter, SweepError, experiment
 from linksweep.sweep.contract import Parameter as Declared
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.studies.points import DESIGNS, Range
 from linksweep.sweep.studies.reader import study_of_function
 
