@@ -20,7 +20,7 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
     for pool in ("processes", "threads"):
         with tempfile.TemporaryDirectory() as name:
             command = [*SWEEP, "scaling", "quasars", "--workers", "1,2", "--pool", pool, "--repetitions", turns]
-            rows = json.loads(watch([*command, *SETTINGS[size], "--json"], Path(name)).output)
+            rows = json.loads(watch([*command, *SETTINGS[size], "--json"], Path(name)).output)["rows"]
         target = Target(">=", 0.9) if pool == "processes" and size != "tiny" else None
         for row in rows:
             words = f"{row['kind']} scaling, {row['workers']} {pool}"

@@ -5,7 +5,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.measured import SWEEP, Measured, Size, Target, watch
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.studies.reader import load_study
 

@@ -20,7 +20,7 @@ from linksweep.core.tie.astrometry import Astrometry
 from linksweep.core.tie.solution import jackknife
 from linksweep.core.tie.problem import group_sums
 from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.clips import SourceTable
+from linksweep.core.tie.solution import sources_of
 from linksweep.core.unknowns import parse_unknowns
 n, degree = int(sys.argv[1]), int(sys.argv[2])
 rng = np.random.default_rng(1)
@@ -35,9 +35,9 @@ def timed(work):
     work()
     return time.process_time() - begun
 def with_cells():
-    table = SourceTable(problem)
+    table = sources_of(problem)
     solution = table.solve(np.ones(n))
-    if not table.single:
+    if not table.sums is not None:
         jackknife(table.cell_sums(np.ones(n)), solution.normal, solution.normal @ solution.estimate)
 before = peak()
 plain, cells = [], []

@@ -558,13 +558,11 @@ def catalogue_from_table(
     read.check((ra < -180.0) | (ra > 360.0), "an ra that is not between -180 and 360 deg", ra)
     pmra, pmdec = np.zeros((2, len(ra)))
     if moving:
-        pmra, pmdec = read.quantity("pmra"), read.quantity("pmdec")
-        in_time, name = read.in_time("pmra"), read.name("pmra")  # the reader has multiplied those in time by cos(dec)
-        is_known = in_time or name == "pm_ra_cosdec" or not GAIA_MARKS.isdisjoint(read.names)
-        if pmra_cos_dec is None and not is_known:
+        name = read.name("pmra")
+        known = read.in_time("pmra") or name == "pm_ra_cosdec" or not GAIA_MARKS.isdisjoint(read.names)
+        if pmra_cos_dec is None and not known:
             read.problems.append(f"column {name!r} may or may not include cos(dec): say pmra_cos_dec = true or false")
-        if pmra_cos_dec is False and not in_time:
-            pmra = pmra * read.cos_dec
+        pmra, pmdec = read.quantity("pmra", cos_dec=pmra_cos_dec), read.quantity("pmdec")
     both, reference, satellite = (_own_errors(read, side, len(ra)) for side in ("", "reference_", "satellite_"))
     v_mag = read.quantity("v_mag") if read.has("v_mag") else np.full(len(ra), np.nan)
     read.finish()

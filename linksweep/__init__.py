@@ -34,13 +34,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from linksweep.sweep.analysis.crossings import find, interpolate
-    from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+    from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, ratio
     from linksweep.sweep.analysis.sensitivity import sensitivity
     from linksweep.sweep.api import answer, open, plot, run  # noqa: A004
     from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
     from linksweep.sweep.executing.pools import Limits
-    from linksweep.sweep.functions.declared import experiment
+    from linksweep.sweep.functions.adapter import experiment
     from linksweep.sweep.studies.reader import load_study
     from linksweep.sweep.studies.study import Study
     from linksweep.sweep.tie.forecast import forecast
@@ -73,13 +72,12 @@ __all__ = [
 ]
 
 _MODULES = {
-    "linksweep.sweep.analysis.crossings": ("find", "interpolate"),
-    "linksweep.sweep.analysis.laws": ("fit_levelling", "fit_power_law", "ratio"),
+    "linksweep.sweep.analysis.laws": ("find", "fit_levelling", "fit_power_law", "interpolate", "ratio"),
     "linksweep.sweep.analysis.sensitivity": ("sensitivity",),
     "linksweep.sweep.api": ("answer", "open", "plot", "run"),
     "linksweep.sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),
     "linksweep.sweep.executing.pools": ("Limits",),
-    "linksweep.sweep.functions.declared": ("experiment",),
+    "linksweep.sweep.functions.adapter": ("experiment",),
     "linksweep.sweep.studies.reader": ("load_study",),
     "linksweep.sweep.studies.study": ("Study",),
     "linksweep.sweep.tie.link": ("tie",),

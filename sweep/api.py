@@ -15,7 +15,6 @@ from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.executing.forkserver import leave_a_worker_that_runs_its_script
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, PoolName, Resources
 from linksweep.sweep.formatting import harmless
-from linksweep.sweep.functions.adapter import FunctionExperiment
 from linksweep.sweep.result import open_result
 from linksweep.sweep.running.failures import MaxFailures, failed_points
 from linksweep.sweep.running.progress import NotebookProgress, TerminalProgress, in_notebook
@@ -120,7 +119,7 @@ def run(
         raise SweepError(f"verify = {shown(verify)}: must be a number of points, from 0")
     loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title, "points": points})
     if not deterministic:
-        loaded = replace(loaded, experiment=_not_repeatable(loaded.experiment))
+        loaded = replace(loaded, experiment=loaded.experiment.not_repeatable())
     place = located(store or default_store(loaded.name))
     file = None if cluster is None else Path(cluster)
     resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard)
@@ -137,13 +136,6 @@ def run(
     if verify and (differing := verified(loaded, place, verify).differing):
         raise SweepError(differing, str(place))
     return _drawable(dataset)
-
-
-def _not_repeatable(found: Experiment) -> Experiment:
-    if not isinstance(found, FunctionExperiment) or found.function is None:
-        raise SweepError("deterministic: is for a plain function; an Experiment draws from the generators that it gets")
-    declaration = replace(found.function.declaration, deterministic=False)
-    return replace(found, function=replace(found.function, declaration=declaration))
 
 
 def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)

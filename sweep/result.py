@@ -1,16 +1,13 @@
 """Results of every kind as one thing: what a dataset is, its tables, and how it is saved and opened.
 
-This is the one place that tells kinds of datasets apart.  Each kind names the module that makes its tables, which is
-imported when they are first wanted, with three functions of the dataset:
-
-- ``tables`` for reading, and ``notes``, the sentences below them;
-- ``records``, the one table for programs.
+This is the one place that tells kinds of datasets apart.  A kind has a module that makes its tables, which is imported
+when they are first wanted, with three functions of the dataset: ``tables`` for reading, ``notes``, the sentences below
+them, and ``records``, the one table for programs.
 """
 
 import json
 import tempfile
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -22,42 +19,20 @@ from linksweep.sweep.table_writer import Table
 if TYPE_CHECKING:
     import xarray as xr
 
+# results of a study; what is derived from them; measurements of `sweep scaling`; links and forecasts of tables
 Kind = Literal["grid", "law", "crossings", "sensitivity", "scaling", "tie", "forecast"]
-"""Results of a study; what is derived from them; measurements of `sweep scaling`; links and forecasts of tables."""
 
-MODULES: Mapping[Kind, str] = {
-    "grid": "linksweep.sweep.analysis.results_table",
-    "law": "linksweep.sweep.analysis.laws",
-    "crossings": "linksweep.sweep.analysis.crossings",
-    "sensitivity": "linksweep.sweep.analysis.sensitivity",
-    "scaling": "linksweep.sweep.running.scaling",
-    "tie": "linksweep.sweep.tie.result",
-    "forecast": "linksweep.sweep.tie.result",
-}
+# Stores of these kinds are one dataset, without a study and its ledger, which has the name of its kind as ``result``.
+STORED_TABLES: tuple[Kind, ...] = ("tie", "forecast")
 
-MARKS: Mapping[str, Kind] = {
+# Variables and attributes that only datasets of one kind have.  The first counts: outputs of a study may have any name.
+MARKS: dict[str, Kind] = {
+    "status": "grid",
     "law": "law",
     "condition": "crossings",
     "sensitivity_method": "sensitivity",
+    "efficiency": "scaling",
 }
-"""Attributes that only datasets of one kind have; a link and a forecast have the name of their kind as ``result``."""
-
-STORED_TABLES: tuple[Kind, ...] = ("tie", "forecast")
-"""Kinds whose stores are one dataset, without a study and its ledger."""
-
-
-def kind_of(dataset: "xr.Dataset") -> Kind:
-    """Return the kind of a dataset; raises SweepError for one that is no result of linksweep."""
-    if (name := dataset.attrs.get("result")) in STORED_TABLES:
-        return name  # type: ignore[no-any-return]
-    for mark, kind in MARKS.items():
-        if mark in dataset.attrs:
-            return kind
-    if "status" in dataset:
-        return "grid"
-    if {"seconds", "efficiency"} <= set(dataset.data_vars):
-        return "scaling"
-    raise SweepError("the dataset is no result of a study: it has no status")
 
 
 @dataclass(frozen=True)
@@ -68,8 +43,27 @@ class Result:
 
     @property
     def kind(self) -> Kind:
-        """What it is."""
-        return kind_of(self.dataset)
+        """What it is; raises SweepError for a dataset that is no result of linksweep."""
+        if (name := self.dataset.attrs.get("result")) in STORED_TABLES:
+            return name  # type: ignore[no-any-return]
+        names = {*self.dataset.attrs, *self.dataset.data_vars}
+        if (kind := next((kind for mark, kind in MARKS.items() if mark in names), None)) is None:
+            raise SweepError("the dataset is no result of a study: it has no status")
+        return kind
+
+    @property
+    def is_stored_table(self) -> bool:
+        """Whether it is a link or a forecast of tables, and not derived from a study."""
+        return self.kind in STORED_TABLES
+
+    @property
+    def title(self) -> str:
+        """Its title: that of the study, or of a link or a forecast the names of its tables."""
+        about = self.dataset.attrs
+        if "satellite" not in about:
+            return str(about.get("title", ""))
+        what = "Forecast of the link" if self.kind == "forecast" else "Link"
+        return f"{what} of {Path(str(about['satellite'])).name} and {Path(str(about['reference'])).name}"
 
     def tables(self) -> list[Table]:
         """Return its tables for reading."""
@@ -88,8 +82,8 @@ class Result:
         """Return its table for programs as "csv", "ecsv" or "json", or its tables and notes as "text"."""
         if table_format == "text":
             return "\n\n".join([*(table.text() for table in self.tables()), "\n".join(self.notes())]).rstrip()
-        records = self.records()
-        return {"csv": records.csv, "ecsv": records.ecsv, "json": records.json}[table_format]()
+        written: str = getattr(self.records(), table_format)()
+        return written
 
     def save(self, path: Path) -> None:
         """Write the dataset as a Zarr store in one step: a process that is killed leaves nothing at ``path``.
@@ -108,7 +102,9 @@ class Result:
             raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
     def _made(self, what: str) -> Any:
-        return getattr(import_module(MODULES[self.kind]), what)(self.dataset)
+        module = "tie.result" if self.is_stored_table else "analysis.derived"
+        module = "analysis.results_table" if self.kind == "grid" else module
+        return getattr(import_module(f"linksweep.sweep.{module}"), what)(self.dataset)
 
 
 def require_free(path: Path) -> None:

@@ -5,7 +5,7 @@ Differences are reference - satellite everywhere; angles are radians and proper 
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -42,8 +42,14 @@ class Astrometry:
     radial_velocity: Array | None = None
     names: NDArray[np.str_] | None = None
     columns: Mapping[str, Array] = field(default_factory=dict)
-    apparent: Flags | None = None
-    frame: Indices | None = None
+    apparent: Flags = None  # type: ignore[assignment]  # none of them by default
+    frame: Indices = None  # type: ignore[assignment]  # the reference's by default
+
+    def __post_init__(self) -> None:
+        # broadcast arrays take no memory, however many rows there are
+        for name, default in (("apparent", np.False_), ("frame", np.int64(0))):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.broadcast_to(default, len(self)))
 
     def __len__(self) -> int:
         return len(self.epoch)
@@ -57,12 +63,12 @@ class Astrometry:
         """Return some of the objects."""
 
         def some(array: Any) -> Any:
-            if array is None or isinstance(part, slice) or part.dtype == np.bool_:
-                return None if array is None else array[..., part]
+            if isinstance(part, slice) or part.dtype == np.bool_:
+                return array[..., part]
             return np.take(array, part, axis=-1)  # half the time of indexing
 
-        columns = {name: some(column) for name, column in self.columns.items()}
-        return Astrometry(**{k: some(v) for k, v in vars(self).items() if k != "columns"}, columns=columns)
+        arrays = {name: some(array) for name, array in vars(self).items() if isinstance(array, np.ndarray)}
+        return replace(self, **arrays, columns={name: some(column) for name, column in self.columns.items()})
 
     def covariance(self) -> Array:
         """Return the covariance of the five parameters, zero where one is missing; shape (N, 5, 5)."""
@@ -78,21 +84,15 @@ class Astrometry:
 def joined(*tables: Astrometry) -> Astrometry:
     """Return the rows of some tables as one, without names, radial velocities and further columns."""
 
-    def together(name: str, *shape: int, kind: type = float) -> Any:
-        """Concatenate an array of each table, zeros for a table without it."""
-        arrays = [getattr(table, name) for table in tables]
-        sizes = [(*shape, len(table)) for table in tables]
-        return np.concatenate([np.zeros(n, kind) if a is None else a for a, n in zip(arrays, sizes, strict=True)], -1)
+    def together(name: str) -> Any:
+        return np.concatenate([getattr(table, name) for table in tables], axis=-1)
 
-    in_frames = any(table.frame is not None for table in tables)
-    return Astrometry(
-        values=together("values"),
-        errors=together("errors"),
-        epoch=together("epoch"),
-        correlations=together("correlations", len(PAIRS)),
-        apparent=together("apparent", kind=bool),
-        frame=together("frame", kind=np.int64) if in_frames else None,
-    )
+    none = [np.zeros((len(PAIRS), len(table))) for table in tables]
+    correlations = [
+        zeros if table.correlations is None else table.correlations for table, zeros in zip(tables, none, strict=True)
+    ]
+    arrays = {name: together(name) for name in ("values", "errors", "epoch", "apparent", "frame")}
+    return Astrometry(**arrays, correlations=np.concatenate(correlations, axis=-1))
 
 
 def positive_definite(correlations: Array) -> Flags:
@@ -113,17 +113,11 @@ def positive_definite(correlations: Array) -> Flags:
     return good
 
 
-KINDS = {
-    (True, True, True): "five-parameter",
-    (False, True, True): "three-parameter",
-    (False, False, True): "motion",
-    (True, False, False): "position",
-    (True, False, True): "position and motion",
-    (True, True, False): "position and parallax",
-    (False, True, False): "parallax",
-    (False, False, False): "nothing",
-}
-"""Names of the kinds of rows by what is present: position, parallax, motion."""
+KINDS = (
+    *("nothing", "position", "parallax", "position and parallax"),
+    *("motion", "position and motion", "three-parameter", "five-parameter"),
+)
+"""Names of the kinds of rows by what is present: 1 for a position, 2 for a parallax and 4 for a motion."""
 
 
 def kinds(rows: Astrometry) -> NDArray[np.str_]:
@@ -137,12 +131,8 @@ def kinds(rows: Astrometry) -> NDArray[np.str_]:
         half = np.flatnonzero(present[pair[0]] != present[pair[1]])
         if len(half):
             raise ValueError(f"only one coordinate of the {what} has a value and an error in {named_rows(half)}")
-    position, parallax, motion = present[0], present[2], present[3]
-    kind = np.empty(len(rows), dtype="U24")
-    for (a, b, c), name in KINDS.items():
-        kind[(position == a) & (parallax == b) & (motion == c)] = name
-    if rows.apparent is not None:
-        kind[(kind == "position") & rows.apparent] = "single epoch"
+    kind: NDArray[np.str_] = np.array(KINDS, dtype="U24")[present[[0, 2, 3]].T @ np.array([1, 2, 4])]
+    kind[(kind == "position") & rows.apparent] = "single epoch"
     return kind
 
 
@@ -230,6 +220,10 @@ class Differences:
     present: Flags
     by_frames: Array
 
+    def whole(self, own: Array) -> Array:
+        """Return the covariance of the differences of each row with ``own`` (R, 5, 5), that of its source."""
+        return np.asarray(self.covariance + self.partials @ own @ self.partials.swapaxes(1, 2))
+
 
 def differences(
     satellite: Astrometry, rows: Astrometry, source: Indices, spin: Array | None = None, frames: int = 1
@@ -249,8 +243,7 @@ def differences(
     moved = propagated(star.values, star.radial_velocity, start, start + years)
     moved[2:] = np.nan_to_num(moved[2:])
     present = rows.present
-    apparent = np.zeros(len(rows), dtype=bool) if rows.apparent is None else rows.apparent
-    apparent = apparent & present[0] & ~present[2] & ~present[3]
+    apparent = rows.apparent & present[0] & ~present[2] & ~present[3]
 
     partials = np.zeros((len(rows), 5, 5))
     partials[:, range(5), range(5)] = 1.0
@@ -258,8 +251,7 @@ def differences(
     with np.errstate(invalid="ignore"):
         values = rows.values - moved
         values[:2] = offsets(rows.values[0], rows.values[1], moved[0], moved[1])
-    if np.any(apparent):
-        at = np.flatnonzero(apparent)
+    if len(at := np.flatnonzero(apparent)):
         factors = parallax_factors(moved[0, at], moved[1, at], epoch[at])
         partials[at, :2, 2] = factors.T
         values[:2, at] -= factors * moved[2, at]
@@ -269,7 +261,7 @@ def differences(
     by_frames = partials
     if frames > 1:
         by_frames = np.concatenate([partials, np.zeros((len(rows), 5, 5 * frames - 5))], axis=2)
-        for number in range(1, frames) if rows.frame is not None else ():
+        for number in range(1, frames):
             here = rows.frame == number
             by_frames[here, :, 5 * number : 5 * number + 5] = -partials[here]
     return Differences(

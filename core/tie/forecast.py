@@ -1,23 +1,25 @@
-"""What a later Gaia release or further observations do to the errors of a link, and which sources to observe."""
+"""Links as they may become: errors of a later Gaia release, new observations and which sources to observe, and tables
+drawn again and again with their errors.
+"""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import partial
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from linksweep.core.frames import Array, Indices
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import Astrometry, joined
-from linksweep.core.tie.problem import NormalSums, Problem
-from linksweep.core.tie.solution import inverted
+from linksweep.core.tie.astrometry import Astrometry, Differences, joined
+from linksweep.core.tie.problem import NormalSums, Problem, eliminate
+from linksweep.core.tie.solution import KeptSources, add_separations, inverted
 from linksweep.core.unknowns import Unknowns
 
 Criterion = Literal["A", "D"]
 
 
-@dataclass(frozen=True)
-class Release:
+class Release(NamedTuple):
     """Reference epoch (Julian year TCB) and the months of observations of a release."""
 
     epoch: float
@@ -40,74 +42,56 @@ SAME_EPOCH = 0.01
 """Epochs that differ by less (years) are the same: some are written as whole days."""
 
 
-def factors(old: str, new: str) -> tuple[float, float]:
-    """Return the factors on the errors of positions and parallaxes, and of motions, from one release to another.
-
-    Positions go as T^-1/2 and motions as T^-3/2 with the time T that observations span, as on ESA's Gaia science
-    performance pages.  Raises ValueError for an unknown release.
-    """
-    for name in (old, new):
-        if name not in RELEASES:
-            raise ValueError(f"no release {name!r}; there are {', '.join(RELEASES)}")
-    ratio = RELEASES[old].months / RELEASES[new].months
-    return ratio**0.5, ratio**1.5
-
-
-def scaled_from(epochs: Array, new: str, named: str | None = None) -> str:
+def release_of(epochs: Array, new: str, named: str | None = None) -> str:
     """Return the release from which a table's errors are scaled to ``new``: that of its epochs (N,), in Julian years.
 
     ``named`` is a release for epochs that are those of none; with it, ``new`` may also be an earlier release.  Raises
     ValueError where errors would be scaled twice or, without ``named``, backwards.
     """
-    _ = factors(named or new, new)  # raises for an unknown release
+    for name in (named or new, new):
+        if name not in RELEASES:
+            raise ValueError(f"no release {name!r}; there are {', '.join(RELEASES)}")
     known = np.unique(epochs[np.isfinite(epochs)])
-    near = {epoch: [name for name, one in RELEASES.items() if abs(one.epoch - epoch) < SAME_EPOCH] for epoch in known}
-    at = sorted({name for names in near.values() for name in names}) if all(near.values()) else []
+    near = [{name for name, one in RELEASES.items() if abs(one.epoch - epoch) < SAME_EPOCH} for epoch in known]
+    at = sorted(set().union(*near)) if all(near) else []
     if len(at) > 1:
         raise ValueError(f"the satellite has epochs of {' and '.join(at)}; errors are scaled from one release")
     if not at and named is None:
-        found = " to ".join(f"{epoch:.10g}" for epoch in known[[0, -1][: len(known)]]) or "none"
+        span = " to ".join(dict.fromkeys(f"{epoch:.10g}" for epoch in (*known[:1], *known[-1:]))) or "none"
         there = ", ".join(f"{name} {one.epoch:g}" for name, one in RELEASES.items())
-        raise ValueError(
-            f"the satellite's epochs ({found}) are those of no release ({there}): name the release of its errors, "
-            "from_release"
-        )
+        raise ValueError(f"the satellite's epochs ({span}) are those of no release ({there}): name it, from_release")
     old = at[0] if at else str(named)
+    its_own = f"release {new}: the satellite's epoch {RELEASES[old].epoch:g} is that of {old}"
     if named not in (None, old):
         raise ValueError(
-            f"from_release {named}: the satellite's epoch {RELEASES[old].epoch:g} is that of {old}, whose errors would "
-            f"be scaled as if they were those of {named}; leave from_release out"
+            f"{its_own}, whose errors would be scaled as if they were those of {named}; leave from_release out"
         )
     if old == new:
-        raise ValueError(f"release {new}: the satellite's errors are those of {new} already; leave release out")
+        raise ValueError(f"{its_own}: the errors are those of {new} already; leave release out")
     if named is None and RELEASES[new].months < RELEASES[old].months:
-        raise ValueError(
-            f"release {new}: the satellite's epoch is that of {old}, which is later; to scale errors backwards, name "
-            f"from_release {old}"
-        )
+        raise ValueError(f"{its_own}, which is later; to scale errors backwards, name from_release {old}")
     return old
 
 
-def scaling_notes(old: str, new: str) -> list[str]:
-    """Return what was taken to scale errors from one release to another, and what is to be known about it."""
-    position, motion = factors(old, new)
-    first = f"errors scaled from {old} ({RELEASES[old].epoch:g}) to {new}: positions x {position:.3g}"
-    rest = "motions of dr1 rest on Hipparcos and Tycho-2 positions, so their errors do not scale as T^-3/2"
-    return [f"{first}, motions x {motion:.3g}", *([rest] if "dr1" in (old, new) else [])]
-
-
-def released(problem: Problem, old: str, new: str, epoch_moves: bool = True) -> Problem:
+def released(problem: Problem, old: str, new: str, epoch_moves: bool = True) -> tuple[Problem, list[str]]:
     """Return the problem with the satellite's table as another release may give it: errors scaled, correlations kept,
-    at that release's epoch, to which the epoch of the unknowns ``moves`` with it.
+    at that release's epoch, to which the epoch of the unknowns ``moves`` with it; and notes on what was assumed.
 
     For forecasts: the values stay the same, so only errors are meaningful.
     """
-    position, motion = factors(old, new)
+    # T^-1/2 and T^-3/2 with the time T that observations span, as on ESA's Gaia science performance pages
+    ratio = RELEASES[old].months / RELEASES[new].months
+    position, motion = ratio**0.5, ratio**1.5
     scale = np.array([position, position, position, motion, motion])[:, None]
     shift = RELEASES[new].epoch - RELEASES[old].epoch
     own = problem.satellite
     satellite = replace(own, errors=own.errors * scale, epoch=own.epoch + shift)
-    return replace(problem, satellite=satellite, epoch=problem.epoch + shift if epoch_moves else problem.epoch)
+    first = f"errors scaled from {old} ({RELEASES[old].epoch:g}) to {new}: positions x {position:.3g}"
+    notes = [f"{first}, motions x {motion:.3g}"]
+    if "dr1" in (old, new):
+        notes.append("motions of dr1 rest on Hipparcos and Tycho-2 positions, so their errors do not scale as T^-3/2")
+    epoch = problem.epoch + shift if epoch_moves else problem.epoch
+    return replace(problem, satellite=satellite, epoch=epoch), notes
 
 
 def with_new_rows(problem: Problem, epochs: Sequence[float], error: float, apparent: bool = True) -> Problem:
@@ -150,16 +134,9 @@ class Goal:
         return float(np.trace(covariance) if self.criterion == "A" else np.linalg.slogdet(covariance)[1])
 
 
-@dataclass(frozen=True)
-class Choice:
-    """Sources in the order in which they are chosen, and the normal matrices (n + 1, K, K) before and after each."""
-
-    sources: tuple[int, ...]
-    normals: Array
-
-
-def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> Choice:
-    """Return the sources to observe, the best first, then the best beside it, and so on.
+def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> tuple[list[int], Array]:
+    """Return the sources to observe, the best first, then the best beside it, and so on, and the normal matrices
+    (n + 1, K, K) before and after each.
 
     ``now`` and ``new`` are the sums of each source without and with the new rows.  While no single one determines the
     unknowns, the one that adds most to the smallest eigenvalues is taken.
@@ -175,10 +152,91 @@ def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> Choice:
         best = left[int(np.argmin(values))]
         chosen.append(best)
         normals.append(normals[-1] + gain[best])
-    return Choice(tuple(chosen), np.array(normals))
+    return chosen, np.array(normals)
 
 
 def _regularised(normal: Array) -> float:
     """Return a log determinant relative to the trace that is finite for a singular matrix too."""
     size = np.trace(normal) / len(normal)
     return float(np.linalg.slogdet(normal / size + 1e-9 * np.eye(len(normal)))[1]) if size > 0.0 else -np.inf
+
+
+# ---- tables drawn with their errors
+
+DRAWN_AT_ONCE = 8192
+"""Sources, counted over all draws that are made together: the random numbers depend on it."""
+
+
+@dataclass
+class Simulation:
+    """The tables of a problem as they might have been, had the unknowns the values ``truth`` (K,).
+
+    The errors of the satellite's parameters and of the rows are normal with the covariances of the tables, times
+    ``error_factor``; those of a fraction ``outliers`` of the sources are ``outlier_factor`` times larger still.
+    """
+
+    problem: Problem
+    truth: Array
+    error_factor: float = 1.0
+    outliers: float = 0.0
+    outlier_factor: float = 1.0
+
+    def __post_init__(self) -> None:
+        own = self.problem.satellite
+        self._covariance, self._free = own.covariance(), ~own.present.T
+        self._rows = self.problem.differences()
+        self._matrix = self.problem.unknowns.matrix(*self.problem.objects(own))
+
+    @property
+    def normals(self) -> NormalSums:
+        """The sums of each source for differences of zero: N, counts and averages are the same in every draw."""
+        return self._sums(np.zeros((1, *self._rows.values.shape)))[0]
+
+    def draws(self, number: int, rng: np.random.Generator) -> Iterator[KeptSources]:
+        """Yield the sources of ``number`` draws; memory is that of a block of sources, or of one draw."""
+        own_half, row_half = _half(self._covariance), _half(self._rows.covariance)
+        n_sources, source, rows = len(self._free), self.problem.source, self._rows
+        at_once = max(1, DRAWN_AT_ONCE // n_sources)
+        for start in range(0, number, at_once):
+            n = min(at_once, number - start)
+            scale = np.full((n, n_sources, 1), self.error_factor)
+            if self.outliers > 0.0:
+                scale[rng.random(scale.shape) < self.outliers] *= self.outlier_factor
+            own_errors = scale * np.einsum("sij,nsj->nsi", own_half, rng.standard_normal((n, n_sources, 5)))
+            row_errors = np.einsum("rij,nrj->nri", row_half, rng.standard_normal((n, len(source), 5)))
+            inside = np.tile(self._matrix @ self.truth, (n, 1, 1))
+            inside[..., :5] -= own_errors
+            values = np.einsum("rij,nrj->nri", rows.by_frames, inside[:, source]) + scale[:, source] * row_errors
+            values = np.where(rows.present, values, 0.0)
+            for one, sums in zip(values, self._sums(values), strict=True):
+                yield KeptSources(self.problem, sums, partial(self._separations, one))
+
+    def _sums(self, values: Array) -> list[NormalSums]:
+        """Return the sums of each draw of the differences (n, R, 5)."""
+        # many draws are eliminated at once, as sources of one large table: small tables would spend their time in calls
+        n, n_sources = len(values), len(self._free)
+        tiled = {name: np.concatenate([array] * n) for name, array in vars(self._rows).items() if name != "values"}
+        rows = Differences(values.reshape(-1, 5), **tiled)
+        source = (self.problem.source + n_sources * np.arange(n)[:, None]).ravel()
+        covariance, free = np.tile(self._covariance, (n, 1, 1)), np.tile(self._free, (n, 1))
+        left = eliminate(rows, source, covariance, free, self.problem.weights)
+        matrix, across, first = self._matrix, self._matrix.swapaxes(1, 2), slice(0, n_sources)
+        normal = across @ left.normal[first] @ matrix
+        spread = None if left.spread is None else across @ left.spread[first] @ matrix
+        rights = np.einsum("ski,nsi->nsk", across, left.right.reshape(n, n_sources, -1))
+        both = zip(rights, left.squares.reshape(n, n_sources), strict=True)
+        return [NormalSums(normal, *one, left.count[first], left.expected[first], spread) for one in both]
+
+    def _separations(self, values: Array) -> Array:
+        largest, source = np.zeros((2, len(self._free))), self.problem.source
+        rows = replace(self._rows, values=values)
+        add_separations(largest, source, rows, self._covariance[source], self._free[source])
+        return largest
+
+
+def _half(covariance: Array) -> Array:
+    """Return a square root L of each covariance (N, 5, 5), L L' = C, which may be singular."""
+    scale = np.sqrt(np.einsum("nii->ni", covariance))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance / (safe[:, :, None] * safe[:, None, :]))
+    return np.asarray(scale[:, :, None] * vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])

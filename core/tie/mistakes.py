@@ -16,7 +16,7 @@ from scipy.special import chdtr, chdtrc, chdtri
 
 from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import PAIRS, Astrometry, differences, kinds
+from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, source_sums
 from linksweep.core.tie.solution import Solution, discrepancies, solve
 
@@ -151,10 +151,9 @@ def _groups(problem: Problem, solution: Solution, tables: Sequence[str]) -> list
     left out.
     """
     own, source = problem.satellite, problem.source
-    found = differences(own, problem.rows, source, problem.taken_out(own), problem.unknowns.frames)
+    found = problem.differences()
     design = found.by_frames @ problem.unknowns.matrix(*problem.objects(own))[source]
-    whole = found.covariance + found.partials @ own.covariance()[source] @ found.partials.swapaxes(1, 2)
-    variance = np.einsum("rii->ri", whole)
+    variance = np.einsum("rii->ri", found.whole(own.covariance()[source]))
     usable = found.present & ~(np.abs(found.partials) @ (~own.present).T[source][..., None] > 0.0)[..., 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         squares = (found.values - design @ solution.estimate) ** 2 / variance
@@ -175,7 +174,7 @@ def _groups(problem: Problem, solution: Solution, tables: Sequence[str]) -> list
 
 
 def _wholes(problem: Problem, tables: Sequence[str]) -> list[_Part]:
-    frame = np.zeros(len(problem.rows), dtype=np.int64) if problem.rows.frame is None else problem.rows.frame
+    frame = problem.rows.frame
     own = _Part("satellite", "the satellite", np.ones(len(problem.satellite), dtype=bool))
     return [own, *(_Part(name, f"the {name}", frame == k) for k, name in enumerate(tables) if np.any(frame == k))]
 
@@ -294,7 +293,7 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
         return lambda table: replace(table, values=change(table.values), errors=change(table.errors))
 
     def toggled(table: Astrometry) -> Astrometry:
-        return table if table.apparent is None else replace(table, apparent=~table.apparent)
+        return replace(table, apparent=~table.apparent)
 
     cos_dec = f"pmra of {{}} is mu_alpha, without cos(dec): say --without-cos-dec {table}"
     yield cos_dec, 0, both(lambda array: array * factor)
@@ -352,9 +351,8 @@ def _freed(problem: Problem, turned: bool) -> Change:
         along = motion * np.where(rows.present[0], np.minimum(size, 100.0), 0.0)
         covariance = rows.covariance()
         covariance[:, :2, :2] += np.einsum("ir,jr->rij", along, along)
-        if rows.apparent is not None:
-            seen = rows.apparent & rows.present[0]
-            covariance[seen, :2, :2] += np.eye(2) * np.nan_to_num(own.values[2, seen, None, None]) ** 2
+        seen = rows.apparent & rows.present[0]
+        covariance[seen, :2, :2] += np.eye(2) * np.nan_to_num(own.values[2, seen, None, None]) ** 2
         errors = np.where(rows.present, np.sqrt(np.einsum("rii->ir", covariance)), rows.errors)
         size = np.where(errors > 0.0, errors, 1.0)
         correlations = np.array([covariance[:, i, j] / (size[i] * size[j]) for i, j in PAIRS])

@@ -63,11 +63,10 @@ class NormalSums:
 
     def taken(self, part: slice | Flags | Indices) -> Self:
         """Return the sums of some sources."""
-
-        def some(array: Array) -> Array:  # indexing with row numbers takes several times longer than np.take
-            return array[part] if isinstance(part, slice) or part.dtype == np.bool_ else np.take(array, part, axis=0)
-
-        return self._mapped(some)
+        # indexing with row numbers takes several times longer than np.take
+        if isinstance(part, slice) or part.dtype == np.bool_:
+            return self._mapped(lambda array: array[part])
+        return self._mapped(lambda array: np.take(array, part, axis=0))
 
     def scaled(self, factors: Array | Flags) -> Self:
         """Return the same with the weight of each source multiplied by a factor (G,)."""
@@ -91,12 +90,11 @@ class NormalSums:
 
     def _mapped(self, each: Callable[..., Array], *others: Self) -> Self:
         """Return a function of every array of these sums and of others."""
-        sums = [dict(vars(one)) for one in (self, *others)]
-        if any(one["spread"] is not None for one in sums):
-            for one, arrays in zip((self, *others), sums, strict=True):
-                arrays["spread"] = one.right_covariance
-        names = [name for name, array in sums[0].items() if isinstance(array, np.ndarray)]
-        return replace(self, **{name: each(*(arrays[name] for arrays in sums)) for name in names})
+        sums = (self, *others)
+        names = ("normal", "right", "squares", "count", "expected")
+        arrays = {name: each(*(getattr(one, name) for one in sums)) for name in names}
+        best = all(one.spread is None for one in sums)
+        return replace(self, **arrays, spread=None if best else each(*(one.right_covariance for one in sums)))
 
     @property
     def right_covariance(self) -> Array:
@@ -116,14 +114,13 @@ class Eliminated(NormalSums):
         """Return W (S, r, r), w (S, r) and M' G D G' M (S, r, r) of some parameters, zero for those without weight."""
         if rows == self.parameters:
             return self.normal, self.right, self.right_covariance
-        both = [(i, self.parameters.index(row)) for i, row in enumerate(rows) if row in self.parameters]
-        into, at = [i for i, _ in both], [k for _, k in both]
-        sources, size = range(len(self.right)), len(rows)
-        weight, spread = np.zeros((2, len(sources), size, size))
-        for whole, known in ((weight, self.normal), (spread, self.right_covariance)):
-            whole[np.ix_(sources, into, into)] = known[np.ix_(sources, at, at)]
-        right = np.zeros((len(sources), size))
+        into = [i for i, row in enumerate(rows) if row in self.parameters]
+        at = [self.parameters.index(rows[i]) for i in into]
+        n, size = len(self), len(rows)
+        right, (weight, spread) = np.zeros((n, size)), np.zeros((2, n, size, size))
         right[:, into] = self.right[:, at]
+        for whole, known in ((weight, self.normal), (spread, self.right_covariance)):
+            whole[np.ix_(range(n), into, into)] = known[np.ix_(range(n), at, at)]
         return weight, right, spread
 
 
@@ -144,7 +141,7 @@ def eliminate(
     which = free @ (1 << np.arange(5))
     for one in np.unique(which[which > 0]):
         sources = np.flatnonzero(which == one)
-        _free(result, sources, np.flatnonzero(free[sources[0]]))
+        _eliminate_free(result, sources, np.flatnonzero(free[sources[0]]))
     return result
 
 
@@ -171,8 +168,7 @@ def _observed(
     used = np.flatnonzero(present.any(axis=0))
     if not len(used):
         return
-    partials = rows.partials[places].reshape(n, size, 5)[:, used]
-    present = present[:, used]
+    partials, present = rows.partials[places].reshape(n, size, 5)[:, used], present[:, used]
     whole = partials @ covariance[sources] @ partials.swapaxes(1, 2)
     for row in range(n_rows):
         here = np.flatnonzero(used // 5 == row)
@@ -223,7 +219,7 @@ def _solved(whole: Array, variance: Array, right: Array, sources: Indices) -> Ar
     return np.asarray(solved * scale[..., None])
 
 
-def _free(result: Eliminated, sources: Indices, columns: Indices) -> None:
+def _eliminate_free(result: Eliminated, sources: Indices, columns: Indices) -> None:
     """Eliminate parameters that the satellite lacks, as far as the rows determine them."""
     weight = result.normal[sources]
     block = weight[:, columns[:, None], columns]
@@ -254,26 +250,26 @@ def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array |
     All rows are in the reference's frame.  The row is then the difference itself: W is the inverse of V + C, and
     nothing is eliminated.
     """
-    has = np.isfinite(rows.errors)
-    if np.all(has[3]) and not np.any(has[0]):
-        pair = (3, 4)
-    elif np.all(has[0]) and not np.any(has[3]) and _same_epoch(satellite, rows):
-        pair = (0, 1)
-    else:
-        return None
-    inside, absent = list(pair), [row for row in range(5) if row not in pair]
+    pair, absent = ((3, 4), (0, 1, 2)) if np.all(np.isfinite(rows.errors[3])) else ((0, 1), (2, 3, 4))
+    inside, not_inside = list(pair), list(absent)
     complete = np.all(rows.present[inside]) and np.all(satellite.present[inside])
-    if rows.frame is not None or np.any(has[absent]) or not complete:
+    if not complete or np.any(np.isfinite(rows.errors[not_inside])) or np.any(rows.frame):
         return None
     if pair == (0, 1):
+        same_epoch = np.isnan(rows.epoch) | np.isnan(satellite.epoch) | (rows.epoch == satellite.epoch)
+        if np.any(rows.apparent) or not np.all(same_epoch):
+            return None
         values = offsets(*rows.values[:2], *satellite.values[:2])
     else:
         values = rows.values[inside] - satellite.values[inside]
     if taken_out is not None:
         values = values - taken_out[inside]
-    first, second, cross = (
-        _covariance(satellite, i, j) + _covariance(rows, i, j) for i, j in (pair[:1] * 2, pair[1:] * 2, pair)
-    )
+    first, second = (satellite.errors[k] ** 2 + rows.errors[k] ** 2 for k in pair)
+    cross = np.zeros(len(rows))
+    for table in (satellite, rows):
+        if table.correlations is not None:
+            correlation = np.nan_to_num(table.correlations[PAIRS.index(pair)])
+            cross = cross + correlation * (table.errors[pair[0]] * table.errors[pair[1]])
     determinant = first * second - cross**2
     if not np.all((first > 0.0) & (second > 0.0) & (determinant > UNDETERMINED * first * second)):
         return None  # the general form names the source
@@ -284,20 +280,6 @@ def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array |
     two = np.full(len(rows), 2.0)
     squares = right[:, 0] * values[0] + right[:, 1] * values[1]
     return Eliminated(weight, right, squares, two, two, parameters=pair)
-
-
-def _same_epoch(satellite: Astrometry, rows: Astrometry) -> bool:
-    mean = rows.apparent is None or not np.any(rows.apparent)
-    return mean and bool(np.all(np.isnan(rows.epoch) | np.isnan(satellite.epoch) | (rows.epoch == satellite.epoch)))
-
-
-def _covariance(table: Astrometry, i: int, j: int) -> Array:
-    product = table.errors[i] * table.errors[j]
-    if i == j:
-        return np.asarray(product)
-    if table.correlations is None:
-        return np.zeros(len(table))
-    return np.asarray(np.nan_to_num(table.correlations[PAIRS.index((i, j))]) * product)
 
 
 @dataclass(frozen=True)
@@ -321,27 +303,28 @@ class Problem:
         consecutive = len(part) and part[-1] - part[0] == len(part) - 1 and np.all(np.diff(part) == 1)
         # a slice needs no copy
         chosen = slice(int(part[0]), int(part[-1]) + 1) if consecutive else part
-        star = self._needed.taken(chosen)
+        star, source = self._needed.taken(chosen), np.arange(len(part))
         if self._one_each:
-            rows, source = self.rows.taken(chosen), np.arange(len(part))
+            rows = self.rows.taken(chosen)
         else:
             order, first = self._order
             counts = first[part + 1] - first[part]
-            source = np.repeat(np.arange(len(part)), counts)
+            source = np.repeat(source, counts)
             inside = np.arange(len(source)) - np.repeat(np.cumsum(counts) - counts, counts)
             rows = self.rows.taken(order[np.repeat(first[part], counts) + inside])
-        objects, years = self.objects(star)
-        taken_out = self.taken_out(star)
-        if self.weights == "covariance" and len(rows) == len(part) and np.array_equal(source, np.arange(len(part))):
-            simple = eliminate_simple(star, rows, taken_out)
-            if simple is not None:
-                return objects, years, simple
-        found = differences(star, rows, source, taken_out, self.unknowns.frames)
-        try:
-            left = eliminate(found, source, star.covariance(), ~star.present.T, self.weights)
-        except LinkError as error:
-            raise LinkError(_named(str(error), self.satellite, part)) from None
-        return objects, years, left
+        taken_out, left = self.taken_out(star), None
+        if self.weights == "covariance" and np.array_equal(source, np.arange(len(part))):
+            left = eliminate_simple(star, rows, taken_out)
+        if left is None:
+            found = differences(star, rows, source, taken_out, self.unknowns.frames)
+            try:
+                left = eliminate(found, source, star.covariance(), ~star.present.T, self.weights)
+            except LinkError as error:
+                number = int(str(error).partition("source ")[2].split()[0])
+                names = self.satellite.names
+                name = str(part[number] + 1) if names is None else repr(str(names[part[number]]))
+                raise LinkError(str(error).replace(f"source {number}", f"source {name}")) from None
+        return *self.objects(star), left
 
     def only(self, sources: Indices) -> "Problem":
         """Return the problem of some sources, in any order, and their rows."""
@@ -351,6 +334,11 @@ class Problem:
         return replace(
             self, satellite=self.satellite.taken(sources), rows=self.rows.taken(rows), source=place[self.source[rows]]
         )
+
+    def differences(self) -> Differences:
+        """Return the differences of all rows, without the effect of the known unknowns."""
+        own = self.satellite
+        return differences(own, self.rows, self.source, self.taken_out(own), self.unknowns.frames)
 
     def objects(self, star: Astrometry) -> tuple[Objects, Array]:
         """Return the data for derivatives, and the epoch of each source minus that of the unknowns."""
@@ -385,23 +373,18 @@ class Problem:
         return np.argsort(self.source, kind="stable"), np.concatenate([[0], np.cumsum(n_rows)])
 
 
-def _named(message: str, star: Astrometry, part: Indices) -> str:
-    """Replace the number of a source within a block by its name, or its number in the table."""
-    words = message.split()
-    at = words.index("source") + 1
-    number = int(words[at])
-    words[at] = repr(str(star.names[part[number]])) if star.names is not None else str(part[number] + 1)
-    return " ".join(words)
+def _by_blocks(problem: Problem) -> Iterator[tuple[Indices, Eliminated, Array, tuple[Array, Array, Array]]]:
+    """Yield blocks of sources, what is left of them, and the derivatives (K, rows, n) with `Eliminated.onto` these."""
+    for part in _blocks(len(problem.satellite), BLOCK):
+        objects, years, left = problem.sources(part)
+        rows, derivatives = problem.unknowns.derivatives(objects, years)
+        yield part, left, derivatives, left.onto(rows)
 
 
 def source_sums(problem: Problem) -> NormalSums:
     """Return the sums of each source."""
-    n, k = len(problem.satellite), len(problem.unknowns)
-    sums = NormalSums.zeros(n, k, problem.weights != "covariance")
-    for part in _blocks(n, BLOCK):
-        objects, years, left = problem.sources(part)
-        rows, derivatives = problem.unknowns.derivatives(objects, years)
-        weight, right, spread = left.onto(rows)
+    sums = NormalSums.zeros(len(problem.satellite), len(problem.unknowns), problem.weights != "covariance")
+    for part, left, derivatives, (weight, right, spread) in _by_blocks(problem):
         matrix = np.moveaxis(derivatives, -1, 0)  # (n, K, rows)
         sums.normal[part] = matrix @ weight @ matrix.swapaxes(1, 2)
         if sums.spread is not None:
@@ -409,6 +392,31 @@ def source_sums(problem: Problem) -> NormalSums:
         sums.right[part] = np.einsum("nkr,nr->nk", matrix, right)
         sums.squares[part], sums.count[part], sums.expected[part] = left.squares, left.count, left.expected
     return sums
+
+
+def source_discrepancies(problem: Problem, estimate: Array) -> Array:
+    """Return Q_i of each source at a solution, without keeping its sums; shape (S,)."""
+    squares = np.zeros(len(problem.satellite))
+    for part, left, derivatives, (weight, right, _) in _by_blocks(problem):
+        shift = np.tensordot(estimate, derivatives, axes=1)
+        squares[part] = left.squares - 2.0 * np.einsum("nr,rn->n", right, shift)
+        squares[part] += np.einsum("rn,nrs,sn->n", shift, weight, shift)
+    return np.maximum(squares, 0.0)
+
+
+def source_counts(problem: Problem) -> Array:
+    """Return the number of observations of each source less that of its free parameters; shape (S,)."""
+    return _of_each(problem, lambda left: left.count)
+
+
+def weight_sizes(problem: Problem) -> Array:
+    """Return the sum of the diagonal of each source's W, in mas^-2 and (mas/yr)^-2; shape (S,)."""
+    return _of_each(problem, lambda left: np.einsum("nkk->n", left.normal) * MAS**2)
+
+
+def _of_each(problem: Problem, value: Callable[[Eliminated], Array]) -> Array:
+    blocks = _blocks(len(problem.satellite), GATHERED)
+    return np.concatenate([np.zeros(0), *(value(problem.sources(part)[2]) for part in blocks)])
 
 
 def group_sums(
@@ -451,34 +459,6 @@ def _add_block(
         sums.squares[one] += some.squares.sum()
         sums.count[one] += some.count.sum()
         sums.expected[one] += some.expected.sum()
-
-
-def source_counts(problem: Problem) -> Array:
-    """Return the number of observations of each source less that of its free parameters; shape (S,)."""
-    n = len(problem.satellite)
-    return np.concatenate([problem.sources(part)[2].count for part in _blocks(n, GATHERED)]) if n else np.zeros(0)
-
-
-def weight_sizes(problem: Problem) -> Array:
-    """Return the sum of the diagonal of each source's W, in mas^-2 and (mas/yr)^-2; shape (S,)."""
-    found = np.zeros(len(problem.satellite))
-    for part in _blocks(len(found), GATHERED):
-        weight = problem.sources(part)[2].normal
-        found[part] = np.einsum("nkk->n", weight) * MAS**2
-    return found
-
-
-def source_discrepancies(problem: Problem, estimate: Array) -> Array:
-    """Return Q_i of each source at a solution, without keeping its sums; shape (S,)."""
-    squares = np.zeros(len(problem.satellite))
-    for part in _blocks(len(squares), BLOCK):
-        objects, years, left = problem.sources(part)
-        rows, derivatives = problem.unknowns.derivatives(objects, years)
-        shift = np.tensordot(estimate, derivatives, axes=1)
-        weight, right, _ = left.onto(rows)
-        squares[part] = left.squares - 2.0 * np.einsum("nr,rn->n", right, shift)
-        squares[part] += np.einsum("rn,nrs,sn->n", shift, weight, shift)
-    return np.maximum(squares, 0.0)
 
 
 def _blocks(n: int, size: int) -> Iterator[Indices]:

@@ -4,35 +4,11 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from string import Formatter
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.analysis.compare import (
-    ARITHMETIC,
-    MC_ERRORS_ALLOWED,
-    NOT_DONE,
-    Measured,
-    OutsideGridError,
-    in_words,
-    measure,
-    unit_of,
-)
-from linksweep.sweep.analysis.quantity import (
-    PREDICTION_SUFFIXES,
-    errors_beside,
-    exact,
-    headlines,
-    lacking,
-    own_dimensions,
-    place_at,
-    place_in_words,
-    places_along,
-    prediction_name,
-    standard_error,
-    unknown_parts,
-)
+from linksweep.sweep.analysis import compare, quantity
 from linksweep.sweep.contract import Array, SweepError
 from linksweep.sweep.formatting import (
     counted,
@@ -47,24 +23,12 @@ from linksweep.sweep.formatting import (
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.study import POINT, Conclusion, ConclusionValue
 
-CONCLUSION = "conclusion"
-"""The attribute of a dataset that holds the conclusion of its study, as JSON."""
-
-PLUS_MINUS = " ± "
-"""The text between a value and its error in a sentence."""
-
-MOST_SHORT = 3
-"""The largest number of quantities in a short answer."""
-
-ERRORS_ALLOWED = 3.0
-"""A value agrees with its prediction if it differs by at most this many of its errors."""
-
-VISIBLE_FACTOR = 1.005
-"""An axis that changes a quantity by a smaller factor is not mentioned."""
-
-ROUNDING = 1e-12
-"""Values that differ by a smaller share are equal except for rounding."""
-
+CONCLUSION = "conclusion"  # the attribute of a dataset that holds the conclusion of its study, as JSON
+PLUS_MINUS = " ± "  # between a value and its error in a sentence
+MOST_SHORT = 3  # quantities in a short answer
+ERRORS_ALLOWED = 3.0  # a value agrees with its prediction if it differs by at most this many of its errors
+VISIBLE_FACTOR = 1.005  # an axis that changes a quantity by a smaller factor is not mentioned
+ROUNDING = 1e-12  # values that differ by a smaller share are equal except for rounding
 NOTHING_YET = "No point has a value yet."
 
 
@@ -93,9 +57,9 @@ def said_first(dataset: xr.Dataset) -> list[str]:
     """Return the headline quantities that have errors of several kinds, as the solution of real data has, and with
     them those without a Monte-Carlo error; none if there are no errors of several kinds.
     """
-    names = [name for name in headlines(dataset) if standard_error(dataset, name) is None]
-    with_errors = [name for name in names if errors_beside(dataset, name)]
-    return [*with_errors, *(name for name in names if name not in with_errors)] if with_errors else []
+    names = [name for name in quantity.headlines(dataset) if quantity.standard_error(dataset, name) is None]
+    with_errors = [name for name in names if quantity.errors_beside(dataset, name)]
+    return list(dict.fromkeys([*with_errors, *names])) if with_errors else []
 
 
 def answers(dataset: xr.Dataset) -> list[Answer]:
@@ -106,26 +70,22 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
     if not (dataset["status"] == Status.DONE).any():
         return made
     first = said_first(dataset)
-    for variable in dict.fromkeys([*first, *headlines(dataset)]):
-        meaning, own = meaning_beside(variable, dataset[variable].attrs), own_dimensions(dataset, variable)
-        if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):  # a function, not components
-            made.append(Answer(variable, meaning, [_array_in_words(dataset, variable, own)]))
-            continue
-        values = dataset[variable].values.astype(float)
+    for variable in dict.fromkeys([*first, *quantity.headlines(dataset)]):
+        meaning, values = meaning_beside(variable, dataset[variable].attrs), dataset[variable].values.astype(float)
         finite = values[np.isfinite(values)]
         if made and variable not in first and finite.size > 1 and finite.min() == finite.max():
             continue  # a number that is the same everywhere answers nothing
-        if errors := errors_beside(dataset, variable):
+        if errors := quantity.errors_beside(dataset, variable):
             made.append(Answer(variable, meaning, [_with_errors(dataset, variable, errors)]))
             continue
-        for name, unit, part in _components(dataset, variable, own):
+        for name, unit, part in _components(dataset, variable):
             made.append(Answer(name, meaning, list(filter(None, _sentences(part, variable, unit)))))
     return made
 
 
 def completeness(dataset: xr.Dataset) -> list[str]:
     """Return sentences about what these results lack; none if every point of the study is done."""
-    if not (words := lacking(dataset)):
+    if not (words := quantity.lacking(dataset)):
         return []
     some = bool((dataset["status"] == Status.DONE).any())
     return [f"Incomplete: {words}." + (" What follows is about those that are done." if some else "")]
@@ -134,35 +94,25 @@ def completeness(dataset: xr.Dataset) -> list[str]:
 # Sentences about a quantity
 
 
-def _components(dataset: xr.Dataset, variable: str, extra: list[str]) -> Iterator[tuple[str, str, xr.Dataset]]:
-    """Yield name, unit and dataset of a variable, or of each of its components, with one value per point."""
-    unit = units_of(dataset[variable].attrs)
-    for place in places_along(dataset, extra):
+def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, xr.Dataset]]:
+    """Yield name, unit and dataset of a variable, or of each of its components, with one value per point; the values of
+    a function along a dimension of its own stay together.
+    """
+    unit, own = units_of(dataset[variable].attrs), quantity.own_dimensions(dataset, variable)
+    if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):
+        own = []
+    for place in quantity.places_along(dataset, own):
         part = dataset.isel(place)
         labels = [str(part[d].item()) if d in part.coords else str(i) for d, i in place.items()]
-        units = [str(part[f"{d}_unit"].item()) for d in extra if f"{d}_unit" in part.coords]
+        units = [str(part[f"{d}_unit"].item()) for d in own if f"{d}_unit" in part.coords]
         each = units[0] if "," in unit and len(units) == 1 else unit
-        yield f"{variable} ({', '.join(labels)})" if extra else variable, each, part
-
-
-def _array_in_words(dataset: xr.Dataset, variable: str, own: list[str]) -> str:
-    array = dataset[variable]
-    finite = np.isfinite(dataset[variable].values.astype(float))
-    if not finite.any():
-        return NOTHING_YET
-    values, ends = exact(array.values), []
-    for end in _ends_of(values, finite):
-        index = dict(zip(map(str, array.dims), end, strict=True))
-        place = {d: dataset[d][i].item() for d, i in index.items() if d in dataset.coords}
-        ends.append(f"{with_unit(values[end].item(), 0.0, units_of(array.attrs))}, at {place_in_words(place)}")
-    along = " and ".join(f"{dataset.sizes[d]} values along {d}" for d in own)
-    return f"With {along} at each point it goes from {ends[0]}, to {ends[1]}."
+        yield f"{variable} ({', '.join(labels)})" if own else variable, each, part
 
 
 def _with_errors(dataset: xr.Dataset, variable: str, errors: list[str]) -> str:
     """Return the range of each component that has values, and of each kind of error in each unit."""
     ranges, by_kind = [], {name: dict[str, list[float]]() for name in errors}
-    for name, unit, part in _components(dataset, variable, own_dimensions(dataset, variable)):
+    for name, unit, part in _components(dataset, variable):
         if np.isfinite(values := part[variable].values.astype(float)).any():
             ranges.append(f"{name.removeprefix(f'{variable} (').removesuffix(')')} {_range_of(values, unit)}")
             for error, by_unit in by_kind.items():
@@ -184,63 +134,60 @@ def _range_of(values: Array, unit: str) -> str:
     return " ".join(filter(None, [" to ".join(ends), in_ascii(chosen.unit)]))
 
 
-def _ends_of(values: Any, known: Any) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the indices of the smallest and the largest of the ``known`` values, integers compared exactly."""
-    places = np.flatnonzero(known)
-    some = values.reshape(-1)[places]
-    low, high = (np.unravel_index(places[end], values.shape) for end in (np.argmin(some), np.argmax(some)))
-    return tuple(map(int, low)), tuple(map(int, high))
-
-
 def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
-    """Yield sentences about a variable with one value per point, in a unit; '' for a sentence with nothing to say."""
-    dims = [str(d) for d in part["status"].dims]
-    part = part.transpose(*dims, ...)
-    values, error = part[variable].values.astype(float), standard_error(part, variable)
-    errors = np.zeros(values.shape) if error is None else error.values.astype(float)
+    """Yield sentences about a variable in a unit; '' for a sentence with nothing to say."""
+    array = part[variable].transpose(*part["status"].dims, ...)
+    values, error = array.values.astype(float), quantity.standard_error(part, variable)
+    errors = (xr.zeros_like(array, dtype=float) if error is None else error.transpose(*array.dims)).values
     finite = np.isfinite(values)
     if not finite.any():
         yield NOTHING_YET
         return
-    unfinished = bool(part["status"].isin([Status.MISSING, Status.FAILED]).any())
-    if is_truth(part[variable]):
+    if is_truth(array):
         true, count = int(values[finite].sum()), int(finite.sum())
         yield f"It is True at {true:,} of {counted(count, 'point')}." if count > 1 else f"It is {bool(true)}."
         return
+    unfinished = bool(part["status"].isin([Status.MISSING, Status.FAILED]).any())
+    yield _range(part, array, errors, unit, all_done=not unfinished)
+    if array.ndim > part["status"].ndim:
+        return
     values = np.where(finite, values, np.nan)
-    yield _range(part, variable, finite, errors, unit, all_done=not unfinished)
-    yield "" if unfinished else _what_changes_it(dims, values)
-    for whole in unknown_parts(part, variable):
+    yield "" if unfinished else _what_changes_it(list(map(str, array.dims)), values)
+    for whole in quantity.unknown_parts(part, variable):
         sentence = whole.removeprefix(f"{variable}: ")
         yield f"{sentence[0].upper()}{sentence[1:]}."
-    if (predicted := part.get(prediction_name(part, variable))) is not None:
-        whole_name, errors_alone = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
+    if (predicted := part.get(quantity.prediction_name(part, variable))) is not None:
+        whole_name, errors_alone = (f"{variable}_{suffix}" for suffix in quantity.PREDICTION_SUFFIXES)
         without_bias = whole_name not in part and errors_alone in part and "bias" in part
         left_out = ", which leaves a bias out" if without_bias else ""
-        yield _agreement(values, errors, predicted.transpose(*dims).values, left_out)
-    if infinite := int(np.sum((part["status"].values == Status.DONE) & ~finite)):
-        points = "1 point that is" if infinite == 1 else f"{infinite} points that are"
-        yield f"At {points} done it is not a finite number."
+        yield _agreement(values, errors, predicted.transpose(*array.dims).values, left_out)
+    if infinite := int(np.sum((part["status"].transpose(*array.dims).values == Status.DONE) & ~finite)):
+        yield f"It is not a finite number at {counted(infinite, 'point')}."
 
 
-def _range(part: xr.Dataset, variable: str, finite: Any, errors: Array, unit: str, all_done: bool) -> str:
-    values, count = exact(part[variable].values), int(finite.sum())
-    low, high = _ends_of(values, finite)
-    dims = list(map(str, part["status"].dims))
+def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str, all_done: bool) -> str:
+    values = quantity.exact(array.values)  # integers are compared exactly
+    known = np.flatnonzero(np.isfinite(values.astype(float)))
+    some = values.reshape(-1)[known]
+    noun = "point" if array.ndim == part["status"].ndim else "value"
 
-    def number(index: tuple[int, ...]) -> str:
-        return with_unit(values[index].item(), float(errors[index]), unit)
+    def number(end: int) -> str:
+        flat = known[end]
+        return with_unit(values.reshape(-1)[flat].item(), float(errors.reshape(-1)[flat]), unit)
 
-    def place(index: tuple[int, ...]) -> str:
-        return place_in_words(place_at(part, dict(zip(dims, index, strict=True))))
+    def place(end: int) -> str:
+        index = dict(zip(map(str, array.dims), map(int, np.unravel_index(known[end], values.shape)), strict=True))
+        return quantity.place_in_words(quantity.place_at(part, index))
 
+    low, high = int(np.argmin(some)), int(np.argmax(some))
     if values.size == 1:
-        return f"It is {number(low)}."
-    if count == 1:
-        return f"One point has a value: {number(low)} at {place(low)}."
-    if values[low] == values[high]:
-        return f"It is {number(low)} at {'all ' if all_done else ''}{counted(count, 'point')}."
-    return f"Over {count:,} points it goes from {number(low)}, at {place(low)}, to {number(high)}, at {place(high)}."
+        return f"It is {number(0)}."
+    if len(known) == 1:
+        return f"One {noun} has a value: {number(0)} at {place(0)}."
+    if some[low] == some[high]:
+        return f"It is {number(low)} at {'all ' if all_done else ''}{counted(len(known), noun)}."
+    ends = f"from {number(low)}, at {place(low)}, to {number(high)}, at {place(high)}"
+    return f"Over {counted(len(known), noun)} it goes {ends}."
 
 
 def _what_changes_it(dims: Sequence[str], values: Array) -> str:
@@ -257,13 +204,9 @@ def _what_changes_it(dims: Sequence[str], values: Array) -> str:
         if factor >= VISIBLE_FACTOR:
             factors[dim] = factor
     order = sorted(factors, key=lambda dim: -factors[dim])
-    words = [f"{dim} by a factor of up to {_factor(factors[dim])}" for dim in order]
+    words = [f"{dim} by a factor of up to {in_short(factors[dim])}" for dim in order]
     equal = ", all else being equal" if len(dims) > 1 else ""
     return f"What changes it: {', '.join(words)}{equal}." if words else ""
-
-
-def _factor(factor: float) -> str:
-    return f"{factor:.2f}" if factor < 10.0 else f"{float(f'{factor:.3g}'):,g}" if factor < 1e6 else f"{factor:.1e}"
 
 
 def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) -> str:
@@ -277,10 +220,10 @@ def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) ->
     if not (errors[both] > 0.0).all():
         return f"It differs from its prediction{left_out} by {text}."
     deviations = np.abs(values[both] - predicted[both]) / errors[both]
-    within = int(np.sum(deviations <= ERRORS_ALLOWED))
+    within, n = int(np.sum(deviations <= ERRORS_ALLOWED)), deviations.size
     return (
-        f"{within:,} of {counted(deviations.size, 'value')} {'is' if within == 1 else 'are'} within {ERRORS_ALLOWED:g} "
-        f"of their errors of the prediction{left_out}; the largest difference is {deviations.max():.1f} errors, {text}."
+        f"{within:,} of {n:,} values are within {ERRORS_ALLOWED:g} of their errors of the prediction{left_out}; "
+        f"the largest difference is {deviations.max():.1f} errors, {text}."
     )
 
 
@@ -305,13 +248,14 @@ def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
     for sentence in conclusion.sentences:
         try:
             filled.append(_filled(dataset, conclusion, sentence))
-        except OutsideGridError:
+        except compare.OutsideGridError:
             continue
         except _MissingError as error:
             missing.append(str(error).partition(":")[0])
     if missing:
-        more = "No further conclusion" if filled else "No conclusion yet" if missing[0] == NOT_DONE else "No conclusion"
-        filled.append(f"{more}: numbers that it needs are missing ({', '.join(dict.fromkeys(missing))}).")
+        yet = " yet" if missing[0] == compare.NOT_DONE else ""
+        none = "No further conclusion" if filled else f"No conclusion{yet}"
+        filled.append(f"{none}: numbers that it needs are missing ({', '.join(dict.fromkeys(missing))}).")
     return filled
 
 
@@ -330,19 +274,20 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
         if name is None:
             continue
         value = conclusion.values[name]
-        measured, quantity = _measured(dataset, value), value.quantity()
-        unit = unit_of(dataset, quantity)
-        if before is not None and text == PLUS_MINUS and not form and before[1] == unit and measured.value > 0.0:
-            pieces[-2:] = [with_unit(before[0], measured.value, unit)]
+        measured, derived = _measured(dataset, value), value.quantity()
+        number, error, unit = measured.value, measured.error, compare.unit_of(dataset, derived)
+        if before is not None and text == PLUS_MINUS and not form and before[1] == unit and number > 0.0:
+            pieces[-2:] = [with_unit(before[0], number, unit)]
+        elif form == "%":
+            pieces.append(f"{in_short(100.0 * number, 100.0 * error)} %")
         else:
-            pieces.append(_number(measured, unit, form or ""))
-        before = None if form else (measured.value, unit)
-        if not value.has_bounds:
-            continue
-        if not math.isfinite(measured.error):
-            unjudged.append(in_words(quantity))
-        elif bound := _broken_bound(value, measured):
-            unmet.append(f"{in_words(quantity)} is {in_short(measured.value, measured.error, unit)}, not {bound}")
+            pieces.append((with_unit if form == "error" else in_short)(number, error, unit))
+        before = None if form else (number, unit)
+        words = compare.in_words(derived)
+        if value.has_bounds and not math.isfinite(error):
+            unjudged.append(words)
+        elif bound := _broken_bound(value, number, error):
+            unmet.append(f"{words} is {in_short(number, error, unit)}, not {bound}")
     text = "".join(pieces)
     if unmet:
         return f"Expected, but not found: “{text}” ({'; '.join(dict.fromkeys(unmet))})."
@@ -351,33 +296,26 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
     return text
 
 
-def _measured(dataset: xr.Dataset, value: ConclusionValue) -> Measured:
+def _measured(dataset: xr.Dataset, value: ConclusionValue) -> compare.Measured:
     """Return the number for a value of a conclusion; raises _MissingError, and OutsideGridError like `measure`."""
-    places = measure(dataset, value, value.quantity())
+    places = compare.measure(dataset, value, value.quantity())
     measured = [one for one in places if value.choose is None or not one.missing.startswith("excluded")]
     for one in measured:
         if one.missing or not math.isfinite(one.value):
             raise _MissingError(one.missing or "not a finite number")
     if not measured:
-        raise _MissingError(NOT_DONE)
+        raise _MissingError(compare.NOT_DONE)
     pick = max if value.choose == "largest" else min
     return pick(measured, key=lambda one: one.value)
 
 
-def _number(measured: Measured, unit: str, form: str) -> str:
-    if form == "%":
-        return f"{in_short(100.0 * measured.value, 100.0 * measured.error)} %"
-    return (with_unit if form == "error" else in_short)(measured.value, measured.error, unit)
-
-
-def _broken_bound(value: ConclusionValue, measured: Measured) -> str:
+def _broken_bound(value: ConclusionValue, number: float, error: float) -> str:
     """Return in words the bound that a number violates; '' if it violates none."""
-    number = measured.value
-    allowed = MC_ERRORS_ALLOWED * measured.error + ARITHMETIC * abs(number)
+    allowed = compare.MC_ERRORS_ALLOWED * error + compare.ARITHMETIC * abs(number)
     if value.above is not None and not number + allowed > value.above:
         return f"above {value.above:g}"
     if value.below is not None and not number - allowed < value.below:
         return f"below {value.below:g}"
     if value.equals is not None and not abs(number - value.equals) <= allowed:
-        return f"{value.equals:g} within {MC_ERRORS_ALLOWED:g} of its errors"
+        return f"{value.equals:g} within {compare.MC_ERRORS_ALLOWED:g} of its errors"
     return ""

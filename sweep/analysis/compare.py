@@ -5,35 +5,24 @@ printed digit plus three times our own Monte-Carlo error.  The error of the publ
 Monte Carlo too, is not printed anywhere and not allowed for.
 """
 
-import json
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.analysis.fits import power_law
-from linksweep.sweep.analysis.quantity import (
-    covariance_along,
-    error_of_sum,
-    indices,
-    place_at,
-    place_in_words,
-    places_along,
-    samples_along,
-    standard_error,
-    unknown_parts,
-)
-from linksweep.sweep.contract import Array, SweepError
+from linksweep.sweep.analysis import fits, laws, quantity
+from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import finite_or, in_ascii, prefixed, rounded, to_json, units_of, with_error
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.study import Claim, Derived, Ratio, Reading, Slope, printed_rounding
 from linksweep.sweep.table_writer import BOLD, LONG_NAME, Column, Table
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete"]
+# the verdicts, and their colours on a terminal
 VERDICTS: Mapping[Verdict, str] = {
     "reproduced": "\x1b[32m",
     "within tolerance": "\x1b[33m",
@@ -41,23 +30,12 @@ VERDICTS: Mapping[Verdict, str] = {
     "not comparable": "\x1b[2m",
     "incomplete": "\x1b[33m",
 }
-"""The verdicts, and their colours on a terminal."""
-
 MC_ERRORS_ALLOWED = 3.0
-PROBABILITY, FOUND = 0.95, 1.6449
-"""Probability of finding a deviation that is ``FOUND`` Monte-Carlo errors larger than what is allowed."""
-
-MOST_UNSEEN = 1.0 / 3.0
-"""No verdict is given that would miss a deviation larger than this, relative to the published number."""
-
-ARITHMETIC = 1e-9
-"""Smaller relative differences come from the arithmetic: 0.605 - 0.6 in binary is a little more than 0.005."""
-
+FINDS = 1.6449  # a deviation this many errors beyond what is allowed is found with a probability of 95 %
+MOST_UNSEEN = 1.0 / 3.0  # no verdict is given that would miss a larger deviation, relative to the published number
+ARITHMETIC = 1e-9  # smaller relative differences come from the arithmetic: 0.605 - 0.6 in binary is more than 0.005
 NOT_DONE = "not done yet"
-"""Why a number is missing before its points are done."""
-
-CHANCE = f"with a probability of {100 * PROBABILITY:g} %"
-POWER = f"power: the deviation from the published number that the verdict finds {CHANCE}"
+POWER = "power: the deviation from the published number that the verdict finds with a probability of 95 %"
 
 
 # Our number for a claim: a value, a ratio or a slope
@@ -78,133 +56,108 @@ class Measured:
     broken: str = ""
 
 
-def claims_of(dataset: xr.Dataset) -> list[Claim]:
-    """Return the claims that a dataset carries in its attributes; raises SweepError if they cannot be read."""
-    try:
-        return [Claim.model_validate(claim) for claim in json.loads(dataset.attrs.get("claims", "[]"))]
-    except (ValueError, TypeError) as error:
-        raise SweepError(f"the attribute 'claims' cannot be read: {error}") from error
-
-
-def in_words(quantity: Slope | Ratio | Reading) -> str:
+def in_words(derived: Slope | Ratio | Reading) -> str:
     """Return how the quantity of a claim is derived."""
-    name = quantity.variable + (f"[{quantity.component}]" if quantity.component else "")
-    if isinstance(quantity, Slope):
-        return f"slope of {name} over {quantity.over}"
-    if isinstance(quantity, Ratio):
-        return f"{name}({place_in_words(quantity.of)}) / {name}({place_in_words(quantity.to)})"
+    name = derived.variable + (f"[{derived.component}]" if derived.component else "")
+    if isinstance(derived, Slope):
+        return f"slope of {name} over {derived.over}"
+    if isinstance(derived, Ratio):
+        return f"{name}({quantity.place_in_words(derived.of)}) / {name}({quantity.place_in_words(derived.to)})"
     return name
 
 
-def unit_of(dataset: xr.Dataset, quantity: Slope | Ratio | Reading) -> str:
+def unit_of(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> str:
     """Return the unit of a result, or of its component where these differ; '' for a result that is not there, and
     for ratios and slopes.
     """
-    if not isinstance(quantity, Reading) or quantity.variable not in dataset:
+    if not isinstance(derived, Reading) or derived.variable not in dataset:
         return ""
-    variable = dataset[quantity.variable]
-    units = f"{variable.dims[-1]}_unit" if quantity.component is not None else ""
-    if units in dataset.coords:
-        return str(dataset[units].isel(_component(dataset, quantity)).item())
-    return units_of(variable.attrs)
+    part = _of_component(dataset, derived)
+    dimension = dataset[derived.variable].dims[-1:]
+    units = f"{dimension[0]}_unit" if derived.component is not None else ""
+    return str(part[units].item()) if units in part.coords else units_of(part[derived.variable].attrs)
 
 
-def measure(dataset: xr.Dataset, claim: Derived, quantity: Slope | Ratio | Reading) -> Iterator[Measured]:
+def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> Iterator[Measured]:
     """Yield our number at every place that a claim is about; raises OutsideGridError for one that is not there."""
-    if quantity.variable not in dataset:
-        raise OutsideGridError(f"{quantity.variable} is not a result of this store")
-    points = _points(dataset.isel(_component(dataset, quantity)), quantity.variable)
-    if isinstance(quantity, Slope):
-        if quantity.over not in dataset.coords:
-            raise OutsideGridError(f"{quantity.over} is not an axis of this store")
-        for line in _combinations(dataset, claim.where, but=str(dataset[quantity.over].dims[0])):
-            yield _slope(points, line, quantity.over)
-    elif isinstance(quantity, Ratio):
-        differing = {str(dataset[axis].dims[0]) for axis in quantity.of if axis in dataset.coords}
-        pairs = (_combinations(dataset, {**claim.where, **place}) for place in (quantity.of, quantity.to))
-        for one, other in zip(*pairs, strict=True):
-            yield _ratio(points, one, other, differing)
+    name = derived.variable
+    if name not in dataset:
+        raise OutsideGridError(f"{name} is not a result of this store")
+    part = _of_component(dataset, derived)
+    if isinstance(derived, Slope):
+        if derived.over not in dataset.coords:
+            raise OutsideGridError(f"{derived.over} is not an axis of this store")
+        fixed = _fixed(dataset, claim.where)
+        along = laws.lines_of(part.isel(fixed), name, derived.over)
+        for line in along.lines:
+            yield _slope(line, quantity.place_at(dataset, fixed | dict(line.index)), derived.over)
+    elif isinstance(derived, Ratio):
+        differing = {str(dataset[axis].dims[0]) for axis in derived.of if axis in dataset.coords}
+        pairs = (_values(part, name, _fixed(dataset, {**claim.where, **at})) for at in (derived.of, derived.to))
+        for (one, top), (other, bottom) in zip(*pairs, strict=True):
+            where = quantity.place_at(dataset, {d: i for d, i in one.items() if d not in differing})
+            yield _ratio(part, name, where, (one, other), (top, bottom))
     else:
-        for point in _combinations(dataset, {**claim.where, **quantity.at}):
-            yield _value(points, point)
+        for _, one in _values(part, name, _fixed(dataset, {**claim.where, **derived.at})):
+            yield one
 
 
-class _Points(NamedTuple):
-    """A variable with one number per point: its values, one-sigma errors (0 where there are none) and status."""
-
-    dataset: xr.Dataset
-    variable: str
-    values: Array
-    errors: Array
-    status: Array
+def _of_component(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> xr.Dataset:
+    if derived.component is None:
+        return dataset
+    dimension = str(dataset[derived.variable].dims[-1])
+    return dataset.isel({dimension: dataset[dimension].values.tolist().index(derived.component)})
 
 
-def _points(dataset: xr.Dataset, variable: str) -> _Points:
-    status, error = dataset["status"], standard_error(dataset, variable)
-    errors = xr.zeros_like(status, dtype=float) if error is None else error
-    values, known = (array.broadcast_like(status).transpose(*status.dims) for array in (dataset[variable], errors))
-    return _Points(dataset, variable, values.values, known.values, status.values)
-
-
-def _component(dataset: xr.Dataset, quantity: Slope | Ratio | Reading) -> dict[str, int]:
-    if quantity.component is None:
-        return {}
-    dimension = str(dataset[quantity.variable].dims[-1])
-    return {dimension: dataset[dimension].values.tolist().index(quantity.component)}
-
-
-def _combinations(dataset: xr.Dataset, where: Mapping[str, Any], but: str = "") -> Iterator[dict[str, int]]:
-    """Yield an index for each combination of the axes that ``where`` does not fix, except ``but``."""
+def _fixed(dataset: xr.Dataset, where: Mapping[str, Any]) -> dict[str, int]:
     try:
-        fixed = {dimension: hits[0] for dimension, hits in indices(dataset, where).items()}
+        return {dimension: hits[0] for dimension, hits in quantity.indices(dataset, where).items()}
     except SweepError as error:
         raise OutsideGridError("; ".join(error.problems)) from error
-    for place in places_along(dataset, [d for d in dataset["status"].dims if d not in fixed and d != but]):
-        yield fixed | place
 
 
-def _value(points: _Points, index: Mapping[str, int]) -> Measured:
-    where, at = place_at(points.dataset, index), tuple(index[str(d)] for d in points.dataset["status"].dims)
-    if (status := int(points.status[at])) != Status.DONE:
-        return Measured(where, missing=_why({status}, "the point"))
-    return Measured(where, float(points.values[at]), float(points.errors[at]))
+def _values(dataset: xr.Dataset, name: str, fixed: Mapping[str, int]) -> Iterator[tuple[dict[str, int], Measured]]:
+    """Yield index and number of every point at which some axes are fixed."""
+    part = dataset.isel(fixed)
+    dims, error = part["status"].dims, quantity.standard_error(part, name)
+    arrays = (part["status"], part[name], xr.zeros_like(part["status"], dtype=float) if error is None else error)
+    columns = (array.broadcast_like(part["status"]).transpose(*dims).values.reshape(-1).tolist() for array in arrays)
+    for place, status, value, sigma in zip(quantity.places_along(part, dims), *columns, strict=True):
+        index = {**fixed, **place}
+        where = quantity.place_at(dataset, index)
+        done = status == Status.DONE
+        yield index, Measured(where, value, sigma) if done else Measured(where, missing=_why({status}, "the point"))
 
 
-def _ratio(points: _Points, one: Mapping[str, int], other: Mapping[str, int], differing: set[str]) -> Measured:
-    """Return the value at one point over that at another; its error includes their covariance."""
-    where = place_at(points.dataset, {d: i for d, i in one.items() if d not in differing})
-    top, bottom = _value(points, one), _value(points, other)
+def _ratio(
+    dataset: xr.Dataset,
+    name: str,
+    where: Mapping[str, Any],
+    places: tuple[Mapping[str, int], Mapping[str, int]],
+    numbers: tuple[Measured, Measured],
+) -> Measured:
+    """Return the number at one point over that at another; its error includes their covariance."""
+    top, bottom = numbers
     if missing := top.missing or bottom.missing:
         return Measured(where, missing=missing)
     if bottom.value == 0.0 or not math.isfinite(top.value / bottom.value):
         return Measured(where, broken="the ratio is not a finite number")
     ratio = top.value / bottom.value
-    weights = (1.0 / bottom.value, -ratio / bottom.value)
-    error = error_of_sum(points.dataset, points.variable, one, other, weights)
+    error = quantity.error_of_sum(dataset, name, *places, (1.0 / bottom.value, -ratio / bottom.value))
     return Measured(where, ratio, 0.0 if error is None else float(error))
 
 
-def _slope(points: _Points, index: Mapping[str, int], over: str) -> Measured:
+def _slope(line: laws.Line, where: Mapping[str, Any], over: str) -> Measured:
     """Return the slope along a line of points; those that the study excludes do not belong to it."""
-    dataset = points.dataset
-    where, dimension = place_at(dataset, index), str(dataset[over].dims[0])
-    line = tuple(index.get(str(d), slice(None)) for d in dataset["status"].dims)
-    used = points.status[line] != Status.EXCLUDED
-    status = points.status[line][used]
-    if undone := np.count_nonzero(status != Status.DONE):
-        some = f"{undone:,} of {len(status):,} points"
-        return Measured(where, missing=_why(set(status.tolist()) - {Status.DONE}, some))
-    x, y = (values[used].astype(float) for values in (dataset[over].values, points.values[line]))
-    if len(x) < 2:
-        return Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(x)}")
-    if not (np.all(x > 0.0) and np.all(np.isfinite(y)) and np.all(y > 0.0)):
+    if undone := np.count_nonzero(line.status != Status.DONE):
+        some = f"{undone:,} of {len(line.x):,} points"
+        return Measured(where, missing=_why(set(line.status.tolist()) - {Status.DONE}, some))
+    if len(line.x) < 2:
+        return Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(line.x)}")
+    if not (np.all(line.x > 0.0) and np.all(np.isfinite(line.y)) and np.all(line.y > 0.0)):
         return Measured(where, broken="there are values that are not above 0, which have no power law")
-    errors = points.errors[line][used]
-    if (covariance := covariance_along(dataset, points.variable, dimension)) is not None:
-        pair = covariance.isel({d: i for d, i in index.items() if d in covariance.dims})
-        errors = pair.transpose(dimension, f"{dimension}_other").values[np.ix_(used, used)]
     try:
-        law = power_law(x, y, errors, samples_along(dataset, dimension, covariance))
+        law = fits.power_law(line.x, line.y, line.errors, line.samples)
     except ValueError as error:
         return Measured(where, missing=str(error))
     return Measured(where, law.exponent, law.exponent_error)
@@ -217,6 +170,23 @@ def _why(codes: set[int], subject: str) -> str:
 
 
 # Verdicts
+
+
+@dataclass(frozen=True)
+class PublishedNumber:
+    """One number that was published, with its ``rounding`` and its relative ``tolerance``.
+
+    ``null`` is the value expected without the effect that the number shows: a verdict must tell the two apart.
+    ``not_comparable`` says why there can be no verdict.
+    """
+
+    number: float
+    rounding: float
+    source: str
+    tolerance: float = 0.0
+    reason: str = ""
+    null: float | None = None
+    not_comparable: str = ""
 
 
 @dataclass(frozen=True)
@@ -249,23 +219,6 @@ class Comparison:
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class PublishedNumber:
-    """One number that was published, with its ``rounding`` and its relative ``tolerance``.
-
-    ``null`` is the value expected without the effect that the number shows: a verdict must tell the two apart.
-    ``not_comparable`` says why there can be no verdict.
-    """
-
-    number: float
-    rounding: float
-    source: str
-    tolerance: float = 0.0
-    reason: str = ""
-    null: float | None = None
-    not_comparable: str = ""
-
-
 def compare(dataset: xr.Dataset) -> list[Comparison]:
     """Return a comparison for every published number and every claim of a dataset of results; empty if it has none."""
     return [*_published_numbers(dataset), *_claims(dataset)]
@@ -276,62 +229,55 @@ def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
     study = str(dataset.attrs.get("study_name", ""))
     for name in (n for n in map(str, dataset.data_vars) if f"{n}_published" in dataset):
         table, unit = dataset[f"{name}_published"], units_of(dataset[name].attrs)
-        source, reason = str(table.attrs["source"]), str(table.attrs.get("tolerance_reason", ""))
-        exact, points = standard_error(dataset, name) is None, _points(dataset, name)
+        about, exact = table.attrs, quantity.standard_error(dataset, name) is None
         for index in np.argwhere(np.isfinite(table.values)):
             here = dict(zip(map(str, table.dims), map(int, index), strict=True))
             number, rounding = float(table[here]), float(dataset[f"{name}_published_rounding"][here])
-            printed = PublishedNumber(number, rounding, source, float(table.attrs.get("tolerance", 0.0)), reason)
+            tolerance, reason = float(about.get("tolerance", 0.0)), str(about.get("tolerance_reason", ""))
             if rounding == 0.5 and number.is_integer() and exact:
-                printed = PublishedNumber(number, 0.0, source)  # a count
-            yield judged(study, name, name, unit, _value(points, here), printed)
+                rounding, tolerance = 0.0, 0.0  # a count
+            printed = PublishedNumber(number, rounding, str(about["source"]), tolerance, reason)
+            ((_, ours),) = _values(dataset, name, here)
+            yield judged(study, name, name, unit, ours, printed)
 
 
 def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:
     study = str(dataset.attrs.get("study_name", ""))
-    for claim in claims_of(dataset):
-        quantity = claim.quantity()
-        published = PublishedNumber(
-            number=float(claim.published),
-            rounding=0.0 if claim.exact else printed_rounding(claim.published),
-            source=claim.source,
-            tolerance=claim.tolerance or 0.0,
-            reason=claim.tolerance_reason or "",
-            null=claim.null,
-            not_comparable=claim.not_comparable or "",
-        )
+    for claim in quantity.claims_of(dataset):
+        derived = claim.quantity()
         try:
-            measured = list(measure(dataset, claim, quantity))
+            measured = list(measure(dataset, claim, derived))
         except OutsideGridError as error:
             measured = [Measured(claim.where, missing=str(error))]
         for one in measured:
-            yield judged(study, claim.text, in_words(quantity), unit_of(dataset, quantity), one, published)
+            yield judged(study, claim.text, in_words(derived), unit_of(dataset, derived), one, _published(claim))
 
 
-def judged(study: str, what: str, quantity: str, unit: str, ours: Measured, published: PublishedNumber) -> Comparison:
-    """Return the comparison of our number with the published one."""
-    allowance = published.rounding + MC_ERRORS_ALLOWED * ours.error
-    passes = allowance + published.tolerance * abs(published.number) + FOUND * ours.error
-    detectable = passes if math.isfinite(ours.value) and not published.not_comparable else math.nan
-    verdict, reason = _verdict(ours, published, allowance)
-    return Comparison(
-        study=study,
-        what=what,
-        quantity=quantity,
-        where=ours.where,
-        unit=unit,
-        value=ours.value,
-        mc_error=ours.error,
-        published=published.number,
-        rounding=published.rounding,
-        allowance=allowance,
-        difference=ours.value - published.number,
-        detectable=detectable,
-        power=detectable / abs(published.number) if published.number else math.nan,
-        verdict=verdict,
-        source=published.source,
-        reason=reason,
+def _published(claim: Claim) -> PublishedNumber:
+    return PublishedNumber(
+        number=float(claim.published),
+        rounding=0.0 if claim.exact else printed_rounding(claim.published),
+        source=claim.source,
+        tolerance=claim.tolerance or 0.0,
+        reason=claim.tolerance_reason or "",
+        null=claim.null,
+        not_comparable=claim.not_comparable or "",
     )
+
+
+def judged(study: str, what: str, derived: str, unit: str, ours: Measured, published: PublishedNumber) -> Comparison:
+    """Return the comparison of our number with the published one."""
+    number, rounding = published.number, published.rounding
+    allowance = rounding + MC_ERRORS_ALLOWED * ours.error
+    detectable, power = allowance + published.tolerance * abs(number) + FINDS * ours.error, math.nan
+    if published.not_comparable or not math.isfinite(ours.value):
+        detectable = math.nan
+    if number:
+        power = detectable / abs(number)
+    name, value, error, apart = derived, ours.value, ours.error, ours.value - number
+    verdict, reason = _verdict(ours, published, allowance)
+    numbers = (value, error, number, rounding, allowance, apart, detectable, power)
+    return Comparison(study, what, name, ours.where, unit, *numbers, verdict, published.source, reason)
 
 
 def _verdict(  # noqa: PLR0911 (one return for each verdict)
@@ -356,7 +302,7 @@ def _verdict(  # noqa: PLR0911 (one return for each verdict)
     apart = f"more than {most:.3g}, which the verdict must find"
     if (passes := published.rounding + tolerance) > most:
         return "not comparable", f"rounding and tolerance let pass a deviation of {passes:.3g}, {apart}"
-    if (passes := allowance + tolerance + FOUND * ours.error) > most:
+    if (passes := allowance + tolerance + FINDS * ours.error) > most:
         needed = "more realisations or catalogues are needed"
         return "incomplete", f"our Monte-Carlo error lets pass a deviation of {passes:.3g}, {apart}: {needed}"
     if off <= allowance:
@@ -370,27 +316,27 @@ def summary(comparisons: Sequence[Comparison]) -> dict[Verdict, int]:
     return {verdict: counts[verdict] for verdict in VERDICTS}
 
 
+def summary_line(comparisons: Sequence[Comparison]) -> str:
+    """Return in words how many comparisons have each verdict."""
+    seldom = ("not comparable", "incomplete")
+    return ", ".join(f"{n} {v.lower()}" for v, n in summary(comparisons).items() if n or v not in seldom)
+
+
 def all_is_well(comparisons: Sequence[Comparison]) -> bool:
     """Return whether everything that is comparable is reproduced or within tolerance."""
     return all(c.verdict in ("reproduced", "within tolerance", "not comparable") for c in comparisons)
 
 
 def remarks(dataset: xr.Dataset) -> list[str]:
-    """Return sentences about what was changed in the study, and those of `caveats`."""
-    overrides = dataset.attrs.get("study_overrides")
-    changed = [f"the study was changed on the command line: {overrides}"] if overrides else []
-    return [*changed, *caveats(dataset)]
-
-
-def caveats(dataset: xr.Dataset) -> list[str]:
     """Return sentences about what a comparison of this dataset leaves out, and about what affects its meaning."""
+    sentences = []
     compared = [str(name).removesuffix("_published") for name in dataset.data_vars if str(name).endswith("_published")]
-    compared += [claim.quantity().variable for claim in claims_of(dataset)]
-    sentences = [sentence for name in dict.fromkeys(compared) for sentence in unknown_parts(dataset, name)]
+    compared += [claim.quantity().variable for claim in quantity.claims_of(dataset)]
+    sentences += [part for name in dict.fromkeys(compared) for part in quantity.unknown_parts(dataset, name)]
     for name, variable in dataset.data_vars.items():
         if outside := int(variable.attrs.get("outside_grid", 0)):
-            numbers = "1 published number is" if outside == 1 else f"{outside} published numbers are"
-            sentences.append(f"{str(name).removesuffix('_published')}: {numbers} not in this grid and not compared")
+            result = str(name).removesuffix("_published")
+            sentences.append(f"{result}: published numbers that are not in this grid and not compared: {outside}")
     return sentences
 
 
@@ -403,29 +349,28 @@ def table(comparisons: Sequence[Comparison]) -> Table:
     """
     rows: list[tuple[str, ...]] = []
     between: dict[int, list[tuple[str, str]]] = {}
-    source = None
     groups: dict[tuple[str, ...], list[Comparison]] = {}
     for c in map(in_readable_unit, comparisons):
-        long = place_in_words({k: v for k, v in c.where.items() if len(k) > LONG_NAME})
-        groups.setdefault((c.study, c.what, c.unit, c.source, long), []).append(c)
-    for (study, what, unit, cited, _), some in groups.items():
-        common = {k: v for k, v in some[0].where.items() if all(k in c.where and c.where[k] == v for c in some)}
-        heading = f"{study}: {what}" + (f" [{in_ascii(unit)}]" if unit else "")
-        lines = [("", ""), (f"{heading}, {place_in_words(common)}" if common else heading, BOLD)]
-        lines += [(cited, "\x1b[2m")] if (study, cited) != source else []
+        heading = f"{c.study}: {c.what}" + (f" [{in_ascii(c.unit)}]" if c.unit else "")
+        # a long name of an axis, if in a column of its own, would leave no room for numbers
+        long = quantity.place_in_words({k: v for k, v in c.where.items() if len(k) > LONG_NAME})
+        groups.setdefault((heading, c.source, long), []).append(c)
+    cited = None
+    for (heading, source, _), some in groups.items():
+        common = {k: v for k, v in some[0].where.items() if all(c.where.get(k) == v for c in some)}
+        whole = ", ".join(filter(None, [heading, quantity.place_in_words(common)]))
+        lines = [("", ""), (whole, BOLD), *([(source, "\x1b[2m")] if source != cited else [])]
+        cited = source
         between.setdefault(len(rows), []).extend(lines)
-        source = study, cited
         if len(some) > 1 and all(c.difference == 0.0 and c.verdict == some[0].verdict for c in some):
-            power = power_in_words(some[0])
-            rows.append((some[0].verdict, f"all {len(some)} places", "exactly", "", "none", power, "none"))
+            rows.append(
+                (some[0].verdict, f"all {len(some)} places", "exactly", "", "none", power_in_words(some[0]), "")
+            )
         else:
-            for c in some:
-                value, published, difference, percent, allowance = numbers_in_words(c)
-                place = place_in_words({k: v for k, v in c.where.items() if k not in common})
-                rows.append((c.verdict, place, value, published, percent or difference, power_in_words(c), allowance))
+            rows += [_row(c, common) for c in some]
         reasons = dict.fromkeys(f"{c.verdict}: {c.reason}" for c in some if c.reason)
         between[len(rows)] = [(reason, "") for reason in reasons]
-    between[len(rows)] = [*between.get(len(rows), []), ("", ""), (POWER, "")]
+    between.setdefault(len(rows), []).extend([("", ""), (POWER, "")])
     names = ("verdict", "at", "computed", "published", "difference", "power", "allowance")
     cells = list(zip(*rows, strict=True)) or [()] * len(names)
     ranks = {"power": 1, "allowance": 2}
@@ -435,11 +380,17 @@ def table(comparisons: Sequence[Comparison]) -> Table:
     return Table(columns, between=between)
 
 
+def _row(c: Comparison, common: Mapping[str, Any]) -> tuple[str, ...]:
+    value, published, difference, percent, allowance = numbers_in_words(c)
+    place = quantity.place_in_words({k: v for k, v in c.where.items() if k not in common})
+    return c.verdict, place, value, published, percent or difference, power_in_words(c), allowance
+
+
 def records(comparisons: Sequence[Comparison]) -> Table:
     """Return one row per comparison with all numbers, for programs; a missing number is an empty cell."""
     names = [field.name for field in fields(Comparison)]
     columns = {name: [finite_or(getattr(c, name), math.nan) for c in comparisons] for name in names}
-    columns["where"] = list(map(place_in_words, columns["where"]))
+    columns["where"] = list(map(quantity.place_in_words, columns["where"]))
     return Table([Column(name, values) for name, values in columns.items()])
 
 
@@ -456,42 +407,29 @@ def notes(comparisons: Sequence[Comparison]) -> list[str]:
     return [*sources, *reasons]
 
 
-def summary_line(comparisons: Sequence[Comparison]) -> str:
-    """Return in words how many comparisons have each verdict."""
-    seldom = ("not comparable", "incomplete")
-    return ", ".join(f"{n} {v.lower()}" for v, n in summary(comparisons).items() if n or v not in seldom)
-
-
 def in_readable_unit(comparison: Comparison) -> Comparison:
     """Return a comparison with its numbers in the unit in which the published one reads best."""
     unit, factor = prefixed(comparison.published, comparison.unit)
-    if factor == 1.0:
-        return comparison
     numbers = ("value", "mc_error", "published", "rounding", "allowance", "difference", "detectable")
     return replace(comparison, unit=unit, **{name: factor * getattr(comparison, name) for name in numbers})
 
 
 def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
     """Return value, published number, difference (also in percent) and allowance, with significant digits only."""
-    decimals = 0  # of the published number: its rounding is half a unit of the last digit
-    if c.rounding > 0.0:
-        decimals = min(300, max(0, -math.floor(math.log10(2.0 * c.rounding) + 1e-9)))
-    exact = min(f"{c.published:g}", rounded(c.published, c.mc_error), key=len)  # no more digits than our number has
-    published = f"{c.published:.{decimals}f}" if c.rounding > 0.0 else exact
+    published = f"{c.published:g}"
+    if c.rounding > 0.0:  # half a unit of the last printed digit
+        decimals = math.floor(math.log10(2.0 * c.rounding) + 1e-9)
+        published = f"{c.published:.{min(300, max(0, -decimals))}f}"
     if not math.isfinite(c.value):
         return "", published, "", "", ""
-    if c.mc_error > 0.0:
-        value, difference = with_error(c.value, c.mc_error), rounded(c.difference, c.mc_error)
-    elif c.rounding > 0.0 and c.value != round(c.value, decimals):
-        value, difference = (f"{number:.{decimals + 1}f}" for number in (c.value, c.difference))
-    else:
-        value, difference = rounded(c.value), rounded(c.difference)
+    sigma = c.mc_error if c.mc_error > 0.0 else 0.0 if float(c.value).is_integer() else c.rounding
+    value = with_error(c.value, c.mc_error) if c.mc_error > 0.0 else rounded(c.value, sigma)
     allowance = f"{c.allowance:.2g}" if c.allowance > 0.0 else "none"
     if c.difference == 0.0:
         return value, published, "none", "", allowance
-    percent = f"{100.0 * c.difference / abs(c.published):+.1f} %" if c.published else ""
     sign = "+" if c.difference > 0.0 else ""
-    return value, published, sign + difference, percent.replace("-0.0", "0.0").replace("+0.0", "0.0"), allowance
+    percent = f"{100.0 * c.difference / abs(c.published):+.1f} %" if c.published else ""
+    return value, published, sign + rounded(c.difference, sigma), percent, allowance
 
 
 def power_in_words(c: Comparison) -> str:

@@ -1,8 +1,8 @@
 """The power law and the law that levels off, through points with errors, correlated or not: arrays in, numbers out."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -111,49 +111,58 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
     than their own errors allow.
     Raises ValueError where it does not converge, or for a covariance that is not positive definite.
     """
-    from scipy.optimize import approx_fprime  # a run that only compares with claims does not need to read it
+    # here, as a run that only compares with claims does not need to read it
+    from scipy.optimize import approx_fprime, least_squares
+    from scipy.special import exprel
 
     relative, known = _relative_covariance(y, errors)
     whiten, covariance = _weigh(relative, samples)
     first, length, scale = x[0], x[-1] - x[0], y[-1]
-    z, target = (x - first) / length, np.log(y / scale)
+    z, target = (x - first) / length, np.log(y / scale)  # z runs from 0 at the first point to 1 at the last
 
     # The parameters are log y^2 at both ends and the rate: they are hardly correlated, and y^2 is positive in between
     # whatever their values are.
     def misfit(parameters: Array) -> Array:
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
-        return whiten(0.5 * np.log(_square(z, start, end, rate)) - target)
+        square = start + (end - start) * z * exprel(-rate * z) / exprel(-rate)
+        return whiten(0.5 * np.log(np.asarray(square)) - target)
 
-    with np.errstate(all="ignore"):  # a trial value of the rate may overflow; it is then rejected
-        fits = [_least_squares(misfit, np.array([2.0 * target[0], 0.0, start])) for start in STARTS]
-    converged = [each for each in fits if each is not None]
+    converged = []
+    for guess in STARTS:
+        with np.errstate(all="ignore"), suppress(ValueError, LinAlgError):
+            # a trial value of the rate may overflow and is then rejected; a parameter that nothing depends on has
+            # no error, and its matrix no inverse
+            begin = np.array([2.0 * target[0], 0.0, guess])
+            fit = least_squares(misfit, begin, jac="3-point", xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=300)
+            jacobian = np.asarray(fit.jac, dtype=np.float64)
+            np.linalg.inv(jacobian.T @ jacobian)
+            if fit.success:
+                converged.append((2.0 * float(fit.cost), fit.x, jacobian))
     if not converged:
         raise ValueError("the levelling law does not converge")
-    best, slopes, misfit_squared = min(converged, key=lambda each: each[2])
+    misfit_squared, best, slopes = min(converged, key=lambda each: each[0])
     dof = len(x) - 3
     solve = np.linalg.pinv(slopes)
     spread = solve @ covariance @ solve.T * float(small_sample_factor(samples))
     if misfit_squared > dof or not known:
         spread = spread * misfit_squared / dof
-    judged = known and not np.isnan(samples)
 
     def derived(parameters: Array) -> Array:
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
-        floor = _floor(start, end, rate)
+        floor = float(start + (end - start) / -np.expm1(-rate)) if rate > 0.0 else np.nan  # what y^2 tends to
         plateau = scale * np.sqrt(floor) if floor > 0.0 else np.nan
-        limit = first + length * _limit(start, end, rate, fall * length)
-        return np.array([plateau, rate / length, 0.5 * (start - end) / end / _exprel(rate) / length, limit])
+        limit = first + length * _limit(start, end, rate, floor, fall * length)
+        return np.array([plateau, rate / length, 0.5 * (start - end) / end / exprel(rate) / length, limit])
 
     values = derived(best)
     with np.errstate(invalid="ignore"):
         jacobian = approx_fprime(best, derived)
         sigmas = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
     sigmas = np.where(np.isfinite(values), sigmas, np.nan)
+    judged = known and not np.isnan(samples)
     chi2 = _chi2(misfit(best), slopes, covariance, relative, samples) if judged else np.nan
-    names = ("plateau", "rate", "end_fall", "limit")
-    numbers = dict(zip(names, values.tolist(), strict=True))
-    of_errors = {f"{name}_error": sigma for name, sigma in zip(names, sigmas.tolist(), strict=True)}
-    return Levelling(**numbers, **of_errors, chi2=chi2, dof=dof)
+    plateau, rate, end_fall, limit = zip(values.tolist(), sigmas.tolist(), strict=True)
+    return Levelling(*plateau, *rate, *end_fall, *limit, chi2, dof)
 
 
 def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
@@ -213,43 +222,10 @@ def _chi2(residual: Array, design: Array, covariance: Array, relative: Array, sa
     return float(residual @ rest @ np.linalg.solve(free, rest.T @ residual))
 
 
-def _least_squares(misfit: Callable[[Array], Array], start: Array) -> tuple[Array, Array, float] | None:
-    """Return the parameters, the Jacobian of the misfit and its sum of squares; None if the fit fails."""
-    from scipy.optimize import least_squares
-
-    try:
-        found = least_squares(misfit, start, jac="3-point", xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=300)
-        jacobian = np.asarray(found.jac, dtype=np.float64)
-        np.linalg.inv(jacobian.T @ jacobian)
-    except (ValueError, LinAlgError):  # residuals that are not finite; a parameter that nothing depends on
-        return None
-    return (found.x, jacobian, 2.0 * float(found.cost)) if found.success else None
-
-
-# Below, z runs from 0 at the first point to 1 at the last, and squares are y^2.
-
-
-def _exprel(t: Any) -> Any:
-    """Return (e^t - 1) / t, also at 0."""
-    from scipy.special import exprel
-
-    return exprel(t)
-
-
-def _square(z: Array, start: float, end: float, rate: float) -> Array:
-    return np.asarray(start + (end - start) * z * _exprel(-rate * z) / _exprel(-rate))
-
-
-def _floor(start: float, end: float, rate: float) -> float:
-    """Return the square that the law tends to; NaN if it does not level off."""
-    return float(start + (end - start) / -np.expm1(-rate)) if rate > 0.0 else np.nan
-
-
-def _limit(start: float, end: float, rate: float, fall: float) -> float:
+def _limit(start: float, end: float, rate: float, floor: float, fall: float) -> float:
     """Return the z where -d ln y / dz is ``fall``: rate/2 c t / (floor + c t) with t = exp(-rate z)."""
     if end >= start:
         return -np.inf
-    floor = _floor(start, end, rate)
     if not floor > 0.0:
         return np.inf
     if rate <= 2.0 * fall:

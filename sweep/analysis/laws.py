@@ -1,12 +1,16 @@
-"""Laws along an axis, for every combination of the other axes: power laws, the law that levels off, and ratios.
+"""A quantity along an axis, for every combination of the other axes: laws, ratios, crossings and values in between.
 
-A quantity along an axis is first made `Lines` of arrays, to each of which a law of `linksweep.sweep.analysis.fits` is
-fitted.  Errors are found by the names that `linksweep.sweep.analysis.quantity` describes, expected exponents in the
-claims of the study.
+The points of a quantity along an axis are a `Line`, with errors that are found by the names which
+`linksweep.sweep.analysis.quantity` describes.  To each a law of `linksweep.sweep.analysis.fits` is fitted, and between
+two points a value or a crossing is interpolated: linearly in the logarithm of the quantity where that is above 0, and
+in that of the axis if all its values are above 0 and its unit is not logarithmic already, as magnitudes are.
 """
 
 import math
+import operator
+import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,28 +18,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from linksweep.sweep.analysis.compare import claims_of
-from linksweep.sweep.analysis.fits import Levelling, PowerLaw, levelling, p_value, power_law
-from linksweep.sweep.analysis.quantity import (
-    COVARIANCE_SUFFIX,
-    axis_coordinates,
-    covariance_along,
-    error_of_sum,
-    indices,
-    listed,
-    place_in_words,
-    require_axis,
-    require_done,
-    require_quantity,
-    samples_along,
-    standard_error,
-)
-from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError
-from linksweep.sweep.formatting import described, fixed, prefixed, units_of, with_error
+from linksweep.sweep.analysis import fits, quantity
+from linksweep.sweep.analysis.derived import derived
+from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError, shown, small_sample_factor
+from linksweep.sweep.formatting import LOGARITHMIC_UNITS, described, units_of, with_error, with_unit
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
-from linksweep.sweep.table_writer import Column, Table
 
 LEVELLING_POINTS = 4
 """The fewest points for the levelling law, which has three parameters."""
@@ -49,71 +38,77 @@ P_VALUE_ALLOWED = 1e-3
 RATE_WANTED = 2.0
 """A levelling off is significant if its rate is more than this many errors above 0."""
 
-CONCLUSION = 24
-"""The least width of the column of conclusions in words, in characters."""
+MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
+"""Where a condition is met along a line: at no point, at all points, from or up to one crossing, between several.
+Lines are left out if the study excludes them, or if their unit cannot be converted to that of the limit.
+"""
+NEVER, ALWAYS, FROM, UP_TO, SEVERAL, LEFT_OUT = range(len(MET_WORDS))
+
+_COMPARE = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
+_LIMIT = re.compile(
+    r"\s*(?P<variable>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<number>[-+.\w]*\d[-+.\w]*?)(?:\s+(?P<unit>\S.*))?"
+)
 
 
 # A quantity along an axis
 
 
 @dataclass(frozen=True)
-class Lines:
-    """A quantity along the axis ``over``: ``value``, ``error`` and ``used`` (lines, n) at ``x`` (n,), which ascends.
+class Line:
+    """The points along an axis that the study does not exclude, in its order: ``y`` (n,) at ``x`` (n,), of ``status``.
 
-    ``error`` is one sigma, NaN or 0 where there is none; ``covariance`` (lines, n, n) is there if the dataset has it.
-    Points that a study excludes are not ``used``.  The lines are those of the dimensions ``dims`` in C order, whose
-    coordinates are in ``grid``; ``unit`` (lines,) is the unit of each, ``errors`` says where the errors come from.
-    ``samples`` is the number of independent samples from which the covariance was estimated: infinity if it is exact
-    or points are independent, NaN if they share random numbers and their covariance is not known.
+    ``errors`` are one sigma of independent points (n,), NaN where there are none, or the covariance of all (n, n),
+    which was estimated from ``samples``: infinity if it is exact or points are independent, NaN if they share random
+    numbers and their covariance is not known.  ``index`` is the place of the line along the other dimensions.
+    """
+
+    index: Mapping[str, int]
+    unit: str
+    x: Array
+    y: Array
+    errors: Array
+    status: NDArray[Any]
+    samples: float
+
+
+@dataclass(frozen=True)
+class Lines:
+    """A quantity along the axis ``over``: a line for each combination of the dimensions ``dims``, in C order.
+
+    Coordinates of these dimensions are in ``grid``; ``errors`` says where the errors come from.
     """
 
     variable: str
     over: str
     over_unit: str
-    x: Array
-    value: Array
-    error: Array
-    used: NDArray[np.bool_]
-    covariance: Array | None
     dims: tuple[str, ...]
     grid: xr.Dataset
-    unit: tuple[str, ...]
+    lines: Sequence[Line]
     errors: str
-    samples: float = np.inf
-
-    def __len__(self) -> int:
-        return len(self.value)
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """Length of each of ``dims``."""
-        return tuple(self.grid.sizes[d] for d in self.dims)
-
-    @property
-    def common_unit(self) -> str:
+    def unit(self) -> str:
         """The unit of all lines; '' if they differ: the coordinate of the components' units then gives them."""
-        return self.unit[0] if len(set(self.unit)) == 1 else ""
+        units = {line.unit for line in self.lines}
+        return units.pop() if len(units) == 1 else ""
 
-    def place(self, line: int) -> dict[str, Any]:
+    def place(self, line: Line) -> dict[str, Any]:
         """Return the coordinates of a line by name, those of dimensions first."""
-        one = self.grid.isel(dict(zip(self.dims, np.unravel_index(line, self.shape), strict=True)))
-        names = [*self.dims, *(n for n in map(str, one.coords) if n not in self.dims and not n.endswith("_unit"))]
-        return {n: one[n].item() for n in names if n in one.coords}
+        one = self.grid.isel(line.index)
+        names = dict.fromkeys([*self.dims, *map(str, one.coords)])
+        return {n: one[n].item() for n in names if n in one.coords and not n.endswith("_unit")}
 
-    def errors_of(self, line: int) -> Array:
-        """Return the errors (k,) or the covariance (k, k) of the k used points of a line."""
-        used = self.used[line]
-        return np.asarray(
-            self.error[line, used] if self.covariance is None else self.covariance[line][np.ix_(used, used)]
-        )
+    def at(self, line: Line, x: float | None = None) -> str:
+        """Return the place of a line, or of its point at ``x``, as the end of a sentence."""
+        words = quantity.place_in_words(self.place(line) | ({} if x is None else {self.over: x}))
+        return f" at {words}" if words else ""
 
-    def with_variables(self, columns: Mapping[str, tuple[Any, str, str]]) -> xr.Dataset:
-        """Return the grid with variables, each given by values (lines,), unit and meaning, and with attributes."""
-        variables = {
-            name: (self.dims, np.reshape(values, self.shape), described(unit, meaning))
-            for name, (values, unit, meaning) in columns.items()
-        }
-        return self.grid.assign(variables).assign_attrs(variable=self.variable, over=self.over, errors=self.errors)
+    def dataset(
+        self, columns: Mapping[str, tuple[Any, str, str]], shown: Sequence[str], *notes: str, **about: Any
+    ) -> xr.Dataset:
+        """Return what is derived from the lines, given by values (lines,), unit and meaning."""
+        about |= {"variable": self.variable, "over": self.over, "errors": self.errors}
+        return derived(self.grid, self.dims, columns, shown, notes, **about)
 
 
 def lines(
@@ -125,17 +120,42 @@ def lines(
     belong to a line, and a line may have none.  Raises SweepError for an unknown quantity or axis, points that are not
     done, values that are not finite, and lines of fewer than ``least`` points.
     """
-    require_axis(dataset, variable, over)
+    quantity.require_axis(dataset, variable, over)
+    made = lines_of(dataset, variable, over, covariance)
+    quantity.require_done(dataset)
+    problems = []
+    for line in made.lines:
+        bad = ~np.isfinite(line.y)
+        if bad.any():
+            problems.append(f"{variable} is not a finite number{made.at(line, line.x[bad][0])}")
+        elif 0 < len(line.x) < least:
+            n = len(line.x)
+            problems.append(f"at least {least} points are needed along {over}; there are {n}{made.at(line)}")
+    if not any(len(line.x) for line in made.lines):
+        problems.append("every point is excluded by the study")
+    if problems:
+        raise SweepError(problems[:FEW])
+    return made
+
+
+def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataArray | None = None) -> Lines:
+    """Return a quantity along an axis like `lines`, but with points that are not done."""
     dimension = str(dataset[over].dims[0])
+    pair = (dimension, f"{dimension}_other")
     if dimension == POINT:  # a table may repeat a point
         once = np.unique(dataset[over].values, return_index=True)[1]
-        dataset = dataset.isel({d: once for d in (POINT, f"{POINT}_other") if d in dataset.dims})
-    others = [str(d) for d in dataset[variable].dims if d != dimension]
-    order = np.argsort(dataset[over].values, kind="stable")
+        dataset = dataset.isel({d: once for d in pair if d in dataset.dims})
+    others = tuple(str(d) for d in dataset[variable].dims if d != dimension)
     if covariance is None:
-        covariance = covariance_along(dataset, variable, dimension)
-    samples = samples_along(dataset, dimension, covariance)
-    error = standard_error(dataset, variable)
+        covariance = quantity.covariance_along(dataset, variable, dimension)
+    if covariance is not None and (
+        set(covariance.dims) - {*others, *pair}
+        or any(covariance.sizes.get(d) != dataset.sizes[dimension] for d in pair)
+    ):
+        name, sizes = f"{variable}_{quantity.COVARIANCE_SUFFIX}_{dimension}", dict(covariance.sizes)
+        raise SweepError(f"{name} is {sizes}: it needs {' and '.join(pair)} of one length, and no more")
+    samples, error = quantity.samples_along(dataset, dimension, covariance), quantity.standard_error(dataset, variable)
+    order = np.argsort(dataset[over].values, kind="stable")
 
     def rows(array: xr.DataArray, *last: str) -> NDArray[Any]:
         """Return values of shape (lines, *last), in the order of the axis."""
@@ -144,48 +164,34 @@ def lines(
         values = whole.isel(dict.fromkeys(last, order)).transpose(*others, *last).values
         return np.asarray(values.reshape(-1, *values.shape[len(others) :]))
 
-    pair = (dimension, f"{dimension}_other")
-    if covariance is not None and (
-        set(covariance.dims) - {*others, *pair} or any(covariance.sizes[d] != dataset.sizes[dimension] for d in pair)
+    x, status = dataset[over].values[order].astype(float), rows(dataset["status"], dimension)
+    value = rows(dataset[variable].astype(float), dimension)  # integers too: errors may be NaN
+    none = xr.full_like(dataset[variable], np.nan, dtype=float)
+    errors = rows(none if error is None else error, dimension) if covariance is None else rows(covariance, *pair)
+    made = []
+    for number, (index, unit) in enumerate(
+        zip(quantity.places_along(dataset, others), _units(dataset, variable, others), strict=True)
     ):
-        name = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}"
-        raise SweepError(
-            f"{name} is {dict(covariance.sizes)}: it needs {' and '.join(pair)} of one length, and no more"
-        )
+        used = status[number] != Status.EXCLUDED
+        spread = errors[number][used] if covariance is None else errors[number][np.ix_(used, used)]
+        made.append(Line(index, unit, x[used], value[number, used], spread, status[number, used], samples))
     along = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(others)}
-    made = Lines(
-        variable=variable,
-        over=over,
-        over_unit=units_of(dataset[over].attrs),
-        x=dataset[over].values[order].astype(float),
-        value=rows(dataset[variable].astype(float), dimension),  # integers too: errors may be NaN
-        error=rows(xr.full_like(dataset[variable], np.nan, dtype=float) if error is None else error, dimension),
-        used=rows(dataset["status"], dimension) != Status.EXCLUDED,
-        covariance=None if covariance is None else rows(covariance, *pair),
-        dims=tuple(others),
-        grid=xr.Dataset(
-            coords=along | {d: dataset[d].variable for d in others},
-            attrs={"title": str(dataset.attrs.get("title", ""))},
-        ),
-        unit=_units(dataset, variable, others),
-        errors=_errors_in_words(dataset, error is not None, covariance is not None, samples),
-        samples=samples,
+    grid = xr.Dataset(
+        coords=along | {d: dataset[d].variable for d in others}, attrs={"title": str(dataset.attrs.get("title", ""))}
     )
-    require_done(dataset)
-    if problems := _unusable(made, least):
-        raise SweepError(problems[:FEW])
-    return made
+    words = _errors_in_words(dataset, error is not None, covariance is not None, samples)
+    return Lines(variable, over, units_of(dataset[over].attrs), others, grid, made, words)
 
 
-def _units(dataset: xr.Dataset, variable: str, others: Sequence[str]) -> tuple[str, ...]:
+def _units(dataset: xr.Dataset, variable: str, others: Sequence[str]) -> list[str]:
     """Return the unit of each line: that of the variable, or of the components that its own unit lists."""
     unit = units_of(dataset[variable].attrs)
-    listed_units = [c.variable.astype(object) for n, c in dataset.coords.items() if str(n).endswith("_unit")]
-    parts = [part for part in listed_units if set(part.dims) <= set(others)] if "," in unit else []
+    listed = [c.variable.astype(object) for n, c in dataset.coords.items() if str(n).endswith("_unit")]
+    parts = [part for part in listed if set(part.dims) <= set(others)] if "," in unit else []
     whole = xr.Variable(others, np.full([dataset.sizes[d] for d in others], "" if parts else unit, dtype=object))
     for part in parts:
         whole = whole + (part if len(parts) == 1 else "(" + part + ") ")
-    return tuple(str(each).strip() for each in whole.values.reshape(-1))
+    return [str(each).strip() for each in whole.values.reshape(-1)]
 
 
 def _errors_in_words(dataset: xr.Dataset, known: bool, correlated: bool, samples: float) -> str:
@@ -197,24 +203,6 @@ def _errors_in_words(dataset: xr.Dataset, known: bool, correlated: bool, samples
             f"(it needs {FEWEST_SAMPLES} {outer_draw_of(dataset.attrs)}s, or as many blocks of one, and no `precision`)"
         )
     return "Monte Carlo, independent points" if known else "none: points weigh the same, errors come from the scatter"
-
-
-def _unusable(made: Lines, least: int) -> list[str]:
-    problems = []
-    finite, count = np.isfinite(made.value) | ~made.used, made.used.sum(axis=1)
-    for line in range(len(made)):
-        if not finite[line].all():
-            place = made.place(line) | {made.over: made.x[~finite[line]][0]}
-            problems.append(f"{made.variable} is not a finite number at {place_in_words(place)}")
-        elif 0 < count[line] < least:
-            where = _at(made, line)
-            problems.append(f"at least {least} points are needed along {made.over}; there are {count[line]}{where}")
-    return problems if count.any() else [*problems, "every point is excluded by the study"]
-
-
-def _at(made: Lines, line: int, more: Mapping[str, Any] | None = None) -> str:
-    words = place_in_words(made.place(line) | dict(more or {}))
-    return f" at {words}" if words else ""
 
 
 # Laws
@@ -255,21 +243,27 @@ def fit_power_law(
         (-0.51, 0.04)
     """
     made = lines(dataset, variable, over, covariance)
-    _require_positive(made, axis_too=True)
+    if not_above := [x for line in made.lines for x in line.x if not x > 0.0]:
+        raise SweepError(f"a power law needs {over} above 0; there is {min(not_above):g}")
     columns = {
         "exponent": ("", f"exponent of {variable} over {over}"),
-        "amplitude": (made.common_unit, f"{variable} of the law at the pivot"),
+        "amplitude": (made.unit, f"{variable} of the law at the pivot"),
         "correlation": ("", "correlation of the errors of exponent and amplitude"),
         "pivot": (made.over_unit, f"{over} of the amplitude"),
     }
-    result = _fitted(made, columns, power_law)
-    wanted = [_expected(dataset, made, line) if expected is None else expected for line in range(len(made))]
-    if np.isfinite(wanted).any():
-        result["expected"] = (made.dims, np.reshape(wanted, made.shape), described("", "exponent expected"))
-        error = result["exponent_error"]
-        result["deviation"] = (result["exponent"] - result["expected"]) / error.where(error > 0.0)
-        result["deviation"].attrs = described("", "exponent - expected, in errors of the exponent")
-    return result.assign_attrs(law="power")
+    rows = _fitted(made, fits.power_law)
+    for row, line in zip(rows, made.lines, strict=True):
+        row["expected"] = _expected(dataset, made, line) if expected is None else expected
+        error = row.get("exponent_error", 0.0)
+        row["deviation"] = (row["exponent"] - row["expected"]) / error if error > 0.0 else math.nan
+        row["conclusion"] = ""
+        if math.isfinite(row["deviation"]):
+            row["conclusion"] = "as expected" if abs(row["deviation"]) <= DEVIATION_ALLOWED else "NOT as expected"
+    if any(math.isfinite(row["expected"]) for row in rows):
+        columns["expected"] = "", "exponent expected"
+        columns["deviation"] = "", "exponent - expected, in errors of the exponent"
+    shown = ["exponent", "expected", "deviation", "p_value", "points", "chi2", "dof", "amplitude", "pivot"]
+    return _of_fits(made, rows, columns, shown, f"{variable} = amplitude x ({over} / pivot)^exponent", law="power")
 
 
 def fit_levelling(
@@ -305,16 +299,19 @@ def fit_levelling(
     if not 0.0 < fall < 1.0:
         raise SweepError(f"fall = {fall:g}: must be above 0 and below 1, a fraction")
     made = lines(dataset, variable, over, covariance, least=LEVELLING_POINTS)
-    _require_positive(made)
     per_step = f"1 / ({made.over_unit})" if made.over_unit else ""
     columns = {
-        "plateau": (made.common_unit, f"{variable} that the law tends to; NaN if it does not level off"),
+        "plateau": (made.unit, f"{variable} that the law tends to; NaN if it does not level off"),
         "limit": (made.over_unit, f"{over} beyond which {variable} falls by less than {100 * fall:g} % a unit"),
         "end_fall": (per_step, f"relative fall at the last {over}"),
         "rate": (per_step, "rate at which the square of the variable levels off"),
     }
-    result = _fitted(made, columns, lambda x, y, errors, samples: levelling(x, y, errors, fall, samples))
-    return result.assign_attrs(law="levelling", fall=fall, last=float(made.x[-1]))
+    rows = _fitted(made, lambda x, y, errors, samples: fits.levelling(x, y, errors, fall, samples))
+    for row, line in zip(rows, made.lines, strict=True):
+        row["conclusion"] = _levelling_in_words(row, line.x[-1], made.over_unit) if len(line.x) else ""
+    formula = f"{variable}^2 = plateau^2 + c exp(-rate x {over}); errors are scaled where chi2 > dof"
+    shown = ["plateau", "p_value", "end_fall", "points", "chi2", "dof"]
+    return _of_fits(made, rows, columns, shown, formula, law="levelling", fall=fall)
 
 
 def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr.Dataset:
@@ -344,70 +341,88 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
         >>> [round(float(x)) for x in better["ratio"]]
         [405, 485, 585, 731]
     """
-    require_quantity(dataset, variable)
-    above_at, below_at = (_one_place(dataset, axis, value) for value in (of, to))
-    parts = [dataset.isel(place) for place in (above_at, below_at)]
+    quantity.require_quantity(dataset, variable)
+    places = []
+    for value in (of, to):
+        ((dimension, hits),) = quantity.indices(dataset, {axis: value}).items()
+        if len(hits) > 1:
+            raise SweepError(f"{axis} = {value} is at {len(hits):,} points along {dimension}, and a ratio is of two")
+        places.append({dimension: hits[0]})
+    parts = [dataset.isel(place) for place in places]
     for part in parts:
-        require_done(part)
-    dimension = str(dataset[axis].dims[0])
-    along = [name for name, coordinate in dataset.coords.items() if dimension in coordinate.dims]
+        quantity.require_done(part)
+    along = [name for name, coordinate in dataset.coords.items() if dataset[axis].dims[0] in coordinate.dims]
     above, below = (part[variable].astype(float).drop_vars(along, errors="ignore") for part in parts)
     bottom = below.where(below != 0.0)
     meaning = f"{variable} at {axis} = {of} over that at {axis} = {to}"
     result = (above / bottom).rename("ratio").drop_attrs(deep=False).assign_attrs(described("", meaning)).to_dataset()
-    error = error_of_sum(dataset, variable, above_at, below_at, (1.0 / bottom, -above / bottom**2))
+    one, other = places
+    error = quantity.error_of_sum(dataset, variable, one, other, (1.0 / bottom, -above / bottom**2))
     if error is not None:
         result["ratio_error"] = error.drop_attrs(deep=False).assign_attrs(described("", "one-sigma error of ratio"))
     return result
 
 
-def _one_place(dataset: xr.Dataset, axis: str, value: Any) -> dict[str, int]:
-    """Return the index along the dimension of an axis at which it has a value; raises SweepError where several have."""
-    ((dimension, hits),) = indices(dataset, {axis: value}).items()
-    if len(hits) > 1:
-        raise SweepError(f"{axis} = {value} is at {len(hits):,} points along {dimension}, and a ratio is of two")
-    return {dimension: hits[0]}
+def _fitted(made: Lines, fit: Callable[..., fits.PowerLaw | fits.Levelling]) -> list[dict[str, Any]]:
+    """Return the numbers of a fit to every line, none for lines that the study excludes.
 
-
-def _fitted(
-    made: Lines,
-    columns: Mapping[str, tuple[str, str]],
-    fit: Callable[[Array, Array, Array, float], PowerLaw | Levelling],
-) -> xr.Dataset:
-    """Return the results of a fit to every line: the ``columns``, given with unit and meaning, their errors if they
-    have any, and the quality of the fit; NaN for lines that the study excludes.  Raises SweepError listing failed fits.
+    Raises SweepError listing the fits that fail, and values that are not above 0.
     """
-    fits: list[PowerLaw | Levelling | None] = []
+    rows: list[dict[str, Any]] = []
     problems = []
-    for line, used in enumerate(made.used):
-        try:
-            points = made.x[used], made.value[line, used], made.errors_of(line), made.samples
-            fits.append(fit(*points) if used.any() else None)
-        except ValueError as error:
-            problems.append(f"{error}: {made.variable} over {made.over}{_at(made, line)}")
+    for line in made.lines:
+        row: dict[str, Any] = {"points": len(line.x)}
+        rows.append(row)
+        if (bad := ~(line.y > 0.0)).any():
+            value, place = line.y[bad][0], made.at(line, line.x[bad][0])
+            problems.append(f"{made.variable} must be above 0; it is {value:g}{place}")
+        elif len(line.x):
+            try:
+                law = fit(line.x, line.y, line.errors, line.samples)
+                row |= vars(law) | {"p_value": fits.p_value(law.chi2, law.dof, line.samples)}
+            except ValueError as error:
+                problems.append(f"{error}: {made.variable} over {made.over}{made.at(line)}")
     if problems:
         raise SweepError(problems[:FEW])
+    return rows
 
-    def values(name: str) -> list[float]:
-        return [np.nan if one is None else float(getattr(one, name)) for one in fits]
 
-    variables: dict[str, tuple[Any, str, str]] = {}
+def _of_fits(
+    made: Lines,
+    rows: Sequence[Mapping[str, Any]],
+    columns: Mapping[str, tuple[str, str]],
+    shown: Sequence[str],
+    formula: str,
+    **about: Any,
+) -> xr.Dataset:
+    """Return the results of fits: the ``columns``, given with unit and meaning, their errors if they have any, how well
+    the law holds, and what is concluded.
+    """
+    every = dict[str, tuple[str, str]]()
     for name, (unit, meaning) in columns.items():
-        variables[name] = values(name), unit, meaning
-        if any(hasattr(one, f"{name}_error") for one in fits):
-            variables[f"{name}_error"] = values(f"{name}_error"), unit, "its one-sigma error"
-    p_values = [np.nan if one is None else p_value(one.chi2, one.dof, made.samples) for one in fits]
-    variables["chi2"] = values("chi2"), "", "sum of squared residuals in units of their errors"
-    variables["dof"] = values("dof"), "", "degrees of freedom of chi2"
-    variables["p_value"] = p_values, "", "probability of a chi2 at least as large, if the law holds"
-    variables["points"] = made.used.sum(axis=1).astype(float), "", "points of the fit"
-    return made.with_variables(variables)
+        every[name] = unit, meaning
+        if any(f"{name}_error" in row for row in rows):
+            every[f"{name}_error"] = unit, "its one-sigma error"
+    every |= {
+        "chi2": ("", "sum of squared residuals in units of their errors"),
+        "dof": ("", "degrees of freedom of chi2"),
+        "p_value": ("", "probability of a chi2 at least as large, if the law holds"),
+        "points": ("", "points of the fit"),
+    }
+    values = {name: [float(row.get(name, np.nan)) for row in rows] for name in every}
+    full: dict[str, tuple[Any, str, str]] = {name: (values[name], *each) for name, each in every.items()}
+    conclusions = [row["conclusion"] if row["points"] else "excluded by the study" for row in rows]
+    full["conclusion"] = np.array(conclusions, dtype=object), "", "what is concluded"
+    notes = [f"{formula}; errors: {made.errors}"]
+    if bad := sum(p < P_VALUE_ALLOWED for p in values["p_value"]):
+        notes.append(f"{bad} of {len(rows)} lines: the law does not hold within the errors, p < {P_VALUE_ALLOWED:g}")
+    return made.dataset(full, [*shown, "conclusion"], *notes, **about)
 
 
-def _expected(dataset: xr.Dataset, made: Lines, line: int) -> float:
+def _expected(dataset: xr.Dataset, made: Lines, line: Line) -> float:
     """Return the exponent that a claim of the study states for a line, NaN if none does."""
     place = made.place(line)
-    for claim in claims_of(dataset):
+    for claim in quantity.claims_of(dataset):
         law = claim.slope
         if law is None or (law.variable, law.over) != (made.variable, made.over):
             continue
@@ -416,122 +431,278 @@ def _expected(dataset: xr.Dataset, made: Lines, line: int) -> float:
     return np.nan
 
 
-def _require_positive(made: Lines, axis_too: bool = False) -> None:
-    problems = []
-    if axis_too and not np.all(made.x > 0.0):
-        problems.append(f"a power law needs {made.over} above 0; there is {made.x.min():g}")
-    for line, bad in enumerate(made.used & ~(made.value > 0.0)):
-        if bad.any():
-            at, value = made.x[bad][0], made.value[line, bad][0]
-            problems.append(f"{made.variable} must be above 0; it is {value:g}{_at(made, line, {made.over: at})}")
-    if problems:
-        raise SweepError(problems[:FEW])
+# Conditions, which are parsed and never run as code
 
 
-# Tables of laws
+@dataclass(frozen=True)
+class Limit:
+    """A condition ``variable sign number``; the number is in ``unit``, or in that of the variable where it is empty."""
+
+    variable: str
+    sign: str
+    number: float
+    unit: str = ""
+
+    def number_in(self, unit: str) -> float:
+        """Return the number in a unit; raises SweepError if it cannot be converted."""
+        if not self.unit:
+            return self.number
+        from astropy import units
+
+        try:
+            return float(units.Unit(self.unit).to(units.Unit(unit), self.number))
+        except ValueError as error:  # of another kind, or a unit of an experiment that astropy does not know
+            raise SweepError(f"{self.variable} is in {unit or 'no unit'}, not convertible to {self.unit}") from error
+
+    def is_met(self, values: Array, number: float) -> NDArray[np.bool_]:
+        """Return where values meet the condition; ``number`` is the limit in their unit."""
+        return np.asarray(_COMPARE[self.sign](values, number))
+
+    def __str__(self) -> str:
+        return f"{self.variable} {self.sign} {self.number:g} {self.unit}".rstrip()
 
 
-def tables(result: xr.Dataset) -> list[Table]:
-    """Return the table of fits for reading: places on the axes, the law, how well it holds, and a conclusion."""
-    return [table_of_lines(result, _columns(result), _conclusions(result))]
-
-
-def records(result: xr.Dataset) -> Table:
-    """Return all numbers of fits with their conclusions, for programs."""
-    return records_of_lines(result, _conclusions(result))
-
-
-def notes(result: xr.Dataset) -> list[str]:
-    """Return the sentences below the table: the law, the origin of errors, and how many lines do not follow the law."""
-    variable, over = result.attrs["variable"], result.attrs["over"]
-    law = {
-        "power": f"{variable} = amplitude x ({over} / pivot)^exponent",
-        "levelling": f"{variable}^2 = plateau^2 + c exp(-rate x {over}); errors are scaled where chi2 > dof",
-    }[result.attrs["law"]]
-    bad = int((result["p_value"] < P_VALUE_ALLOWED).sum())
-    more = (
-        [f"{bad} of {result['p_value'].size} lines: the law does not hold within the errors, p < 0.001"] if bad else []
+def parse_limit(text: str) -> Limit:
+    """Return the limit that a text like "sigma_spin < 1 uas/yr" states; raises SweepError that says what is allowed."""
+    wanted = (
+        "a condition is VARIABLE, one of < <= > >=, and a finite number with or without a unit, like 'x < 1 uas/yr'"
     )
-    return [f"{law}; errors: {result.attrs['errors']}", *more]
+    match = _LIMIT.fullmatch(text.strip())
+    number = math.nan
+    with suppress(ValueError):
+        number = float(match["number"]) if match else math.nan
+    if match is None or not math.isfinite(number):
+        raise SweepError(f"{shown(text)}: {wanted}", "--where")
+    if unit := match["unit"] or "":
+        from astropy import units
+
+        try:
+            units.Unit(unit)
+        except (ValueError, TypeError) as error:
+            raise SweepError(f"{shown(text)}: {shown(unit)} is not a unit that astropy knows", "--where") from error
+    return Limit(match["variable"], match["sign"], number, unit)
 
 
-def table_of_lines(result: xr.Dataset, numbers: Sequence[Column], conclusions: Sequence[str]) -> Table:
-    """Return a table with one row per line of a grid: its place, numbers, and what is concluded in words."""
-    dims = _dims(result)
-    names = axis_coordinates(result, dims)
-    places = [Column(name, listed(result, name, dims), unit=units_of(result[name].attrs)) for name in names]
-    words = [Column("conclusion", conclusions, conclusions, wrap=CONCLUSION)] if any(conclusions) else []
-    return Table([*places, *numbers, *words], str(result.attrs["title"]))
+def parse_range(text: str) -> tuple[float, float]:
+    """Return both ends of a range like "50:500", either of which may be left out; raises SweepError."""
+    low, colon, high = text.partition(":")
+    with suppress(ValueError):
+        ends = (float(low or "-inf"), float(high or "inf"))
+        if colon and ends[0] <= ends[1]:
+            return ends
+    raise SweepError(f"{shown(text)}: a range is LOW:HIGH, two numbers of which one may be left out", "--range")
 
 
-def records_of_lines(result: xr.Dataset, conclusions: Sequence[str]) -> Table:
-    """Return all variables of a result and its conclusions with one row per line of a grid, and its attributes."""
-    dims = _dims(result)
-    columns = [Column(str(n), listed(result, str(n), dims)) for n in (*result.coords, *result.data_vars)]
-    units = {str(n): v.attrs["units"] for n, v in result.variables.items() if v.attrs.get("units")}
-    return Table([*columns, Column("conclusion", conclusions)], about={**result.attrs, "units": units})
+def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
+    """Return the points of a table or a design at which a condition is met, with all their results.
+
+    Raises SweepError for an unknown quantity, one with further dimensions, and points that are not done.
+    """
+    quantity.require_quantity(dataset, limit.variable)
+    array = dataset[limit.variable]
+    if further := ", ".join(str(d) for d in array.dims if d != POINT):
+        raise SweepError(f"{limit.variable} has {further} at each point: fix it with --at, or name it with --over")
+    quantity.require_done(dataset)
+    threshold = limit.number_in(units_of(array.attrs))
+    return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values.astype(float), threshold))})
 
 
-def _dims(result: xr.Dataset) -> list[str]:
-    return [str(d) for d in next(iter(result.data_vars.values())).dims]
+# Between points
 
 
-def _columns(result: xr.Dataset) -> list[Column]:
-    """Return the columns of numbers; those of a larger rank are left out first where there is no room."""
-    rows = {str(name): result[name].values.reshape(-1).tolist() for name in result.data_vars}
+def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
+    """Return where along an axis a condition is met, for every combination of the other axes.
 
-    def column(name: str, cells: list[str], rank: int, unit: str = "") -> Column:
-        return Column(name, cells, cells, unit, name, rank)
+    Args:
+        dataset: results, as `linksweep.run` and `linksweep.open` return them.
+        limit: a variable, one of < <= > >=, and a number with or without a unit: "sigma_spin < 1 uas/yr".
+        over: the axis.
+        covariance: the covariance of the variable's points, with dimensions (..., over, over_other); that of the
+            dataset by default.
 
-    def number(name: str, rank: int) -> Column:
-        unit, factor = prefixed(rows[name], units_of(result[name].attrs))
-        pairs = zip(rows[name], rows[f"{name}_error"], strict=True)
-        return column(name, [with_error(factor * value, factor * error) for value, error in pairs], rank, unit)
+    Returns:
+        A dataset over the other axes with the variables ``met`` (whether and where the condition is met; its
+        attributes give the meaning of the numbers), ``crossings`` (how many), ``first`` and ``last`` (the axis at the
+        first and last crossing; NaN if there is none) with ``_error`` (one sigma, from the errors of the points on both
+        sides), ``nearest`` (if the condition is never or always met, the value nearest to the limit; otherwise NaN) and
+        ``nearest_at`` (the axis there).
 
-    def formatted(name: str, source: str, digits: str, rank: int, unit: str = "", after: str = "") -> Column:
-        return column(name, [fixed(value, digits, after) for value in rows[source]], rank, unit)
+    Raises:
+        SweepError: for an unknown variable or axis, points that are not done, and a unit of another kind.
 
-    power = result.attrs["law"] == "power"
-    columns = [formatted("points", "points", ".0f", 2), number("exponent" if power else "plateau", 0)]
-    if "expected" in rows:
-        columns += [
-            formatted("expected", "expected", "g", 1),
-            formatted("deviation", "deviation", "+.1f", 1, after=" errors"),
-        ]
-    if power:
-        pivot = formatted("pivot", "pivot", ".4g", 4, units_of(result["pivot"].attrs))
-        columns += [number("amplitude", 4), pivot]
-    else:
-        pairs = zip(rows["end_fall"], rows["end_fall_error"], strict=True)
-        falls = [with_error(100.0 * fall, 100.0 * error) for fall, error in pairs]
-        columns.append(column("fall at the end", falls, 2, f"% / {units_of(result['limit'].attrs) or 'unit'}"))
-    pairs = zip(rows["chi2"], rows["dof"], strict=True)
-    columns.append(column("chi2 / dof", [f"{fixed(c, '.3g') or '-'} / {fixed(d, '.0f')}" for c, d in pairs], 3))
-    return [*columns, formatted("p", "p_value", ".2g", 3)]
+    Example:
+        >>> import linksweep
+        >>> study = linksweep.load_study("quasars", ["n_sim=100", "n_cat=1"], ["v_max=14,15,16,17"])
+        >>> ds = linksweep.run(study, "quasars.zarr", pool="serial")
+        >>> round(float(find(ds, "sigma_spin < 1 uas/yr", over="v_max")["first"].sel(model="gaia")), 3)
+        16.066
+    """
+    limit = parse_limit(limit) if isinstance(limit, str) else limit
+    made = lines(dataset, limit.variable, over, covariance)
+    thresholds, refusals = dict[str, float](), []
+    for unit in dict.fromkeys(line.unit for line in made.lines):
+        try:
+            thresholds[unit] = limit.number_in(unit)
+        except SweepError as error:  # components of another kind are left out
+            refusals.append(error)
+    if not thresholds:
+        raise refusals[0]
+    rows = np.array([_cross(line, limit, thresholds.get(line.unit, np.nan), made.over_unit) for line in made.lines])
+    where = made.over_unit
+    columns = {
+        "met": ("", "when the condition is met"),
+        "crossings": ("", "how often the limit is crossed"),
+        "first": (where, f"{over} at the first crossing"),
+        "first_error": (where, "its one-sigma error"),
+        "last": (where, f"{over} at the last crossing"),
+        "last_error": (where, "its one-sigma error"),
+        "nearest": (made.unit, f"{limit.variable} that is nearest to the limit, if that is never crossed"),
+        "nearest_at": (where, f"{over} of the nearest"),
+    }
+    numbers = {n: (rows[:, i], *columns[n]) for i, n in enumerate(columns)}
+    conclusions = [_crossing_in_words(dict(zip(columns, row, strict=True)), where, made.unit) for row in rows.tolist()]
+    numbers["conclusion"] = np.array(conclusions, dtype=object), "", "what is concluded"
+    note = f"{limit} along {over}; errors: {made.errors}"
+    result = made.dataset(numbers, ["conclusion"], note, condition=str(limit))
+    flags = {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
+    result["met"] = result["met"].astype("int8").assign_attrs(result["met"].attrs | flags)
+    return result
 
 
-def _conclusions(result: xr.Dataset) -> list[str]:
-    rows = {name: result[name].values.reshape(-1).tolist() for name in map(str, result.data_vars)}
-    about, unit = result.attrs, units_of(result["limit"].attrs) if "limit" in result else ""
-    found = []
-    for i, points in enumerate(rows["points"]):
-        if points == 0.0:
-            found.append("excluded by the study")
-        elif about["law"] == "levelling":
-            limit, rate = ((rows[name][i], rows[f"{name}_error"][i]) for name in ("limit", "rate"))
-            found.append(_levelling_in_words(*limit, rate[0] > RATE_WANTED * rate[1], about["last"], unit))
-        elif "deviation" not in rows or not math.isfinite(rows["deviation"][i]):
-            found.append("")
-        else:
-            found.append("as expected" if abs(rows["deviation"][i]) <= DEVIATION_ALLOWED else "NOT as expected")
-    return found
+def interpolate(
+    dataset: xr.Dataset, variable: str, over: str, at: float, covariance: xr.DataArray | None = None
+) -> xr.Dataset:
+    """Interpolate a variable between the points of an axis, for every combination of the other axes.
+
+    Args:
+        dataset: results, as `linksweep.run` and `linksweep.open` return them.
+        variable: the name of an output.
+        over: the axis.
+        at: the value of the axis, in its unit.
+        covariance: the covariance of the variable's points, with dimensions (..., over, over_other); that of the
+            dataset by default.
+
+    Returns:
+        A dataset over the other axes with ``variable`` and ``NAME_mc_error`` (one sigma, from the errors of the points
+        on both sides; the curvature between them is not included).
+
+    Raises:
+        SweepError: for an unknown variable or axis, points that are not done, and a value of the axis outside the
+            points of a line.
+
+    Example:
+        >>> import linksweep
+        >>> study = linksweep.load_study("quasars", ["n_sim=100", "n_cat=1"], ["v_max=14,15,16,17"])
+        >>> ds = linksweep.run(study, "quasars.zarr", pool="serial")
+        >>> between = interpolate(ds, "sigma_spin", over="v_max", at=16.2)
+        >>> [round(float(x), 5) for x in between["sigma_spin"]]
+        [0.59264, 0.00097]
+    """
+    made = lines(dataset, variable, over, covariance)
+    if isinstance(at, bool | int | float | np.number):
+        at = float(at)
+    else:  # a text may be meant in another unit
+        raise SweepError(f"{over} = {shown(at)}: must be a number, in the unit of the axis")
+    rows = np.full((len(made.lines), 2), np.nan)
+    for row, line in zip(rows, made.lines, strict=True):
+        x = line.x
+        if not len(x):
+            continue
+        if not x[0] <= at <= x[-1]:
+            raise SweepError(f"{over} = {at:g} is beyond the points, which go from {x[0]:g} to {x[-1]:g}")
+        i = min(max(int(np.searchsorted(x, at)) - 1, 0), len(x) - 2)
+        logarithm = bool(np.all(line.y[i : i + 2] > 0.0))
+        u, spread = _pair(line, i, logarithm)
+        *_, z = scale = _on_scale(np.append(x, at), made.over_unit)
+        fraction = (z - scale[i]) / (scale[i + 1] - scale[i])
+        value, error = _mix(fraction, u, spread, line.samples)
+        row[:] = (np.exp(value), np.exp(value) * error) if logarithm else (value, error)
+    shape = [made.grid.sizes[d] for d in made.dims]
+    attributes = dataset[variable].attrs
+    of_error = described(units_of(attributes), f"one-sigma error of {variable}")
+    result = made.grid.drop_attrs(deep=False).assign_coords({over: xr.Variable((), at, dataset[over].attrs)})
+    result[variable] = made.dims, rows[:, 0].reshape(shape), attributes
+    result[f"{variable}_mc_error"] = made.dims, rows[:, 1].reshape(shape), of_error
+    return result
 
 
-def _levelling_in_words(limit: float, error: float, significant: bool, last: float, unit: str) -> str:
+def _cross(line: Line, limit: Limit, threshold: float, over_unit: str) -> tuple[float, ...]:
+    """Return the numbers of one line in the order of the variables of `find`."""
+    nothing = (np.nan,) * 4
+    if np.isnan(threshold) or not len(line.x):
+        return (LEFT_OUT, 0.0, *nothing, np.nan, np.nan)
+    met = limit.is_met(line.y, threshold)
+    flips = np.flatnonzero(met[1:] != met[:-1])
+    if not len(flips):
+        low = limit.sign.startswith("<") != bool(met[0])
+        nearest = int(np.argmin(line.y) if low else np.argmax(line.y))
+        return (float(met[0]), 0.0, *nothing, line.y[nearest], line.x[nearest])
+    state = SEVERAL if len(flips) > 1 else FROM if met[-1] else UP_TO
+    ends = [part for i in (flips[0], flips[-1]) for part in _crossing(line, int(i), threshold, over_unit)]
+    return (float(state), float(len(flips)), *ends, np.nan, np.nan)
+
+
+def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[float, float]:
+    """Return where the line from point i to the next one meets the threshold, and the error of that."""
+    logarithm = bool(np.all(line.y[i : i + 2] > 0.0)) and threshold > 0.0
+    u, spread = _pair(line, i, logarithm)
+    fraction = ((np.log(threshold) if logarithm else threshold) - u[0]) / (u[1] - u[0])
+    z = _on_scale(line.x, over_unit)
+    step = z[i + 1] - z[i]
+    # to first order the place moves by the error of the quantity there, over its slope
+    place, error = z[i] + fraction * step, abs(step / (u[1] - u[0])) * _mix(fraction, u, spread, line.samples)[1]
+    if _is_logarithmic(line.x, over_unit):
+        return float(np.exp(place)), float(np.exp(place) * error)
+    return float(place), float(error)
+
+
+def _pair(line: Line, i: int, logarithm: bool) -> tuple[Array, Array]:
+    """Return two neighbouring values and their covariance (2, 2), of their logarithms if asked for."""
+    values, part = line.y[i : i + 2], slice(i, i + 2)
+    spread = np.diag(line.errors[part] ** 2) if line.errors.ndim == 1 else line.errors[part, part]
+    return (np.log(values), spread / np.outer(values, values)) if logarithm else (values, spread)
+
+
+def _mix(fraction: float, values: Array, spread: Array, samples: float) -> tuple[float, float]:
+    """Return the value at a fraction of the way between two, and its error; NaN where the covariance is not known."""
+    weights = np.array([1.0 - fraction, fraction])
+    variance = np.maximum(weights @ spread @ weights, 0.0) * small_sample_factor(samples)
+    return float(weights @ values), float(np.sqrt(variance))
+
+
+def _is_logarithmic(x: Array, unit: str) -> bool:
+    return bool(np.all(x > 0.0)) and unit not in LOGARITHMIC_UNITS
+
+
+def _on_scale(x: Array, unit: str) -> Array:
+    """Return the axis on the scale for interpolation: its logarithm, or itself if it is one already or has none."""
+    return np.log(x) if _is_logarithmic(x, unit) else x
+
+
+# Words
+
+
+def _levelling_in_words(row: Mapping[str, float], last: float, unit: str) -> str:
+    limit = row["limit"]
     if limit == -math.inf:
         return "falls by less everywhere"
     if not math.isfinite(limit):
         return "no plateau: falls by more everywhere"
-    place = f"{with_error(limit, error)} {unit}".rstrip()
+    place = f"{with_error(limit, row['limit_error'])} {unit}".rstrip()
     words = f"falls by less from {place}" if limit <= last else f"no plateau yet: not before {place}, by the law"
+    significant = row["rate"] > RATE_WANTED * row["rate_error"]
     return words if significant else f"{words}; the levelling off is not significant"
+
+
+def _crossing_in_words(row: Mapping[str, float], unit: str, value_unit: str) -> str:
+    met = int(row["met"])
+    words = MET_WORDS[met]
+    first, last = (f"{with_error(row[name], row[f'{name}_error'])} {unit}".rstrip() for name in ("first", "last"))
+    if met in (FROM, UP_TO):
+        return f"{words} {first}"
+    if met == SEVERAL:
+        return f"{words}, first at {first}, last at {last}"
+    if met == LEFT_OUT:
+        return words
+    where = f"{row['nearest_at']:g} {unit}".rstrip()
+    return f"{words}; {with_unit(row['nearest'], 0.0, value_unit)} at {where} is nearest to the limit"

@@ -16,29 +16,27 @@ from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, SweepError, shown, sma
 from linksweep.sweep.formatting import ERRORS, first_of, is_truth, prefixed, units_of
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
-from linksweep.sweep.studies.study import POINT, POINT_TABLE
+from linksweep.sweep.studies.study import POINT, POINT_TABLE, Claim
 
-COUNTS = ("status", "n_sim_done", "code")
-"""Integer variables of every dataset that are not results."""
+COUNTS = ("status", "n_sim_done", "code")  # integer variables of every dataset that are not results
 
+# Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature.
 ERROR_SUFFIXES = ("mc_error", "catalogue_error")
-"""Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature."""
 
+# Outputs NAME_SUFFIX beside NAME predict it; the first that exists predicts all of it, the other may be a part.
 PREDICTION_SUFFIXES = ("rms_predicted", "predicted")
-"""Outputs NAME_SUFFIX beside NAME predict it; the first that exists predicts all of it, the other may be a part."""
 
+# Variables NAME_SUFFIX that belong to NAME and are in its unit.
 BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_rounding")
-"""Variables NAME_SUFFIX that belong to NAME and are in its unit."""
 
+# A variable NAME_mc_covariance_OVER with the dimensions of NAME and OVER_other is the covariance of NAME between points
+# along the axis OVER, where these share random numbers.  It includes all of their error, and replaces both error
+# variables.  Its attribute ``samples`` is the number of independent samples that it was estimated from; without that
+# attribute it is exact.
 COVARIANCE_SUFFIX = "mc_covariance"
-"""A variable NAME_mc_covariance_OVER with the dimensions of NAME and OVER_other is the covariance of NAME between
-points along the axis OVER, where these share random numbers.  It includes all of their error, and replaces both
-error variables.  Its attribute ``samples`` is the number of independent samples that it was estimated from; without
-that attribute it is exact.
-"""
 
+# Attributes: whether points of the grid share random numbers, and the axes along which they do, all by default.
 SHARES_RANDOM_NUMBERS, SHARED_AXES = "common_random_numbers", "shared_axes"
-"""Attributes: whether points of the grid share random numbers, and the axes along which they do, all by default."""
 
 
 # Quantities and their errors
@@ -140,6 +138,14 @@ def prediction_name(names: Container[Hashable], variable: str) -> str:
     """Return the name of a variable's prediction: the one that includes biases, if ``names`` has it."""
     whole, part = (f"{variable}_{suffix}" for suffix in PREDICTION_SUFFIXES)
     return whole if whole in names else part
+
+
+def claims_of(dataset: xr.Dataset) -> list[Claim]:
+    """Return the claims that a dataset carries in its attributes; raises SweepError if they cannot be read."""
+    try:
+        return [Claim.model_validate(claim) for claim in json.loads(dataset.attrs.get("claims", "[]"))]
+    except (ValueError, TypeError) as error:
+        raise SweepError(f"the attribute 'claims' cannot be read: {error}") from error
 
 
 # Points that share random numbers
@@ -285,7 +291,7 @@ def places_along(dataset: xr.Dataset | xr.DataArray, dimensions: Iterable[Hashab
 def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
     """Return the values of the axes at an index along dimensions, in the order of the grid (Zarr sorts by name)."""
     places: dict[str, Any] = {}
-    for dimension in (d for d in axes_of(dataset) if d in index):
+    for dimension in (d for d in dict.fromkeys([*axes_of(dataset), *index]) if d in index):
         names = dict.fromkeys([dimension, *map(str, dataset.coords)])
         along = [n for n in names if n in dataset.coords and dataset[n].dims == (dimension,)]
         places |= {name: dataset[name][index[dimension]].item() for name in along}

@@ -19,28 +19,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.analysis.quantity import (
-    listed,
-    main_quantity,
-    require_done,
-    require_quantity,
-    shares_random_numbers,
-    standard_error,
-    varied_parameters,
-)
+from linksweep.sweep.analysis import quantity
+from linksweep.sweep.analysis.derived import derived
 from linksweep.sweep.contract import Array, SweepError
-from linksweep.sweep.formatting import described, units_of, with_error
+from linksweep.sweep.formatting import units_of
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.studies.points import DESIGNS, MORRIS_LEVELS, Range, salib, unit_cube
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
-from linksweep.sweep.studies.values import DESIGNS, MORRIS_LEVELS, Range, salib, unit_cube
-from linksweep.sweep.table_writer import Column, Table
 
+# The attribute of a dataset of indices that says how they were made.
 METHOD = "sensitivity_method"
-"""The attribute of a dataset of indices that says how they were made."""
 
-INDICES = ("first", "first_error", "total", "total_error")
-EFFECTS = ("mu_star", "mu_star_error", "mu", "sigma")
-
+INDICES, EFFECTS = ("first", "first_error", "total", "total_error"), ("mu_star", "mu_star_error", "mu", "sigma")
 MEANINGS = {
     "first": "first-order index: share of the variance that the parameter causes by itself",
     "total": "total index: share of the variance that it causes, interactions included",
@@ -48,35 +38,16 @@ MEANINGS = {
     "mu": "mean effect of the parameter over its range",
     "sigma": "standard deviation of its effects: interactions and curvature",
 }
-
-COARSE = 8
-"""On an axis of real numbers with fewer values, a function may change much between them."""
-
-CORRELATED = 0.3
-"""A note names the parameters of a table that are correlated more than this."""
-
+COARSE = 8  # on an axis of real numbers with fewer values, a function may change much between them
+CORRELATED = 0.3  # a note names the parameters of a table that are correlated more than this
 RESAMPLES = 200
-
-ORDERS = (3, 5, 7)
-"""How many neighbouring values of a grid the rules of higher order fit with a polynomial."""
-
-ONE_SIGMA = 0.6826894921370859
-"""Probability within one sigma: half the width of SALib's confidence intervals is then a one-sigma error."""
-
-HARMONICS = 8
-"""The most half-waves over the range of a parameter."""
-
-POINTS_FOR_EACH = 8
-"""Points that are needed for each coefficient."""
-
-FEW_VALUES = 12
-"""The points of a parameter with no more different values than this are treated as groups."""
-
-PARTS = 32
-"""Parts of the points that are left out in turn for the errors."""
-
-ROUNDING = 1e-12
-"""Indices below this share of the largest one are rounding errors of a parameter without any effect."""
+ORDERS = (3, 5, 7)  # how many neighbouring values of a grid the rules of higher order fit with a polynomial
+ONE_SIGMA = 0.6826894921370859  # probability: half the width of SALib's confidence intervals is then a one-sigma error
+HARMONICS = 8  # the most half-waves over the range of a parameter
+POINTS_FOR_EACH = 8  # points that are needed for each coefficient
+FEW_VALUES = 12  # the points of a parameter with no more different values are treated as groups
+PARTS = 32  # parts of the points that are left out in turn for the errors
+ROUNDING = 1e-12  # indices below this share of the largest are rounding errors of a parameter without any effect
 
 
 class _Method(NamedTuple):
@@ -106,7 +77,7 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     Returns:
         A dataset over ``parameter``, and over the dimensions that are not parameters of the table or grid (those of the
         output itself, and axes crossed with points), with ``first`` and, if available, ``total``, each with a one-sigma
-        ``NAME_error``.  Its attributes say how they were computed; ``notes`` has warnings.
+        ``NAME_error``.  Its attributes say how they were computed; ``notes`` (JSON) has warnings.
 
     Raises:
         SweepError: for an unknown output, points that are not done or not finite, and grids that are not full.
@@ -120,9 +91,9 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
         >>> found.parameter.values.tolist(), found["first"].values.round(3).tolist()
         (['width', 'height'], [0.578, 0.325])
     """
-    output = output or main_quantity(dataset)
-    require_quantity(dataset, output)
-    require_done(dataset)
+    output = output or quantity.main_quantity(dataset)
+    quantity.require_quantity(dataset, output)
+    quantity.require_done(dataset)
     if np.any(dataset["status"].values == Status.EXCLUDED):
         raise SweepError("the study excludes points: indices need every point of a grid or a design")
     method = _of_points(dataset, seed) if POINT in dataset[output].dims else _of_grid(dataset, seed)
@@ -130,27 +101,27 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     values = dataset[output].transpose(*others, *method.over).values.astype(float)
     if not np.isfinite(values).all():
         raise SweepError(f"{output} is not a finite number at {int(np.sum(~np.isfinite(values)))} points")
-    error = standard_error(dataset, output)
+    error = quantity.standard_error(dataset, output)
     errors = None if error is None else error.transpose(*others, *method.over).values
-    shape = values.shape[: len(others)]
-    made = [method.estimate(values[i], None if errors is None else errors[i]) for i in np.ndindex(*shape)]
+    places = list(np.ndindex(*values.shape[: len(others)]))
+    made = [method.estimate(values[i], None if errors is None else errors[i]) for i in places]
+    points = int(np.prod([dataset.sizes[d] for d in method.over]))
+    notes = [f"sensitivity of {output} by {method.name}, from {points:,} points", *method.notes]
     if unknown := sum(bool(np.isnan(one[0]).all()) for one in made):
         where = f" at {unknown} of {len(made)} places" if len(made) > 1 else ""
-        method.notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")
+        notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")
+    numbers = np.array(made).swapaxes(0, 1)  # (indices, places, parameters)
+    numbers[np.abs(numbers) < ROUNDING * np.nanmax(np.abs(numbers), initial=0.0)] = 0.0
     unit = units_of(dataset[output].attrs) if method.indices is EFFECTS else ""
-    variables = {
-        name: (
-            (*others, "parameter"),
-            np.array([one[k] for one in made]).reshape(*shape, len(method.parameters)),
-            described(unit, MEANINGS.get(name, f"one-sigma error of {name.removesuffix('_error')}")),
-        )
-        for k, name in enumerate(method.indices)
+    columns = {
+        name: (one, unit, MEANINGS.get(name, f"one-sigma error of {name.removesuffix('_error')}"))
+        for name, one in zip(method.indices, numbers, strict=True)
     }
     coordinates = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(others)}
-    about: dict[str, Any] = {"title": str(dataset.attrs.get("title", "")), "output": output, METHOD: method.name}
-    about |= {"points": int(np.prod([dataset.sizes[d] for d in method.over])), "notes": json.dumps(method.notes)}
     labels = {"parameter": np.array(method.parameters, dtype=object)}
-    return xr.Dataset(variables, {**coordinates, **labels}, about)
+    grid = xr.Dataset(coords={**{d: dataset[d].variable for d in others}, **coordinates, **labels})
+    about = {"title": str(dataset.attrs.get("title", "")), "output": output, METHOD: method.name, "points": points}
+    return derived(grid, [*others, "parameter"], columns, [n for n in columns if n in MEANINGS], notes, **about)
 
 
 def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
@@ -161,7 +132,7 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
         if DESIGNS[design].size(table["n"], len(parameters)) != dataset.sizes[POINT]:
             raise SweepError(f"indices of a {design} design need all of its points")
     else:
-        parameters = [name for name in varied_parameters(dataset) if name in parameters]
+        parameters = [name for name in quantity.varied_parameters(dataset) if name in parameters]
         if not parameters:
             raise SweepError("the points do not differ in any parameter")
     places = [_places(dataset, name, ranges.get(name)) for name in parameters]
@@ -191,7 +162,7 @@ def _of_grid(dataset: xr.Dataset, seed: int) -> _Method:
     joint = {d: [d, *(name for name, c in axes.items() if c.dims == (d,) and name != d)] for d in over}
     parameters = ["+".join(names) for names in joint.values()]
     continuous = [len(joint[d]) == 1 and d in dataset.coords and dataset[d].dtype.kind == "f" for d in over]
-    shared = shares_random_numbers(dataset, over)
+    shared = quantity.shares_random_numbers(dataset, over)
 
     def estimate(values: Array, errors: Array | None) -> Sequence[Array]:
         first, first_error, total, total_error = indices_of_grid(values, errors, continuous, seed)
@@ -404,40 +375,3 @@ def _explained(moments: Array) -> tuple[float, float]:
     rest = max(0.0, squares - right @ np.linalg.pinv(products, hermitian=True) @ right)
     chance = rest / whole * used / (n - 1 - used)
     return float(1.0 - rest / whole - chance), float(chance)
-
-
-# Tables of indices
-
-
-def tables(result: xr.Dataset) -> list[Table]:
-    """Return the table for reading: places, parameters, and each index with its error."""
-    scale = max((float(abs(part).max()) for part in result.data_vars.values()), default=0.0)
-    known = {column.name: column for column in records(result).columns}
-    columns = []
-    for name, column in known.items():
-        if name not in result.data_vars:
-            columns.append(Column(name, column.values, left=name == "parameter"))
-        elif not name.endswith("_error"):
-            errors = known[f"{name}_error"].values if f"{name}_error" in known else [0.0] * len(column.values)
-            pairs = [_without_rounding(*pair, ROUNDING * scale) for pair in zip(column.values, errors, strict=True)]
-            cells = [with_error(*pair) for pair in pairs]
-            columns.append(Column(name, column.values, cells, units_of(result[name].attrs)))
-    return [Table(columns, f"{result.attrs['title']}: sensitivity of {result.attrs['output']}")]
-
-
-def records(result: xr.Dataset) -> Table:
-    """Return one row for each parameter at each place of the other dimensions, for programs."""
-    dims = [str(d) for d in next(iter(result.data_vars.values())).dims]
-    names = [*(d for d in dims if d != "parameter"), "parameter", *map(str, result.data_vars)]
-    about = {**{key: value for key, value in result.attrs.items() if key != "notes"}, "notes": notes(result)}
-    return Table([Column(name, listed(result, name, dims)) for name in names], about=about)
-
-
-def notes(result: xr.Dataset) -> list[str]:
-    """Return sentences that belong below the table."""
-    return [f"by {result.attrs[METHOD]}, from {result.attrs['points']:,} points", *json.loads(result.attrs["notes"])]
-
-
-def _without_rounding(value: float, error: float, least: float) -> tuple[float, float]:
-    """Return an index and its error, or 0 where both are rounding errors beside the largest index."""
-    return (0.0, 0.0) if abs(value) < least and not error > least else (value, error)

@@ -1,5 +1,5 @@
-"""The command group and the process around it: whatever ends a command becomes a message and an exit code, and no text
-of others controls the terminal.
+"""The command group and the process around it: whatever ends a command becomes a message and an exit code, no text of
+others controls the terminal, and results are printed in the width that there is.
 """
 
 import atexit
@@ -9,18 +9,23 @@ import inspect
 import io
 import multiprocessing
 import os
+import shutil
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from types import FrameType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from linksweep.sweep.cli.options import call, group, parameters_of
-from linksweep.sweep.formatting import COMMAND, harmless
+from linksweep.sweep.cli import options
+from linksweep.sweep.formatting import COMMAND, WIDTH, harmless
+
+if TYPE_CHECKING:
+    from linksweep.sweep.table_writer import Table
 
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
@@ -39,7 +44,8 @@ SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Com
 _stopped_by: list[int] = []
 """The signal that ended the command, if one did."""
 
-atexit.register(gc.freeze)  # else Python searches all imports for garbage at the end, which takes a fifth of a second
+# Else Python searches all imports for garbage at the end, which takes a fifth of a second.
+atexit.register(gc.freeze)
 
 
 class _Group(click.Group):
@@ -58,6 +64,7 @@ class _Group(click.Group):
             try:
                 return super().main(args, *further, **named)
             except SystemExit as end:
+                # A full disk is noticed only now where the output was short.
                 sys.stdout.flush()
                 if (problem := getattr(sys.stdout, "problem", None)) is None:
                     raise
@@ -67,20 +74,16 @@ class _Group(click.Group):
                 COMMAND[:] = before
 
     def invoke(self, ctx: click.Context) -> Any:
+        from linksweep.sweep.contract import SweepError
         from linksweep.sweep.interrupt import RunInterruptedError, how_ended, watched
 
         try:
-            with watched():  # click itself would end with 1, which means that points failed
-                return self._invoke(ctx)
+            with watched():
+                # Click itself would end with 1 at Ctrl-C, which means that points failed.
+                return super().invoke(ctx)
         except RunInterruptedError as stop:
             click.echo(how_ended(stop.signal.name), err=True)
             end_stopped(stop.signal)
-
-    def _invoke(self, ctx: click.Context) -> Any:
-        from linksweep.sweep.contract import SweepError
-
-        try:
-            return super().invoke(ctx)
         except SweepError as error:
             where, problems = f"{error.where}: " if error.where else "", error.problems
             click.echo(f"error: {where}{problems[0] if len(problems) == 1 else f'{len(problems)} problems'}", err=True)
@@ -105,11 +108,11 @@ def command(section: str, summary: str, name: str | None = None) -> Callable[[Ca
     """Return a decorator that makes a function, whose parameters declare its options, a command of a section."""
 
     def decorate(function: Callable[..., Any]) -> click.Command:
-        declared = group(function)
+        declared = options.group(function)
         made = click.Command(
             name or function.__name__,
-            params=list(parameters_of(declared).values()),
-            callback=lambda **values: call(declared, values),
+            params=list(declared.parameters().values()),
+            callback=lambda **values: declared.call(values),
             help=inspect.getdoc(function),
             short_help=summary,
         )
@@ -133,6 +136,7 @@ def a_signal_ends_the_command() -> Iterator[None]:
     before = {number: handler for number, handler in answered.items() if handler not in (signal.SIG_IGN, None)}
     for number in before:
         signal.signal(number, _leave_at_once)
+    # In `sys.warnoptions`, because only what stands there is passed on to processes that Python starts.
     sys.warnoptions.append(NO_LEAK_WARNING)
     try:
         yield
@@ -146,6 +150,7 @@ def end_stopped(number: int) -> NoReturn:
     """End the process with the exit code of a signal; workers that still compute are not waited for."""
     _stopped_by.append(number)
     _kill_children()
+    # Threads of Dask and of C code may never come back; Python would join them first.
     without_clean_up = threading.Timer(LAST_SECOND, os._exit, (128 + number,))
     without_clean_up.daemon = True
     without_clean_up.start()
@@ -167,7 +172,8 @@ def leave_with_exit_code() -> None:
 def _leave_at_once(number: int, _frame: FrameType | None) -> NoReturn:
     _kill_children()
     with suppress(OSError):
-        show_cursor = "\x1b[?25h" if os.isatty(2) else ""  # a progress bar hides it
+        # A progress bar hides the cursor.
+        show_cursor = "\x1b[?25h" if os.isatty(2) else ""
         os.write(2, f"{show_cursor}stopped at once\n".encode())
     os._exit(128 + number)
 
@@ -186,22 +192,22 @@ class _Unfailing(io.TextIOWrapper):
     problem: OSError | None = None
 
     def write(self, text: str) -> int:
-        try:
-            return super().write(text)
-        except OSError as error:
-            self._keep(error)
-            return len(text)
+        with self._kept():
+            super().write(text)
+        return len(text)
 
     def flush(self) -> None:
-        try:
+        with self._kept():
             super().flush()
-        except OSError as error:
-            self._keep(error)
 
-    def _keep(self, error: OSError) -> None:
-        if error.errno == errno.EPIPE:
-            raise error
-        self.problem = self.problem or error
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if error.errno == errno.EPIPE:
+                raise
+            self.problem = self.problem or error
 
 
 class _Harmless:
@@ -210,7 +216,8 @@ class _Harmless:
     What brings a style of our own writes to ``unescaped``.
     """
 
-    encoding = "utf-8"  # whatever it is: click writes to the bytes below a stream of ASCII
+    # Whatever it is: click writes to the bytes below a stream of ASCII.
+    encoding = "utf-8"
 
     def __init__(self, stream: Any) -> None:
         self.unescaped = stream
@@ -231,6 +238,7 @@ def _harmless_streams() -> Iterator[None]:
     try:
         yield
     except SystemExit:
+        # Any other error goes on to Python, which prints its traceback through these streams.
         sys.stdout, sys.stderr = before
         raise
 
@@ -258,3 +266,67 @@ def prepare_streams() -> None:
             lines, through = stream.line_buffering, stream.write_through
             unfailing = _Unfailing(stream.buffer, stream.encoding, "backslashreplace", None, lines, through)
             setattr(sys, name, unfailing)
+
+
+def print_wrapped(text: str, first: str = "", later: str = "") -> None:
+    """Print a sentence in lines of the width of a terminal, the first and the later ones behind a prefix."""
+    click.echo(click.wrap_text(text, WIDTH, first, later))
+
+
+def print_styled(text: str, **style: bool) -> None:
+    """Print text in a style of ours, which it cannot change."""
+    click.secho(harmless(text), file=getattr(sys.stdout, "unescaped", None), **style)
+
+
+def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
+    """Print tables with the columns for which there is room, and sentences below them; no number is cut."""
+    # A file or a pipe has no width: the same bytes whatever terminal the command was typed in.
+    width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
+    for number, table in enumerate(tables):
+        kept, left_out = table.fitting(width)
+        text = kept.text(width, styled=True)
+        click.echo(f"\n{text}" if number else text, file=getattr(sys.stdout, "unescaped", None))
+        if left_out:
+            print_wrapped(f"left out to fit {width} columns: {left_out}; --json has them")
+    for sentence in notes:
+        print_wrapped(sentence)
+
+
+def print_result(dataset: Any, table_format: str) -> None:
+    """Print results of any kind: their tables and notes, or their table for programs."""
+    from linksweep.sweep.result import Result
+
+    result = Result(dataset)
+    if table_format == "text":
+        notes = result.notes()
+        print_tables(result.tables(), ["", *notes] if notes else ())
+    else:
+        click.echo(result.written(table_format).rstrip("\n"))
+
+
+def print_headlines(dataset: Any, as_json: bool) -> None:
+    """Print the headline results of a study and what is to be said about them, or all results for programs."""
+    from linksweep.sweep.analysis.results_table import headline_table, notes
+
+    if as_json:
+        print_result(dataset, "json")
+    else:
+        print_tables([headline_table(dataset)], notes(dataset))
+
+
+def drawing_styles() -> Any:
+    """Return `linksweep.sweep.plots.style`; raises click.UsageError where matplotlib, which it needs, is missing."""
+    try:
+        from linksweep.sweep.plots import style
+    except ImportError as error:
+        raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
+    return style
+
+
+def save_figure(dataset: Any, path: Path) -> None:
+    """Draw a dataset into a file, in the way that suits it."""
+    from linksweep.sweep.plots import style
+    from linksweep.sweep.plots.figure import draw_figure
+
+    with style.settings():
+        style.save(draw_figure(dataset), path)

@@ -1,52 +1,35 @@
 """Commands that look at results: list, show, plot, report, fit, find, sensitivity and compare."""
 
-import logging
 import sys
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
-from linksweep.sweep.cli.options import (
-    AT,
-    FILE,
-    JSON,
-    STORE,
-    STORES,
-    At,
-    arg,
-    choice,
-    flag,
-    group,
-    json_or,
-    link_in,
-    many,
-    opt,
-    parsed,
-    part_of,
-)
-from linksweep.sweep.cli.options import output as output_option
-from linksweep.sweep.cli.output import (
-    drawing_styles,
-    print_headlines,
-    print_result,
-    print_styled,
-    print_tables,
-    save_figure,
-)
-from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress, watching
-from linksweep.sweep.formatting import WIDTH, to_json
+from linksweep.sweep.cli import group, options
+from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command, print_result
+from linksweep.sweep.cli.options import AT, JSON, STORE, At, arg, choice, flag, json_or, many, opt, parsed, part_of
+from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress
+from linksweep.sweep.formatting import to_json
 from linksweep.sweep.plots import ALL_KINDS, KINDS
 
 if TYPE_CHECKING:
     from linksweep.sweep.executing.pools import Resources
     from linksweep.sweep.stores.location import Location
+    from linksweep.sweep.studies.study import Study
 
+KIND_HELP = f"What to draw: {', '.join(ALL_KINDS)}.  [default: what suits the results]"
+PERCENT = click.FloatRange(0.0, 100.0, min_open=True, max_open=True)
+LAWS = "power: variable ~ over^p; levelling: variable^2 = plateau^2 + c exp(-rate x over)."
 
-TABLES = (".csv", ".json")
-"""Tables that `sweep sensitivity` writes, beside stores and pictures."""
+PAPER_ORDER = (
+    *("algorithm", "error-surface", "sqrt-n", "scatter", "quasars", "galaxies", "completeness", "mission-length"),
+    *("aberration", "radio-stars"),
+)
+"""The studies of Metz & Geffert 2004, by section; all others follow, sorted by name."""
 
 
 @command("Look", "List the built-in studies and their answers", name="list")
@@ -56,8 +39,6 @@ def list_studies(as_json: bool = JSON) -> None:
     \b
     sweep list
     """
-    import tomllib
-
     from linksweep.sweep.studies.document import built_in_studies
 
     studies = {}
@@ -68,9 +49,9 @@ def list_studies(as_json: bool = JSON) -> None:
         click.echo(to_json(studies))
         return
     for name, study in studies.items():
-        print_styled(name, bold=True)
+        group.print_styled(name, bold=True)
         for sentence in (study["title"], *(study["answer"] or [study["question"]])):
-            click.echo(click.wrap_text(sentence, WIDTH, "    ", "    "))
+            group.print_wrapped(sentence, "    ", "    ")
 
 
 def _answer(name: str) -> list[str]:
@@ -78,6 +59,7 @@ def _answer(name: str) -> list[str]:
     from linksweep.sweep.stores.location import default_store
 
     if not default_store(name).exists():
+        # Before the imports: most studies of the list were never run here.
         return []
     from linksweep.sweep.analysis.answer import answer_in_short, completeness
     from linksweep.sweep.contract import SweepError
@@ -105,12 +87,12 @@ def show(
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
     table_format = json_or(table_format, as_json)
-    if (link := link_in(store, at)) is not None:
+    if (link := options.link_in(store, at)) is not None:
         print_result(link, table_format)
-        return
-    # Formats for programs keep excluded points: a column has the status.
-    with part_of(store, at, excluded_too=table_format != "text") as part:
-        print_result(part, table_format)
+    else:
+        # Formats for programs keep excluded points: a column has the status.
+        with part_of(store, at, excluded_too=table_format != "text") as part:
+            print_result(part, table_format)
 
 
 @parsed
@@ -129,9 +111,7 @@ class Drawing:
     """What is drawn, as the command line names it."""
 
     source: str | None = arg(required=False)
-    kind: str | None = choice(
-        f"What to draw: {', '.join(ALL_KINDS)}.  [default: what suits the results]", ALL_KINDS, metavar="KIND"
-    )
+    kind: str | None = choice(KIND_HELP, ALL_KINDS, metavar="KIND")
     variables: At = many("The quantity; several become panels.  [default: the main result]", "--variable")
     over: At = many("The axis to draw along; give both for a map, or two components of a scatter.")
     log: At = many("Give this axis or quantity a logarithmic axis.", metavar="NAME")
@@ -146,9 +126,7 @@ class Drawing:
         if self.models and self.kind != "accuracy":
             raise click.UsageError("--model goes with --kind accuracy; choose a part of a store with --at model=NAME")
         if self.kind in KINDS["catalogue"] and (self.variables or self.over or self.log or self.linear):
-            raise click.UsageError(
-                f"--variable and --over do not go with --kind {self.kind}, nor do --log and --linear"
-            )
+            raise click.UsageError(f"--variable, --over, --log and --linear do not go with --kind {self.kind}")
 
     def figure(self) -> tuple[Any, Any]:
         """Return a figure, and the dataset that it shows."""
@@ -173,7 +151,7 @@ class Drawing:
             objects = sky.catalogue_of_table(Path(self.source)) if is_table else sky.catalogue_of_point(store, self.at)
             return sky.sky_figure(objects), objects
         chosen = self.kind, self.variables, self.over, self.log, self.linear
-        if (link := link_in(store, self.at)) is not None:
+        if (link := options.link_in(store, self.at)) is not None:
             return draw_figure(link, *chosen), link
         with part_of(store, self.at) as dataset:
             return draw_figure(dataset, *chosen), dataset
@@ -181,15 +159,11 @@ class Drawing:
 
 @command("Look", "Draw results")
 def plot(
-    drawn: Drawing = group(Drawing),
-    width: float | None = opt(
-        "How wide it will be printed, 88mm or 180mm; letters have the same size at any.  [default: each kind's own]",
-        metavar="MM",
-        callback=_millimetres,
-    ),
+    drawn: Drawing = options.group(Drawing),
+    width: float | None = opt("How wide it is printed, e.g. 88mm or 180mm.", metavar="MM", callback=_millimetres),
     style: str | None = choice("Sizes of letters and lines.  [default: paper]", ("paper", "talk")),
     caption: bool = flag("Write NAME.txt beside the picture: caption and alternative text."),
-    output: Path | None = output_option("Picture to write: .png, .svg or .pdf.  [default: NAME.png]"),
+    output: Path | None = options.output("Picture to write: .png, .svg or .pdf.  [default: NAME.png]"),
 ) -> None:
     """Draw the results in SOURCE, a store, in the way that suits them: curves with errors, prediction and published
     values, small panels, a map, a fitted law, a scatter of kept samples.  For a link or a forecast of real tables there
@@ -204,9 +178,10 @@ def plot(
     sweep plot mission.toml --kind accuracy
     sweep plot tie.zarr --kind residuals -o residuals.png
     """
-    styles = drawing_styles()
+    styles = group.drawing_styles()
     drawn.require_choices()
     path = output or Path(Path(drawn.source or "accuracy").stem + ".png")
+    # Before a large store is read and drawn.
     styles.require_format(path)
     with styles.settings(width, style):
         figure, dataset = drawn.figure()
@@ -220,17 +195,53 @@ def plot(
         click.echo(f"wrote {beside}", err=True)
 
 
+def paper_studies(published: bool) -> "list[Study]":
+    """Return the built-in studies in the order of the paper, or those that have ``published`` numbers or claims."""
+    from linksweep.sweep.studies import document
+    from linksweep.sweep.studies.reader import load_study
+
+    texts = {name: tomllib.loads(path.read_text("utf-8")) for name, path in document.built_in_studies().items()}
+    names = [name for name, text in texts.items() if not published or {"published", "claim"} & text.keys()]
+    others = sorted(set(names).difference(PAPER_ORDER))
+    return [load_study(name) for name in (*PAPER_ORDER, *others) if name in names]
+
+
+def is_finished(study: "Study", store: "Location") -> bool:
+    """Return whether a store has all of a study as it is now: its text, without overrides."""
+    from linksweep.sweep.stores.location import reading
+    from linksweep.sweep.stores.store import OpenStore
+
+    with reading(store):
+        if store.is_free():
+            return False
+    attributes = OpenStore(store).attributes
+    # The text, too: a new title or published number changes what a page says, though not the digest.
+    same = attributes.get("study_digest") == study.digest() and attributes.get("study") == study.text
+    return same and bool(attributes.get("complete"))
+
+
+def lacking_package(study: "Study") -> str:
+    """Return which optional package must be installed to run a study; '' if none."""
+    from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.planning.grid import make_grid
+
+    try:
+        make_grid(study)
+    except SweepError as error:
+        if all("pip install" in problem for problem in error.problems):
+            return error.problems[0]
+    return ""
+
+
 @dataclass(frozen=True)
 class AskedStores:
     """The stores that a command is about: those that it names, or with --all those of the whole paper."""
 
-    stores: "tuple[Location, ...]" = STORES
-    everything: bool = flag(
-        "The whole paper: every built-in study (that has something published), run if it has not been yet.", "--all"
-    )
-    results: Path | None = opt("Folder with the stores of --all.  [default: results]", type=FILE)
-    resources: "Resources" = group(resources)
-    watching: Watching = group(watching)
+    stores: "tuple[Location, ...]" = options.STORES
+    everything: bool = flag("Every built-in study (with something published), run if it has not been yet.", "--all")
+    results: Path | None = opt("Folder with the stores of --all.  [default: results]", type=options.FILE)
+    resources: "Resources" = options.group(resources)
+    watching: Watching = options.group(Watching)
 
     def require_either(self) -> None:
         """Raise click.UsageError unless there are either stores or --all, and for options of --all without it."""
@@ -238,40 +249,44 @@ class AskedStores:
 
         if self.everything == bool(self.stores):
             raise click.UsageError("name stores, or give --all")
-        of_runs = self.results is not None or self.resources != Resources() or self.watching != Watching()
-        if of_runs and not self.everything:
-            raise click.UsageError(
-                "--results, what to run on and how to watch it go with --all: nothing runs without it"
-            )
+        is_about_runs = (
+            self.results is not None or self.resources != Resources() or self.watching != Watching(False, False, None)
+        )
+        if is_about_runs and not self.everything:
+            raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without")
 
-    def whole(self, published: bool = False) -> "tuple[Location, ...]":
-        """Return the stores; with --all, first run the unfinished studies: all, or those with something published."""
+    def whole(self, published: bool = False) -> "Sequence[Location]":
+        """Return the stores; with --all, first run the unfinished studies: all, or those with something published.
+
+        Raises SweepError, before anything runs, for a study whose store cannot be continued.
+        """
         if not self.everything:
             return self.stores
-        from linksweep.sweep.cli.published_stores import lacks_packages, paper_studies, store_of, unfinished
+        from linksweep.sweep.running.run import plan_study
         from linksweep.sweep.stores.location import RESULTS, located
 
-        results = self.results or RESULTS
-        studies = []
+        stores, pending = [], []
         for study in paper_studies(published):
-            if words := lacks_packages(study, results):
-                click.echo(f"left out: {study.name}: {words}", err=True)
-            else:
-                studies.append(study)
-        for study in unfinished(studies, results):
-            if self.watching.level < logging.ERROR:
+            store = located((self.results or RESULTS) / f"{study.name}.zarr")
+            # All stores are looked at before the first study runs: an hour later is late for a refusal.
+            if not is_finished(study, store):
+                if problem := lacking_package(study):
+                    click.echo(f"left out: {study.name}: {problem}", err=True)
+                    continue
+                plan_study(study, store)
+                pending.append((study, store))
+            stores.append(store)
+        for study, store in pending:
+            if not self.watching.quiet:
                 click.echo(f"{study.name}:", err=True)
-            how = Running(self.resources, self.watching, None, False, False, None)
-            run_with_progress(study, located(store_of(study, results)), how)
-        return tuple(located(store_of(study, results)) for study in studies)
+            run_with_progress(study, store, Running(self.resources, self.watching, None, False, False, None))
+        return stores
 
 
 @command("Look", "Write one HTML page with everything")
 def report(
-    asked: AskedStores = group(AskedStores),
-    output: Path | None = output_option(
-        "The page; an earlier report there is replaced, nothing else is.  [default: NAME-report.html]"
-    ),
+    asked: AskedStores = options.group(AskedStores),
+    output: Path | None = options.output("The page; replaces an earlier report.  [default: NAME-report.html]"),
 ) -> None:
     """Write one HTML page about the results in STORE: the answer, figures, tables, an interactive view, a comparison
     with published numbers, and where everything comes from.
@@ -298,20 +313,12 @@ def fit(
     store: "Location" = STORE,
     over: str | None = opt("The axis to fit along.  [default: the only one with several numbers]"),
     variable: str | None = opt("What to fit.  [default: the main result]"),
-    law: str = choice(
-        "power: variable ~ over^p; levelling: variable^2 = plateau^2 + c exp(-rate x over).",
-        ("power", "levelling"),
-        default="power",
-    ),
+    law: str = choice(LAWS, ("power", "levelling"), default="power"),
     expect: float | None = opt("Exponent to test.  [default: that of a claim of the study]", type=float),
     fall: float | None = opt(
-        "Levelling: find where the variable falls by less than this per unit of the axis.  [default: 5]",
-        type=click.FloatRange(0.0, 100.0, min_open=True, max_open=True),
-        metavar="PERCENT",
+        "Levelling: where it falls by less per unit of the axis.  [default: 5]", type=PERCENT, metavar="PERCENT"
     ),
-    span: str | None = opt(
-        "Only points with the axis in this range, e.g. 50: or 14:17.", "--range", metavar="LOW:HIGH"
-    ),
+    span: str | None = opt("Only points in this range of the axis, 50: or 14:17.", "--range", metavar="LOW:HIGH"),
     at: At = AT,
     as_json: bool = JSON,
 ) -> None:
@@ -325,8 +332,7 @@ def fit(
     sweep fit radio-stars --range 50: --at reference_error_scale=1
     sweep fit results/quasars.zarr --over v_max --law levelling
     """
-    from linksweep.sweep.analysis.crossings import parse_range
-    from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law
+    from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, parse_range
     from linksweep.sweep.analysis.quantity import between, main_quantity, require_axis
 
     if law == "levelling" and expect is not None:
@@ -361,15 +367,15 @@ def find(
     sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --over v_max
     sweep find grid --where "sigma_spin <= 0.5" --over n_obj --at model=amex
     """
-    from linksweep.sweep.analysis import crossings
+    from linksweep.sweep.analysis import laws
     from linksweep.sweep.analysis.quantity import require_axis, varied_parameters
 
-    limit = crossings.parse_limit(where)
+    limit = laws.parse_limit(where)
     with part_of(store, at) as dataset:
         if over is None and len(varied_parameters(dataset)) > 1:
-            print_headlines(crossings.points_where(dataset, limit), "json" if as_json else "text")
+            group.print_headlines(laws.points_where(dataset, limit), as_json)
             return
-        result = crossings.find(dataset, limit, require_axis(dataset, limit.variable, over))
+        result = laws.find(dataset, limit, require_axis(dataset, limit.variable, over))
     print_result(result, "json" if as_json else "text")
 
 
@@ -378,7 +384,7 @@ def sensitivity(
     store: "Location" = STORE,
     variable: str | None = opt("What varies.  [default: the main result]"),
     at: At = AT,
-    output: Path | None = output_option("Write .csv, .json or .zarr, or draw .png, .svg, .pdf."),
+    output: Path | None = options.output("Write .zarr, or draw .png, .svg, .pdf."),
     as_json: bool = JSON,
 ) -> None:
     """Estimate how much of the variance of a result in STORE is due to each parameter, with errors.
@@ -391,25 +397,19 @@ def sensitivity(
     sweep sensitivity results/sir.zarr --variable peak -o peak.png
     """
     from linksweep.sweep.analysis.sensitivity import sensitivity as indices_of
-    from linksweep.sweep.contract import SweepError
     from linksweep.sweep.result import Result, require_free
 
     suffix = "" if output is None else output.suffix.lower()
     with part_of(store, at) as dataset:
         if output is not None and suffix == ".zarr":
             require_free(output)
-        elif output is not None and suffix not in TABLES and suffix not in (formats := drawing_styles().FORMATS):
-            raise SweepError(f"the name must end with {', '.join((*TABLES, '.zarr', *formats))}", str(output))
+        elif output is not None:
+            group.drawing_styles().require_format(output)
         result = indices_of(dataset, variable)
     if output is not None and suffix == ".zarr":
         Result(result).save(output)
-    elif output is not None and suffix in TABLES:
-        try:
-            output.write_text(Result(result).written(suffix[1:]).rstrip("\n") + "\n", encoding="utf-8")
-        except OSError as error:
-            raise SweepError(f"cannot be written: {error.strerror or error}", str(output)) from error
     elif output is not None:
-        save_figure(result, output)
+        group.save_figure(result, output)
     print_result(result, "json" if as_json else "text")
     if output is not None:
         click.echo(f"wrote {output}", err=True)
@@ -417,7 +417,7 @@ def sensitivity(
 
 @command("Compare", "Compare with published numbers and claims")
 def compare(
-    asked: AskedStores = group(AskedStores),
+    asked: AskedStores = options.group(AskedStores),
     table_format: str = choice("", ("text", "csv"), "--format", default="text"),
     as_json: bool = JSON,
 ) -> None:
@@ -431,10 +431,19 @@ def compare(
     """
     table_format = json_or(table_format, as_json)
     from linksweep.sweep.analysis import compare as verdicts
-    from linksweep.sweep.cli.published_stores import compare_stores
+    from linksweep.sweep.contract import SweepError
 
     asked.require_either()
-    comparisons, remarks = compare_stores(asked.whole(published=True))
+    comparisons, remarks = [], []
+    for store in asked.whole(published=True):
+        with part_of(store, ()) as dataset:
+            overrides = dataset.attrs.get("study_overrides")
+            changed = [f"the study was changed on the command line: {overrides}"] if overrides else []
+            some, about = verdicts.compare(dataset), [*changed, *verdicts.remarks(dataset)]
+            if not some and not about:
+                raise SweepError("its study has neither published numbers nor claims to compare with")
+        comparisons += some
+        remarks += [f"{store}: {sentence}" for sentence in about]
     if table_format == "json":
         click.echo(verdicts.as_json(comparisons, remarks))
     elif table_format == "csv":
@@ -443,6 +452,6 @@ def compare(
             click.echo(sentence, err=True)
     else:
         tables = [verdicts.table(comparisons)] if comparisons else []
-        print_tables(tables, [*remarks, verdicts.summary_line(comparisons)])
+        group.print_tables(tables, [*remarks, verdicts.summary_line(comparisons)])
     if not verdicts.all_is_well(comparisons):
         sys.exit(EXIT_FAILED_POINTS)

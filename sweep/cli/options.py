@@ -25,6 +25,7 @@ FILE = click.Path(path_type=Path)
 """The type of the path of a file or folder, which need not exist."""
 
 WORKERS = click.IntRange(1, 4096)
+POSITIVE = click.FloatRange(0.0, min_open=True)
 
 SAMPLING = ("n_sim", "n_cat", "seed", "precision", "max_n_sim", "keep_samples", "common_random_numbers")
 
@@ -33,6 +34,7 @@ At = tuple[str, ...]
 
 def opt(help: str, *names: str, **more: Any) -> Any:  # noqa: A002 (as click has it)
     """Declare an option as the default of a parameter, by which it is called if it has no ``names``."""
+    # Else only the pages would say what happens without an option.
     more = {"show_default": True} | more
     return lambda name: click.Option([name, *(names or ["--" + name.replace("_", "-")])], help=help, **more)
 
@@ -71,43 +73,49 @@ flag = partial(opt, is_flag=True)
 
 
 @dataclass(frozen=True)
-class _Group:
+class Group:
+    """A parameter that gets what ``make``, a function or class, makes of the options that it declares itself, or that
+    ``options`` has.
+    """
+
     make: Callable[..., Any]
     options: Mapping[str, Any]
 
+    def parameters(self) -> dict[str, Parameter]:
+        """Return the options and arguments of this group and of the groups in it, each once."""
+        parameters: dict[str, Parameter] = {}
+        for name, one in self.options.items():
+            parameters.update(one.parameters() if isinstance(one, Group) else {name: one(name)})
+        return parameters
+
+    def call(self, values: Mapping[str, Any]) -> Any:
+        """Return what this group makes of the values of its options."""
+        options = self.options.items()
+        return self.make(**{n: one.call(values) if isinstance(one, Group) else values[n] for n, one in options})
+
 
 def group(make: Callable[..., Any]) -> Any:
-    """Declare a parameter that gets what ``make``, a function or class, makes of the options that it declares."""
-    return _Group(make, {name: one.default for name, one in inspect.signature(make).parameters.items()})
+    """Declare a parameter that gets what a function or class makes of the options that it declares."""
+    return Group(make, {name: one.default for name, one in inspect.signature(make).parameters.items()})
 
 
 def passed(**declared: Any) -> Any:
     """Declare a parameter that gets a dictionary with the values of these options, to be passed on."""
-    return _Group(dict, declared)
+    return Group(dict, declared)
 
 
-def parameters_of(declared: _Group) -> dict[str, Parameter]:
-    """Return the options and arguments of a group and of the groups in it, each once."""
-    parameters: dict[str, Parameter] = {}
-    for name, one in declared.options.items():
-        parameters.update(parameters_of(one) if isinstance(one, _Group) else {name: one(name)})
-    return parameters
-
-
-def call(declared: _Group, values: Mapping[str, Any]) -> Any:
-    """Return what a group makes of the values of its options."""
-    options = declared.options.items()
-    return declared.make(**{n: call(one, values) if isinstance(one, _Group) else values[n] for n, one in options})
+def _not_empty(text: str) -> str:
+    if not text:
+        raise ValueError("is empty; give the path of a store, or s3://BUCKET/NAME")
+    return text
 
 
 @parsed
 def place(text: str) -> "Location":
-    """Return the place of a store; raises ValueError for an empty text."""
+    """Return the place of a store."""
     from linksweep.sweep.stores.location import located
 
-    if not text:
-        raise ValueError("is empty; give the path of a store, or s3://BUCKET/NAME")
-    return located(text)
+    return located(_not_empty(text))
 
 
 @parsed
@@ -115,9 +123,8 @@ def _named(text: Any) -> Any:
     """Return the place of what names an existing store, or the study whose store it is, or of several of these."""
     from linksweep.sweep.stores.location import store_named
 
-    if "" in (text if isinstance(text, tuple) else (text,)):
-        raise ValueError("is empty; give the path of a store, or s3://BUCKET/NAME")
-    return tuple(map(store_named, text)) if isinstance(text, tuple) else store_named(text)
+    named = [store_named(_not_empty(one)) for one in (text if isinstance(text, tuple) else (text,))]
+    return tuple(named) if isinstance(text, tuple) else named[0]
 
 
 def _built_in() -> dict[str, Path]:
@@ -129,7 +136,8 @@ def _studies(_context: Context, _parameter: Parameter, incomplete: str) -> list[
     """Offer the built-in studies and the TOML files here; where neither fits, whatever file the shell knows."""
     names = [*_built_in(), *sorted(path.name for path in Path().glob("*.toml"))]
     fitting = [CompletionItem(name) for name in names if name.startswith(incomplete)]
-    return fitting or [CompletionItem(incomplete, type="file")]  # a shell takes one kind or the other
+    # A shell takes one kind or the other.
+    return fitting or [CompletionItem(incomplete, type="file")]
 
 
 def _folders(_context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
@@ -138,38 +146,31 @@ def _folders(_context: Context, _parameter: Parameter, incomplete: str) -> list[
 
 def _keys(context: Context, _parameter: Parameter, incomplete: str, more: Sequence[str] = ()) -> list[CompletionItem]:
     """Offer the axes of the study that was given before, what it fixes, and ``more``."""
-    study = str(context.params.get("study") or next(iter(context.args), ""))  # not parsed where an option lacks a value
+    # The study is not parsed yet where an option lacks its value.
+    study = str(context.params.get("study") or next(iter(context.args), ""))
     document: dict[str, Any] = {}
-    with suppress(OSError, ValueError, RecursionError):  # a shell has no place for an error
+    with suppress(OSError, ValueError, RecursionError):
+        # A shell has no place for an error.
         path = _built_in().get(study, Path(study))
         if path.stat().st_size < 100_000:
+            # A shell waits for this at each press of a key.
             document = tomllib.loads(path.read_text(encoding="utf-8"))
     tables = [table for key in ("axes", "fixed") if isinstance(table := document.get(key), dict)]
     keys = [f"{key}=" for table in (*tables, more) for key in table]
     return [CompletionItem(key) for key in keys if key.startswith(incomplete)]
 
 
+_ALSO_SAMPLING = partial(_keys, more=SAMPLING)
 STORE = arg(callback=_named, shell_complete=_folders)
 STORES = arg(nargs=-1, metavar="STORE...", callback=_named, shell_complete=_folders)
+STUDY = arg(shell_complete=_studies)
 AT = many("Only this part of the grid, e.g. model=gaia,v_max=16.", metavar="AXIS=VALUE")
 JSON = flag("Print JSON for a script.", "--json")
 BREAK_LOCK = flag("Continue although another host seems to write to the store; make sure that it does not.")
 ACCEPT_CODE = flag("Continue a store that other code made; each point then records which code made it.")
 TRUST = flag("Run the code that the store names, even if it is inside it or came from elsewhere.")
-AXES = many(
-    "Override or add an axis: 14:20:0.5, 10:1000:log5 or amex,gaia.",
-    *("--axis",),
-    metavar="NAME=SPEC",
-    shell_complete=_keys,
-)
-SETTINGS = many(
-    "Override a value of the study, e.g. n_sim=500 or weighting=equal.",
-    *("--set",),
-    metavar="KEY=VALUE",
-    shell_complete=partial(_keys, more=SAMPLING),
-)
-STUDY = arg(shell_complete=_studies)
-RANGES = "The range of a parameter in the design: 0.1:0.5, 1:100:log or amex,gaia."
+AXES = many("Override or add an axis: 14:20:0.5, 10:1000:log5.", "--axis", metavar="NAME=SPEC", shell_complete=_keys)
+SETTINGS = many("Override a value, e.g. n_sim=500.", "--set", metavar="KEY=VALUE", shell_complete=_ALSO_SAMPLING)
 DESIGNS = "e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, saltelli, morris."
 
 
@@ -191,18 +192,22 @@ class AskedStudy:
     axes: Sequence[str] = AXES
     points: str | None = opt("Compute the points in this table: a column for each parameter.", metavar="FILE")
     design: str | None = opt(f"Compute a design of points, {DESIGNS}", metavar="NAME:N")
-    ranges: Sequence[str] = many(RANGES, "--range", metavar="NAME=SPEC")
+    ranges: Sequence[str] = many("A range of the design: 0.1:0.5, 1:100:log or a,b.", "--range", metavar="NAME=SPEC")
     output: "Location | None" = output(
         "The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]", type=str, callback=place
     )
     trust: bool = TRUST
 
+    @property
+    def overrides(self) -> tuple[Any, ...]:
+        """What the command line changes in the study."""
+        return self.settings, self.axes, self.points, self.design, self.ranges
+
     def load(self) -> "tuple[Study, Location]":
         """Return the study, and where its store is; raises SweepError for one inside a store that is not trusted."""
         from linksweep.sweep.stores.location import default_store, located
 
-        overrides = self.settings, self.axes, self.points, self.design, self.ranges
-        study = load_trusted(self.study, self.trust, *overrides)
+        study = load_trusted(self.study, self.trust, *self.overrides)
         return study, self.output or located(default_store(study.name))
 
     def stored(self) -> "tuple[Study, Location]":
@@ -210,7 +215,7 @@ class AskedStudy:
         from linksweep.sweep.running.reproduce import study_of
         from linksweep.sweep.stores.location import store_named
 
-        if any((self.settings, self.axes, self.points, self.design, self.ranges, self.output)):
+        if any((*self.overrides, self.output)):
             raise click.UsageError("--retry computes points of a store as it is: name the store, without other changes")
         store = store_named(self.study)
         return study_of(store, trust=self.trust), store
@@ -218,10 +223,11 @@ class AskedStudy:
 
 def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
     """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""
-    from linksweep.sweep.running.trust import require_trust_of_study
+    from linksweep.sweep.running.code import require_trust_of_study
     from linksweep.sweep.studies.document import find_study, reference_in
     from linksweep.sweep.studies.reader import load_study
 
+    # Before anything is read: a study or a function inside a store came with the store, from whoever sent that.
     if (function := reference_in(study)) is None:
         require_trust_of_study(find_study(study), trust)
     elif (file := function.rpartition(":")[0]).endswith(".py"):
@@ -229,7 +235,7 @@ def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
     return load_study(study, *overrides)
 
 
-def link_in(store: "Location", at: tuple[str, ...]) -> Any:
+def link_in(store: "Location", at: At) -> Any:
     """Return the link or forecast that a store holds, None if it holds a grid; ``--at`` is only for a grid."""
     from linksweep.sweep.result import stored_table
 
@@ -240,7 +246,7 @@ def link_in(store: "Location", at: tuple[str, ...]) -> Any:
 
 
 @contextmanager
-def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) -> Iterator[Any]:
+def part_of(store: "Location", at: At, excluded_too: bool = False) -> Iterator[Any]:
     """Give the part of a store's dataset that ``--at`` names; errors in the block name the store unless they say what
     they are about.
 
@@ -257,7 +263,8 @@ def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) 
     try:
         part = select(dataset, places)
         for name in set(array_outputs(dataset)) - set(array_outputs(part)):
-            if not name.endswith(ERROR_SUFFIXES):  # a place along an output's own dimension is for that output
+            if not name.endswith(ERROR_SUFFIXES):
+                # A place along an output's own dimension is for that output.
                 part[name].attrs["headline"] = 1
         if at and not excluded_too and (part["status"].values == Status.EXCLUDED).all():
             points = "this point" if part["status"].size == 1 else "all of these points"
@@ -266,4 +273,5 @@ def part_of(store: "Location", at: tuple[str, ...], excluded_too: bool = False) 
     except SweepError as error:
         if error.where:
             raise
+        # What knows only datasets cannot name the store.
         raise SweepError(error.problems, str(store)) from error

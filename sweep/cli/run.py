@@ -1,22 +1,26 @@
-"""Commands that compute: run, plan and scaling; what they run on, and what the user sees of it."""
+"""Commands that compute a study or keep its store: run, plan, scaling, status, check, reproduce and merge; what they
+run on, and what the user sees of it.
+"""
 
+import json
 import logging
 import shlex
 import sys
+import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
-from linksweep.sweep.cli import options
-from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, a_signal_ends_the_command, command, end_stopped
-from linksweep.sweep.cli.options import FILE, WORKERS, choice, flag, group, opt, parsed
-from linksweep.sweep.cli.output import drawing_styles, print_headlines, print_result, print_sentences, save_figure
+from linksweep.sweep.cli import group, options
+from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
+from linksweep.sweep.cli.options import POSITIVE, WORKERS, choice, flag, opt, parsed
 from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
-from linksweep.sweep.formatting import COMMAND, WIDTH, counted, harmless, in_words, to_json, without_secrets
+from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_json, without_secrets
 
 if TYPE_CHECKING:
     from linksweep.sweep.executing.pools import PoolName, Resources
@@ -24,7 +28,6 @@ if TYPE_CHECKING:
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.study import Study
 
-POSITIVE = click.FloatRange(0, min_open=True)
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 
 POOL_HELP = (
@@ -36,20 +39,27 @@ WITH_WORKERS = [name for name, pool in POOLS.items() if pool.has_workers]
 MEMORY_AT_LEAST = 200 * 10**6
 """Bytes that a worker needs for itself."""
 
+MOST_FAILURES = 20
+"""Most failed points that `sweep status` names in a terminal."""
+
 DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
 """The second does not pass its messages on to the first."""
+
+WHOLE = "every file is as it was written"
 
 
 @parsed
 def _bytes(text: str) -> int:
+    # The same words as in Dask's own configuration.
     from dask.utils import parse_bytes
 
     try:
         number = int(parse_bytes(text))
-    except ValueError as error:
-        raise ValueError(f"{text!r} is no number of bytes; write 2GB or 500MiB") from error
+    except ValueError:
+        number = 0
     if number < MEMORY_AT_LEAST:
-        raise ValueError(f"{text!r} is less than the {MEMORY_AT_LEAST // 10**6} MB that a worker needs itself")
+        least = f"at least the {MEMORY_AT_LEAST // 10**6} MB that a worker needs itself"
+        raise ValueError(f"{text!r} is no number of bytes like 2GB or 500MiB, {least}")
     return number
 
 
@@ -63,9 +73,7 @@ def resources(
     cluster: Path | None = opt("Use the Dask cluster that this TOML or YAML file describes.", type=EXISTING),
     time_limit: float | None = opt("A block that takes longer fails.", type=POSITIVE, metavar="SECONDS"),
     memory_limit: int | None = opt(
-        "A block whose local worker needs more fails, e.g. 2GB.  [default: an equal share each]",
-        metavar="BYTES",
-        callback=_bytes,
+        "A block that needs more fails, e.g. 2GB.  [default: an equal share each]", metavar="BYTES", callback=_bytes
     ),
     dashboard: bool = flag("Give local workers Dask's dashboard; print its address."),
 ) -> "Resources":
@@ -74,27 +82,17 @@ def resources(
 
     if scheduler is not None and cluster is not None:
         raise click.UsageError("--scheduler and --cluster are two places; name one")
-    local = workers is not None or pool is not None or memory_limit is not None
-    if local and (scheduler or cluster):
+    is_local = workers is not None or pool is not None or memory_limit is not None
+    if is_local and (scheduler or cluster):
         elsewhere = "--scheduler" if scheduler else "--cluster"
-        raise click.UsageError(
-            f"--workers, --pool and --memory-limit are for local workers; they do not go with {elsewhere}"
-        )
+        local = "--workers, --pool and --memory-limit"
+        raise click.UsageError(f"{local} are for local workers; they do not go with {elsewhere}")
     if workers is not None and pool is not None and not POOLS[pool].has_workers:
         raise click.UsageError(f"--pool {pool} has no workers")
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
-    any_tls = tls_ca or tls_cert or tls_key
-    if any_tls and (tls is None or scheduler is None or not scheduler.startswith("tls://")):
+    if (tls_ca or tls_cert or tls_key) and (tls is None or not (scheduler or "").startswith("tls://")):
         raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT")
     return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit), dashboard)
-
-
-@dataclass(frozen=True)
-class Watching:
-    """How much the user wants to see: ``level`` of the logging module, and the log file."""
-
-    level: int = logging.INFO
-    log: TextIO | None = None
 
 
 def _log_file(context: click.Context, _parameter: click.Parameter, value: str | None) -> TextIO | None:
@@ -107,17 +105,22 @@ def _log_file(context: click.Context, _parameter: click.Parameter, value: str | 
         raise click.BadParameter(f"{value!r} cannot be written: {reason}") from error
 
 
-def watching(
-    quiet: bool = flag("Print only errors, and the table.", "--quiet", "-q"),
-    verbose: bool = flag("Print a line for each point, and Dask's warnings.", "--verbose", "-v"),
-    log: TextIO | None = opt(
-        "Append everything to FILE, with times and tracebacks.", metavar="FILE", callback=_log_file
-    ),
-) -> Watching:
-    """Return what the user wants to see; raises click.UsageError for options that contradict each other."""
-    if quiet and verbose:
-        raise click.UsageError("--quiet and --verbose contradict each other")
-    return Watching(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO, log)
+@dataclass(frozen=True)
+class Watching:
+    """How much the user wants to see, and the log file; raises click.UsageError for options that contradict."""
+
+    quiet: bool = flag("Print only errors, and the table.", "--quiet", "-q")
+    verbose: bool = flag("Print a line for each point, and Dask's warnings.", "--verbose", "-v")
+    log: TextIO | None = opt("Append everything to FILE, with times.", metavar="FILE", callback=_log_file)
+
+    def __post_init__(self) -> None:
+        if self.quiet and self.verbose:
+            raise click.UsageError("--quiet and --verbose contradict each other")
+
+    @property
+    def level(self) -> int:
+        """The level of the logging module."""
+        return logging.ERROR if self.quiet else logging.DEBUG if self.verbose else logging.INFO
 
 
 class _Lines(logging.Handler):
@@ -150,6 +153,7 @@ def _logged(watching: Watching) -> Iterator[None]:
 
         handle(Sentences(watching.level), SENTENCES)
         SENTENCES.setLevel(logging.DEBUG if watching.log is not None else watching.level)
+        # Else Python prints what nobody handles to standard error.
         handle(logging.NullHandler(), RECORD)
         RECORD.propagate = False
         if watching.level == logging.DEBUG:
@@ -162,6 +166,7 @@ def _logged(watching: Watching) -> Iterator[None]:
         try:
             yield
         except SweepError as error:
+            # The command prints it; the log file has to have it, too.
             RECORD.error("%s: %s", error.where, "; ".join(error.problems))
             raise
         except Exception:
@@ -180,15 +185,13 @@ def _max_failures(text: str) -> "MaxFailures":
 class Running:
     """How a study is run: on what, what the user sees (no results if ``as_json`` is None), and what it may continue."""
 
-    resources: "Resources" = group(resources)
-    watching: Watching = group(watching)
+    resources: "Resources" = options.group(resources)
+    watching: Watching = options.group(Watching)
     as_json: bool | None = options.JSON
     break_lock: bool = options.BREAK_LOCK
     accept_code: bool = options.ACCEPT_CODE
     max_failures: "MaxFailures | None" = opt(
-        "End the run when more points fail; 100% never.  [default: if the first 20 all fail for one reason]",
-        metavar="N|P%",
-        callback=_max_failures,
+        "End when more points fail.  [default: if the first 20 fail alike]", metavar="N|P%", callback=_max_failures
     )
 
 
@@ -204,22 +207,23 @@ def run_with_progress(
     from linksweep.sweep.running.run import run_study
     from linksweep.sweep.stores.location import short_name
 
-    bar = how.watching.level < logging.ERROR
-    with a_signal_ends_the_command(), _logged(how.watching), TerminalProgress(study, bar) as progress:
+    bar = not how.watching.quiet
+    with group.a_signal_ends_the_command(), _logged(how.watching), TerminalProgress(study, bar) as progress:
         try:
             dataset, failures = run_study(
                 study, store, how.resources, progress, retry, how.break_lock, how.accept_code, fresh, how.max_failures
             )
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
-            end_stopped(stop.signal)
+            group.end_stopped(stop.signal)
         if how.as_json is not None:
-            print_headlines(dataset, "json" if how.as_json else "text")
-        name = short_name(store)
-        next_commands = (f"sweep plot {name}", f"sweep report {name}")
-        progress.finish(failures, store, () if how.as_json is None else next_commands)
+            group.print_headlines(dataset, how.as_json)
+        # Nothing to look at next where a caller goes on itself, as `sweep report --all` does.
+        looks = () if how.as_json is None else ("plot", "report")
+        progress.finish(failures, store, [f"sweep {look} {short_name(store)}" for look in looks])
     if how.as_json is False:
-        print_sentences(answer_in_short(dataset))
+        for sentence in answer_in_short(dataset):
+            group.print_wrapped(sentence)
     return failures
 
 
@@ -240,13 +244,11 @@ def print_verified(study: "Study", store: "Location", points: int, shown: bool =
 
 @command("Run", "Run a study into a store; print table and answer")
 def run(
-    asked: options.AskedStudy = group(options.AskedStudy),
-    how: Running = group(Running),
+    asked: options.AskedStudy = options.group(options.AskedStudy),
+    how: Running = options.group(Running),
     retry: bool = flag("STUDY is a store: compute its failed points again, and only those."),
     fresh: bool = flag("Replace an existing store, whatever its study and code."),
-    verify: int = opt(
-        "At the end compute so many points again.", type=click.IntRange(0), default=0, show_default=False
-    ),
+    verify: int = opt("At the end compute so many points again.", type=click.IntRange(0), default=0),
 ) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
 
@@ -264,14 +266,14 @@ def run(
         raise click.UsageError("--retry and --fresh contradict each other")
     study, store = asked.stored() if retry else asked.load()
     failures = run_with_progress(study, store, how, retry=retry, fresh=fresh)
-    differing = verify and print_verified(study, store, verify, how.watching.level < logging.ERROR)
+    differing = verify and print_verified(study, store, verify, not how.watching.quiet)
     if failures or differing:
         sys.exit(EXIT_FAILED_POINTS)
 
 
 @command("Run", "Say what a run would do, and write nothing")
 def plan(
-    asked: options.AskedStudy = group(options.AskedStudy),
+    asked: options.AskedStudy = options.group(options.AskedStudy),
     workers: int | None = opt("Local workers, for the estimate of the time.  [default: one per core]", type=WORKERS),
     accept_code: bool = options.ACCEPT_CODE,
     as_json: bool = options.JSON,
@@ -288,24 +290,21 @@ def plan(
     if as_json:
         click.echo(to_json(report))
         return
+    lines = [("study", report["title"]), ("grid", report["grid"])]
     failed = failed_before(report["points_failed"])
-    lines = [
-        ("study", report["title"]),
-        ("grid", report["grid"]),
-        ("points", f"{report['points']:,}, {report['points_done']:,} of them done{failed}"),
-    ]
+    lines += [("points", f"{report['points']:,}, {report['points_done']:,} of them done{failed}")]
     if "realisations" in report:
         done = report["realisations"] - report["realisations_pending"]
         lines += [("realisations", f"{report['realisations']:,}, {done:,} of them done")]
     tasks = f" in about {counted(report['tasks_about'], 'task')}" if report["tasks_about"] else ""
-    megabytes = [f"{report[f'{what}_mb']:,.3g} MB" for what in ("memory", "result", "ledger")]
     lines += [("work", f"{counted(report['blocks_pending'], 'block')}{tasks}")]
-    lines += [("memory", "{}: {} of results, {} of ledger".format(*megabytes))]
+    memory, result, ledger = (f"{report[f'{what}_mb']:,.3g} MB" for what in ("memory", "result", "ledger"))
+    lines += [("memory", f"{memory}: {result} of results, {ledger} of ledger")]
     if "seconds" in report:
         cores = counted(report["cores"], "core")
         lines += [("time", f"at least {in_words(report['seconds'])} of computing on {cores} of this machine")]
     for key, text in [*lines, ("store", report["store"]), *(("warning", text) for text in report["warnings"])]:
-        click.echo(click.wrap_text(text, WIDTH, f"{key:14}", 14 * " "))
+        group.print_wrapped(text, f"{key:14}", 14 * " ")
 
 
 @parsed
@@ -321,13 +320,11 @@ def scaling(
     study: str = options.STUDY,
     workers: tuple[int, ...] = opt("Numbers of workers, from 1 up.", default="1,2", callback=_counts),
     pool: Any = choice("Workers are processes, or threads of this one.", WITH_WORKERS, default=DEFAULT_POOL),
-    repetitions: int = opt(
-        "How often to time every run; 5 or more give errors.", type=click.IntRange(1, 1000), default=3
-    ),
+    repetitions: int = opt("Times of every run; 5 or more give errors.", type=click.IntRange(1, 1000), default=3),
     settings: Sequence[str] = options.SETTINGS,
     axes: Sequence[str] = options.AXES,
     output: Path | None = options.output("The measurements, as Zarr.  [default: results/NAME-scaling.zarr]"),
-    figure: Path | None = opt("Also draw them with the ideal lines: .png, .svg, .pdf.", type=FILE),
+    figure: Path | None = opt("Also draw them with the ideal lines: .png, .svg, .pdf.", type=options.FILE),
     trust: bool = options.TRUST,
     as_json: bool = options.JSON,
 ) -> None:
@@ -339,26 +336,162 @@ def scaling(
     sweep scaling quasars --workers 1,2 --figure scaling.svg
     """
     if figure is not None:
-        drawing_styles().require_format(figure)
-    from linksweep.sweep.interrupt import RunInterruptedError
+        group.drawing_styles().require_format(figure)
     from linksweep.sweep.result import Result, require_free
     from linksweep.sweep.running.scaling import measure_scaling
     from linksweep.sweep.stores.location import default_store
 
     loaded = options.load_trusted(study, trust, settings, axes)
     path = output or default_store(f"{loaded.name}-scaling")
+    # Before minutes of measuring.
     require_free(path)
-    with a_signal_ends_the_command():
-        try:
-            dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
-        except RunInterruptedError as stop:
-            end_stopped(stop.signal)
-    if as_json:
-        records = Result(dataset).records()
-        click.echo(to_json([dict(zip((c.name for c in records.columns), row, strict=True)) for row in records.rows]))
-    else:
-        print_result(dataset, "text")
+    with group.a_signal_ends_the_command():
+        dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
+    group.print_result(dataset, "json" if as_json else "text")
     Result(dataset).save(path)
     if figure is not None:
-        save_figure(dataset, figure)
+        group.save_figure(dataset, figure)
     click.echo(f"wrote {path}" + (f" and {figure}" if figure is not None else ""), err=True)
+
+
+@command("Store care", "Say how far a run is, and what failed")
+def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> None:
+    """Say how far the run in STORE is, what failed, and where the results come from.
+
+    \b
+    sweep status results/quasars.zarr
+    """
+    from linksweep.sweep.running.failures import failed_points
+    from linksweep.sweep.running.progress import axis_table
+    from linksweep.sweep.running.status import status_report
+
+    report = status_report(store)
+    if as_json:
+        click.echo(to_json(report))
+        return
+    # For the headings of axes alone.
+    units = report.pop("units", {})
+    for key, value in report.items():
+        if key == "axes":
+            click.echo(nl=bool(value))
+            group.print_tables(axis_table(dimension, units) for dimension in value.values())
+            click.echo(nl=bool(value))
+        elif isinstance(value, dict):
+            click.echo(f"{key}:")
+            is_long = key == "failures" and len(value) > MOST_FAILURES
+            if is_long:
+                group.print_wrapped(failed_points(value), "  ", "    ")
+            for name, text in islice(value.items(), MOST_FAILURES):
+                group.print_wrapped(f"{name}: {text}", "  ", "    ")
+            if is_long:
+                click.echo(f"  {len(value) - MOST_FAILURES:,} more points: `sweep status STORE --json` has all of them")
+        else:
+            group.print_wrapped(f"{key}: {value}", later="  ")
+
+
+@command("Store care", "Compare files with checksums; set damaged aside")
+def check(
+    store: "Location" = options.STORE,
+    repair: bool = flag("Set damaged files aside, in STORE.damaged; the next run computes again."),
+    break_lock: bool = options.BREAK_LOCK,
+    as_json: bool = options.JSON,
+) -> None:
+    """Read every file in STORE and compare it with its checksum; the exit code is 1 if any is damaged.
+
+    \b
+    sweep check results/quasars.zarr
+    sweep check results/quasars.zarr --repair
+    """
+    from linksweep.sweep.stores import store as files
+
+    if repair and as_json:
+        raise click.UsageError("--json is for a check without --repair")
+    if break_lock and not repair:
+        raise click.UsageError("--break-lock goes with --repair: a check writes nothing")
+    if repair:
+        click.echo("\n".join(files.repair(store, break_lock=break_lock) or [WHOLE]))
+        return
+    report = files.check(store)
+    if as_json:
+        click.echo(to_json(report))
+    else:
+        damaged = (report.identity | report.ledger | report.results).items()
+        lines = [f"{file}: {problem}" for file, problem in damaged] or [WHOLE]
+        click.echo("\n".join([*lines, *(f"{store} {remark}" for remark in report.remarks)]))
+    if report:
+        click.echo(f"`sweep check {store} --repair` repairs what can be repaired", err=True)
+        sys.exit(EXIT_FAILED_POINTS)
+
+
+@command("Store care", "Compute points again, to the bit")
+def reproduce(
+    store: "Location" = options.STORE,
+    at: str | None = opt("The point, e.g. model=gaia,v_max=16.", metavar="AXIS=VALUE[,AXIS=VALUE]"),
+    points: int = opt("Without --at: how many points to compute, in two orders.", type=click.IntRange(1), default=10),
+    debug: bool = flag("Open the debugger where the point raises.", "--pdb"),
+    trust: bool = options.TRUST,
+    as_json: bool = options.JSON,
+) -> None:
+    """Compute points of STORE again and compare every bit with what is stored: one point in this process, or a few,
+    each by itself in new processes, in two orders.
+
+    The exit code is 1 if it raises, or if anything differs.
+
+    \b
+    sweep reproduce results/quasars.zarr --at model=gaia,v_max=16
+    sweep reproduce results/quasars.zarr --points 20
+    """
+    from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.running import reproduce as computing
+
+    if at is None:
+        if debug or as_json:
+            raise click.UsageError(f"{'--pdb' if debug else '--json'} is for one point; name it with --at")
+        sys.exit(EXIT_FAILED_POINTS if print_verified(computing.study_of(store, trust=trust), store, points) else 0)
+    try:
+        again = computing.reproduce(store, at, trust=trust)
+    except SweepError:
+        raise
+    except Exception as error:
+        # Of the experiment: the traceback is what was asked for.
+        traceback.print_exception(error)
+        if debug:
+            import pdb
+
+            pdb.post_mortem(error.__traceback__)
+        sys.exit(EXIT_FAILED_POINTS)
+    group.print_headlines(again.dataset.assign_attrs(title=again.place, complete=1), as_json)
+    for sentence in again.other_code:
+        click.echo(f"computed by other code than the store was: {sentence}", err=True)
+    if again.differences is None:
+        click.echo(f"{again.place} is {again.stored} in {store}; there is nothing to compare with", err=True)
+    elif not again.differences:
+        click.echo(f"every bit as in {store}", err=True)
+    else:
+        click.echo(f"differs from {store} in {', '.join(again.differences)}", err=True)
+        for name, (stored, computed) in again.differences.items():
+            click.echo(f"  {name}: {json.dumps(stored.tolist())} stored, {json.dumps(computed.tolist())} now", err=True)
+        sys.exit(EXIT_FAILED_POINTS)
+
+
+@command("Store care", "Make one store of two of the same experiment")
+def merge(
+    store: "Location" = options.STORE,
+    other: "Location" = options.STORE,
+    output: "Location" = options.output("The new store.", type=str, required=True, callback=options.place),
+    accept_code: bool = options.ACCEPT_CODE,
+    trust: bool = options.TRUST,
+    as_json: bool = options.JSON,
+) -> None:
+    """Make a new store of two, STORE and OTHER, that hold the same experiment: the points of both.
+
+    Points that both have are kept once, and must be the same to the last bit.
+
+    \b
+    sweep merge results/low.zarr results/high.zarr -o results/all.zarr
+    """
+    from linksweep.sweep.running.merge import merge as merge_stores
+
+    dataset = merge_stores(store, other, output, accept_code=accept_code, trust=trust)
+    group.print_headlines(dataset, as_json)
+    click.echo(f"wrote {output}", err=True)

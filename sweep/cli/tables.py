@@ -1,7 +1,10 @@
-"""Commands about real tables: tie and forecast solve for a link, match finds the galaxies among stars."""
+"""Commands to begin a study, new and params, and about real tables: tie and forecast solve for a link, match finds the
+galaxies among stars.
+"""
 
+import json
 import sys
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -11,10 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from linksweep.sweep.cli import group, options
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
-from linksweep.sweep.cli.options import FILE, JSON, arg, choice, flag, group, many, opt, passed
-from linksweep.sweep.cli.options import output as output_option
-from linksweep.sweep.cli.output import print_result, print_tables
+from linksweep.sweep.cli.options import FILE, JSON, POSITIVE, arg, choice, flag, many, opt, passed
 from linksweep.sweep.cli.run import resources as run_on
 from linksweep.sweep.formatting import split_assignment, to_json
 
@@ -24,103 +26,161 @@ if TYPE_CHECKING:
     from linksweep.sweep.executing.pools import Resources
 
 SIGNS = ["reference-satellite", "satellite-reference"]
-POSITIVE = click.FloatRange(0.0, min_open=True)
-ARCSEC = click.FloatRange(0.0, 3600.0, min_open=True)
+POSITIONS = ("single-epoch", "mean")
+MOTIONS = ("motion", "three-parameter")
+NOT_NEGATIVE = click.FloatRange(0.0)
+EXPERIMENT = arg(default="linksweep.core.experiment:link")
 
 year = partial(opt, type=float, metavar="YEAR")
+arcsec = partial(opt, type=click.FloatRange(0.0, 3600.0, min_open=True), metavar="ARCSEC")
 table = partial(many, metavar="satellite|reference|NAME")
 
 
-def _numbers(name: str, text: str) -> list[float]:
-    """Return the numbers in a list with commas; raises click.BadParameter for anything else."""
+class Assigned(click.ParamType):  # type: ignore[type-arg]  # generic only in new versions of click
+    """The type of an option ``KEY=VALUE``, which the help shows as ``name``; ``value`` converts the second part."""
+
+    def __init__(self, name: str, value: Callable[[str], Any] = str) -> None:
+        self.name, self.value = name, value
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return the key and the converted value of a text."""
+        key, text = split_assignment(value)
+        with suppress(ValueError):
+            if key:
+                return key, self.value(text)
+        return self.fail(f"{value!r} is not {self.name}", param, ctx)
+
+
+def _jitter(text: str) -> list[float]:
+    position, *motion = map(float, text.split(":"))
+    if len(motion) > 1:
+        raise ValueError
+    return [position, *motion]
+
+
+@command("Your own", "Write a commented study to start from")
+def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
+    """Write NAME.toml, a study of EXPERIMENT to start from: it runs as it is, and has every parameter in a comment.
+
+    \b
+    sweep new mine
+    sweep new mine my_experiment.py:experiment
+    """
+    from linksweep.sweep.code.load import load_experiment
+    from linksweep.sweep.contract import SweepError, shown
+    from linksweep.sweep.studies.reader import GOOD_NAME
+    from linksweep.sweep.studies.study import new_study
+
+    if not GOOD_NAME.fullmatch(name):
+        raise SweepError(
+            f"{shown(name)} is no name for a study: letters, digits and _ . + -, at most 60; a letter first"
+        )
+    path = Path(f"{name}.toml")
+    text = new_study(name, experiment, load_experiment(experiment)).encode(errors="replace")
     try:
-        return [float(part) for part in text.split(",") if part.strip()]
-    except ValueError:
-        raise click.BadParameter(f"{text!r} is no list of numbers", param_hint=name) from None
+        with path.open("xb") as file:
+            file.write(text)
+    except FileExistsError as error:
+        raise SweepError("exists already; take another name", str(path)) from error
+    except OSError as error:
+        with suppress(OSError):
+            path.unlink()
+        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+    click.echo(f"wrote {path}; edit it, then: sweep plan {path}", err=True)
 
 
-def _assigned(name: str, form: str, item: str) -> tuple[str, str]:
-    key, value = split_assignment(item)
-    if not key or not value:
-        raise click.BadParameter(f"{item!r} is not {form}", param_hint=name)
-    return key, value
+@command("Your own", "List the parameters of a study or experiment")
+def params(
+    experiment: str = EXPERIMENT,
+    schema: bool = flag("Print the JSON Schema of studies, by which editors complete them."),
+    as_json: bool = JSON,
+) -> None:
+    """List the parameters of EXPERIMENT (module:attribute, file.py:attribute, or a study of it) with unit,
+    default, allowed values and meaning.
+
+    \b
+    sweep params
+    sweep params quasars
+    sweep params my_experiment.py:experiment
+    sweep params --schema > study.schema.json
+    """
+    from linksweep.sweep.code.load import load_experiment
+    from linksweep.sweep.studies.document import built_in_studies
+    from linksweep.sweep.studies.reader import load_study
+    from linksweep.sweep.studies.study import study_schema
+
+    is_study = experiment.endswith(".toml") or experiment in built_in_studies()
+    declared = load_study(experiment).experiment if is_study else load_experiment(experiment)
+    if schema:
+        click.echo(json.dumps(study_schema(declared), indent=1, ensure_ascii=False))
+        return
+    rows = [
+        {"name": p.name, "unit": p.unit, "default": p.default, "allowed": p.allowed(), "meaning": p.meaning}
+        for p in declared.parameters
+    ]
+    if as_json:
+        click.echo(to_json(rows))
+        return
+    for row in rows:
+        default = "see below" if row["default"] is None else row["default"]
+        unit = f" [{row['unit']}]" if row["unit"] else ""
+        click.echo(f"{row['name']}{unit}  default: {default}")
+        group.print_wrapped(f"{row['meaning']}; {row['allowed']}", "    ", "    ")
 
 
-def _mission_epochs(items: Sequence[str], missions: Collection[str]) -> dict[str, float]:
-    epochs = {}
-    for name, year in (_assigned("--mission-epoch", "NAME=YEAR", item) for item in items):
-        if name not in missions:
-            raise click.BadParameter(f"no --mission {name}", param_hint="--mission-epoch")
-        years = _numbers("--mission-epoch", year)
-        if len(years) != 1:
-            raise click.BadParameter(f"{year!r} is not one year", param_hint="--mission-epoch")
-        epochs[name] = years[0]
-    return epochs
-
-
-def _by_table(name: str, form: str, items: Sequence[str], tables: Sequence[str]) -> dict[str, dict[str, str]]:
+def _by_table(option: str, items: Sequence[Any], tables: Sequence[str]) -> dict[str, dict[str, str]]:
     """Return what the items say of each quantity of each table; an item that names no table is for all."""
     by_table: dict[str, dict[str, str]] = {table: {} for table in tables}
-    for item in items:
-        key, value = _assigned(name, f"[{'|'.join(tables)}:]{form}", item)
+    for key, value in items:
         table, colon, quantity = key.partition(":")
-        if colon and table not in tables:
-            raise click.BadParameter(f"{item!r} is not [{'|'.join(tables)}:]{form}", param_hint=name)
+        if colon:
+            _require_tables(option, [table], tables)
         for one in [table] if colon else tables:
             by_table[one][quantity if colon else key] = value
     return by_table
 
 
-def _jitter(item: str) -> tuple[str, tuple[float, float]]:
-    kind, text = split_assignment(item)
-    values = _numbers("--jitter", text.replace(":", ","))
-    if len(values) not in (1, 2):
-        raise click.BadParameter(f"{item!r} is not KIND=MAS or KIND=MAS:MAS_YR", param_hint="--jitter")
-    if kind in ("motion", "three-parameter") and len(values) == 1:
-        return kind, (0.0, values[0])
-    return kind, (values[0], values[1] if len(values) == 2 else 0.0)
+def _require_tables(option: str, names: Iterable[str], tables: Collection[str]) -> None:
+    """Raise click.BadParameter for names that are not those of tables."""
+    if unknown := sorted(set(names) - set(tables)):
+        raise click.BadParameter(f"no table {', '.join(unknown)}, only {', '.join(tables)}", param_hint=option)
 
 
 def _tables(
-    missions: Sequence[str] = many(
-        "A further mission's table of the same sources, in a frame with its own orientation and spin.",
-        *("--mission",),
-        metavar="NAME=TABLE",
+    missions: Sequence[Any] = many(
+        "A further mission's table of the same sources, in a frame of its own.",
+        "--mission",
+        type=Assigned("NAME=TABLE"),
     ),
-    column: Sequence[str] = many(
-        "The column with a quantity, of all tables or of satellite, reference or a mission, e.g. "
-        "reference:parallax=plx.",
-        metavar="[TABLE:]KEY=COLUMN",
+    column: Sequence[Any] = many(
+        "The column with a quantity, e.g. ra=RAJ2000 or reference:parallax=plx.", type=Assigned("[TABLE:]KEY=COLUMN")
     ),
-    unit: Sequence[str] = many(
-        "The unit of a quantity whose column says none, e.g. reference:ra=hourangle or pmra=arcsec/yr.",
-        metavar="[TABLE:]KEY=UNIT",
+    unit: Sequence[Any] = many(
+        "The unit of a quantity whose column says none, e.g. pmra=arcsec/yr.", type=Assigned("[TABLE:]KEY=UNIT")
     ),
     satellite_epoch: float | None = year("Epoch of the satellite's table, instead of a column."),
     reference_epoch: float | None = year("Epoch of the reference's rows, instead of a column."),
-    mission_epoch: Sequence[str] = many("Epoch of a mission's table, instead of a column.", metavar="NAME=YEAR"),
-    positions: Any = choice(
-        "Reference positions without parallax: displaced by it, or mean.  [default: what the table says]",
-        ["single-epoch", "mean"],
-    ),
+    mission_epoch: Sequence[Any] = many("Epoch of a mission's table.", type=Assigned("NAME=YEAR", float)),
+    positions: Any = choice("Reference positions without parallax: displaced by it, or mean.", POSITIONS),
     zero_errors: Any = choice("What an error of 0 means.", ("error", "missing", "exact"), default="error"),
     without_cos_dec: Sequence[str] = table("The table whose pmra is mu_alpha, without cos(dec)."),
     extragalactic: Sequence[str] = table("The table with mean positions of quasars, which hold at any epoch."),
-    jitter: Sequence[str] = many("Added in quadrature to rows of a kind, or of all.", metavar="KIND=MAS[:MAS_YR]"),
+    jitter: Sequence[Any] = many(
+        "Added in quadrature to rows of a kind, or of all.", type=Assigned("KIND=MAS[:MAS_YR]", _jitter)
+    ),
 ) -> dict[str, Any]:
-    """Return the options of the tables as `linksweep.sweep.tie.options.Options` has them."""
-    from linksweep.sweep.tie.options import TableOptions
+    """Return the options of the tables as `linksweep.sweep.tie.setup.Options` has them."""
+    from linksweep.sweep.tie.tables import TableOptions
 
-    further = dict(_assigned("--mission", "NAME=TABLE", item) for item in missions)
+    further = dict(missions)
     if len(further) < len(missions):
         raise click.BadParameter("a mission is named twice", param_hint="--mission")
     names = ("satellite", "reference", *further)
-    columns = _by_table("--column", "KEY=COLUMN", column, names)
-    units = _by_table("--unit", "KEY=UNIT", unit, names)
-    epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **_mission_epochs(mission_epoch, further)}
-    for name, chosen in (("--without-cos-dec", without_cos_dec), ("--extragalactic", extragalactic)):
-        if unknown := set(chosen) - set(names):
-            raise click.BadParameter(f"no table {', '.join(sorted(unknown))}", param_hint=name)
+    columns, units = _by_table("--column", column, names), _by_table("--unit", unit, names)
+    epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **dict(mission_epoch)}
+    _require_tables("--mission-epoch", dict(mission_epoch), further)
+    _require_tables("--without-cos-dec", without_cos_dec, names)
+    _require_tables("--extragalactic", extragalactic, names)
     tables = {
         name: TableOptions(
             columns=columns[name],
@@ -129,12 +189,14 @@ def _tables(
             extragalactic=name in extragalactic,
             positions=positions if name == "reference" else None,
             zero_errors=zero_errors,
-            pmra_cos_dec=name not in without_cos_dec,
+            pmra_cos_dec=False if name in without_cos_dec else None,
         )
         for name in names
     }
+    # One number is the jitter of motions where a kind of rows has nothing else.
+    pairs = {kind: (0.0, *mas) if len(mas) == 1 and kind in MOTIONS else (*mas, 0.0)[:2] for kind, mas in jitter}
     return {
-        "jitter": dict(map(_jitter, jitter)),
+        "jitter": pairs,
         "satellite_options": tables.pop("satellite"),
         "reference_options": tables.pop("reference"),
         "missions": further,
@@ -146,20 +208,13 @@ MATCHING = passed(
     by=opt("Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]", metavar="HOW"),
     weights=choice("Weights of the differences.", ("covariance", "variance", "equal"), default="covariance"),
     epoch=year("Epoch of the orientation.  [default: the satellite's]"),
-    aberration=opt(
-        "Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.", type=float, default=0.0, metavar="UAS_YR"
-    ),
+    aberration=opt("Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.", default=0.0, metavar="UAS_YR"),
 )
 LINK = passed(
-    unknowns=opt(
-        "Like orientation,spin,glide,parallax,vsh_motion:3.  [default: what the tables determine of orientation,spin]",
-        metavar="BLOCKS",
-    ),
+    unknowns=opt("Like orientation,spin,glide,parallax,vsh_motion:3.  [default: what is determined]", metavar="BLOCKS"),
     degree=opt("Vector spherical harmonics up to this degree.", type=click.IntRange(1)),
     clip=opt("none, rayleigh, median:K, discrepancy[:N] or huber:C.", default="none"),
-    errors=opt(
-        "Kinds of errors, the main one first: formal, scaled, jackknife, cells, bootstrap, sandwich.", default="scaled"
-    ),
+    errors=opt("Kinds, the main one first: formal, scaled, jackknife, cells, bootstrap, sandwich.", default="scaled"),
     resamples=opt("Number of bootstrap resamples.", type=click.IntRange(2), default=1000),
     seed=opt("Seed of the bootstrap.", type=click.IntRange(0), default=0),
     sign=choice("Sign of everything that is printed and stored.", SIGNS, default=SIGNS[0]),
@@ -167,12 +222,10 @@ LINK = passed(
 )
 FORECAST = passed(
     unknowns=opt("Like orientation,spin.", metavar="BLOCKS"),
-    error=opt("Error of each new coordinate.", type=float, default=0.1, metavar="MAS"),
+    error=opt("Error of each new coordinate.", default=0.1, metavar="MAS"),
     release=opt("Scale the satellite's errors to those of dr4 or dr5."),
     from_release=opt("Release of the satellite's errors.  [default: the one that has its epoch]"),
-    number=opt(
-        "Choose the N best sources.", "--choose", type=click.IntRange(0), default=0, show_default=False, metavar="N"
-    ),
+    number=opt("Choose the N best sources.", "--choose", type=click.IntRange(0), metavar="N", default=0),
     criterion=choice("Trace or determinant of the covariance.", ("A", "D"), default="A"),
     all_sources=flag("Sources without any row of the reference are candidates too."),
 )
@@ -181,47 +234,22 @@ SEARCH = passed(
     error=many(
         "Position error of each coordinate, instead of columns ra_error and dec_error.", metavar="[NAME=]ARCSEC"
     ),
-    column=many(
-        "The column with a quantity, of the stars or of the table NAME, e.g. ra=RAmdeg or pgc:PGC=pgc.",
-        metavar="[NAME:]KEY=COLUMN",
-    ),
-    unit=many(
-        "The unit of a quantity whose column has none in the file, e.g. ra=hourangle or pgc:ra=deg.",
-        metavar="[NAME:]KEY=UNIT",
-    ),
-    epoch=opt("Julian year of the galaxy positions.", type=float, default=2000.0),
+    column=many("The column with a quantity, e.g. ra=RAmdeg or pgc:PGC=pgc.", metavar="[NAME:]KEY=COLUMN"),
+    unit=many("The unit of a quantity whose column has none, e.g. ra=hourangle.", metavar="[NAME:]KEY=UNIT"),
+    epoch=opt("Julian year of the galaxy positions.", default=2000.0),
     ref_epoch=many("Epoch of the stars, instead of a column ref_epoch.", metavar="[NAME=]YEAR"),
     missing_pm=choice("What to do with stars that have no proper motion.", ("error", "zero"), default="error"),
-    merge_radius_arcsec=opt(
-        "Entries of two catalogues this close are one galaxy.  [default: the sum of their match radii]",
-        *("--merge-radius",),
-        type=ARCSEC,
-        metavar="ARCSEC",
+    merge_radius_arcsec=arcsec(
+        "Entries this close are one galaxy.  [default: the sum of their radii]", "--merge-radius"
     ),
     k_sigma=opt("Uncertain: offset above this many sigma.", type=POSITIVE, default=3.0),
-    crowding_radius_arcsec=opt(
-        "Uncertain: so many stars within this radius.",
-        "--crowding-radius",
-        type=ARCSEC,
-        metavar="ARCSEC",
-        default=120.0,
-    ),
-    crowding_stars=opt(
-        "Uncertain: at least this many other stars within the crowding radius.", type=click.IntRange(1), default=3
-    ),
+    crowding_radius_arcsec=arcsec("Uncertain: so many stars within this radius.", "--crowding-radius", default=120.0),
+    crowding_stars=opt("Uncertain: at least so many other stars in it.", type=click.IntRange(1), default=3),
     epoch_difference_yr=opt(
-        "Years to a second epoch, for the proper-motion error.",
-        *("--epoch-difference",),
-        type=POSITIVE,
-        metavar="YR",
-        default=20.0,
+        "Years to a second epoch.", "--epoch-difference", type=POSITIVE, metavar="YR", default=20.0
     ),
     second_epoch_error_mas=opt(
-        "Position error of the second epoch.",
-        *("--second-epoch-error",),
-        type=click.FloatRange(0.0),
-        metavar="MAS",
-        default=0.0,
+        "Its position error.", "--second-epoch-error", type=NOT_NEGATIVE, metavar="MAS", default=0.0
     ),
 )
 
@@ -230,7 +258,7 @@ SEARCH = passed(
 class Target:
     """Where a link or a forecast goes: to the terminal, as JSON or text, into a store, and into figures."""
 
-    output: Path | None = output_option("Write the labelled result.", metavar="STORE.zarr")
+    output: Path | None = options.output("Write the labelled result.", metavar="STORE.zarr")
     figures: Path | None = opt(
         "Draw every figure that `sweep plot STORE.zarr --kind KIND` has, as KIND.png.",
         type=click.Path(path_type=Path, file_okay=False),
@@ -268,7 +296,7 @@ class Target:
                 for kind, figure in all_figures(result).items():
                     style.save(figure, self.figures / f"{kind}.png")
                     click.echo(f"wrote {self.figures / f'{kind}.png'}", err=True)
-        print_result(result, "json" if self.as_json else "text")
+        group.print_result(result, "json" if self.as_json else "text")
 
 
 @command("Your own", "Solve for the link of two real tables")
@@ -276,17 +304,13 @@ def tie(
     satellite: Path = arg(type=FILE),
     reference: str = arg(),
     link: dict[str, Any] = LINK,
-    resources: "Resources" = group(run_on),
+    resources: "Resources" = options.group(run_on),
     bins: str | None = opt("A spin for each bin, e.g. phot_g_mean_mag=6,8,10.", metavar="COLUMN=EDGES"),
-    known_spin: Any = opt(
-        "Subtracted before the fit: mas/yr with the sign of --sign, or a table by magnitude.", metavar="X,Y,Z|TABLE"
-    ),
-    no_sources: bool = flag(
-        "Leave what belongs to single sources and rows out of STORE.zarr and of JSON: for millions of them."
-    ),
+    known_spin: Any = opt("Subtracted before the fit, in mas/yr; or a table by magnitude.", metavar="X,Y,Z|TABLE"),
+    no_sources: bool = flag("Write no values of single sources and rows: for millions of them."),
     matching: dict[str, Any] = MATCHING,
-    tables: dict[str, Any] = group(_tables),
-    target: Target = group(Target),
+    tables: dict[str, Any] = options.group(_tables),
+    target: Target = options.group(Target),
 ) -> None:
     """Solve for the link of two real tables, REFERENCE - SATELLITE.
 
@@ -300,10 +324,12 @@ def tie(
     """
     from linksweep.sweep.tie.link import MisfitError
     from linksweep.sweep.tie.link import tie as solve
-    from linksweep.sweep.tie.options import parse_bins
+    from linksweep.sweep.tie.setup import parse_bins
 
+    # Before millions of rows are matched.
     target.check()
-    with suppress(ValueError, AttributeError):  # the name of a table, or none
+    with suppress(ValueError, AttributeError):
+        # Else it is the name of a table, or None.
         known_spin = [float(part) for part in known_spin.split(",")]
     shown = target.as_json or target.output is not None or target.figures is not None
     further = {"per_source": shown and not no_sources, "bins": bins and parse_bins(bins), "known_spin": known_spin}
@@ -320,13 +346,11 @@ def forecast(
     satellite: Path = arg(type=FILE),
     reference: str = arg(),
     add: str = opt("Epochs of new positions, e.g. 2026,2030.", metavar="YEARS", default="", show_default=False),
-    goal: str = opt(
-        "What to choose them for.  [default: all unknowns]", "--for", metavar="BLOCKS", default="", show_default=False
-    ),
+    goal: str = opt("What to choose them for.  [default: all unknowns]", "--for", metavar="BLOCKS", default=""),
     plan: dict[str, Any] = FORECAST,
     matching: dict[str, Any] = MATCHING,
-    tables: dict[str, Any] = group(_tables),
-    target: Target = group(Target),
+    tables: dict[str, Any] = options.group(_tables),
+    target: Target = options.group(Target),
 ) -> None:
     """Forecast the errors of a link with new observations, and choose what to observe.
 
@@ -337,7 +361,10 @@ def forecast(
 
     target.check()
     blocks = [name.strip() for name in goal.split(",") if name.strip()]
-    epochs = _numbers("--add", add)
+    try:
+        epochs = [float(year) for year in add.split(",") if year.strip()]
+    except ValueError:
+        raise click.BadParameter(f"{add!r} is no list of years", param_hint="--add") from None
     target.put(plan_observations(satellite, reference, add=epochs, goal=blocks, **plan, **matching, **tables))
 
 
@@ -347,7 +374,7 @@ def match(
     galaxies: tuple[Path, ...] = arg(nargs=-1, required=True, type=FILE),
     supplement: Path | None = opt("More stars, whose matches are a class of their own.", type=FILE),
     search: dict[str, Any] = SEARCH,
-    output: Path = output_option("The matches as ECSV.", default=Path("results/matches.ecsv")),
+    output: Path = options.output("The matches as ECSV.", default=Path("results/matches.ecsv")),
     table: Path | None = opt("Also the paper's 46-byte table.", type=FILE),
     figure: Path | None = opt("Also draw an all-sky map: .png, .svg or .pdf.", type=FILE),
     overwrite: bool = flag("Replace files that exist."),
@@ -371,6 +398,6 @@ def match(
     if as_json:
         click.echo(to_json(summary))
     else:
-        print_tables(summary_tables(summary), ["", *summary_lines(summary)])
+        group.print_tables(summary_tables(summary), ["", *summary_lines(summary)])
     for path in outputs.paths():
         click.echo(f"wrote {path}", err=True)

@@ -4,33 +4,55 @@ References are ``module:attribute``, ``path/to/file.py:attribute``, and ``sessio
 this session has.  A function that is given in Python is computed as this session has it, whatever its file holds.
 """
 
-import hashlib
+import ast
+import importlib.abc
 import importlib.machinery
+import importlib.util
 import io
 import json
 import logging
 import os
 import pickle
+import platform
 import re
 import subprocess
 import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache, cached_property, lru_cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from types import ModuleType
-from typing import Any, TypeVar
+from typing import Any
 from weakref import WeakKeyDictionary
 
-from linksweep.sweep.code.files import OURS, LocalFiles, read_files, without_package
-from linksweep.sweep.code.reach import Reach, distributions_at, distributions_of, version_of
+from threadpoolctl import threadpool_info
+
+from linksweep.sweep.code.reach import (
+    PREFIX,
+    TREE,
+    Reach,
+    digest_of,
+    distributions_at,
+    distributions_of,
+    version_of,
+    without_package,
+)
 from linksweep.sweep.contract import Experiment, SweepError, shown
-from linksweep.sweep.functions.adapter import experiment_of, is_plain_function
-from linksweep.sweep.functions.declared import ATTRIBUTE, name_of
+from linksweep.sweep.functions.adapter import ATTRIBUTE, experiment_of, is_plain_function, name_of
+
+OURS = "linksweep"
+"""Our package, never looked for beside a user's file."""
 
 SESSION = "session"
 """Stands in place of a module in the reference of a function that only this session has."""
+
+DECIDING = ("linksweep", "numpy", "scipy")
+OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
+SUFFIXES = (".py", *importlib.machinery.EXTENSION_SUFFIXES)
+DIGEST = re.compile("[0-9a-f]{24}")
+DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
+"""Fields of an experiment that its code does not depend on, or that count by themselves."""
 
 log = logging.getLogger("linksweep")
 
@@ -42,11 +64,101 @@ another.  Without a digest: as this process has it now.
 _places: dict[str, str] = {}
 _warned: set[str] = set()
 
-C = TypeVar("C", "LocalFiles", "Live")
 
-DIGEST = re.compile("[0-9a-f]{24}")
-DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
-"""Fields of an experiment that its code does not depend on, or that count by themselves."""
+class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """A file by its absolute ``path`` with the modules of its folder that it imports, directly or through others,
+    wherever the import statements are: their ``contents`` by their relative paths.
+
+    They are modules of a package of their own, which is named after their content.  Import statements in them name that
+    package where they name one of them: so versions of a file, and files of one name in two folders, exist beside each
+    other.  They are loaded without bytecode, which Python takes by the second and the size of a file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read the files; raises OSError where the first cannot be read."""
+        self.path, self.contents = str(path), {path.name: path.read_bytes()}
+        todo = [path.name]
+        for file in todo:  # which grows meanwhile
+            for other in _imported(path.parent, file, self.contents[file]):
+                if other not in self.contents:
+                    self.contents[other] = (path.parent / other).read_bytes()
+                    todo.append(other)
+        self.digest = digest_of(repr(sorted(self.contents.items())))
+        self.package = PREFIX + digest_of(f"{path} {self.digest}")
+        self.files = {_dotted(file): file for file in self.contents}
+
+    def module(self) -> ModuleType:
+        """Return the module of the file, executed once; raises whatever it raises."""
+        if not any(isinstance(one, LocalFiles) and one.package == self.package for one in sys.meta_path):
+            sys.meta_path.insert(0, self)
+        return importlib.import_module(f"{self.package}.{Path(self.path).stem}")
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> importlib.machinery.ModuleSpec | None:
+        """Return how Python loads a module of the package."""
+        package, _, name = fullname.partition(".")
+        if package != self.package:
+            return None
+        if (file := self.files.get(name)) is None:
+            is_folder = not name or any(known.startswith(f"{name}.") for known in self.files)
+            return importlib.machinery.ModuleSpec(fullname, None, is_package=True) if is_folder else None
+        return importlib.util.spec_from_file_location(
+            fullname,
+            Path(self.path).parent / file,
+            loader=self if file.endswith(".py") else None,  # else Python's own for extensions
+            submodule_search_locations=[] if file.endswith("__init__.py") else None,
+        )
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Execute a module of the package."""
+        name, place = module.__name__.partition(".")[2], str(module.__file__)
+        tree = ast.parse(self.contents[self.files[name]], place)
+        itself = {name} if "/" not in self.files[name] else set()  # random.py may import Python's module random
+        local = {known.partition(".")[0] for known in self.files} - itself
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                node.names = [one for alias in node.names for one in self._localised(alias, local)]
+            elif isinstance(node, ast.ImportFrom) and node.level and itself:
+                raise ImportError("attempted relative import with no known parent package")
+            elif isinstance(node, ast.ImportFrom) and not node.level and str(node.module).partition(".")[0] in local:
+                node.module = f"{self.package}.{node.module}"
+        vars(module)[TREE] = tree
+        exec(compile(tree, place, "exec", dont_inherit=True), vars(module))
+
+    def _localised(self, alias: ast.alias, local: Collection[str]) -> list[ast.alias]:
+        top, _, below = alias.name.partition(".")
+        if top not in local:
+            return [alias]
+        whole, place = f"{self.package}.{alias.name}", {"lineno": alias.lineno, "col_offset": alias.col_offset}
+        if alias.asname or not below:
+            return [ast.alias(whole, alias.asname or top, **place)]
+        # import a.b loads a.b and binds a
+        return [ast.alias(whole, "_", **place), ast.alias(f"{self.package}.{top}", top, **place)]
+
+
+def _imported(folder: Path, file: str, content: bytes) -> Iterator[str]:
+    """Yield the files of a folder that the import statements of one of them name."""
+    try:
+        nodes = list(ast.walk(ast.parse(content))) if file.endswith(".py") else []
+    except (SyntaxError, ValueError, RecursionError):  # reported when the file is executed
+        return
+    package = PurePosixPath(file).parent.parts
+    for node in nodes:
+        modules: list[str] = []
+        if isinstance(node, ast.Import):
+            modules = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            modules = [".".join([*base, *filter(None, [node.module]), alias.name]) for alias in node.names]
+        for parts in (module.split(".") for module in modules if module.partition(".")[0] != OURS):
+            for end in range(1, len(parts) + 1):
+                stem = "/".join(parts[:end])
+                files = [f"{stem}/__init__.py", *(f"{stem}{suffix}" for suffix in SUFFIXES)]  # as Python prefers them
+                yield from [one for one in files if one != file and (folder / one).is_file()][:1]
+
+
+def _dotted(file: str) -> str:
+    stem = file.removesuffix(next(suffix for suffix in SUFFIXES if file.endswith(suffix)))
+    return stem.removesuffix("/__init__").replace("/", ".")
 
 
 class Live:
@@ -63,20 +175,20 @@ class Live:
         """The function with what it reaches in this session; raises SweepError where it cannot be pickled."""
         import cloudpickle
 
-        modules = {one.__name__ for one in self.reach.modules.values()} & sys.modules.keys() - {"__main__"}
-        here = [sys.modules[name] for name in modules - set(cloudpickle.list_registry_pickle_by_value())]
+        registered = cloudpickle.list_registry_pickle_by_value()
+        mine = [one for name, one in self.reach.modules.items() if name not in registered and name != "__main__"]
         file = io.BytesIO()
         try:
-            for module in here:  # workers may not have them, or not as they are in this session
+            for module in mine:  # workers may not have them, or not as they are in this session
                 cloudpickle.register_pickle_by_value(module)
             _by_value(file, self.reach).dump(self.value)
         except Exception as error:  # whatever keeps an object from being pickled
             raise SweepError(
                 f"the function {self.name} cannot be sent to workers "
-                f"({type(error).__name__}: {error}); use pool='threads' or pool='serial', or move it into a module"
+                f"({type(error).__name__}: {error}); use pool='threads' or pool='serial', or give it as 'FILE.py:NAME'"
             ) from error
         finally:
-            for module in here:
+            for module in mine:
                 cloudpickle.unregister_pickle_by_value(module)
         return file.getvalue()
 
@@ -187,9 +299,8 @@ def load_experiment(
     try:
         return experiment_of(value)
     except SweepError as error:
-        raise SweepError(
-            error.problems, error.where if (reference, None) in _codes else reference.rpartition(":")[2]
-        ) from error
+        where = error.where if (reference, None) in _codes else reference.rpartition(":")[2]
+        raise SweepError(error.problems, where) from error
 
 
 def keep(function: Callable[..., Any] | Experiment) -> str:
@@ -200,59 +311,49 @@ def keep(function: Callable[..., Any] | Experiment) -> str:
     return _remember(Live(function)).path
 
 
-def _remember(code: C) -> C:
+def _remember(code: "LocalFiles | Live") -> "LocalFiles | Live":
     _codes[code.path, None] = _codes[code.path, code.digest] = code
     return code
 
 
-def provide(code: LocalFiles | Live) -> None:
+def provide(code: "LocalFiles | Live") -> None:
     """Let this process load what another one has sent."""
     _codes[code.path, code.digest] = code
 
 
-def sources_of(reference: str, digest: str | None = None) -> LocalFiles | Live | None:
+def sources_of(reference: str, digest: str | None = None) -> "LocalFiles | Live | None":
     """Return what another process needs to load a loaded reference; None where that is a module."""
     return _codes.get((reference, digest)) or _codes.get((reference.rpartition(":")[0], digest))
 
 
-def sendable(reference: str, digest: str | None = None) -> LocalFiles | Live | None:
+def source_digest(reference: str) -> str | None:
+    """Return the digest of a loaded reference; None where that is a module."""
+    sources = sources_of(reference)
+    return None if sources is None else sources.digest
+
+
+def sendable(reference: str, digest: str | None = None) -> "LocalFiles | Live | None":
     """Return what to send to a process that is to load a loaded reference; None where it can only import it itself.
 
-    Raises SweepError for a function of this session that cannot be pickled, or would be another where it is imported.
+    Raises SweepError for a function of this session that cannot be pickled.
     """
     sources = sources_of(reference, digest)
-    if not isinstance(sources, Live):
-        return sources
-    try:
+    if isinstance(sources, Live):
         sources.pickled  # noqa: B018 (what can fail is done here, once)
-    except SweepError as error:
-        there = {} if sources.path.startswith(f"{SESSION}:") else dict(_elsewhere(reference)[0])
-        there = {name: text for name, text in there.items() if name not in unsteady(reference)}
-        here = {name: sources.parts.get(name, "") for name in there}
-        if not there or here != there:
-            differing = code_differences(here, there, "here", "where it is imported")
-            raise SweepError([*error.problems, *differing], error.where) from error
-        return None
     return sources
 
 
 @cache
 def unsteady(reference: str) -> frozenset[str]:
-    """Return the names of values that two processes of the same code have otherwise, such as a time; say so."""
-    one, other = _elsewhere(reference)
+    """Return the names of values that two new processes of the same code have otherwise, such as a time; say so."""
+    code = f"import json; from linksweep.sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
+    files: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    processes = [new_process(code, **files) for _ in range(2)]
+    one, other = (json.loads((each.communicate()[0].splitlines() or [b"{}"])[-1]) for each in processes)
     differing = frozenset(name for name in one if one[name] != other.get(name))
     for name in sorted(differing):
         log.warning("%s differs from process to process; its changes are not noticed", name)
     return differing
-
-
-@cache
-def _elsewhere(reference: str) -> list[dict[str, str]]:
-    """Return the parts of what a reference names as two new processes have them."""
-    code = f"import json; from linksweep.sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
-    files: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    some = [new_process(code, **files) for _ in range(2)]
-    return [json.loads((process.communicate()[0].splitlines() or [b"{}"])[-1]) for process in some]
 
 
 def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
@@ -261,12 +362,6 @@ def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
     """
     around = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
     return subprocess.Popen([sys.executable, "-P", "-c", f"import linksweep; {code}"], env=around, **options)
-
-
-def source_digest(reference: str) -> str | None:
-    """Return the digest of a loaded reference; None where that is a module."""
-    sources = sources_of(reference)
-    return None if sources is None else sources.digest
 
 
 def absolute_reference(reference: str, folder: Path) -> str:
@@ -328,8 +423,8 @@ def _reach(value: Any) -> Reach:
             log.warning("changes of %s, a %s, are not noticed", name, kind)
     folder = Path(getattr(sys.modules.get(value.__module__), "__file__", None) or "x").parent
     for name in getattr(getattr(value, ATTRIBUTE, None), "reads", ()):
-        content = (folder / name).read_bytes() if (folder / name).is_file() else b""
-        reach.parts[f"file {name}"] = hashlib.sha256(content).hexdigest()[:12] if content else "not there"
+        file = folder / name
+        reach.parts[f"file {name}"] = digest_of(file.read_bytes()) if file.is_file() else "not there"
     return reach
 
 
@@ -343,7 +438,7 @@ def file_of(reference: str) -> str:
 
 
 def _digest(parts: Mapping[str, str]) -> str:
-    return hashlib.sha256(repr(sorted(parts.items())).encode()).hexdigest()[:12]
+    return digest_of(repr(sorted(parts.items())))
 
 
 def _find(reference: str, folder: Path | None = None, digest: str | None = None, afresh: bool = False) -> Any:
@@ -373,8 +468,10 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
     except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
         text = without_package(error.msg if isinstance(error, SyntaxError) else str(error))
         message = f"{type(error).__name__}{f': {text}' if text else ''}{_line_of(error)}"
-        hint = _how_to_find(error, place, attribute)
-        raise SweepError(f"{shown(reference)}: cannot be imported: {message}{hint}") from error
+        missing = f"{getattr(error, 'name', None) or place}."  # also of a relative import
+        if isinstance(error, ImportError) and f"{place}.".startswith(missing):
+            message += "; name a function of a package by its module, and put the package's folder in PYTHONPATH"
+        raise SweepError(f"{shown(reference)}: cannot be imported: {message}") from error
 
 
 def _files(place: str, folder: Path | None, digest: str | None, afresh: bool) -> LocalFiles:
@@ -383,11 +480,13 @@ def _files(place: str, folder: Path | None, digest: str | None, afresh: bool) ->
     if isinstance(files, LocalFiles) and not afresh:
         return files
     try:
-        return _remember(read_files(path))
+        files = LocalFiles(path)
     except FileNotFoundError:
         raise SweepError(f"there is no file {shown(str(path))}") from None
     except OSError as error:
         raise SweepError(f"{path} cannot be read: {error.strerror or error}") from error
+    _remember(files)
+    return files
 
 
 def _importable(function: Callable[..., Any] | Experiment) -> str | None:
@@ -400,20 +499,6 @@ def _importable(function: Callable[..., Any] | Experiment) -> str | None:
     if file is None or "." in module.__name__ or distributions_of(module.__name__) is not None:
         return f"{module.__name__}:{name}"
     return f"{Path(file).resolve()}:{name}" if file.endswith(".py") else None
-
-
-def _how_to_find(error: BaseException, place: str, attribute: str) -> str:
-    """Return a hint on how to name a function of a package that is not installed, '' for other errors."""
-    if isinstance(error, ImportError) and "attempted relative import" in str(error):
-        names, folder = [Path(place).stem], Path(place).absolute().parent
-        while (folder / "__init__.py").is_file():
-            names, folder = [folder.name, *names], folder.parent
-        how = f"PYTHONPATH={folder} sweep run {'.'.join(names)}:{attribute}"
-        return f"; a file of a package is named by its module: {how}" if len(names) > 1 else ""
-    missing = error.name if isinstance(error, ModuleNotFoundError) else None
-    if missing and f"{place}.".startswith(f"{missing}.") and Path(*place.split(".")).with_suffix(".py").is_file():
-        return f"; it is not installed: PYTHONPATH={Path.cwd()} finds it here"
-    return ""
 
 
 def _line_of(error: BaseException) -> str:
@@ -429,3 +514,57 @@ def _is_no(wanted: str, reference: str, value: object) -> SweepError:
     attribute = reference.rpartition(":")[2]
     kind = "has no attribute" if value is None else f"has a {type(value).__name__}, not {wanted}, at"
     return SweepError(f"{shown(reference)}: the module {kind} {shown(attribute)}")
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a process computes with, by name: versions and code that decide the numbers, and other versions."""
+
+    deciding: Mapping[str, str]
+    others: Mapping[str, str]
+
+
+def identity(reference: str, digest: str | None = None) -> Identity:
+    """Return with what this process would compute an experiment; raises SweepError as `load_experiment`."""
+    digest = digest or source_digest(reference)
+    return _identity.__wrapped__(reference, None) if digest is None else _identity(reference, digest)
+
+
+@lru_cache(maxsize=64)  # workers compare it with every task; not that of a module, which may be reloaded
+def _identity(reference: str, digest: str | None) -> Identity:
+    experiment = load_experiment(reference, digest=digest)
+    code = code_of(reference, experiment, digest).items()
+    deciding = {name: version_of(name) for name in DECIDING}
+    deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
+    deciding |= {name: text for name, text in code if not name.startswith("value ")}  # such as a time
+    others = {"python": platform.python_version(), "machine": platform.machine(), "linear algebra": _kernels()}
+    return Identity(deciding, others | {name: version_of(name) for name in OTHERS})
+
+
+@cache
+def _kernels() -> str:
+    """Return for which processor each library of linear algebra computes, on which the rounding of sums depends."""
+    known = (info for info in threadpool_info() if "architecture" in info)
+    return ", ".join(sorted({f"{info['internal_api']} for {info['architecture']}" for info in known})) or "unknown"
+
+
+def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
+    """Return a phrase for everything that differs between two processes."""
+    pairs = {name: (here.get(name, "unknown"), there.get(name, "unknown")) for name in {**here, **there}}
+    return [f"{name} is {one} here, {other} there" for name, (one, other) in pairs.items() if one != other]
+
+
+def require_same(expected: Mapping[str, str], answers: Mapping[str, Any]) -> None:
+    """Raise SweepError with a list of the workers, by their addresses, that have answered with an exception or with an
+    `Identity` in which something that decides the numbers is not as ``expected``.
+
+    A worker that has gone meanwhile (OSError) is left out: should it return, it is compared with its first task.
+    """
+    problems = []
+    for worker, what in sorted(answers.items()):
+        if isinstance(what, BaseException) and not isinstance(what, OSError):
+            problems.append(f"{worker}: {type(what).__name__}: {what}")
+        elif isinstance(what, Identity):
+            problems += [f"{worker}: {text}" for text in differences(expected, what.deciding)]
+    if problems:
+        raise SweepError(problems, "workers that would not compute what this process would")

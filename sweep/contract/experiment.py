@@ -1,20 +1,37 @@
 """What the platform sweeps: declared parameters, sums and outputs, and the functions that make them."""
 
+import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
 
-from linksweep.sweep.contract.declaration import problems
+from linksweep.sweep.contract import parameter as declaration
 from linksweep.sweep.contract.errors import SweepError, shown, suggest
 from linksweep.sweep.contract.parameter import Output, Parameter, Point, Value
 from linksweep.sweep.contract.reducer import Array, Outcome, Reducer, Rows, Sums, check_finite, checked
+from linksweep.sweep.contract.units import unit_problem
 
 GeneratorPair = tuple[np.random.Generator, np.random.Generator]
 """The generators of a block's realisations and of their catalogue."""
+
+
+ADDED = ("_published", "_published_rounding")
+"""Endings that the platform adds to an output's name, for variables of its own."""
+
+CALLS = {
+    "evaluate": ("points", "n_sim", "rng", "catalogue_rng"),
+    "samples": ("points", "n_sim", "rng", "catalogue_rng"),
+    "summarise": ("sums", "n", "n_cat"),
+    "check": ("point",),
+    "cost": ("point",),
+    "unused": ("point",),
+}
+"""The functions of an experiment, and what they are called with."""
 
 
 class Evaluate(Protocol):
@@ -52,18 +69,6 @@ class Summarise(Protocol):
 
         ``n`` and ``n_cat`` (points,) count realisations and catalogues; all are at least 1.
         """
-
-
-def _no_problem(point: Point) -> str | None:
-    return None
-
-
-def _no_warning(point: Point) -> Sequence[str]:
-    return ()
-
-
-def _all_matter(point: Point) -> Mapping[str, str]:
-    return {}
 
 
 def _one(point: Point) -> float:
@@ -119,9 +124,9 @@ class Experiment:
     samples: Evaluate | None = None
     sample_outputs: tuple[Output, ...] = ()
     evaluate_catalogues: EvaluateCatalogues | None = None
-    check: Callable[[Point], str | None] = _no_problem
-    unused: Callable[[Point], Mapping[str, str]] = _all_matter
-    warn: Callable[[Point], Sequence[str]] = _no_warning
+    check: Callable[[Point], str | None] = lambda point: None
+    unused: Callable[[Point], Mapping[str, str]] = lambda point: {}
+    warn: Callable[[Point], Sequence[str]] = lambda point: ()
     cost: Callable[[Point], float] = _one
     shared: tuple[str, ...] = ()
     nan_sums: tuple[str, ...] = ()
@@ -131,7 +136,7 @@ class Experiment:
     citation: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if found := problems(self):
+        if found := _problems(self):
             raise SweepError(found, f"experiment {shown(self.name)}")
 
     @property
@@ -237,6 +242,10 @@ class Experiment:
         """
         return self, {place: outcome.row for place, outcome in outcomes.items()}, {}
 
+    def not_repeatable(self) -> "Experiment":
+        """Return the experiment without the promise that a function returns the same whenever it is called."""
+        raise SweepError("deterministic: is for a plain function; an Experiment draws from the generators that it gets")
+
     def joined(self, other: "Experiment") -> "Experiment":
         """Return the experiment with what is known of its results in another store too."""
         return self
@@ -246,7 +255,7 @@ class Experiment:
         return self
 
     def as_record(self) -> dict[str, Any]:
-        """Return what a store records besides what is declared."""
+        """Return what a store records besides what is declaration."""
         return {}
 
     def parameter(self, name: str) -> Parameter:
@@ -281,3 +290,103 @@ class Experiment:
     def size_of(self, output: Output) -> int:
         """Return the number of values in one value of an output."""
         return math.prod(self.shape_of(output))
+
+
+def _problems(experiment: Experiment) -> list[str]:
+    """Return a sentence for each mistake in a declaration, none if there are none."""
+    problems: list[str] = []
+    if not isinstance(experiment.name, str) or not experiment.name.strip():
+        problems.append(f"name = {shown(experiment.name)}: must be a text")
+    if type(experiment.version) is not int:
+        problems.append(f"version = {shown(experiment.version)}: must be an integer")
+    parameters = declaration.members("parameters", experiment.parameters, Parameter, problems)
+    outputs = declaration.members("outputs", experiment.outputs, Output, problems)
+    samples = declaration.members("sample_outputs", experiment.sample_outputs, Output, problems)
+    labels = _labels("coordinates", experiment.coordinates, problems)
+    units = _labels("component_units", experiment.component_units, problems)
+    for dimension in labels:
+        if repeated := [label for label, count in Counter(labels[dimension]).items() if count > 1]:
+            problems.append(f"coordinates[{dimension!r}]: {shown(repeated[0])} is listed twice")
+    for dimension in units:
+        if len(labels.get(dimension, ())) != len(units[dimension]):
+            text = f"{len(units[dimension])} units for {len(labels.get(dimension, ()))} labels"
+            problems.append(f"component_units[{dimension!r}]: {text}")
+    for parameter in parameters:
+        texts = [*_of_no_function(parameter), *declaration.parameter_problems(parameter)]
+        problems += [f"parameter {parameter.name!r}: {text}" for text in texts]
+    for output in (*outputs, *samples):
+        alike = [other.name for other in outputs if (other.dims, other.unit) == (output.dims, output.unit)]
+        texts = [*_of_no_function(output), *filter(None, [unit_problem(output.unit)])]
+        texts += declaration.named("dims", output.dims, list(labels), "dimension with labels in coordinates")
+        texts += declaration.named("errors", output.errors, alike, "output with its dimensions and unit")
+        problems += [f"output {output.name!r}: {text}" for text in texts]
+    problems += _names(parameters, [*outputs, *samples], [*labels], [*units])
+    if not isinstance(experiment.sums, Mapping) or not experiment.sums:
+        problems.append(f"sums = {shown(experiment.sums)}: must give the shape of each sum, such as {{'squares': ()}}")
+    else:
+        for name, shape in experiment.sums.items():
+            declaration.members(f"sums[{name!r}]", shape, int, problems)
+        problems += declaration.named("nan_sums", experiment.nan_sums, list(experiment.sums), "sum")
+    problems += [text for name in CALLS for text in _calls(name, getattr(experiment, name))]
+    if experiment.samples is not None and not experiment.sample_outputs:
+        problems.append("samples: needs sample_outputs, which say what it gives")
+    problems += declaration.named(
+        "shared", experiment.shared, [parameter.name for parameter in parameters], "parameter"
+    )
+    problems += declaration.packages_problems(experiment.packages)
+    return problems
+
+
+def _labels(what: str, mapping: object, problems: list[str]) -> dict[str, list[str]]:
+    """Return the labels of each dimension that has some."""
+    if not isinstance(mapping, Mapping):
+        problems.append(f"{what} = {shown(mapping)}: must be a mapping of dimensions to their labels")
+        return {}
+    return {name: declaration.members(f"{what}[{name!r}]", labels, str, problems) for name, labels in mapping.items()}
+
+
+def _of_no_function(one: Parameter | Output) -> Iterator[str]:
+    """Yield settings of a parameter or an output that are allowed only for plain functions."""
+    if isinstance(one, Output):
+        if one.coords is not None or one.statistics:
+            yield "coords and statistics are for plain functions; an Experiment has coordinates and summarise"
+    elif one.required:
+        yield "required is for the signatures of plain functions"
+    elif one.choices and (one.kind != "str" or not all(isinstance(choice, str) for choice in one.choices)):
+        yield f"choices = {shown(one.choices)}: must be strings, of a parameter of kind 'str'"
+
+
+def _names(
+    parameters: Sequence[Parameter], outputs: Sequence[Output], dimensions: Sequence[str], units: Sequence[str]
+) -> Iterator[str]:
+    """Yield what is wrong with names, all of which are used in one dataset."""
+    used = [("parameter", parameter.name) for parameter in parameters]
+    used += [("output", output.name) for output in outputs] + [("dimension", name) for name in dimensions]
+    added = {f"{name}_unit": f"the unit of each {name}" for name in units}
+    added |= {f"{o.name}{end}": f"what is published of {o.name}" for o in outputs for end in ADDED}
+    # If the experiment itself decides the value of a parameter, an output of the same name may report it.
+    decided = {parameter.name for parameter in parameters if parameter.default is None}
+    first: dict[str, str] = {}
+    for kind, name in used:
+        if wrong := declaration.name_problem(name):
+            yield f"{kind} {shown(name)}: {wrong}"
+        elif name in added:
+            yield f"{kind} {name!r}: this name is for {added[name]}; take another"
+        elif name in first and not (name in decided and (first[name], kind) == ("parameter", "output")):
+            yield f"{kind} {name!r}: is the name of another {first[name]}"
+        first.setdefault(name, kind)
+
+
+def _calls(name: str, function: Any) -> Iterator[str]:
+    """Yield why a function of an experiment cannot be called as it will be."""
+    if function is None and name == "samples":
+        return
+    if not callable(function):
+        yield f"{name} = {shown(function)}: must be a function"
+        return
+    try:
+        inspect.signature(function).bind(*CALLS[name])
+    except ValueError:  # of a function in C, which has no signature
+        return
+    except TypeError:
+        yield f"{name}: takes {inspect.signature(function)}, but is called with ({', '.join(CALLS[name])})"

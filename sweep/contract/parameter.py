@@ -1,13 +1,17 @@
 """What an experiment declares: its parameters with the values that they may have, and its outputs."""
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
 
 from linksweep.sweep.contract.errors import shown, suggest
+from linksweep.sweep.contract.units import unit_problem
 
+T = TypeVar("T")
 Value = Any  # of a parameter: bool, int, float, str, a tuple, a table file, or None
 Point = Mapping[str, Any]
 """A point's parameters by name, every declared one with a value."""
@@ -19,6 +23,22 @@ LARGEST_INT = 2**63 - 1
 """The largest value in an array of integers."""
 
 Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file"]
+
+RESERVED = ("status", "n_sim_done", "sample", "code", "blocks", "failures", "realisations")
+"""Names that the platform uses in every dataset or store."""
+
+TAKEN = "the platform gives this name in every dataset; take another"
+GOOD_NAME = re.compile(r"[^\W\d][\w.-]{0,99}")
+WORDS: Mapping[Kind, str] = {
+    "float": "a finite number",
+    "int": "an integer",
+    "str": "a string",
+    "bool": "true or false",
+    "any": "a finite number, a string, true or false",
+    "vector": "a list of three finite numbers",
+    "map": 'a table of strings, { quantity = "column" }',
+    "file": "the path of a table",
+}
 
 
 def bound_in_words(raw: object) -> str:
@@ -126,83 +146,53 @@ class Parameter:
 
     def parse(self, raw: object) -> Value:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
-        if self.kind == "str":
-            return self._text(raw)
-        if self.choices and (type(raw), raw) not in [(type(choice), choice) for choice in self.choices]:
-            raise self._refused(raw)
-        if self.kind == "any":
-            return self._as_written(raw)
-        if self.kind in ("float", "int"):
-            return self._number(raw) if self.kind == "float" else self._whole(raw)
-        if self.kind == "bool" and not isinstance(raw, bool):
-            raise ValueError(f"{self.name} = {shown(raw)}: must be true or false")  # whatever the bounds
-        if self.kind == "bool" or (self.kind == "file" and isinstance(raw, str)):
+        kind, known = self.kind, self._known()
+        if kind == "str" and isinstance(raw, str) and (not self.choices or raw in known):
+            return next((named for named in self.defined if named.name == raw), raw)
+        if kind == "str" or (self.choices and (type(raw), raw) not in [(type(choice), choice) for choice in known]):
+            hint = suggest(raw, known) if isinstance(raw, str) and kind == "str" else ""
+            raise self._refused(raw, hint if "did you mean" in hint else "")
+        if kind in ("float", "int"):
+            return self._number(raw)
+        if kind == "any" and isinstance(raw, int | float) and not isinstance(raw, bool):
+            return self._number(raw, whole=isinstance(raw, int))
+        allowed = {"any": str | bool, "bool": bool, "file": str}
+        if kind in allowed and isinstance(raw, allowed[kind]):
             return raw
-        if self.kind == "map" and isinstance(raw, dict) and all(isinstance(text, str) for text in raw.values()):
+        if kind == "map" and isinstance(raw, dict) and all(isinstance(text, str) for text in raw.values()):
             return tuple(sorted(raw.items()))
-        if self.kind == "vector" and isinstance(raw, list | tuple) and len(raw) == 3:
+        if kind == "vector" and isinstance(raw, list | tuple) and len(raw) == 3:
             return tuple(self._number(x) for x in raw)
+        raise self._refused(raw)
+
+    def _number(self, raw: object, whole: bool | None = None) -> float:
+        whole = self.kind == "int" if whole is None else whole
+        if isinstance(raw, int | float) and not isinstance(raw, bool) and abs(raw) < HUGE:  # refuses NaN too
+            if whole and abs(raw) > LARGEST_INT:
+                raise self._refused(raw, ", of 64 bits at most")
+            number = float(raw) + 0.0  # no negative zero: it would be another point
+            low = self.minimum is not None and number < self.minimum
+            low |= self.above is not None and number <= self.above
+            high = self.maximum is not None and number > self.maximum
+            if not low and not high and (not whole or number.is_integer()):
+                return int(raw) if whole else number
         raise self._refused(raw)
 
     def _refused(self, raw: object, more: str = "") -> ValueError:
         return ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}{more or bound_in_words(raw)}")
 
-    def _text(self, raw: object) -> Value:
-        known = (*self.choices, *(named.name for named in self.defined))
-        if not isinstance(raw, str):
-            raise self._refused(raw)
-        if self.choices and raw not in known:
-            hint = suggest(raw, known)
-            raise self._refused(raw, hint if "did you mean" in hint else "")
-        return next((named for named in self.defined if named.name == raw), raw)
-
-    def _as_written(self, raw: object) -> Value:
-        if isinstance(raw, str | bool):
-            return raw
-        if isinstance(raw, int) and abs(raw) <= LARGEST_INT:
-            return int(raw)
-        if isinstance(raw, float) and abs(raw) < HUGE:
-            return float(raw) + 0.0
-        raise self._refused(raw)
-
-    def _whole(self, raw: object) -> int:
-        if isinstance(raw, int) and abs(raw) > LARGEST_INT:
-            raise self._refused(raw, ", of 64 bits at most")
-        number = self._number(raw)
-        return int(raw) if isinstance(raw, int) else int(number)
-
-    def _number(self, raw: object) -> float:
-        if isinstance(raw, (int, float)) and not isinstance(raw, bool) and abs(raw) < HUGE:  # refuses NaN too
-            number = float(raw) + 0.0  # no negative zero: it would be another point
-            whole = self.kind != "int" or isinstance(raw, int) or number.is_integer()
-            above_floor = self.minimum is None or number >= self.minimum
-            above_open = self.above is None or number > self.above
-            if whole and above_floor and above_open and (self.maximum is None or number <= self.maximum):
-                return number
-        raise self._refused(raw)
+    def _known(self) -> tuple[Any, ...]:
+        return (*self.choices, *(named.name for named in self.defined))
 
     def allowed(self) -> str:
         """Return in words what values are allowed."""
         if self.choices:
             further = "" if self.define is None or self.defined else f", or of [define.{self.name}.NAME]"
-            known = (*self.choices, *(named.name for named in self.defined))
-            return "one of " + ", ".join(repr(c) for c in known) + further
-        words = {
-            "float": "a finite number",
-            "int": "an integer",
-            "str": "a string",
-            "bool": "true or false",
-            "any": "a finite number, a string, true or false",
-            "vector": "a list of three finite numbers",
-            "map": 'a table of strings, { quantity = "column" }',
-            "file": "the path of a table",
-        }[self.kind]
-        bounds = [
-            f"{symbol} {bound:g}"
-            for symbol, bound in ((">=", self.minimum), (">", self.above), ("<=", self.maximum))
-            if bound is not None
-        ]
-        return words + (" " + " and ".join(bounds) if bounds else "") + (f" [{self.unit}]" if self.unit else "")
+            return "one of " + ", ".join(map(repr, self._known())) + further
+        bounds = {">=": self.minimum, ">": self.above, "<=": self.maximum}
+        words = [f"{symbol} {bound:g}" for symbol, bound in bounds.items() if bound is not None]
+        limits = f" {' and '.join(words)}" if words and self.kind != "bool" else ""
+        return WORDS[self.kind] + limits + (f" [{self.unit}]" if self.unit else "")
 
 
 @dataclass(frozen=True)
@@ -235,3 +225,57 @@ class Output:
     coords: Mapping[str, Any] | None = field(default=None, compare=False)
     statistics: Sequence[str] = field(default=(), compare=False)
     errors: Sequence[str] = ()
+
+
+def name_problem(name: object) -> str | None:
+    """Return why something cannot be a name in a dataset, or None."""
+    if not isinstance(name, str) or not GOOD_NAME.fullmatch(name):
+        return "a name begins with a letter and has letters, digits and any of _ . - only"
+    return TAKEN if name in RESERVED else None
+
+
+def members(what: str, values: object, kind: type[T], problems: list[str]) -> list[T]:
+    """Return the members of a declared tuple that are of the right type; ``problems`` takes those that are not."""
+    if not isinstance(values, tuple | list | set | frozenset):
+        problems.append(f"{what} = {shown(values)}: must be a tuple of {kind.__name__}; (one,) has a comma at its end")
+        return []
+    wrong = [one for one in values if not isinstance(one, kind)]
+    problems += [f"{what}: {shown(one)} is no {kind.__name__}" for one in wrong]
+    return [one for one in values if isinstance(one, kind)]
+
+
+def named(what: str, values: object, known: Sequence[str], noun: str) -> list[str]:
+    """Return what is wrong with a declared tuple of names that must be ``known``."""
+    problems: list[str] = []
+    names = members(what, values, str, problems)
+    return problems + [f"{what}: {shown(n)} is no {noun}{suggest(n, known)}" for n in names if n not in known]
+
+
+def parameter_problems(parameter: Parameter) -> Iterator[str]:
+    """Yield what is wrong with a parameter by itself."""
+    bounds = (parameter.minimum, parameter.above, parameter.maximum)
+    if parameter.kind not in WORDS:
+        yield f"there is no kind {shown(parameter.kind)}{suggest(str(parameter.kind), get_args(Kind))}"
+    elif not isinstance(parameter.choices, tuple | list):
+        yield f"choices = {shown(parameter.choices)}: must be a tuple"
+    elif any(bound is not None and not isinstance(bound, int | float) for bound in bounds):
+        yield f"minimum, above and maximum must be numbers, not {shown(bounds)}"
+    elif text := unit_problem(parameter.unit):
+        yield text
+    elif parameter.default is not None:
+        try:
+            parameter.parse(parameter.written_default())
+        except (ValueError, TypeError) as error:
+            yield f"its own default is not allowed: {error}"
+
+
+def packages_problems(values: object) -> Iterator[str]:
+    """Yield what is wrong with names of distributions."""
+    problems: list[str] = []
+    names = members("packages", values, str, problems)
+    yield from problems
+    for name in names:
+        try:
+            version(name)
+        except (PackageNotFoundError, ValueError):
+            yield f"packages: {shown(name)} is not installed here under this name"

@@ -142,15 +142,8 @@ def same_rows(one: Rows, other: Rows) -> bool:
     """Return whether rows are of one type and have the same bits, and the same texts."""
     if one.dtype != other.dtype or one.shape != other.shape:
         return False
-    if not one.dtype.hasobject:
-        return one.tobytes() == other.tobytes()
-    fields = one.dtype.names or ()
-    return all(
-        one[name].tolist() == other[name].tolist()
-        if one.dtype[name].hasobject
-        else one[name].tobytes() == other[name].tobytes()
-        for name in fields
-    )
+    pairs = [(one[name], other[name]) for name in one.dtype.names or ()]
+    return all(a.tolist() == b.tolist() if a.dtype.hasobject else a.tobytes() == b.tobytes() for a, b in pairs)
 
 
 def small_sample_factor(samples: ArrayLike) -> Array:

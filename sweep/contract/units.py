@@ -36,23 +36,18 @@ def is_quantity(value: object) -> bool:
 
 
 @lru_cache(maxsize=256)
-def same_unit(one: str, other: str) -> bool:
-    """Return whether two texts are the same unit."""
-    if one == other:
-        return True
-    from astropy.units import Unit
-
-    try:
-        return bool(Unit(one) == Unit(other))
-    except (ValueError, TypeError):
-        return False
-
-
 def factor_between(one: str, other: str) -> float | None:
     """Return the factor that converts numbers from one unit to another; None for units of different kinds."""
+    if one == other:
+        return 1.0
     from astropy.units import Unit, UnitsError
 
     try:
         return float(Unit(one).to(Unit(other)))
     except (UnitsError, TypeError, ValueError):
         return None
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Return whether two texts are the same unit."""
+    return factor_between(one, other) == 1.0

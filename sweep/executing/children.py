@@ -15,11 +15,10 @@ from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from typing import IO, Any
 
-from linksweep.sweep.code.load import load_experiment, new_process, provide, sendable
+from linksweep.sweep.code.load import Identity, differences, identity, load_experiment, new_process, provide, sendable
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.process import Deadlines, ignored
 from linksweep.sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, joined, too_long
-from linksweep.sweep.executing.versions import Identity, differences, identity
 from linksweep.sweep.executing.worker import ENOUGH_S, run_units, takes_several
 
 TRIES = 2

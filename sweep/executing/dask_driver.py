@@ -14,12 +14,11 @@ from typing import Any, Generic
 
 from distributed import Client, Future, KilledWorker, WorkerPlugin
 
-from linksweep.sweep.code.load import sendable, source_digest
+from linksweep.sweep.code.load import Identity, differences, identity, require_same, sendable, source_digest
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.dask_worker import Answer, SourcesPlugin, TaskPlugin, run_on_worker
 from linksweep.sweep.executing.pools import Limits
 from linksweep.sweep.executing.task import AnyJob, Failure, Say
-from linksweep.sweep.executing.versions import Identity, differences, identity, require_same
 from linksweep.sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_seconds
 
 LOOK_EVERY_S = 1.0

@@ -11,12 +11,10 @@ from typing import Any
 from distributed import WorkerPlugin, get_worker
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code.files import LocalFiles
-from linksweep.sweep.code.load import Live, provide
+from linksweep.sweep.code.load import Identity, Live, LocalFiles, differences, identity, provide
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.process import Deadlines
 from linksweep.sweep.executing.task import Call, Task
-from linksweep.sweep.executing.versions import Identity, differences, identity
 from linksweep.sweep.executing.worker import compute
 
 PLUGIN = "linksweep"

@@ -7,6 +7,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from linksweep.sweep.code.load import identity
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.forkserver import start_method
@@ -20,7 +21,6 @@ from linksweep.sweep.executing.pools import (
     uncollected,
 )
 from linksweep.sweep.executing.task import AnyJob, Batch, Call, Executor, Opened, Place, RefusedError, Say, TaskResult
-from linksweep.sweep.executing.versions import identity
 from linksweep.sweep.executing.worker import compute
 from linksweep.sweep.planning.plan import Work
 from linksweep.sweep.studies.study import Study

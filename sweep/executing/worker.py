@@ -31,7 +31,7 @@ from linksweep.sweep.executing.task import (
     joined,
     too_long,
 )
-from linksweep.sweep.planning.streams import generators_of
+from linksweep.sweep.planning.plan import generators_of
 
 ENOUGH_S = 2.0
 """Seconds after which a task returns what it has, so that its results do not wait for those of slower points."""

@@ -1,72 +1,309 @@
-"""A plain function as an `Experiment`, so that its studies are run and stored like all others."""
+"""A plain function as an `Experiment`: parameters from its signature, what `linksweep.experiment` declares beside, and
+how its results are computed, so that its studies are run and stored like all others.
+"""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+import functools
+import inspect
+import sys
+import types
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, TypeGuard
+from typing import Annotated, Any, Literal, TypeGuard, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import (
-    Array,
-    Experiment,
-    GeneratorPair,
-    Outcome,
+from linksweep.sweep.contract import Experiment, GeneratorPair, SweepError, shown
+from linksweep.sweep.contract.parameter import (
+    RESERVED,
+    TAKEN,
+    Kind,
     Output,
     Parameter,
     Point,
-    Reducer,
-    ResultError,
-    Rows,
-    SweepError,
+    packages_problems,
+    parameter_problems,
 )
-from linksweep.sweep.functions.declared import (
-    ALLOWED,
-    ATTRIBUTE,
-    Declaration,
-    Signature,
-    declaration_of,
-    name_of,
-    problems,
-    signature_of,
-)
-from linksweep.sweep.functions.results import (
-    Declared,
-    Layout,
-    as_row,
-    differences,
-    flatten,
-    joined,
-    layout_of_json,
-    split_points,
-)
-from linksweep.sweep.functions.statistics import Moments, drawn, quantile_of
+from linksweep.sweep.contract.reducer import Array, Outcome, Reducer, ResultError, Rows
+from linksweep.sweep.contract.units import unit_problem
+from linksweep.sweep.functions import results
+from linksweep.sweep.functions.results import Layout
+from linksweep.sweep.functions.statistics import Moments, drawn, quantile_of, statistic_problem
 
-_RECORDED = [field.name for field in fields(Output) if field.name != "coords"]
+RNG, N_SIM = "rng", "n_sim"
+"""Arguments that the platform gives: a NumPy generator, and how many realisations are wanted at once."""
+
+KINDS: dict[Any, Kind] = {float: "float", int: "int", bool: "bool", str: "str", Any: "any"}
+NUMPY_KINDS: dict[type, Kind] = {np.bool_: "bool", np.integer: "int", np.floating: "float", np.str_: "str"}
+ALLOWED = "float, int, bool, str or Literal[...]"
+
+ATTRIBUTE = "__linksweep__"
+"""The attribute of a function that holds its declaration."""
+
+ROUNDING = 1e-12
+"""Relative difference of two results of the same point that differ by rounding only."""
+
+AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
-class PlainFunction:
-    """A function with what is known of it before it is called."""
+class Declaration:
+    """What a plain function declares: outputs, whether it takes arrays of points, packages whose versions count, and
+    whether two calls at a point return the same.
+    """
 
-    call: Callable[..., Any]
-    signature: Signature
-    declaration: Declaration
+    outputs: tuple[Output, ...] = ()
+    vectorised: bool = False
+    packages: tuple[str, ...] = ()
+    citation: tuple[str, ...] = ()
+    tolerance: float = ROUNDING
+    reads: tuple[str, ...] = ()
+    deterministic: bool = True
 
-    @cached_property
-    def declared(self) -> Declared:
-        """What results are checked against."""
-        names = tuple(parameter.name for parameter in self.signature.parameters)
-        outputs, name = self.declaration.outputs, self.signature.name
-        single = outputs[0].name if len(outputs) == 1 else "result" if name in ("function", *names) else name
-        return Declared(name, single, outputs, names)
 
-    def realised(self, point: Point, n_sim: int, rng: np.random.Generator) -> list[Outcome]:
-        """Return the results of ``n_sim`` realisations; raises ResultError as `flatten`."""
-        if self.signature.n_sim:
-            return split_points(self.call(**point, rng=rng, n_sim=n_sim), n_sim, self.declared, "realisations")
-        return [flatten(self.call(**point, rng=rng), self.declared) for _ in range(n_sim)]
+def experiment(
+    *,
+    outputs: Sequence[Output | str] = (),
+    vectorised: bool = False,
+    packages: Sequence[str] = (),
+    citation: str | Sequence[str] = (),
+    tolerance: float = ROUNDING,
+    reads: str | Sequence[str] = (),
+    deterministic: bool = True,
+) -> Callable[[AnyFunction], AnyFunction]:
+    """Declare more about a function than its signature says.  The function can be called as before.
+
+    Args:
+        outputs: units, meanings, dimensions and coordinates of results, and which statistics are computed from them if
+            the function takes ``rng``.  Results that are not declared are kept too.
+        vectorised: whether the function takes an array of each parameter, all of one length, and returns arrays of that
+            length; it is then called for many points at once.
+        packages: distributions whose versions determine the results; a store is not continued with another version.
+        citation: what users of the results should cite, for reports.
+        tolerance: how far the results of a vectorised function for one point alone and among others may differ,
+            relative to them; by default only by rounding.
+        reads: data files, relative to the file of the function, whose content counts as code does.
+        deterministic: whether a function without ``rng`` returns the same whenever it is called at a point, which is
+            tried at the first one; False accepts any result.
+
+    Returns:
+        A decorator that returns the function.  If that is already defined, for example in another package, it returns
+        a new function that calls it.
+
+    Raises:
+        SweepError: with everything that is wrong in the declaration and in the signature.
+
+    Example:
+        >>> import numpy as np
+        >>> @experiment(outputs=[Output("range", unit="m")])
+        ... def throw(speed: float = 10.0, angle: float = 45.0):
+        ...     return {"range": speed**2 * np.sin(2.0 * np.radians(angle)) / 9.81}
+        >>> round(float(throw()["range"]), 2)
+        10.19
+    """
+
+    def declare(function: AnyFunction) -> AnyFunction:
+        declared = tuple(_output(one) for one in _sequence(outputs))
+        texts = _sequence(packages), _sequence(citation)
+        declaration = Declaration(declared, vectorised, *texts, tolerance, _sequence(reads), deterministic)
+        _checked(function, declaration)
+        module = sys.modules.get(getattr(function, "__module__", None) or "")
+        if getattr(module, getattr(function, "__qualname__", ""), None) is function:
+            # It is defined already: other code must import it unchanged, and workers would import it undeclared.
+            function = _calling(function)
+        setattr(function, ATTRIBUTE, declaration)
+        return function
+
+    return declare
+
+
+def _calling(function: AnyFunction) -> AnyFunction:
+    @functools.wraps(function)
+    def declared(*arguments: Any, **named: Any) -> Any:
+        return function(*arguments, **named)
+
+    return cast(AnyFunction, declared)
+
+
+def _sequence(one_or_more: Any) -> tuple[Any, ...]:
+    return (one_or_more,) if isinstance(one_or_more, str | Output) else tuple(one_or_more)
+
+
+def _output(declared: Any) -> Any:
+    """Return an output, made from a name if need be, with tuples of dimensions and statistics."""
+    output = Output(declared) if isinstance(declared, str) else declared
+    if not isinstance(output, Output):
+        return output
+    return replace(output, dims=_sequence(output.dims), statistics=_sequence(output.statistics))
+
+
+def name_of(function: Callable[..., Any]) -> str:
+    """Return the name of a function, of the function in a partial, or of the class of another callable."""
+    function = _wrapped(function)
+    name = getattr(function, "__name__", type(function).__name__)
+    return "function" if name == "<lambda>" else name
+
+
+def _wrapped(function: Callable[..., Any]) -> Any:
+    while isinstance(function, functools.partial):
+        function = function.func
+    return function
+
+
+def _read_signature(function: Callable[..., Any], problems: list[str]) -> "FunctionExperiment":
+    """Return the experiment of a function that declares nothing; ``problems`` takes every reason why it cannot be."""
+    name, whole = name_of(function), _wrapped(function)
+    call = whole if inspect.isroutine(whole) else getattr(whole, "__call__", whole)  # noqa: B004
+    wrong_kinds = {
+        "a class": isinstance(whole, type),
+        "a NumPy ufunc": isinstance(whole, np.ufunc),
+        "async": inspect.iscoroutinefunction(call) or inspect.isasyncgenfunction(call),
+        "a generator": inspect.isgeneratorfunction(call),
+    }
+    wrap = "wrap it in a function that takes its parameters by name and returns its results"
+    problems += [f"is {kind}; {wrap}" for kind, is_so in wrong_kinds.items() if is_so]
+    arguments: Mapping[str, inspect.Parameter] = {}
+    try:
+        arguments = {} if problems else inspect.signature(function, eval_str=True).parameters
+    except NameError as error:
+        problems.append(f"an annotation cannot be read: {error}")
+    except (ValueError, TypeError):
+        problems.append(f"Python cannot read its signature; {wrap}")
+    if (first := next(iter(arguments), "")) in ("self", "cls") and "." in getattr(function, "__qualname__", ""):
+        problems.append(f"is a method and takes {first}; give the method of an object, thing.{name}")
+        arguments = {}
+    parameters, others, rng = [], [], RNG in arguments
+    for argument in arguments.values():
+        if argument.kind not in (argument.POSITIONAL_OR_KEYWORD, argument.KEYWORD_ONLY):
+            problems.append(f"{argument} is {argument.kind.description}, and parameters are given by name; {wrap}")
+        elif argument.name != RNG and not (rng and argument.name == N_SIM):
+            try:
+                if (parameter := _parameter(argument)) is not None:
+                    parameters.append(parameter)
+                else:
+                    others.append(argument.name)
+            except ValueError as error:
+                problems.append(str(error))
+    made = _undeclared(name, tuple(parameters), Declaration(), rng)
+    return replace(made, call=function, takes_n_sim=rng and N_SIM in arguments, others=tuple(others))
+
+
+def _parameter(argument: inspect.Parameter) -> Parameter | None:
+    """Return the parameter of one argument, None for one that always stays at its default; raises ValueError."""
+    name, annotation = argument.name, argument.annotation
+    required = argument.default is argument.empty
+    default = None if required else argument.default
+    if isinstance(default, np.generic):
+        default = default.item()
+    noted = Parameter(name)
+    if get_origin(annotation) is Annotated:
+        annotation, *notes = get_args(annotation)
+        noted = next((note for note in notes if isinstance(note, Parameter)), noted)
+    kind: Kind | None
+    choices: tuple[Any, ...] = ()
+    if annotation is argument.empty:
+        kind = "any" if default is None else KINDS.get(type(default))
+    else:
+        kind, choices = _kind(annotation)
+    if kind is None and required:
+        wrong = annotation.__name__ if isinstance(annotation, type) else shown(annotation)
+        raise ValueError(f"parameter {name}: the type {wrong} is none of {ALLOWED}")
+    if kind is None or (default is not None and type(default) not in KINDS):
+        return None
+    if kind == "float" and type(default) is int:
+        default = float(default)
+    meaning = noted.meaning or (noted.name if noted.name != name else "") or name.replace("_", " ")
+    choices = choices or noted.choices
+    return replace(noted, name=name, kind=kind, default=default, meaning=meaning, choices=choices, required=required)
+
+
+def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
+    """Return the kind of parameter that an annotation means, None for none, and its choices."""
+    choices: tuple[Any, ...] = ()
+    kinds: set[Kind | None]
+    if get_origin(annotation) is Literal:
+        choices = get_args(annotation)
+        kinds = {KINDS.get(type(choice)) for choice in choices}
+    elif get_origin(annotation) in (Union, types.UnionType):
+        parts = [_kind(part) for part in get_args(annotation) if part is not type(None)]
+        kinds = {kind for kind, _ in parts}
+        if kinds == {"int", "float"}:
+            return "float", ()
+        choices = tuple(choice for _, some in parts for choice in some)
+    else:
+        kinds = {kind for one, kind in KINDS.items() if annotation is one}
+        if isinstance(annotation, type):
+            kinds |= {kind for base, kind in NUMPY_KINDS.items() if issubclass(annotation, base)}
+    if not kinds or None in kinds:
+        return None, ()
+    return (kinds.pop() if len(kinds) == 1 else "any"), choices
+
+
+def declaration_of(function: Callable[..., Any]) -> Declaration:
+    """Return what a function declares, nothing by default."""
+    while not hasattr(function, ATTRIBUTE) and hasattr(function, "func"):  # a partial
+        function = function.func
+    declaration = getattr(function, ATTRIBUTE, None)
+    return declaration if isinstance(declaration, Declaration) else Declaration()
+
+
+def _checked(function: Callable[..., Any], declaration: Declaration) -> "FunctionExperiment":
+    """Return the experiment of a function; raises SweepError with each mistake in its signature and declaration."""
+    problems: list[str] = []
+    made = _read_signature(function, problems)
+    for parameter in made.parameters:
+        texts = [*([TAKEN] if parameter.name in RESERVED else []), *parameter_problems(parameter)]
+        problems += [f"parameter {parameter.name!r}: {text}" for text in texts]
+    outputs = [one for one in declaration.outputs if isinstance(one, Output)]
+    problems += [f"outputs: {shown(one)} is no Output" for one in declaration.outputs if not isinstance(one, Output)]
+    problems += _problems_of_outputs(outputs, made)
+    problems += packages_problems(declaration.packages)
+    tolerance = declaration.tolerance
+    if type(tolerance) not in (int, float) or not 0.0 <= tolerance < 1.0:
+        problems.append(f"tolerance = {shown(tolerance)}: must be a number from 0 to below 1")
+    elif tolerance != ROUNDING and not declaration.vectorised:
+        problems.append(f"tolerance = {shown(tolerance)}: is for vectorised functions; declare vectorised=True")
+    if not isinstance(declaration.deterministic, bool):
+        problems.append(f"deterministic = {shown(declaration.deterministic)}: must be True or False")
+    if declaration.vectorised and made.rng:
+        problems.append("vectorised: a function of rng is called for one point; take n_sim to get all realisations")
+    if problems:
+        raise SweepError(problems, f"function {made.name}")
+    packages, citation = tuple(declaration.packages), declaration.citation
+    return replace(made, declaration=declaration, packages=packages, citation=citation)
+
+
+def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") -> Iterator[str]:
+    coordinates: dict[str, results.Coordinate] = {}
+    for number, output in enumerate(outputs):
+        dims, coords = output.dims, output.coords or {}
+        texts = [unit_problem(output.unit), *map(statistic_problem, output.statistics)]
+        if output.name in [earlier.name for earlier in outputs[:number]]:
+            texts.append("is declared twice")
+        if output.statistics and not made.rng:
+            texts.append("statistics are made of realisations, and the function takes no rng")
+        if not all(isinstance(dim, str) for dim in dims) or len(set(dims)) < len(dims):
+            texts.append(f"dims = {shown(dims)}: must be different names")
+        for dim, values in coords.items():
+            if dim not in dims:
+                texts.append(f"coords: {shown(dim)} is none of its dimensions ({', '.join(dims) or 'it has none'})")
+            try:
+                coordinate = results.coordinate_of(dim, values)
+            except ResultError as error:
+                texts.append(str(error))
+                continue
+            texts.append(unit_problem(coordinate.unit))
+            if coordinates.setdefault(dim, coordinate) != coordinate:
+                texts.append(f"the coordinate {dim!r} has other values than in another output")
+        yield from (f"output {shown(output.name)}: {text}" for text in texts if text)
+    dimensions = dict.fromkeys(dim for output in outputs for dim in output.dims)
+    layout = Layout(
+        tuple(results.Field(output.name, "float") for output in outputs),
+        tuple(results.Coordinate(dim, "int", ()) for dim in dimensions),
+    )
+    names = tuple(parameter.name for parameter in made.parameters)
+    yield from results.problems_of_names.__wrapped__(layout, names)  # uncached: a wrong name may have no hash
 
 
 @dataclass(frozen=True)
@@ -98,14 +335,16 @@ class Typed:
 class FunctionExperiment(Experiment):
     """A plain function as an experiment.
 
-    ``layout`` describes its results, None before the first.  ``declared`` are the outputs that the function declares,
-    ``rng`` says whether it takes a generator; without one it is evaluated once at each point.  An experiment that is
-    made from the record in a store has no ``function`` and computes nothing.
+    ``layout`` describes its results, None before the first.  ``rng`` says whether it takes a generator; without one it
+    is evaluated once at each point.  ``others`` are arguments that cannot be parameters and stay at their defaults.  An
+    experiment that is made from the record in a store has no function to ``call`` and computes nothing.
     """
 
-    function: PlainFunction | None = None
-    declared: tuple[Output, ...] = ()
+    call: Callable[..., Any] | None = None
+    declaration: Declaration = Declaration()
     rng: bool = False
+    takes_n_sim: bool = False
+    others: tuple[str, ...] = ()
     layout: Layout | None = None
 
     def __post_init__(self) -> None:
@@ -113,9 +352,8 @@ class FunctionExperiment(Experiment):
 
     def parameter(self, name: str) -> Parameter:
         """Return the declared parameter; raises ValueError that says why an argument cannot be one."""
-        others = {} if self.function is None else dict(self.function.signature.others)
-        if name in others:
-            raise ValueError(f"is of type {others[name]} in {self.name}, none of {ALLOWED}: it stays at its default")
+        if name in self.others:
+            raise ValueError(f"is in {self.name} of a type that is none of {ALLOWED}: it stays at its default")
         if self.rng and name in ("n_sim", "precision", "max_n_sim"):
             raise ValueError(f"belongs to the sampling: sampling={{{name!r}: ...}}, in a study file [sampling]")
         return super().parameter(name)
@@ -128,7 +366,11 @@ class FunctionExperiment(Experiment):
     @property
     def repeatable(self) -> bool:
         """Whether every call at a point is to return the same."""
-        return not self.rng and self.function is not None and self.function.declaration.deterministic
+        return not self.rng and self.call is not None and self.declaration.deterministic
+
+    def not_repeatable(self) -> "FunctionExperiment":
+        """Return the experiment of a function that may return other results each time."""
+        return replace(self, declaration=replace(self.declaration, deterministic=False))
 
     @property
     def undeclared(self) -> bool:
@@ -138,26 +380,37 @@ class FunctionExperiment(Experiment):
     @property
     def vectorised(self) -> bool:
         """Whether the function takes many points at once."""
-        return self.function is not None and self.function.declaration.vectorised
+        return self.declaration.vectorised
 
     @property
     def tolerance(self) -> float:
         """How far the result of a point among others may be from that of the point alone, relative to it."""
-        return 0.0 if self.function is None else self.function.declaration.tolerance
+        return self.declaration.tolerance
+
+    @cached_property
+    def declared(self) -> results.Declared:
+        """What results are checked against."""
+        names = tuple(parameter.name for parameter in self.parameters)
+        outputs = self.declaration.outputs
+        single = outputs[0].name if len(outputs) == 1 else "result" if self.name in ("function", *names) else self.name
+        return results.Declared(self.name, single, outputs, names)
 
     def with_layout(self, layout: Layout) -> "FunctionExperiment":
         """Return the experiment with a known layout of its results."""
+        declared = self.declaration.outputs
         return replace(
             self,
             layout=layout,
-            outputs=Moments(layout, self.declared).outputs() if self.rng else _outputs(layout, self.declared),
+            outputs=Moments(layout, declared).outputs() if self.rng else _outputs(layout, declared),
             coordinates={coordinate.name: coordinate.values for coordinate in layout.coordinates},
         )
 
     @cached_property
     def reducer(self) -> Reducer:
         """What a call, or a block of realisations, leaves of a point."""
-        return Moments(self.layout, self.declared) if self.rng and self.layout is not None else Typed(self.layout)
+        if self.rng and self.layout is not None:
+            return Moments(self.layout, self.declaration.outputs)
+        return Typed(self.layout)
 
     def compute(
         self, points: Sequence[Point], n_sim: int, pairs: Iterable[GeneratorPair], keep_samples: bool = False
@@ -166,30 +419,43 @@ class FunctionExperiment(Experiment):
 
         Raises ResultError for an invalid result, and whatever the function raises.
         """
-        assert self.function is not None, "the record of an experiment computes nothing"
-        function, declared = self.function, self.function.declared
+        call, declared = self.call, self.declared
+        assert call is not None, "the record of an experiment computes nothing"
         if self.vectorised:
             columns = {name: np.array([point[name] for point in points]) for name in points[0]}
-            return split_points(function.call(**columns), len(points), declared, "points")
+            return results.split_points(call(**columns), len(points), declared, "points")
         if not self.rng:
-            return [flatten(function.call(**point), declared) for point in points]
-        rng = next(iter(pairs))[0]
-        return [drawn(function.realised(point, n_sim, rng), declared.function, declared.outputs) for point in points]
+            return [results.flatten(call(**point), declared) for point in points]
+        rng, outcomes = next(iter(pairs))[0], []
+        for point in points:
+            if self.takes_n_sim:
+                together = call(**point, rng=rng, n_sim=n_sim)
+                realised = results.split_points(together, n_sim, declared, "realisations")
+            else:
+                realised = [results.flatten(call(**point, rng=rng), declared) for _ in range(n_sim)]
+            outcomes.append(drawn(realised, self.name, self.declaration.outputs))
+        return outcomes
 
     def learned(self, outcomes: Mapping[int, Outcome]) -> "tuple[FunctionExperiment, dict[int, Any], dict[int, str]]":
         """Return the experiment with the layout that the first result has, with floats where any result has; the fields
         of rows of it; and why other results are refused.
         """
         layout, fitting, refused = self.layout, list[int](), dict[int, str]()
-        checked: dict[int, str] = {}  # by layouts: those that come in one message are mostly one object
+        verdicts: dict[int, str] = {}  # by layouts: those that come in one message are mostly one object
         for place, outcome in outcomes.items():
             layout = layout or outcome.layout
-            if id(outcome.layout) not in checked:
-                checked[id(outcome.layout)] = self._refusal(layout, outcome.layout)
-                if not checked[id(outcome.layout)]:
-                    layout = joined(layout, outcome.layout)
-            if why := checked[id(outcome.layout)]:
-                refused[place] = f"{self.name}: not as at the first point: {why}"
+            if (key := id(outcome.layout)) not in verdicts:
+                wrong = results.differences(layout, outcome.layout)
+                if (
+                    self.rng
+                    and not wrong
+                    and [f.name for f in outcome.layout.fields] != [f.name for f in layout.fields]
+                ):
+                    wrong = ("its results are in another order",)  # samples are kept without their names
+                verdicts[key] = "; ".join(wrong)
+                layout = layout if wrong else results.joined(layout, outcome.layout)
+            if verdicts[key]:
+                refused[place] = f"{self.name}: not as at the first point: {verdicts[key]}"
             else:
                 fitting.append(place)
         if layout is None:
@@ -197,7 +463,7 @@ class FunctionExperiment(Experiment):
         known, rows = self if layout == self.layout else self.with_layout(layout), dict[int, Any]()
         for place in fitting:
             try:
-                rows[place] = outcomes[place].row if self.rng else as_row(outcomes[place], layout)
+                rows[place] = outcomes[place].row if self.rng else results.as_row(outcomes[place], layout)
             except ResultError as error:
                 refused[place] = f"{self.name}: {error}"
         return known, rows, refused
@@ -205,24 +471,19 @@ class FunctionExperiment(Experiment):
     def joined(self, other: Experiment) -> Experiment:
         """Return the experiment with floats where another store has floats."""
         layouts = self.layout, getattr(other, "layout", None)
-        return self if None in layouts else self.with_layout(joined(*layouts))
+        return self if None in layouts else self.with_layout(results.joined(*layouts))
 
     def recalled(self, record: Mapping[str, Any]) -> Experiment:
         """Return the experiment with the layout of results that a store has recorded, if any."""
         layout = layout_of_record(record)
         return self if layout is None else self.with_layout(layout)
 
-    def _refusal(self, expected: Layout, found: Layout) -> str:
-        """Return why results of one layout are not taken beside those of another, '' where they are."""
-        wrong = () if found == expected else differences(expected, found)
-        if self.rng and not wrong and [f.name for f in found.fields] != [f.name for f in expected.fields]:
-            wrong = ("its results are in another order",)
-        return "; ".join(wrong)
-
     @property
     def keeps_samples(self) -> bool:
         """Whether realisations are kept, for quantiles."""
-        return self.rng and any(quantile_of(name) is not None for o in self.declared for name in o.statistics)
+        return self.rng and any(
+            quantile_of(name) is not None for o in self.declaration.outputs for name in o.statistics
+        )
 
     @property
     def samples_width(self) -> int:
@@ -246,18 +507,14 @@ class FunctionExperiment(Experiment):
 
     def as_record(self) -> dict[str, Any]:
         """Return what a store records of a plain function besides what it records of every experiment."""
-        return {
-            "function": {
-                "rng": self.rng,
-                "layout": None if self.layout is None else asdict(self.layout),
-                "outputs": [{name: getattr(one, name) for name in _RECORDED} for one in self.declared],
-            }
-        }
+        layout = None if self.layout is None else asdict(self.layout)
+        outputs = [asdict(replace(output, coords=None)) for output in self.declaration.outputs]
+        return {"function": {"rng": self.rng, "layout": layout, "outputs": outputs}}
 
 
-def is_plain_function(found: object) -> TypeGuard[Callable[..., Any]]:
+def is_plain_function(value: object) -> TypeGuard[Callable[..., Any]]:
     """Return whether something may be swept as a function: it can be called and is no experiment."""
-    return callable(found) and not isinstance(found, Experiment)
+    return callable(value) and not isinstance(value, Experiment)
 
 
 def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
@@ -270,39 +527,19 @@ def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
 
 @lru_cache(maxsize=64)
 def _made(function: Callable[..., Any]) -> FunctionExperiment:
-    declaration = declaration_of(function)
-    if not hasattr(function, ATTRIBUTE) and (found := problems(function, declaration)):
-        raise SweepError(found, f"function {name_of(function)}")
-    signature = signature_of(function)
-    made = undeclared_experiment(signature.name, signature.parameters, declaration.outputs, signature.rng)
-    return replace(
-        made,
-        function=PlainFunction(function, signature, declaration),
-        packages=tuple(declaration.packages),
-        citation=declaration.citation,
-    )
+    return _checked(function, declaration_of(function))
 
 
-def undeclared_experiment(
-    name: str, parameters: tuple[Parameter, ...], outputs: tuple[Output, ...], rng: bool
+def _undeclared(
+    name: str, parameters: tuple[Parameter, ...], declaration: Declaration, rng: bool
 ) -> FunctionExperiment:
     """Return the experiment of a function whose results are not known yet."""
-    return FunctionExperiment(
-        name=name,
-        version=1,
-        parameters=parameters,
-        sums={},
-        outputs=(),
-        evaluate=_not_additive,
-        summarise=_not_additive,
-        outer_draw="",
-        declared=outputs,
-        rng=rng,
-    )
 
+    def no_sums(*_arguments: Any, **_named: Any) -> Any:
+        raise TypeError("a plain function has no sums")
 
-def _not_additive(*_arguments: Any, **_named: Any) -> Any:
-    raise TypeError("a plain function has no sums")
+    made = FunctionExperiment(name, 1, parameters, {}, (), no_sums, no_sums, outer_draw="")
+    return replace(made, declaration=declaration, rng=rng)
 
 
 def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
@@ -312,23 +549,24 @@ def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
     made = []
     for field in layout.fields:
         output = by_name.get(field.name, Output(field.name))
-        meaning, named = field.meaning or field.name.replace("_", " "), field.name in headline
-        made.append(replace(output, unit=field.unit, meaning=meaning, dims=field.dims, headline=named, coords=None))
+        meaning, is_main = field.meaning or field.name.replace("_", " "), field.name in headline
+        made.append(replace(output, unit=field.unit, meaning=meaning, dims=field.dims, headline=is_main, coords=None))
     return tuple(made)
 
 
 def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter, ...]) -> FunctionExperiment:
     """Return the experiment that a store has recorded, which computes nothing."""
-    told = record["function"]
-    outputs = tuple(Output(**{**one, "dims": tuple(one["dims"])}) for one in told["outputs"])
-    empty = undeclared_experiment(record["name"], parameters, outputs, told["rng"])
-    return empty if told["layout"] is None else empty.with_layout(layout_of_json(told["layout"]))
+    recorded = record["function"]
+    outputs = tuple(Output(**{**one, "dims": tuple(one["dims"])}) for one in recorded["outputs"])
+    empty = _undeclared(record["name"], parameters, Declaration(outputs), recorded["rng"])
+    layout = layout_of_record(record)
+    return empty if layout is None else empty.with_layout(layout)
 
 
 def layout_of_record(record: Mapping[str, Any]) -> Layout | None:
     """Return the layout of results that a store has recorded; None where there is none."""
     layout = record.get("function", {}).get("layout")
     try:
-        return None if layout is None else layout_of_json(layout)
+        return None if layout is None else results.layout_of_json(layout)
     except (KeyError, TypeError) as error:
         raise SweepError(f"the record of its experiment cannot be read ({error})") from error

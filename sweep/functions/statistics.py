@@ -15,17 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import (
-    FEWEST_SAMPLES,
-    Array,
-    Outcome,
-    Output,
-    ResultError,
-    Rows,
-    shown,
-    small_sample_factor,
-    suggest,
-)
+from linksweep.sweep.contract import Array, Outcome, Output, ResultError, Rows, reducer, shown, suggest
 from linksweep.sweep.functions.results import NUMBERS, Field, Layout, as_row, differences
 
 MOMENTS = 6
@@ -80,7 +70,7 @@ def unknown(name: str, field: Field) -> str:
         return f"below {fewest_for(level)} realisations, and where values repeat around the quantile"
     if name == "count" or field.type == "bool":
         return ""
-    fewest = FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
+    fewest = reducer.FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
     return f"below {fewest} realisations, and where all are alike or one outweighs all others"
 
 
@@ -131,13 +121,13 @@ def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array,
             return np.round(mean * count), of_share * count
         two_values = (m2 >= (1.0 - SAME) * count * (mean - low) * (high - mean)) | binary
         skewness = m3**2 / m2**3  # squared, over the number of realisations
-        fewest = FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
+        fewest = reducer.FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
         known = (extent > 0.0) & (skewness <= ONE_DECIDES) & (count >= fewest) | binary
         variance = m2 / (count - 1.0)
         std = np.sqrt(variance)
         if name == "mean":
             value, of_two = mean, of_share
-            error = np.sqrt(variance / count * small_sample_factor(count) * (1.0 + 6.0 * skewness))
+            error = np.sqrt(variance / count * reducer.small_sample_factor(count) * (1.0 + 6.0 * skewness))
         else:
             value, of_two = std, _of_two_values(share, of_share, std / extent)
             error = std * _relative(moments, n)
@@ -333,7 +323,7 @@ def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ..
     if strange := [field for field in layout.fields if field.type not in NUMBERS | {"bool"}]:
         name, kind = strange[0].name, strange[0].type
         raise ResultError(f"{function}: {name!r} is of type {kind}; statistics are made of numbers and truth values")
-    layout = layout.floats
+    layout = layout.with_floats(field.name for field in layout.fields)
     rows = []
     for outcome in outcomes:
         if wrong := differences(layout, outcome.layout):

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, Experiment, Rows, Value, check_finite
+from linksweep.sweep.contract import Array, Experiment, Rows, check_finite
 from linksweep.sweep.contract.block import Block, BlockRows, ledger_key
 from linksweep.sweep.contract.reducer import converted
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
-from linksweep.sweep.planning.plan import Plan, PlanSize, Survey, Work, cost_together, wanted_parts
+from linksweep.sweep.planning.plan import NOTHING, Groups, Plan, PlanSize, Survey, Work, cost_together, wanted_parts
 from linksweep.sweep.planning.point_status import Status
 
 MISSING, DONE = int(Status.MISSING), int(Status.DONE)
@@ -68,40 +68,47 @@ class Accumulator:
         self.survey = replace(self._survey(held), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
 
     def _survey(self, rows: Rows) -> Survey:
-        total = all_held = pending = PlanSize(0, 0, 0, 0.0)
-        common = self.plan.grid.study.sampling.common_random_numbers
-        groups: defaultdict[tuple[Value, ...], list[tuple[float, PlanSize]]] = defaultdict(list)
-        if not self._rows and not self._failed:  # the fast way, for grids of a million points
-            if self.plan.costs_nothing_special and not common:
-                indices = self.plan.grid.indices()
-                self.status[indices] = Status.MISSING
-                total = self.plan.size(1.0, len(indices))
-                self.plan.check_size(total.blocks)
-                return Survey(total, all_held, total)
-            costs: Counter[float] = Counter()
-            for index, parameters in self.plan.grid.parameters():
+        if not self._rows and not self._failed:
+            return self._survey_of_new_points()
+        if self._whole is not None:
+            return self._survey_of_whole_points(self._whole, rows)
+        total = held = pending = NOTHING
+        groups: Groups = defaultdict(list)
+        for point in self.plan.grid.points():
+            self.status[point.index] = Status.FAILED if point.digest in self._failed else Status.MISSING
+            done, left = self._resume(point, rows)
+            total, held = total + done + left, held + done
+            self.plan.check_size(total.blocks)
+            if self._is_wanted(point):
+                pending += left
+                groups[self.plan.grid.draw(point.parameters)].append((self.plan.cost(point.parameters), left))
+        return Survey(total, held, self._shared(pending, groups))
+
+    def _survey_of_new_points(self) -> Survey:
+        """Count points that have nothing in the ledger: of a million that cost the same without looking at them."""
+        grid, common = self.plan.grid, self.plan.grid.study.sampling.common_random_numbers
+        total, costs = NOTHING, Counter[float]()
+        groups: Groups = defaultdict(list)
+        if self.plan.costs_nothing_special and not common:
+            indices = grid.indices()
+            self.status[indices] = Status.MISSING
+            costs[1.0] = len(indices)
+        else:
+            for index, parameters in grid.parameters():
                 self.status[index] = Status.MISSING
                 cost = self.plan.cost(parameters)
                 costs[cost] += 1
                 if common:
-                    groups[self.plan.grid.draw(parameters)].append((cost, self.plan.size(cost)))
-            for cost, points in costs.items():
-                total += self.plan.size(cost, points)
-            self.plan.check_size(total.blocks)
-            return Survey(total, all_held, replace(total, cost=cost_together(groups)) if common else total)
-        if self._whole is not None:
-            return self._survey_of_whole_points(self._whole, rows)
-        for point in self.plan.grid.points():
-            self.status[point.index] = Status.FAILED if point.digest in self._failed else Status.MISSING
-            held, left = self._resume(point, rows)
-            total += held + left
-            all_held += held
-            self.plan.check_size(total.blocks)
-            if self._is_wanted(point):
-                pending += left
-                if common:
-                    groups[self.plan.grid.draw(point.parameters)].append((self.plan.cost(point.parameters), left))
-        return Survey(total, all_held, replace(pending, cost=cost_together(groups)) if common else pending)
+                    groups[grid.draw(parameters)].append((cost, self.plan.size(cost)))
+        for cost, points in costs.items():
+            total += self.plan.size(cost, points)
+        self.plan.check_size(total.blocks)
+        return Survey(total, NOTHING, self._shared(total, groups))
+
+    def _shared(self, pending: PlanSize, groups: Groups) -> PlanSize:
+        """Return what is pending with its cost, of which points that share random numbers in groups save a part."""
+        common = self.plan.grid.study.sampling.common_random_numbers
+        return replace(pending, cost=cost_together(groups)) if common else pending
 
     def _only_block(self) -> Block | None:
         """Return the one block that every point consists of, None if points have several blocks or different ones."""
@@ -110,54 +117,42 @@ class Accumulator:
         blocks = self.plan.blocks(1.0) if alike and self._samples is None else ()
         return blocks[0] if len(blocks) == 1 else None
 
-    def _survey_of_whole_points(self, block: Block, held_rows: Rows) -> Survey:
+    def _survey_of_whole_points(self, block: Block, ledger: Rows) -> Survey:
         """Add what the ledger holds of points that have one block each, many at a time: a million take seconds."""
-        grid = self.plan.grid
-        indices = grid.indices()
+        indices = self.plan.grid.indices()
         self.plan.check_size(len(indices))
         held = pending = 0
         of_block = ledger_key(b"", block)
         for start in range(0, len(indices), AT_ONCE):
             some = indices[start : start + AT_ONCE]
-            digests = grid.digests(some)
+            digests = self.plan.grid.digests(some)
             rows = self._rows.find([digest + of_block for digest in digests])
-            missing = ~_among(digests, self._failed)
-            done = missing & (rows >= 0)
-            self.status[some] = np.where(missing, np.where(done, DONE, MISSING), int(Status.FAILED))
+            failed, wanted = _among(digests, self._failed), _among(digests, self._only or ())
+            done = ~failed & (rows >= 0)
+            self.status[some] = np.select([failed, done], [int(Status.FAILED), DONE], MISSING)
             self.realisations[some] = np.where(rows >= 0, block.realisations, 0)
-            self._put(some[done], held_rows[rows[done]])
-            held += int(np.count_nonzero(rows >= 0))
-            missing &= ~done
-            if self._only is not None:
-                missing &= _among(digests, self._only)
-            pending += int(np.count_nonzero(missing))
-        total, all_held, left = (self.plan.size(1.0, count) for count in (len(indices), held, pending))
-        return Survey(total, all_held, left)
+            self._put(some[done], ledger[rows[done]])
+            missing = ~failed & ~done & (wanted if self._only is not None else True)
+            held, pending = held + int((rows >= 0).sum()), pending + int(missing.sum())
+        sizes = [self.plan.size(1.0, count) for count in (len(indices), held, pending)]
+        return Survey(sizes[0], sizes[1], sizes[2])
 
     def _resume(self, point: GridPoint, rows: Rows) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""
-        held, left = [0, 0], [0, 0]  # blocks and their realisations
-        cost_held = cost_left = 0.0
+        held = left = NOTHING
         blocks = list(self._blocks(point))
-        while blocks:
-            more: list[Block] = []
-            for block in blocks:
-                key = ledger_key(point.digest, block)
-                row = self._rows.get(key)
-                counts = left if row is None else held
-                counts[0] += 1
-                counts[1] += block.realisations
-                cost = self.plan.work((point,), block).cost
-                if row is None:
-                    cost_left += cost
-                else:
-                    cost_held += cost
-                    more += self.add(
-                        point, block, rows[row : row + 1], None if self._samples is None else self._samples(key)
-                    )
-            blocks = more
-        whole = int(not left[0])
-        return PlanSize(whole, held[0], held[1], cost_held), PlanSize(1 - whole, left[0], left[1], cost_left)
+        for block in blocks:  # which grows where a precision needs more
+            key = ledger_key(point.digest, block)
+            row = self._rows.get(key)
+            size = PlanSize(0, 1, block.realisations, self.plan.work((point,), block).cost)
+            if row is None:
+                left += size
+            else:
+                held += size
+                kept = None if self._samples is None else self._samples(key)
+                blocks += self.add(point, block, rows[row : row + 1], kept)
+        whole = PlanSize(1, 0, 0, 0.0)
+        return (held, left + whole) if left.blocks else (held + whole, left)
 
     def missing(self, point: GridPoint) -> Sequence[Block]:
         """Return the blocks of a point, as far as they are known now, that the ledger did not hold at the start."""

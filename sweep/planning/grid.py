@@ -1,20 +1,31 @@
-"""The grid of a study: dimensions, points and their digests."""
+"""The grid of a study: dimensions, points and their digests; made once its experiment was asked about every point."""
 
 import itertools
 import json
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from hashlib import blake2b
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Value
+from linksweep.sweep.contract import Point, SweepError, Value, shown
+from linksweep.sweep.studies.points import remarks
 from linksweep.sweep.studies.study import POINT, Study
 from linksweep.sweep.tables.file import as_json
+
+T = TypeVar("T")
+
+MAX_POINTS = 10_000_000
+MAX_PROBLEMS = 20
+"""The most reasons, repeated points and different warnings that are listed."""
+
+MAX_KEPT = 100_000
+"""The most answers that are kept of a function of a point."""
 
 AT_ONCE = 2**16
 """How many points have their places in memory at a time."""
@@ -185,3 +196,161 @@ class Grid:
 def describe(study: Study, parameters: dict[str, Any]) -> str:
     """Return a point's place on the axes in words: ``model=gaia,v_max=16.0``."""
     return ",".join(f"{name}={parameters[name]}" for name in study.axes) or "the only point"
+
+
+def make_grid(study: Study) -> Grid:
+    """Return the grid of a study after asking the experiment about every point.
+
+    A fixed parameter must matter at one point at least.  An axis must matter wherever it has another value than the
+    default: otherwise equal points would have different names.
+
+    Raises SweepError for points that cannot be computed (grouped by reason; the check stops after
+    `MAX_PROBLEMS` reasons), for points that occur twice, and for a grid that is too large or empty.
+    """
+    grid = Grid(study)
+    if len(grid) > MAX_POINTS:
+        sizes = " x ".join(f"{name} {length:,}" for name, length in zip(grid.dimensions, grid.shape, strict=True))
+        message = (
+            f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed: cut it into studies "
+            "with a store each, or take a design of points (--design)"
+        )
+        raise SweepError(message, study.source)
+    sentences = _repeated(grid)
+    judged = PointCache(partial(_judged, study), study.axes)
+    reasons, warnings = Counter[str](), Counter[str]()
+    idle: Mapping[str, str] | None = None  # fixed parameters that mattered at no point so far
+    last: object = None
+    for _, parameters in grid.parameters():
+        reason, unused, warned = judged(parameters)
+        if reason is not None:
+            reasons[reason] += 1
+            if len(reasons) > MAX_PROBLEMS:
+                break
+            continue
+        if unused is not last:  # one object for all points that are alike to the experiment
+            last, known = unused, unused if idle is None else idle
+            idle = {name: why for name, why in known.items() if name in unused and name in study.fixed}
+        warnings.update(warned)
+        if judged.is_constant and not warned:
+            break  # the experiment accepts every point: it looks at nothing that differs between them
+    if not judged.was_called:
+        raise SweepError("every point of the grid is excluded", study.source)
+    sentences += _with_points(reasons, "reasons; the rest of the grid was not checked")
+    if not reasons and idle:
+        sentences += [f"{name} = {shown(study.fixed[name])} changes nothing: {why}" for name, why in idle.items()]
+    if sentences:
+        raise SweepError(sentences, study.source)
+    grid.warnings.extend(remarks({} if study.points is None else study.points.origin))
+    grid.warnings.extend(_with_points(warnings, "warnings"))
+    return grid
+
+
+def _judged(study: Study, parameters: Point) -> tuple[str | None, Mapping[str, str], tuple[str, ...]]:
+    """Return why a point cannot be computed, which parameters change nothing at it, and warnings of it."""
+    defaults = study.experiment.defaults()
+    what = "check of a point"
+    try:
+        if (reason := study.experiment.check(parameters)) is not None:
+            return reason, {}, ()
+        what = "`unused`"
+        unused = dict(study.experiment.unused(parameters))
+    except Exception as error:  # whatever a user's function raises
+        return _raised(what, error), {}, ()
+    if unknown := unused.keys() - defaults.keys():
+        names = ", ".join(map(shown, sorted(unknown)))
+        return f"the experiment's `unused` names {names}, which is no parameter", {}, ()
+    for name in (name for name in unused if name in study.axes):
+        if parameters[name] != defaults[name]:
+            return f"the axis {name} changes nothing at some points: {unused[name]}", {}, ()
+    try:
+        return None, unused, tuple(map(str, study.experiment.warn(parameters)))
+    except Exception as error:
+        return None, unused, (_raised("`warn`", error),)
+
+
+def _raised(what: str, error: Exception) -> str:
+    return f"the experiment's {what} raises {type(error).__name__}: {error}"
+
+
+def _with_points(counts: Mapping[str, int], what: str) -> list[str]:
+    """Return the first sentences, each with the number of points that it is about."""
+    texts = [f"{text} ({n} point{'s' if n > 1 else ''})" for text, n in counts.items()]
+    return [*texts[:MAX_PROBLEMS], *([f"... and other {what}"] if len(texts) > MAX_PROBLEMS else [])]
+
+
+def _repeated(grid: Grid) -> list[str]:
+    """Return which points occur twice: the values of an axis are distinct, so only zipped axes can repeat a point; a
+    table may.
+    """
+    sentences: list[str] = []
+    for dimension in grid.rows.keys() - {POINT}:
+        axes = grid.dimensions[dimension]
+        counts = {values: n for values, n in Counter(grid.rows[dimension]).items() if n > 1}
+        for values in list(counts)[:MAX_PROBLEMS]:
+            place = ",".join(f"{name}={value}" for name, value in zip(axes, values, strict=True))
+            sentences.append(f"the same point occurs {counts[values]} times: {place}")
+    return sentences
+
+
+class PointCache(Generic[T]):
+    """A function of a point, called once for each combination of values of those axes that it looks at.
+
+    In a grid of a million points an experiment's check or cost rarely looks at all axes.  The function must depend on
+    its point alone.
+    """
+
+    def __init__(self, function: Callable[[Point], T], axes: Collection[str]) -> None:
+        self._function, self._axes = function, axes
+        self._read: tuple[str, ...] = ()
+        self._known: dict[tuple[Any, ...], T] = {}
+
+    def __call__(self, parameters: dict[str, Any]) -> T:
+        """Return the function's value for these parameters."""
+        if self._read and len(self._read) == len(self._axes):
+            return self._function(parameters)  # it reads every axis, so that no result can be used twice
+        key = tuple([parameters[name] for name in self._read])
+        if key in self._known:
+            return self._known[key]
+        watched = _Watched(parameters)
+        answer = self._function(watched)
+        if new := watched.read.intersection(self._axes).difference(self._read):
+            self._read += tuple(new)
+            self._known.clear()  # their keys lack the axes that are new
+            key = tuple([parameters[name] for name in self._read])
+        if len(self._known) < MAX_KEPT:
+            self._known[key] = answer
+        return answer
+
+    @property
+    def was_called(self) -> bool:
+        """Whether there was a point."""
+        return bool(self._known)
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether the function was called and reads no axis, so that it has one value for all points."""
+        return self.was_called and not self._read
+
+    def table(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], T]] | None:
+        """Return the axes that the function reads, and its results by the values of these; None if not all are kept."""
+        whole = len(self._read) < max(len(self._axes), 1) and len(self._known) < MAX_KEPT
+        return (self._read, dict(self._known)) if whole else None
+
+
+class _Watched(Mapping[str, Any]):
+    """A point that records which of its parameters are read."""
+
+    def __init__(self, parameters: dict[str, Any]) -> None:
+        self._parameters = parameters
+        self.read: set[str] = set()
+
+    def __getitem__(self, name: str) -> Any:
+        self.read.add(name)
+        return self._parameters[name]
+
+    def __iter__(self) -> Iterator[str]:
+        self.read.update(self._parameters)
+        return iter(self._parameters)
+
+    def __len__(self) -> int:
+        return len(self._parameters)

@@ -1,17 +1,22 @@
-"""The plan of a study: points cut into blocks, each with its own random stream."""
+"""The plan of a study: points cut into blocks, each with its own random stream.
+
+A stream comes from NumPy's SeedSequence of the seed and the words that name the stream: the point's stream, the
+catalogue and the part of its realisations.  So it does not depend on the grid, the order or the machine.  SFC64 is the
+fastest sound bit generator of NumPy.
+"""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import struct
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from linksweep.sweep.contract import Rows, SweepError, Value
+from linksweep.sweep.contract import GeneratorPair, Rows, SweepError, Value
 from linksweep.sweep.contract.block import Block
-from linksweep.sweep.planning.checked_grid import PointCache
-from linksweep.sweep.planning.grid import Grid, GridPoint
+from linksweep.sweep.planning.grid import Grid, GridPoint, PointCache
 from linksweep.sweep.studies.study import Study
 
 TARGET = 2**24
@@ -84,6 +89,11 @@ class PlanSize:
         )
 
 
+NOTHING = PlanSize(0, 0, 0, 0.0)
+Groups = dict[tuple[Value, ...], list[tuple[float, PlanSize]]]
+"""The cost of a realisation and what is left of each of the points that share random numbers, by what they share."""
+
+
 @dataclass(frozen=True)
 class Survey:
     """The size of a plan as far as it is known: in total, held by the ledger, and pending; how many points failed."""
@@ -108,19 +118,17 @@ class Plan:
         """Return the plan of the same points, for a study that knows more about their results."""
         return Plan(replace(self.grid, study=study))
 
-    def blocks(self, cost: float, parts: range | None = None) -> Sequence[Block]:
-        """Return the blocks of a point, of these ``parts`` (default: all); ``cost`` is in random numbers a realisation.
+    @cached_property
+    def blocks(self) -> Callable[..., Sequence[Block]]:
+        """The blocks of a point as a function of the random numbers that a realisation of it takes, and of the parts
+        (default: all) that they are of; points that cost the same are cut in the same way.
 
         The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
         they are; only a last, partial block is computed again.
         """
-        return self._cut(cost, parts)
+        return lru_cache(MOST_CUTS)(self._blocks)
 
-    @cached_property
-    def _cut(self) -> Callable[[float, range | None], Sequence[Block]]:
-        return lru_cache(MOST_CUTS)(self._cut_anew)  # points that cost the same are cut in the same way
-
-    def _cut_anew(self, cost: float, parts: range | None) -> Sequence[Block]:
+    def _blocks(self, cost: float, parts: range | None = None) -> Sequence[Block]:
         n_cat = self.grid.study.sampling.n_cat
         _, catalogues = self.block_shape(cost)
         blocks = []
@@ -241,7 +249,7 @@ def wanted_parts(plan: Plan, cost: float, parts: int, total: Rows, reached: bool
     return min(max(parts + 1, needed), plan.parts(cost, sampling.most)), enough
 
 
-def cost_together(groups: Mapping[tuple[Value, ...], Sequence[tuple[float, PlanSize]]]) -> float:
+def cost_together(groups: Groups) -> float:
     """Return the cost of what is left to compute, for groups of points that share random numbers.  Each point has the
     cost of one realisation; the costliest draws the numbers, the others only use them (see `Plan.work`).
     """
@@ -262,3 +270,21 @@ def _doublings(sims: int) -> int:
 
 def _power_of_two(ratio: float, most: int) -> int:
     return min(most, 2 ** max(0, math.floor(math.log2(ratio)))) if ratio >= 1 else 1
+
+
+def generators(seed: int, name: bytes, catalogue: int, part: int) -> GeneratorPair:
+    """Return the generators of the realisations ``part`` of a catalogue and of the catalogue itself."""
+    start = struct.pack("<2Q", seed, 0) + name
+
+    def stream(*place: int) -> np.random.Generator:
+        # The words that SeedSequence(seed, spawn_key=...) makes of these: its own way to them takes twice as long.
+        words = np.frombuffer(start + struct.pack(f"<{len(place)}I", *place), dtype="<u4")
+        return np.random.Generator(np.random.SFC64(np.random.SeedSequence(words)))
+
+    return stream(catalogue, 1, part), stream(catalogue, 0)
+
+
+def generators_of(seed: int, name: bytes, block: Block) -> list[GeneratorPair]:
+    """Return what `generators` returns for each catalogue of a block."""
+    catalogues = range(block.first_catalogue, block.first_catalogue + block.n_cat)
+    return [generators(seed, name, catalogue, block.part) for catalogue in catalogues]

@@ -8,15 +8,20 @@ import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 
-from linksweep.sweep.analysis.compare import claims_of
-from linksweep.sweep.analysis.quantity import main_quantity, numeric_axes, require_quantity, varied_parameters
+from linksweep.sweep.analysis.quantity import (
+    claims_of,
+    main_quantity,
+    numeric_axes,
+    require_quantity,
+    varied_parameters,
+)
 from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 from linksweep.sweep.plots import KINDS
 from linksweep.sweep.plots.analyses import sensitivity_figure
 from linksweep.sweep.plots.points import sampled
 from linksweep.sweep.plots.style import SCALE, entitle, fit_names, value_text, with_chosen_component, with_scales
-from linksweep.sweep.result import kind_of
+from linksweep.sweep.result import Result
 from linksweep.sweep.studies.study import POINT
 
 # A map is the default if two axes have at least this many points each, and it has at most so many panels; curves are
@@ -40,7 +45,7 @@ def draw_figure(
     A link or a forecast has its own kinds.
     Raises SweepError for a kind that the dataset cannot have, naming those that it can.
     """
-    what = kind_of(dataset)
+    what = Result(dataset).kind
     if what == "grid":
         return _study_figure(dataset, kind, variables, over, log, linear)
     if log or linear:
@@ -61,7 +66,7 @@ def draw_figure(
 
 def all_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:
     """Return all figures that a link or a forecast can have, by kind."""
-    figures, what = {}, kind_of(dataset)
+    figures, what = {}, Result(dataset).kind
     for name in KINDS[what]:
         with suppress(SweepError):  # says what the dataset lacks
             figures[name] = _titled(dataset, what, name, titled)

@@ -255,15 +255,16 @@ def _draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over
     There is one colour for every combination of the other dimensions that the study does not exclude everywhere.  The
     dashed guide has the exponent that a claim of the study states, and meets the law at its pivot.
     """
-    grid, result = lines(dataset, variable, over), fit_power_law(dataset, variable, over)
-    exponents = result["expected"].values.reshape(-1) if "expected" in result else np.full(len(grid), np.nan)
+    along, result = lines(dataset, variable, over), fit_power_law(dataset, variable, over)
+    exponents = result["expected"].values.ravel() if "expected" in result else np.full(len(along.lines), np.nan)
     guides: set[str] = set()
-    for number, i in enumerate(np.flatnonzero(grid.used.any(axis=1)).tolist()):
-        used, style = grid.used[i], marks(number, 3.5)
-        x, y, errors, place = grid.x[used], grid.value[i, used], grid.errors_of(i), grid.place(i)
-        words = ", ".join(value_text(dataset, d, place[d]) for d in grid.dims if grid.grid.sizes[d] > 1)
+    drawn = [(line, expected) for line, expected in zip(along.lines, exponents, strict=True) if len(line.x)]
+    for number, (line, expected) in enumerate(drawn):
+        x, y, errors = line.x, line.y, line.errors
+        style, place = marks(number, 3.5), along.place(line)
+        words = ", ".join(value_text(dataset, d, place[d]) for d in along.dims if along.grid.sizes[d] > 1)
         error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
-        law, fine, expected = power_law(x, y, errors, grid.samples), np.geomspace(x.min(), x.max(), 100), exponents[i]
+        law, fine = power_law(x, y, errors, line.samples), np.geomspace(x.min(), x.max(), 100)
         curve, half, band = law(fine), law.relative_error(fine), {"color": style["color"], **BAND}
         fitted = _power(dataset, over, with_error(law.exponent, law.exponent_error).replace(" ± ", r" \pm "))
         text = f"{words}: {fitted}" if words else SIMULATED if error.any() else COMPUTED

@@ -16,7 +16,7 @@ from linksweep.core.missions.calibrate import IN_CODE, Model, all_skies, fit, pu
 from linksweep.core.scenario import scenario
 from linksweep.sweep.contract import Named, SweepError, shown, suggest
 from linksweep.sweep.planning.grid import Grid
-from linksweep.sweep.planning.streams import generators
+from linksweep.sweep.planning.plan import generators
 from linksweep.sweep.plots.style import BAND, COLOURS, entitle, finish, label, legend, logarithmic, new_figure
 from linksweep.sweep.running.reproduce import place_of, study_to_look_at
 from linksweep.sweep.stores.location import Where

@@ -12,7 +12,7 @@ import xarray as xr
 from linksweep.sweep.analysis.answer import answer_in_short, completeness
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import harmless, with_micro_signs
-from linksweep.sweep.result import STORED_TABLES, Result, kind_of
+from linksweep.sweep.result import Result
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,11 @@ class Card:
 
 def card(dataset: xr.Dataset) -> Card:
     """Return the card of a study's results, a link or a forecast; raises SweepError for any other dataset."""
-    if kind_of(dataset) in STORED_TABLES:
-        return Card(str(dataset.attrs.get("title", "")), "", [], dataset, Result(dataset).written("text"))
-    title, question = (str(dataset.attrs.get(name, "")) for name in ("title", "question"))
-    return Card(title, question, [*completeness(dataset), *answer_in_short(dataset)], dataset)
+    result = Result(dataset)
+    if result.is_stored_table:
+        return Card(result.title, "", [], dataset, result.written("text"))
+    question, sentences = str(dataset.attrs.get("question", "")), [*completeness(dataset), *answer_in_short(dataset)]
+    return Card(result.title, question, sentences, dataset)
 
 
 def _picture(dataset: xr.Dataset) -> str:

@@ -13,17 +13,16 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
+from linksweep.sweep.code.load import identity
 from linksweep.sweep.contract import ResultError, SweepError, Value, shown, suggest
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.task import Task, TaskResult
-from linksweep.sweep.executing.versions import identity
 from linksweep.sweep.executing.worker import run_task
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.running.code import asking, differences_of_code, ours_alone, records_of
 from linksweep.sweep.running.run import Session
-from linksweep.sweep.running.trust import asking, ours_alone
-from linksweep.sweep.stores.code import differences_of_code
 from linksweep.sweep.stores.location import Where, located
 from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.document import parse_places, parse_value
@@ -69,7 +68,7 @@ def study_of(store: Where, *, trust: bool = False) -> Study:
     """Return the study whose results a store holds, with its experiment imported.
 
     Raises SweepError if there is none or it cannot be made again, and where its code needs the user's ``trust`` (see
-    `sweep.running.trust`).
+    `sweep.running.code`).
     """
     return _study_of(OpenStore(store), trust)
 
@@ -115,9 +114,8 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     if status == Status.DONE:
         pairs = _pairs(stored, result)
         differences = {name: pair for name, pair in pairs.items() if not _equal(*pair)}
-    return Reproduction(
-        describe(study, place), result, status.word, differences, differences_of_code(opened.attributes, study)
-    )
+    other_code = differences_of_code(records_of(opened.attributes), study)
+    return Reproduction(describe(study, place), result, status.word, differences, other_code)
 
 
 def verify(study: Study, where: Where, number: int) -> Verified:

@@ -17,10 +17,10 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.stores.snapshot import FILL, MISSING_INT, dask_arrays_only_where_imported, with_gaps
+from linksweep.sweep.stores.store import FILL, MISSING_INT, dask_arrays_only_where_imported, with_gaps
 from linksweep.sweep.studies.study import POINT, printed_rounding
 
-dask_arrays_only_where_imported()  # before the first dataset is made here; `snapshot.decode` does so before one is read
+dask_arrays_only_where_imported()  # before the first dataset is made here; `decode` does so before one is read
 
 
 def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:

@@ -11,16 +11,14 @@ from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources
 from linksweep.sweep.executing.task import Executor, RefusedError, TaskResult
 from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.checked_grid import make_grid
-from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.grid import Grid, make_grid
 from linksweep.sweep.planning.plan import Plan, Survey, Work
 from linksweep.sweep.planning.work_queue import TUNED, Tuning
+from linksweep.sweep.running.code import check_code, record_code
 from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
 from linksweep.sweep.running.study_store import check_points, create_store, find_store, open_store, replace_store
 from linksweep.sweep.running.writer import Taken, Writer
-from linksweep.sweep.stores.code import check_code, record_code
-from linksweep.sweep.stores.location import Where, writing
-from linksweep.sweep.stores.lock import locked
+from linksweep.sweep.stores.location import Where, locked, writing
 from linksweep.sweep.stores.store import Store
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded
 from linksweep.sweep.studies.study import Study

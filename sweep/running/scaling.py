@@ -19,7 +19,6 @@ from linksweep.sweep.planning.plan import Survey
 from linksweep.sweep.running.run import Silent, run_study
 from linksweep.sweep.studies.record import provenance
 from linksweep.sweep.studies.study import Study
-from linksweep.sweep.table_writer import Column, Table
 
 KINDS = ("strong", "weak")
 MAX_WORKERS = 4096
@@ -85,24 +84,6 @@ def measure_scaling(
         cores=available_cores(),
         load_average=os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan"),
     )
-
-
-def tables(dataset: xr.Dataset) -> list[Table]:
-    """Return the measurements for reading."""
-    columns = records(dataset).columns
-    cells = [[f"{v:.3g}" if isinstance(v, float) else str(v) for v in column.values] for column in columns]
-    return [Table([replace(column, cells=shown) for column, shown in zip(columns, cells, strict=True)])]
-
-
-def notes(_dataset: xr.Dataset) -> list[str]:
-    """Return nothing: the table says it all."""
-    return []
-
-
-def records(dataset: xr.Dataset) -> Table:
-    """Return the measurements with one row for each kind and number of workers."""
-    frame = dataset[["seconds", "start_seconds", "speedup", "efficiency"]].to_dataframe().reset_index()
-    return Table([Column(str(name), frame[name].tolist()) for name in frame])
 
 
 def _check(study: Study, workers: Sequence[int], repetitions: int) -> None:

@@ -15,8 +15,7 @@ from linksweep.sweep.planning.point_status import Status, count_status
 from linksweep.sweep.running.progress import by_axis
 from linksweep.sweep.running.run import plan_study
 from linksweep.sweep.running.writer import failures_by_place
-from linksweep.sweep.stores.location import Where
-from linksweep.sweep.stores.lock import holder
+from linksweep.sweep.stores.location import Where, holder
 from linksweep.sweep.stores.store import BLOCKS, UNFINISHED, OpenStore, is_new
 from linksweep.sweep.studies.record import recorded_study
 from linksweep.sweep.studies.study import Study

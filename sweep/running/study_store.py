@@ -8,8 +8,8 @@ from linksweep.sweep.contract import Named, SweepError
 from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.store import OpenStore, Store
+from linksweep.sweep.studies.points import DESIGNS
 from linksweep.sweep.studies.study import Study
-from linksweep.sweep.studies.values import DESIGNS
 from linksweep.sweep.tables.file import content_digest
 
 RESERVED = {"blocks"}

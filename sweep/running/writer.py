@@ -23,8 +23,8 @@ from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe
 from linksweep.sweep.planning.plan import Plan, PlanSize, Work
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.work_queue import TUNED, Pending, Tuning
+from linksweep.sweep.running.code import codes_of_points, records_of
 from linksweep.sweep.running.study_store import create_store, hold, identity
-from linksweep.sweep.stores.code import codes_of_points, records_of
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.store import RESCUED, Store, free_beside
 from linksweep.sweep.studies.record import RECORD, provenance, recorded

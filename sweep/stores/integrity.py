@@ -9,14 +9,16 @@ of its own writing: that of the ledger can only be the same or a later one.
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from hashlib import blake2b
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, Json, ValidationError, model_validator
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, ValidationError, model_validator
 
-FORMAT = 5
+FORMAT = 6
 
 ROOT, MANIFEST = "zarr.json", "blocks/zarr.json"
 
@@ -27,7 +29,7 @@ LEDGER_THEN = "manifest"
 """The attribute of the root document with the manifest of the ledger at the time of writing."""
 
 CHUNKS = "chunk_checksums"
-"""The attribute of the root document with the checksums of the chunks that it refers to."""
+"""The attribute of the root document with the names of the files of all chunks of the dataset, and their checksums."""
 
 ANOTHER = "it is whole, but of another writing or another store"
 MISSING = "it is missing"
@@ -38,29 +40,20 @@ axes have the same chunks whatever their types, as Dask wants.
 """
 
 MOST_BYTES = 2**31
-"""The most bytes of a row, or of one part, of the ledger."""
+"""The most bytes of a file of the ledger, unpacked."""
 
-
-class DamagedError(ValueError):
-    """Files that are not what was written; ``files`` maps their names to what is wrong."""
-
-    def __init__(self, files: dict[str, str]) -> None:
-        super().__init__("; ".join(f"{file}: {problem}" for file, problem in files.items()))
-        self.files = files
+TYPES = ("<f8", "<i8", "|b1", "<M8[ns]", "|O")
+"""Types of the fields of a row of the ledger; the last is text."""
 
 
 @contextmanager
-def noting(damaged: dict[str, str], file: str | None = None) -> Iterator[None]:
-    """Go on after a DamagedError, whose files are added to ``damaged``, and after an error that the content of ``file``
-    causes: one that is forged may be too large or too deep.
+def noting(damaged: dict[str, str], file: str) -> Iterator[None]:
+    """Add a ``file`` to ``damaged`` and go on after an error that its content causes: one that is forged may be too
+    large or too deep.
     """
     try:
         yield
-    except DamagedError as error:
-        damaged.update(error.files)
-    except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, RecursionError) as error:
-        if file is None:
-            raise
+    except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, RuntimeError) as error:
         damaged[file] = str(error) or type(error).__name__
 
 
@@ -74,8 +67,16 @@ def problem_of(content: bytes | None, expected: str | None) -> str | None:
     return MISSING if content is None else None if checksum(content) == expected else "its content is another one"
 
 
+def whole(content: bytes | None, expected: str) -> bytes:
+    """Return the content of a file; raises ValueError where it is missing or another one than is expected."""
+    if problem := problem_of(content, expected):
+        raise ValueError(problem)
+    return content or b""
+
+
 def sealed(document: Mapping[str, Any], file: str) -> bytes:
     """Return a document, with its checksum, as it is stored in a file of this name."""
+    # What a reader will see: keys are texts, tuples are lists.
     plain = json.loads(json.dumps(document))
     plain["attributes"].pop(SEAL, None)
     plain["attributes"][SEAL] = _digest(file, plain)
@@ -116,38 +117,78 @@ def _digest(file: str, document: Mapping[str, Any]) -> str:
 # What the documents may say: every field that is read, with its type and its limits.  A store may come from a stranger,
 # and a checksum can be forged; nothing else needs to look twice at what it has read.
 
+Model = TypeVar("Model", bound=BaseModel)
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Size = Annotated[int, Field(gt=0, lt=2**48)]
 Object = dict[str, Any]
 Texts = dict[str, str]
 Name = Annotated[str, Field(pattern=r"^[^/]+$", max_length=255)]
 FileName = Annotated[str, Field(pattern=r"^[a-z]+\.\d{1,18}\.\d{1,9}$")]
+ChunkName = Annotated[str, Field(pattern=r"^[^/.][^/]*/(c|c\.|\d)[\d.]*$", max_length=512)]
+Digest = Annotated[str, Field(pattern=r"^[0-9a-f]{32}$")]
+
+
+def row_type(row: Sequence[Any]) -> np.dtype[np.void]:
+    """Return the type of rows that a manifest tells; raises ValueError for any other than linksweep writes."""
+    fields: list[Any] = []
+    for name, kind, *shape in row:
+        if isinstance(kind, list) and not (inner := row_type(kind)).hasobject:
+            fields.append((str(name), inner))
+        elif kind in TYPES and all(isinstance(n, int) and n >= 0 for sizes in shape for n in sizes):
+            fields.append((str(name), kind, *map(tuple, shape)))
+        else:
+            raise ValueError("its rows have another type")
+    return np.dtype(fields)
+
+
+def _is_row(row: list[Any]) -> list[Any]:
+    try:
+        row_type(row)
+    except (TypeError, RecursionError) as error:
+        raise ValueError("its rows have another type") from error
+    return row
 
 
 class _Part(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
-class File(BaseModel):
-    """A file of the ledger: its name in the folder of the ledger, its checksum, and how many records it has."""
-
+class _Written(BaseModel):
+    # Forbids what a newer version may add: such a manifest must not be continued as if that had no meaning.
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+class File(_Written):
+    """A file of the ledger: its name in the folder of the ledger, its checksum, and how long it is unpacked."""
+
     name: FileName
     checksum: str
-    records: Annotated[int, Field(ge=0, lt=2**40)] = 0
+    size: Annotated[int, Field(ge=0, lt=MOST_BYTES)]
 
 
-class Manifest(BaseModel):
-    """What counts of the ledger of a ``store``: the type of its rows, the floats of a kept realisation, the files of
-    its columns, and its documents by their kind.
+class Part(_Written):
+    """Rows that were written together: how many, their file, and that of their samples if these are kept."""
+
+    records: Annotated[int, Field(ge=0, lt=2**28)]
+    rows: File
+    samples: File | None = None
+
+    @property
+    def files(self) -> list[File]:
+        """The files of this part."""
+        return [self.rows] if self.samples is None else [self.rows, self.samples]
+
+
+class Manifest(_Written):
+    """What counts of the ledger of a ``store``: the type of its rows, the floats of a kept realisation, its parts, and
+    its documents by their kind.
     """
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
     store: str
     revision: Count = 0
-    row: list[Any] = []
+    row: Annotated[list[Any], AfterValidator(_is_row)] = []
     samples_width: Annotated[int, Field(ge=0, lt=2**28)] = 0
-    columns: dict[Literal["rows", "samples", "texts"], list[File]] = {}
+    parts: list[Part] = []
     documents: dict[Literal["failures", "study"], File] = {}
 
     def sealed(self) -> bytes:
@@ -155,19 +196,24 @@ class Manifest(BaseModel):
         return sealed(group_document({"manifest": self.model_dump()}), MANIFEST)
 
 
+class Failures(_Part):
+    """The document of failed points: the record of each by its digest in hexadecimal."""
+
+    failures: dict[Digest, Texts]
+
+
 def read_manifest(content: bytes | None) -> Manifest:
     """Return the manifest in a ledger's file; raises ValueError where it is missing or damaged."""
-    try:
-        return Manifest.model_validate(unsealed(content, MANIFEST)["attributes"].get("manifest"))
-    except ValidationError as error:
-        raise ValueError("it is no manifest of a ledger") from error
+    return checked(Manifest, unsealed(content, MANIFEST)["attributes"].get("manifest"))
 
 
 def newest(content: bytes | None, of_root: Manifest) -> Manifest:
     """Return the manifest in a ledger's file; raises ValueError where it is damaged, or older than that ``of_root``."""
     if content is None and not of_root.revision:
-        return of_root  # a run that has just begun
+        # A run that has just begun.
+        return of_root
     manifest = read_manifest(content)
+    # The root has the manifest of its own writing; after that the ledger only grows.
     is_older = manifest.revision <= of_root.revision and manifest != of_root
     if is_older or manifest.store != of_root.store:
         raise ValueError(ANOTHER)
@@ -183,15 +229,6 @@ class _Grid(_Part):
     configuration: _Chunks
 
 
-class _Separator(_Part):
-    separator: Literal["."]
-
-
-class _Encoding(_Part):
-    name: Literal["default", "v2"]
-    configuration: _Separator
-
-
 class _Codec(_Part):
     name: Literal["bytes", "vlen-utf8", "zstd", "crc32c"]
 
@@ -199,7 +236,6 @@ class _Codec(_Part):
 class _Array(_Part):
     shape: list[Count]
     chunk_grid: _Grid
-    chunk_key_encoding: _Encoding
     codecs: list[_Codec]
     dimension_names: list[Name] = []
     attributes: Object
@@ -255,7 +291,7 @@ class _Attributes(_Part):
     study_meaning: Json[_Meaning]
     study_axes: Json[list[str]]
     manifest: Json[Manifest] = Manifest(store="")
-    chunk_checksums: Json[dict[Name, list[str]]] = {}
+    chunk_checksums: Json[dict[ChunkName, str]] = {}
     experiment_record: Json[_Record] | None = None
     study_document: Json[Object] | None = None
     merged: Json[list[Object]] = []
@@ -295,25 +331,28 @@ class _Root(_Part):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        arrays, checksums = self.consolidated_metadata.metadata, self.attributes.chunk_checksums
-        if {name: array.chunks for name, array in arrays.items()} != {n: len(found) for n, found in checksums.items()}:
+        # An array of which chunks are not listed would be read as empty there, however large it says that it is.
+        listed = Counter(file.partition("/")[0] for file in self.attributes.chunk_checksums)
+        expected = {name: array.chunks for name, array in self.consolidated_metadata.metadata.items()}
+        if listed != Counter(expected):
             raise ValueError("it has other checksums than chunks")
         return self
 
 
 def check_root(document: Mapping[str, Any]) -> None:
     """Raise ValueError, which names the first field, for a root document that linksweep does not write."""
-    _check(_Root, document)
+    checked(_Root, document)
 
 
 def check_attributes(attributes: Mapping[str, Any]) -> None:
     """Raise ValueError for attributes of a root document that linksweep does not write."""
-    _check(_Attributes, {**attributes, "generation": 0})
+    checked(_Attributes, {**attributes, "generation": 0})
 
 
-def _check(kind: type[BaseModel], found: Any) -> None:
+def checked(kind: type[Model], document: Any) -> Model:
+    """Return a document of this kind; raises ValueError that names the first field which is wrong."""
     try:
-        kind.model_validate(found)
+        return kind.model_validate(document)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"]))

@@ -1,23 +1,32 @@
-"""Where a store is: a folder of this machine or a prefix in a bucket, with files that have names like ``a/b/c``.
+"""Where a store is, a folder of this machine or a prefix in a bucket, and who may write there.
 
-Both can replace a file in one step, make one only if there is none (`create`), and replace one only if it has not
-changed (`swap`); ledger, dataset and lock need nothing else.
+Both kinds of places have files with names like ``a/b/c``, and three ways to write one: replace it in one step (`put`),
+make it only if there is none (`create`), replace it only if it has not changed (`swap`).  Ledger, dataset and lock need
+nothing else.
 """
 
 import fcntl
+import json
 import os
+import platform
+import re
 import stat
+import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime, timedelta
+from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Union
+from typing import TYPE_CHECKING, Literal
+from urllib.parse import urlsplit
 from uuid import uuid4
 
 from linksweep.sweep.contract import SweepError
 
 if TYPE_CHECKING:
-    from linksweep.sweep.stores.bucket import Bucket
+    from obstore.store import S3Store
 
 TAKING = ".taking"
 """Ends the name of the file that stands for the system's lock where there is none."""
@@ -27,6 +36,17 @@ UNFINISHED = ".partial"
 
 RESULTS = Path("results")
 """The folder where a run puts its store by default."""
+
+AT_ONCE = 16
+"""Requests to a bucket under way at a time: an answer takes tens of milliseconds, whatever its size."""
+
+TIMEOUT = timedelta(seconds=15)
+"""How long a request to a bucket is tried again after dropped connections and errors of the server."""
+
+ADDRESS = re.compile(r"s3:/{1,2}(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])/+(?P<prefix>[^/].*?)/*")
+
+ATTEMPTS, PAUSE_S = 100, 0.02
+"""How often, and after which pause, a process tries to take a lock that others take at the same time."""
 
 
 @dataclass(frozen=True)
@@ -47,24 +67,19 @@ class Folder:
     @property
     def name(self) -> str:
         """The folder's own name, whatever links lead to it: two names of one store have one lock."""
-        return self._real.name
+        return os.path.basename(os.path.realpath(self.path))
 
     @property
     def parent(self) -> "Folder":
         """The folder around it."""
-        return Folder(self._real.parent)
-
-    @property
-    def _real(self) -> Path:
-        """The path with links resolved as far as possible; `Path.resolve` raises where links form a loop."""
-        return Path(os.path.realpath(self.path))
+        # Path.resolve raises where links form a loop.
+        return Folder(Path(os.path.realpath(self.path)).parent)
 
     def get(self, key: str) -> bytes | None:
         """Return the content of a file, None where there is none."""
-        try:
+        with suppress(FileNotFoundError, NotADirectoryError):
             return self._at(key).read_bytes()
-        except (FileNotFoundError, NotADirectoryError):
-            return None
+        return None
 
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes | None]:
         """Return the contents of files."""
@@ -73,6 +88,7 @@ class Folder:
     def put(self, key: str, content: bytes) -> None:
         """Write a file by renaming a finished one, and wait until it and its name are on the disk."""
         path = self._write(key, content, durable=True)
+        # A rename is lost with the power unless the folder, too, is written: its entry is what names the new content.
         folder = os.open(path.parent, os.O_RDONLY)
         try:
             os.fsync(folder)
@@ -87,28 +103,41 @@ class Folder:
     def create(self, key: str, content: bytes) -> bool:
         """Write a file unless there is one, by linking a finished one to its name; return whether it was written."""
         path = self._at(key)
-        path.parent.mkdir(parents=True, exist_ok=True)
         with suppress(FileExistsError), _finished(path, content, durable=True) as temporary:
+            # A link fails where the name exists, and brings the whole content with it: no reader sees half a lock.
             try:
                 os.link(temporary, path)
             except FileExistsError:
                 raise
-            except OSError:  # a file system without links
+            except OSError:
+                # A file system without links.
                 with path.open("xb") as file:
                     file.write(content)
             return True
         return False
 
     def swap(self, key: str, old: bytes, new: bytes) -> bool:
-        """Replace a file if it still holds ``old``, while holding the system's lock on the file to be replaced.
-
-        Return whether it was replaced; of two processes that try, only one succeeds.
+        """Replace a file if it still holds ``old``; of two processes that try, only one succeeds.  Return whether it
+        was replaced.
         """
         path = self._at(key)
-        with suppress(FileNotFoundError, FileExistsError), path.open("rb") as file, _alone(file, path):
-            if self.get(key) == old and os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                self._write(key, new, durable=True)
-                return True
+        guard = path.with_name(f"{path.name}{TAKING}")
+        has_guard = False
+        with suppress(FileNotFoundError, FileExistsError), path.open("rb") as file:
+            try:
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX)
+                except OSError:
+                    # Some network disks have no locks; a file that only one process can make has to do.
+                    guard.touch(exist_ok=False)
+                    has_guard = True
+                # Who waited for the lock of a file that was replaced meanwhile does not hold that of the new one.
+                if self.get(key) == old and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                    self._write(key, new, durable=True)
+                    return True
+            finally:
+                if has_guard:
+                    guard.unlink(missing_ok=True)
         return False
 
     def delete(self, key: str) -> None:
@@ -119,24 +148,30 @@ class Folder:
         """Remove all files, and the folder with all its folders if nothing is left in them."""
         for key in self.keys():
             self.delete(key)
-        for folder, _, _ in os.walk(self._real, topdown=False):
+        for folder, _, _ in os.walk(os.path.realpath(self.path), topdown=False):
             with suppress(OSError):
                 os.rmdir(folder)
 
     def keys(self, under: str = "") -> list[str]:
-        """Return the names of all finished files that begin with ``under``, a name with a slash at its end or empty."""
-        found: list[str] = []
-        for folder, folders, names in os.walk(self._at(under), onerror=_raise_unless_missing):
+        """Return the names of all finished files that begin with ``under``, a name with a slash at its end or empty.
+
+        Raises OSError as `require_plain`.
+        """
+
+        def unless_missing(error: OSError) -> None:
+            if not isinstance(error, FileNotFoundError | NotADirectoryError):
+                raise error
+
+        keys: list[str] = []
+        for folder, folders, names in os.walk(self._at(under), onerror=unless_missing):
             relative = Path(folder).relative_to(self.path)
             for name in (*folders, *names):
                 _refuse_special(os.path.join(folder, name), (relative / name).as_posix())
-            found += [(relative / name).as_posix() for name in names if not name.endswith(UNFINISHED)]
-        return sorted(found)
+            keys += [(relative / name).as_posix() for name in names if not name.endswith(UNFINISHED)]
+        return sorted(keys)
 
     def require_plain(self) -> None:
-        """Raise OSError where something inside is neither a file nor a folder: who follows a link reads, and writes,
-        what lies outside.
-        """
+        """Raise OSError where something inside is neither a file nor a folder."""
         self.keys()
 
     def is_free(self) -> bool:
@@ -149,7 +184,7 @@ class Folder:
         """Say what keeps a store from being made here: a file in the way, or a folder that cannot be written."""
         if self.path.exists():
             return None if self.path.is_dir() else "is a file, not a Zarr store"
-        parent = next(p for p in self.path.absolute().parents if p.exists())
+        parent = next(p for p in self.path.parents if p.exists())
         if parent.is_dir() and os.access(parent, os.W_OK | os.X_OK):
             return None
         return f"cannot make a store there: {parent} is not a directory that can be written"
@@ -158,7 +193,9 @@ class Folder:
     def tidied(self) -> Iterator[None]:
         """Remove folders that were not there before and are empty now."""
         folders = (self.path, *self.path.parents)
-        missing = [folder for folder in folders if not os.path.exists(folder)]  # no error where a name is too long
+        # The lock beside a store makes `results/` even for a run that is refused a moment later.
+        # No error where a name is too long.
+        missing = [folder for folder in folders if not os.path.exists(folder)]
         try:
             yield
         finally:
@@ -168,6 +205,7 @@ class Folder:
 
     def _at(self, key: str) -> Path:
         """Return where a file is or will be; raises OSError where that, or a folder on the way to it, is special."""
+        # Every folder on the way, since a link anywhere leads outside; `resolve` would follow it.
         names = key.rstrip("/").split("/")
         for number in range(1, len(names) + 1):
             name = "/".join(names[:number])
@@ -176,7 +214,6 @@ class Folder:
 
     def _write(self, key: str, content: bytes, *, durable: bool) -> Path:
         path = self._at(key)
-        path.parent.mkdir(parents=True, exist_ok=True)
         with _finished(path, content, durable=durable) as temporary:
             temporary.replace(path)
         return path
@@ -185,6 +222,7 @@ class Folder:
 @contextmanager
 def _finished(path: Path, content: bytes, *, durable: bool) -> Iterator[Path]:
     """Give a temporary file beside ``path`` with this content; it is removed afterwards unless it was renamed."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{path.name}.{uuid4().hex[:12]}{UNFINISHED}")
     try:
         with temporary.open("wb") as file:
@@ -197,40 +235,179 @@ def _finished(path: Path, content: bytes, *, durable: bool) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-@contextmanager
-def _alone(file: BinaryIO, path: Path) -> Iterator[None]:
-    """Hold the system's lock on an open file; where there are none, as on some network disks, a file beside ``path``
-    that only one process can make.  Raises FileExistsError where another has made that.
-    """
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX)
-    except OSError:
-        guard = path.with_name(f"{path.name}{TAKING}")
-        guard.touch(exist_ok=False)
-        try:
-            yield
-        finally:
-            guard.unlink(missing_ok=True)
-    else:
-        yield
-
-
 def _refuse_special(path: str, name: str) -> None:
+    # Who follows a link in a store that came from elsewhere reads, or overwrites, what lies outside.
     try:
         mode = os.lstat(path).st_mode
-    except OSError:  # nothing is there, or reading it will say why it cannot be
+    except OSError:
+        # Nothing is there, or reading it will say why it cannot be.
         return
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         kind = "a symbolic link" if stat.S_ISLNK(mode) else "a pipe, a socket or a device"
         raise OSError(f"{name} is {kind}, which is neither read nor written through; remove it")
 
 
-def _raise_unless_missing(error: OSError) -> None:
-    if not isinstance(error, FileNotFoundError | NotADirectoryError):
-        raise error
+@dataclass(frozen=True)
+class Bucket:
+    """All objects of a bucket of S3, or of a server with its interface, whose names begin with a prefix and a slash;
+    credentials and endpoint are those of the usual environment variables.
+    """
+
+    bucket: str
+    prefix: str
+
+    def __str__(self) -> str:
+        return f"s3://{self.bucket}/{self.prefix}".rstrip("/")
+
+    @property
+    def name(self) -> str:
+        """The last part of the prefix."""
+        return self.prefix.rpartition("/")[2]
+
+    @property
+    def parent(self) -> "Bucket":
+        """What is around the prefix."""
+        return Bucket(self.bucket, self.prefix.rpartition("/")[0])
+
+    @cached_property
+    def objects(self) -> "S3Store":
+        """The bucket under the prefix, as a store of obstore; Zarr's ObjectStore takes it too."""
+        from obstore.store import S3Store
+
+        is_here = urlsplit(_endpoint()).hostname in ("localhost", "127.0.0.1", "::1")
+        return S3Store(
+            self.bucket,
+            prefix=self.prefix or None,
+            client_options={
+                "allow_http": is_here or os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true"),
+                # So that a server which drops packets is tried three times.
+                "connect_timeout": TIMEOUT / 3,
+                "timeout": timedelta(seconds=60),
+            },
+            retry_config={
+                "max_retries": 100,
+                "retry_timeout": TIMEOUT,
+                "backoff": {"init_backoff": timedelta(seconds=0.1), "max_backoff": timedelta(seconds=2), "base": 2},
+            },
+        )
+
+    def get(self, key: str) -> bytes | None:
+        """Return the content of an object, None where there is none."""
+        with suppress(FileNotFoundError), self._request():
+            return bytes(self.objects.get(key).bytes())
+        return None
+
+    def get_all(self, keys: Iterable[str]) -> dict[str, bytes | None]:
+        """Return the contents of objects, some at a time."""
+        # Threads and not asyncio: a notebook runs its own loop.
+        names = list(keys)
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            return dict(zip(names, pool.map(self.get, names), strict=True))
+
+    def put(self, key: str, content: bytes) -> None:
+        """Write or replace an object."""
+        with self._request():
+            self.objects.put(key, content)
+
+    def put_all(self, files: Mapping[str, bytes]) -> None:
+        """Write objects, some at a time."""
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            list(pool.map(self.put, files.keys(), files.values()))
+
+    def create(self, key: str, content: bytes) -> bool:
+        """Write an object unless there is one: a put that the server refuses in that case."""
+        with suppress(FileExistsError), self._request():
+            self.objects.put(key, content, mode="create")
+            return True
+        return False
+
+    def swap(self, key: str, old: bytes, new: bytes) -> bool:
+        """Replace an object if it still holds ``old``: a put that the server refuses if it was written since then."""
+        with suppress(FileExistsError, FileNotFoundError), self._request():
+            answer = self.objects.get(key)
+            if bytes(answer.bytes()) == old:
+                self.objects.put(key, new, mode={"e_tag": answer.meta["e_tag"]})
+                return True
+        return False
+
+    def delete(self, key: str) -> None:
+        """Remove an object if there is one."""
+        until = time.monotonic() + TIMEOUT.total_seconds()
+        while True:
+            # S3 deletes by a POST, which obstore does not repeat after a broken connection, since it cannot know that
+            # this one may be repeated.
+            try:
+                with suppress(FileNotFoundError), self._request():
+                    self.objects.delete(key)
+                return
+            except OSError:
+                if time.monotonic() > until:
+                    raise
+                time.sleep(0.2)
+
+    def clear(self) -> None:
+        """Remove all objects."""
+        for key in self.keys():
+            self.delete(key)
+
+    def keys(self, under: str = "") -> list[str]:
+        """Return the names of all objects that begin with ``under``."""
+        with self._request():
+            return sorted(entry["path"] for page in self.objects.list(under or None) for entry in page)
+
+    def require_plain(self) -> None:
+        """Do nothing, since a bucket has no links."""
+
+    def is_free(self) -> bool:
+        """Return whether there is no object."""
+        with self._request():
+            return not any(page for page in self.objects.list(chunk_size=1))
+
+    def obstacle(self) -> str | None:
+        """Return None: nothing can be told without an attempt to write."""
+        return None
+
+    def tidied(self) -> AbstractContextManager[None]:
+        """Do nothing, since a bucket has no folders."""
+        return nullcontext()
+
+    @contextmanager
+    def _request(self) -> Iterator[None]:
+        """Turn the errors of a request into those that a file would raise, with one sentence."""
+        from obstore import exceptions
+
+        try:
+            yield
+        except (exceptions.AlreadyExistsError, exceptions.PreconditionError) as error:
+            raise FileExistsError(str(error)) from error
+        except (exceptions.BaseError, FileNotFoundError) as error:
+            if "NoSuchBucket" in str(error):
+                raise OSError(f"there is no bucket {self.bucket!r}") from error
+            if isinstance(error, FileNotFoundError):
+                raise
+            raise OSError(_explained(error)) from error
 
 
-Location = Union[Folder, "Bucket"]
+def _explained(error: Exception) -> str:
+    from obstore import exceptions
+
+    text, endpoint = str(error), _endpoint() or "AWS"
+    if isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError):
+        return f"{endpoint} refuses these credentials (AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY)"
+    if "169.254.169.254" in text or "/latest/api/token" in text:
+        # Where a machine of AWS would find them.
+        return "there are no credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+    if "BadScheme" in text:
+        return f"{endpoint} is not encrypted; AWS_ALLOW_HTTP=true allows that"
+    reason = text.strip().splitlines()[0].rpartition(" - ")[2]
+    return f"{endpoint} does not answer as it should: {reason[:300]}"
+
+
+def _endpoint() -> str:
+    return os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
+
+
+Location = Folder | Bucket
 """A place for the files of a store.  Both kinds have the same methods, which raise OSError where they fail."""
 
 Where = str | Path | Location
@@ -244,13 +421,18 @@ def located(where: Where) -> Location:
     if not isinstance(where, str | Path):
         return where
     address = str(where)
-    if address.startswith("s3:/"):  # pathlib makes one slash of two
+    if address.startswith("s3:/"):
+        # `Path` makes one slash of two.
+        match = ADDRESS.fullmatch(address)
+        if match is None or any(part in ("", ".", "..") for part in match["prefix"].split("/")):
+            rule = "with a bucket of 3 to 63 small letters, digits, dots and dashes"
+            raise SweepError(f"cannot be a store: its address must be s3://BUCKET/NAME, {rule}", address)
         try:
-            from linksweep.sweep.stores.bucket import bucket_at
+            import obstore  # noqa: F401 (only to see whether it is there)
         except ImportError as error:
             missing = f"stores in a bucket need obstore: pip install 'linksweep[s3]' ({error})"
             raise SweepError(missing, address) from error
-        return bucket_at(address)
+        return Bucket(match["bucket"], match["prefix"])
     scheme, separator, _ = address.partition("://")
     if separator:
         raise SweepError(f"cannot be a store: {scheme}:// is not known; a store is a path or s3://BUCKET/NAME", address)
@@ -284,8 +466,10 @@ def default_store(name: str) -> Path:
 def store_named(where: Where) -> Location:
     """Return the place that an address, a path or the name of a study names; an existing path takes precedence."""
     if isinstance(where, str) and Path(where).name == where:
+        # A path with a folder is never a name.
         default = default_store(where.removesuffix(".toml"))
-        with suppress(OSError, ValueError):  # names that no file can have
+        with suppress(OSError, ValueError):
+            # There are names that no file can have.
             if not Path(where).exists() and default.exists():
                 return located(default)
     return located(where)
@@ -296,3 +480,139 @@ def short_name(store: Location) -> str:
     text = str(store)
     name = Path(text).name.removesuffix(".zarr")
     return name if Path(text) == default_store(name) and not Path(name).exists() else text
+
+
+@dataclass(frozen=True)
+class Holder:
+    """Who holds the lock of a store: the content of the file ``STORE.lock`` beside it.
+
+    ``boot`` distinguishes hosts of the same name, and processes before and after a restart; ``started``, in ticks of
+    the kernel since the boot, distinguishes a process from a later one with the same number.  Both are empty where the
+    system has no /proc.
+    """
+
+    host: str
+    boot: str
+    pid: int
+    started: str
+    since: str
+    token: str
+
+    def __str__(self) -> str:
+        return f"process {self.pid} on {self.host}, since {self.since}"
+
+    def state(self) -> Literal["runs", "has ended", "cannot be judged"]:
+        """Say whether the holder runs, as far as that can be told on this host."""
+        # Process numbers mean nothing elsewhere: another host, a container with a namespace of its own, after a reboot.
+        if (self.host, self.boot) != _this_host():
+            return "cannot be judged"
+        if self.started:
+            return "runs" if _start_of(self.pid) == self.started else "has ended"
+        import psutil
+
+        return "runs" if psutil.pid_exists(self.pid) else "has ended"
+
+
+@contextmanager
+def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
+    """Hold the lock of a store; raises SweepError that names the holder where another process has it.
+
+    The lock of a process on this host that has ended is taken over.  Whether one on another host runs cannot be told
+    from here: ``break_lock`` takes it from such a holder, never from another process that runs on this host.
+    """
+    location = located(where)
+    since = datetime.now(UTC).isoformat(timespec="seconds")
+    mine = Holder(*_this_host(), os.getpid(), _start_of(os.getpid()), since, uuid4().hex)
+    with location.parent.tidied():
+        with writing(location):
+            _take(location, mine, break_lock)
+        try:
+            yield
+        finally:
+            with suppress(OSError):
+                # The next run finds that this process has ended.
+                # Who was broken with --break-lock must leave the lock of the next one.
+                if _parsed(location.parent.get(_lock_of(location))) == mine:
+                    location.parent.delete(_lock_of(location))
+
+
+def holder(where: Where) -> Holder | None:
+    """Return who holds the lock of a store, None where nobody does or its process is known to have ended."""
+    location = located(where)
+    with reading(location):
+        other = _parsed(location.parent.get(_lock_of(location)))
+    return None if other is None or other.state() == "has ended" else other
+
+
+def is_left_over(where: Where) -> bool:
+    """Return whether a process that has ended left its lock: it was killed."""
+    location = located(where)
+    with reading(location):
+        other = _parsed(location.parent.get(_lock_of(location)))
+    return other is not None and other.state() == "has ended"
+
+
+def _take(location: Location, mine: Holder, break_lock: bool) -> None:
+    key, content = _lock_of(location), json.dumps(asdict(mine), indent=1).encode()
+    for _ in range(ATTEMPTS):
+        if location.parent.create(key, content):
+            return
+        other = location.parent.get(key)
+        if other == content:
+            # A request that was repeated after its answer was lost.
+            return
+        if other is not None:
+            # Else it was released just now.
+            _refuse_unless_free(location, _parsed(other), break_lock)
+            if location.parent.swap(key, other, content):
+                return
+            # Another process takes it over.
+            time.sleep(PAUSE_S)
+    raise SweepError(
+        f"its lock {key} keeps changing hands; if no other process runs there, remove {key} and {key}{TAKING}",
+        str(location),
+    )
+
+
+def _refuse_unless_free(location: Location, other: Holder | None, break_lock: bool) -> None:
+    state = "is damaged" if other is None else other.state()
+    is_own = other is not None and other.pid == os.getpid()
+    if state == "has ended" or (break_lock and (state != "runs" or is_own)):
+        return
+    if state == "runs":
+        problem = f"is being written by {other}"
+        problem += "; --break-lock is only for a lock whose process has ended" if break_lock else ""
+    else:
+        whose = f"is being written by {other}; whether that still runs cannot be told from here"
+        problem = f"its lock {_lock_of(location)} beside it is damaged" if other is None else whose
+        problem += "; if no run writes to it, the same command with --break-lock goes on"
+    raise SweepError(problem, str(location))
+
+
+def _lock_of(location: Location) -> str:
+    return f"{location.name}.lock"
+
+
+def _parsed(content: bytes | None) -> Holder | None:
+    with suppress(ValueError, TypeError):
+        return Holder(**json.loads(content or b""))
+    return None
+
+
+def _this_host() -> tuple[str, str]:
+    """Return the host's name, and what identifies the boot of its kernel and the PID namespace of this process."""
+    boot = ""
+    with suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        boot += " " + str(Path("/proc/self/ns/pid").readlink())
+    return platform.node(), boot
+
+
+def _start_of(pid: int) -> str:
+    """Return when a running process was started, in ticks since the boot; empty where no such process runs."""
+    try:
+        state, *rest = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return ""
+    # A zombie computes nothing any more.  The name before the bracket may hold blanks, hence the count from there.
+    return "" if state in "ZX" else rest[18]

@@ -1,45 +1,41 @@
 """The store of a study: a ledger of finished blocks and failures, and the labelled dataset made from it.
 
-The ledger is the truth.  Only the client writes, under the lock of `sweep.stores.lock`.  Nothing here imports what a
-store names.
+The ledger is the truth.  Only the client writes, under the lock of `linksweep.sweep.stores.location`.  Nothing here
+imports what a store names.
+
+Readers see each writing of the dataset, a generation, whole or not at all.  An array's chunks can have two sets of
+names, by two encodings of Zarr's specification, and each generation uses the set that the last one does not.  So the
+files of the last generation stay as they are until the root document, replaced in one step, names those of the new one;
+a reader who opened the last one can read on until the generation after next begins.
 """
 
 import getpass
 import itertools
 import json
+import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+import platform
+import re
+import sys
+import warnings
+from collections.abc import Collection, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import numpy as np
+from numpy.typing import NDArray
+from zarr.buffer import cpu
+from zarr.codecs import Crc32cCodec, ZstdCodec
+from zarr.storage import MemoryStore
 
-from linksweep.sweep.contract import Array, Rows, SweepError
-from linksweep.sweep.contract.reducer import lost_integers
-from linksweep.sweep.formatting import host
-from linksweep.sweep.stores import snapshot
-from linksweep.sweep.stores.integrity import (
-    CHUNKS,
-    FORMAT,
-    LEDGER_THEN,
-    MANIFEST,
-    REVISION,
-    ROOT,
-    SEAL,
-    STORE,
-    DamagedError,
-    Manifest,
-    check_attributes,
-    check_root,
-    group_document,
-    problem_of,
-    read_manifest,
-    sealed,
-    unsealed,
-)
-from linksweep.sweep.stores.ledger import FOLDER, Ledger, Record, failures_as_json, path_of
-from linksweep.sweep.stores.location import Folder, Location, Where, located, reading, writing
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract.reducer import EXACT_INT, lost_integers
+from linksweep.sweep.stores import integrity
+from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
+from linksweep.sweep.stores.ledger import FOLDER, REPAIR, DamagedError, Ledger, path_of
+from linksweep.sweep.stores.location import Folder, Location, Where, holder, located, locked, reading, writing
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -59,13 +55,20 @@ ORIGIN = "written_by"
 RESCUED = "rescued_of"
 """The attribute of a store of results alone: of which store they are that was lost while a run wrote to it."""
 
-MOST_UNWRITTEN = 2**26
-"""Bytes of rows and samples that may wait for the next flush."""
-
 ATTEMPTS = 20
 """How often a reader begins anew because what it reads was replaced meanwhile."""
 
-REPAIR = "`sweep check {} --repair` repairs what can be repaired"
+FILL = "_FillValue"
+
+MISSING_INT = int(np.iinfo(np.int64).min)
+"""What a file has in place of a missing integer or time, and says so: `FILL`."""
+
+SINCE = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian"}
+TIMES: Mapping[str, Any] = {**SINCE, "dtype": "int64", FILL: MISSING_INT}
+"""The encoding of times, to the last nanosecond."""
+
+CHUNK_NAMES = ({"name": "default", "separator": "."}, {"name": "v2", "separator": "."})
+
 MARKS = (b"linksweep_format", b"study_meaning", b"study_digest")
 """Words by which a document of a store can be recognised even if it is damaged."""
 
@@ -73,6 +76,7 @@ UNFINISHED = (
     "is unfinished: its run has just begun, or ended before it wrote results; nothing is damaged, "
     "and the same `sweep run` goes on"
 )
+CUT_SHORT = "is unfinished: its results are older than its ledger; nothing is damaged, and the same `sweep run` goes on"
 
 
 class OpenStore:
@@ -95,39 +99,36 @@ class OpenStore:
         Raises SweepError if there is none yet or if it is damaged.
         """
         for _ in range(ATTEMPTS):
-            problem: ValueError | None = None
-            dataset = None
             try:
                 with reading(self.location):
-                    chunks = self.location.get_all(snapshot.chunk_keys(snapshot.arrays_of(self.root)))
-                    dataset = snapshot.decode(self.root, chunks)
+                    dataset = decode(self.root, self.location.get_all(chunk_checksums(self.root)))
+                # These are the very chunks that the root document means.
+                break
             except ValueError as error:
                 problem = error
-            if problem is None:
-                break  # these are the very chunks that the root document means
+            # A run may have replaced these chunks meanwhile; then the root is another one, and that is read instead.
             before, self.root = self.root, read_root(self.location)
             if self.root == before:
-                break
+                rewrite = "`sweep run` the study again to write them anew from the ledger"
+                raise SweepError(f"the results are damaged ({problem}); {rewrite}", str(self.location)) from problem
         else:
             raise SweepError("is being written faster than it can be read; try again", str(self.location))
-        if problem is not None:
-            rewrite = "`sweep run` the study again to write them anew from the ledger"
-            raise SweepError(f"the results are damaged ({problem}); {rewrite}", str(self.location)) from problem
-        if dataset is None or not dataset.data_vars:
+        if not dataset.data_vars:
             words = UNFINISHED if is_new(self.root) else "has no results; `sweep run` the study to go on"
             raise SweepError(words, str(self.location))
         return dataset
 
     def ledger(self) -> Ledger:
         """Return the ledger; raises SweepError that names the damaged files of it."""
-        with reading_ledger(self.location):
-            for attempt in range(ATTEMPTS):
-                ledger = Ledger(self.location, manifest_of(self.root))
-                if not ledger.damaged:
-                    return ledger
-                if ledger.is_unchanged() or attempt == ATTEMPTS - 1:
-                    break  # else a run has replaced files that were not read yet
-            raise DamagedError(ledger.damaged)
+        for _ in range(ATTEMPTS):
+            ledger = Ledger(self.location, manifest_of(self.root))
+            if not ledger.damaged:
+                return ledger
+            with reading(self.location):
+                if ledger.is_unchanged():
+                    # Else a run has replaced files that were not read yet.
+                    break
+        raise DamagedError(self.location, ledger.damaged)
 
 
 class Store(OpenStore):
@@ -142,14 +143,10 @@ class Store(OpenStore):
         self._meaning = dict(meaning)
         self._ledger = self.ledger()
         self.failures, self.rows = self._ledger.failures, self._ledger.rows
-        self._failures_changed = False
-        self._unwritten = 0
-        try:
-            self._documents = snapshot.arrays_of(self.root)
-        except ValueError as error:
-            raise SweepError(str(error), str(self.location)) from error
-        self._digests: dict[str, bytes] = {}
-        self._files = snapshot.leftovers(self._ledger.keys, self._documents)
+        self.read, self.samples, self.append = self._ledger.read, self._ledger.samples, self._ledger.append
+        self.fail, self.clear_failures = self._ledger.fail, self._ledger.clear_failures
+        self.flush, self.tidy = self._ledger.flush, self._ledger.tidy
+        self._files = _of_arrays(self._ledger.keys, arrays_of(self.root))
 
     def hold(self, dtype: np.dtype[np.void], samples_width: int) -> None:
         """Let rows be of this type, and a kept realisation have so many floats.
@@ -165,123 +162,68 @@ class Store(OpenStore):
                 "but to compute more run the study into a new store with -o",
                 str(self.location),
             )
-        with reading_ledger(self.location):
-            lost, keys = lost_integers(self._ledger.read(), dtype), self.rows.keys_of_rows()
-            self._ledger.retype(dtype, samples_width, [keys[row] for row in lost if keys[row] in self.rows])
-
-    def read(self) -> Rows:
-        """Return all rows of the ledger; `rows` has the place of each block in them."""
-        with reading_ledger(self.location):
-            return self._ledger.read()
-
-    def samples(self, key: bytes) -> Array:
-        """Return the kept samples of a finished block, (realisations, width); raises SweepError where they are
-        damaged.
-        """
-        with reading_ledger(self.location):
-            return self._ledger.samples(key)
+        lost, keys = lost_integers(self._ledger.read(), dtype), self.rows.keys_of_rows()
+        self._ledger.retype(dtype, samples_width, [keys[row] for row in lost if keys[row] in self.rows])
 
     def verify(self) -> None:
         """Raise SweepError where files of the ledger that opening did not read are damaged."""
-        with reading_ledger(self.location):
-            self._ledger.verify()
-            if self._ledger.damaged:
-                raise DamagedError(self._ledger.damaged)
-
-    def append(self, keys: Sequence[bytes], rows: Rows, samples: Sequence[Array] = ()) -> None:
-        """Add finished blocks, with their samples if the study keeps them; they are durable after the next `flush`."""
-        if not keys:
-            return
-        self._ledger.append(keys, rows, samples)
-        self._unwritten += rows.nbytes + sum(kept.nbytes for kept in samples)
-        if self._unwritten > MOST_UNWRITTEN:
-            self.flush()
-
-    def fail(self, digest: bytes, record: Record) -> None:
-        """Remember that a point failed; durable after the next `flush`."""
-        self.failures[digest] = record
-        self._failures_changed = True
-
-    def clear_failures(self, digests: Iterable[bytes]) -> None:
-        """Forget failures of points, if there are any, so that they are computed again; durable after `flush`."""
-        for digest in digests:
-            self._failures_changed |= self.failures.pop(digest, None) is not None
-
-    def flush(self) -> None:
-        """Make everything appended so far durable; raises SweepError where that is not possible."""
-        with writing(self.location):
-            if self._failures_changed:
-                self._ledger.put("failures", failures_as_json(self.failures))
-                self._failures_changed = False
-            self._ledger.flush()
-            self._unwritten = 0
+        self._ledger.verify()
+        if self._ledger.damaged:
+            raise DamagedError(self.location, self._ledger.damaged)
 
     def write(self, dataset: "xr.Dataset") -> None:
         """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
-        attributes, arrays = snapshot.encode(dataset)
-        digests = {name: array.digest() for name, array in arrays.items()}
-        named = {name: self._named(name, array, digests[name]) for name, array in arrays.items()}
+        generation = self.attributes["generation"] + 1
+        attributes, documents, chunks = encode(dataset, CHUNK_NAMES[generation % 2])
         attributes |= self._meaning | {
             FORMAT_OF: FORMAT,
             ORIGIN: origin(self.location),
             **({CODE: self.attributes[CODE]} if CODE in self.attributes else {}),
-            "generation": self.attributes["generation"] + 1,
+            "generation": generation,
             STORE: self.attributes[STORE],
             BLOCKS: len(self.rows),
-            CHUNKS: json.dumps({name: array.checksums() for name, array in named.items()}),
+            CHUNKS: json.dumps({key: integrity.checksum(content) for key, content in chunks.items()}),
         }
-        documents = {name: array.document for name, array in named.items()}
-        in_use = {*snapshot.chunk_keys(documents), *snapshot.chunk_keys(self._documents)}
-        described, gone = (
-            {f"{n}/zarr.json" for n in names} for names in (documents, set(self._documents) - set(documents))
-        )
+        about = {STORE: attributes[STORE], REVISION: generation}
+        described = {f"{name}/zarr.json": document for name, document in documents.items()}
+        gone = {f"{name}/zarr.json" for name in arrays_of(self.root)} - described.keys()
+        in_use = {*described, *chunks, *chunk_checksums(self.root)}
         with writing(self.location):
+            # The order is what makes a kill harmless: rows, then results, then the root that refers to both.
             self.keep_copy(attributes)
             self.flush()
-            self._delete(self._files - in_use - described - gone)
-            changed = {name: named[name] for name in named if self._digests.get(name) != digests[name]}
-            self._write_arrays(changed, attributes)
+            self._delete(self._files - in_use - gone)
+            # Values first and the status last, for those who read without the root document.
+            for is_status in (False, True):
+                self.location.put_all({k: c for k, c in chunks.items() if k.startswith("status/") == is_status})
+                self.location.put_all(
+                    {
+                        file: integrity.sealed({**array, "attributes": {**array["attributes"], **about}}, file)
+                        for file, array in described.items()
+                        if (file == "status/zarr.json") == is_status
+                    }
+                )
             attributes[LEDGER_THEN] = self._ledger.manifest.model_dump_json()
-            root = group_document(attributes, documents)
-            self.location.put(ROOT, sealed(root, ROOT))
+            self.root = integrity.group_document(attributes, documents)
+            self.location.put(ROOT, integrity.sealed(self.root, ROOT))
             self._delete(gone)
-        self._files = in_use | described
-        self._documents, self._digests, self.root = documents, digests, root
-
-    def tidy(self) -> None:
-        """Remove the files of the ledger that do not count any more, at the end of a run."""
-        with writing(self.location):
-            self._ledger.tidy()
+        self._files = in_use
 
     def lost(self) -> list[str]:
         """Return those of the files that were written which are not there any more, as after the folder was moved;
         raises SweepError where that cannot be told.
         """
-        documents = {f"{name}/zarr.json" for name in self._documents}
-        needed = {ROOT, *self._ledger.files, *documents, *snapshot.chunk_keys(self._documents)}
+        documents = {f"{name}/zarr.json" for name in arrays_of(self.root)}
+        needed = {ROOT, *self._ledger.files, *documents, *chunk_checksums(self.root)}
         with reading(self.location):
             content = self.location.get(ROOT)
             gone = needed - set(self.location.keys())
             gone |= set() if self._ledger.is_unchanged() else {MANIFEST}
-        return sorted(gone if content == sealed(self.root, ROOT) else gone | {ROOT})
+        return sorted(gone if content == integrity.sealed(self.root, ROOT) else gone | {ROOT})
 
     def _delete(self, keys: Iterable[str]) -> None:
         for key in keys:
             self.location.delete(key)
-
-    def _named(self, name: str, array: snapshot.Encoded, digest: bytes) -> snapshot.Encoded:
-        """Name an array's chunks: as in the last generation if nothing has changed, else by the other set of names."""
-        if name not in self._documents:
-            return array.named(0)
-        last = snapshot.encoding_of(self._documents[name])
-        return array.named(last if self._digests.get(name) == digest else 1 - last)
-
-    def _write_arrays(self, arrays: Mapping[str, snapshot.Encoded], attributes: Mapping[str, Any]) -> None:
-        """Write the values first and the status last, for those who read without the root document."""
-        for names in (set(arrays) - {"status"}, {"status"} & set(arrays)):
-            self.location.put_all({k: content for name in names for k, content in arrays[name].files(name).items()})
-            files = {f"{name}/zarr.json": arrays[name].document for name in names}
-            self.location.put_all({file: snapshot.described(told, file, attributes) for file, told in files.items()})
 
     @property
     def next_row(self) -> int:
@@ -294,7 +236,7 @@ class Store(OpenStore):
             return
         self.root = {**self.root, "attributes": {**self.attributes, **attributes}}
         with writing(self.location):
-            self.location.put(ROOT, sealed(self.root, ROOT))
+            self.location.put(ROOT, integrity.sealed(self.root, ROOT))
             self._ledger.put("study", copied(self.attributes))
 
     def keep_copy(self, attributes: Mapping[str, Any] | None = None) -> None:
@@ -350,7 +292,7 @@ def replace_store(where: Where, attributes: Mapping[str, Any]) -> OpenStore | No
     emptied = {key: value for key, value in root["attributes"].items() if key not in (LEDGER_THEN, CHUNKS)}
     with writing(location):
         keys = location.keys()
-        arrays = snapshot.leftovers(keys, snapshot.arrays_of(root))
+        arrays = _of_arrays(keys, arrays_of(root))
         ours = {*arrays, *(key for key in keys if key.partition("/")[0] == FOLDER)} - {MANIFEST}
         # If the process is killed after any of these, the old store has merely lost its results, then its blocks.
         put_root(location, emptied)
@@ -361,14 +303,15 @@ def replace_store(where: Where, attributes: Mapping[str, Any]) -> OpenStore | No
 
 def put_root(location: Location, attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Write the root document of a store without results."""
-    root = group_document({**attributes, FORMAT_OF: FORMAT, "complete": 0, "generation": 0}, {})
-    location.put(ROOT, sealed(root, ROOT))
+    root = integrity.group_document({**attributes, FORMAT_OF: FORMAT, "complete": 0, "generation": 0}, {})
+    location.put(ROOT, integrity.sealed(root, ROOT))
     return root
 
 
 def free_beside(location: Location) -> Location:
     """Return a free place beside a store, for what was computed for it."""
     for number in itertools.count(1):
+        # Something else, or another store that was rescued, may have the name.
         place = located(f"{location}.rescued{number if number > 1 else ''}")
         with suppress(SweepError):
             if find_root(place) is None:
@@ -404,49 +347,48 @@ def find_root(location: Location) -> dict[str, Any] | None:
             if obstacle := location.obstacle():
                 raise SweepError(obstacle, where)
         try:
-            root = unsealed(content, ROOT)
+            root = integrity.unsealed(content, ROOT)
             _check_format(root["attributes"], where)
-            check_root(root)
+            integrity.check_root(root)
             return root
         except (ValueError, KeyError) as error:
             if readable_copy(location) is not None:
                 problem = "it is another document" if isinstance(error, KeyError) else error
                 raise SweepError(f"{ROOT} is damaged ({problem}); {REPAIR.format(where)}", where) from error
-            with suppress(ValueError, KeyError, TypeError, RecursionError):  # the checksum of another format
+            with suppress(ValueError, KeyError, TypeError, RecursionError):
+                # The checksum of another format.
                 _check_format(json.loads(content or b"")["attributes"], where)
-            raise SweepError(_without_meaning(location, content or b""), where) from error
-
-
-def _without_meaning(location: Location, content: bytes) -> str:
-    """Say what a place is that has neither a whole root document nor a copy of one."""
-    lost = "so that nothing tells what the numbers mean; bring one back from a backup, or run the study into a new"
-    if location.get(MANIFEST) is not None:
-        return f"{ROOT} and its copy in {FOLDER} are both damaged, {lost} store with -o"
-    if any(mark in content for mark in MARKS):
-        return f"{ROOT} is damaged and has no copy yet, {lost} store with -o; no results were in it"
-    return "is not a store of linksweep (foreign or half-made); nothing was changed"
+            if location.get(MANIFEST) is not None or any(mark in (content or b"") for mark in MARKS):
+                raise SweepError(
+                    f"{ROOT} and its copy in {FOLDER} are both damaged, so that nothing tells what the numbers mean; "
+                    "bring one back from a backup, or run the study into a new store with -o",
+                    where,
+                ) from error
+            raise SweepError(
+                "is not a store of linksweep (foreign or half-made); nothing was changed", where
+            ) from error
 
 
 def _check_format(attributes: Mapping[str, Any], where: str) -> None:
     """Raise SweepError for a store of a format that this version does not read; KeyError for what is no store."""
     version = attributes[FORMAT_OF]
     if version != FORMAT and isinstance(version, int):
-        age = "newer: upgrade with `pip install -U linksweep`" if version > FORMAT else ""
-        age = age or "older, from before the first release: run the study into a new store with -o"
+        age = "older: run the study into a new store with -o"
+        if version > FORMAT:
+            age = "newer: upgrade with `pip install -U linksweep`"
         raise SweepError(
-            f"has store format {version}; this version of linksweep reads format {FORMAT}. It is {age}",
-            where,
+            f"has store format {version}; this version of linksweep reads format {FORMAT}. It is {age}", where
         )
     if version != FORMAT:
         raise KeyError(FORMAT_OF)
 
 
-def manifest_of(root: Mapping[str, Any]) -> Manifest:
+def manifest_of(root: Mapping[str, Any]) -> integrity.Manifest:
     """Return what the ledger held when a root document was written."""
     attributes = root["attributes"]
     if LEDGER_THEN not in attributes:
-        return Manifest(store=attributes[STORE])
-    return Manifest.model_validate_json(attributes[LEDGER_THEN])
+        return integrity.Manifest(store=attributes[STORE])
+    return integrity.Manifest.model_validate_json(attributes[LEDGER_THEN])
 
 
 def is_new(root: Mapping[str, Any]) -> bool:
@@ -457,14 +399,12 @@ def is_new(root: Mapping[str, Any]) -> bool:
 def readable_copy(location: Location) -> dict[str, Any] | None:
     """Return the ledger's copy of a store's attributes; None where it is missing, damaged or of another format."""
     try:
-        manifest = read_manifest(location.get(MANIFEST))
+        manifest = integrity.read_manifest(location.get(MANIFEST))
         file = manifest.documents["study"]
-        content = location.get(path_of(file))
-        if problem_of(content, file.checksum):
-            return None
-        attributes: dict[str, Any] = json.loads(content or b"")
-        check_attributes(attributes)
+        attributes: dict[str, Any] = json.loads(integrity.whole(location.get(path_of(file)), file.checksum))
+        integrity.check_attributes(attributes)
     except (ValueError, LookupError, RecursionError):
+        # Who asks has a damaged root already, and says so.
         return None
     return attributes if (attributes.get(FORMAT_OF), attributes[STORE]) == (FORMAT, manifest.store) else None
 
@@ -480,9 +420,10 @@ def origin(location: Location) -> str:
     place = str(location.path.resolve()) if isinstance(location, Folder) else str(location)
     try:
         user = getpass.getuser()
-    except (KeyError, OSError):  # a user without a name, as in a container
+    except (KeyError, OSError):
+        # A user without a name, as in a container.
         user = str(os.getuid())
-    return json.dumps({"host": host(), "user": user, "path": place})
+    return json.dumps({"host": platform.node(), "user": user, "path": place})
 
 
 def was_written_here(location: Location, attributes: Mapping[str, Any]) -> bool:
@@ -493,18 +434,247 @@ def was_written_here(location: Location, attributes: Mapping[str, Any]) -> bool:
     return bool(attributes.get(ORIGIN) == origin(location))
 
 
-def damaged_ledger(location: Location, files: Mapping[str, str]) -> SweepError:
-    """Return the error that names damaged files of a ledger, and what to do."""
-    problems = [f"{file} is damaged ({problem})" for file, problem in files.items()]
-    problems[-1] += f"; {REPAIR.format(location)}, and the next `sweep run` computes again what is lost"
-    return SweepError(problems, str(location))
+class _DaskArrays:
+    """Replaces xarray's record of a module of arrays: has the class if it was imported, and imports it for the rest."""
+
+    @property
+    def type(self) -> tuple[type, ...]:
+        module = sys.modules.get("dask.array")
+        return () if module is None or not hasattr(module, "Array") else (module.Array,)
+
+    def __getattr__(self, name: str) -> Any:
+        from xarray.namedarray.pycompat import DuckArrayModule
+
+        return getattr(DuckArrayModule("dask"), name)
 
 
-@contextmanager
-def reading_ledger(location: Location) -> Iterator[None]:
-    """Turn an OSError, or the DamagedError of a ledger, into a SweepError."""
+def dask_arrays_only_where_imported() -> None:
+    """Keep xarray from importing dask.array only to see that an array is not one of Dask's."""
+    from xarray.namedarray import pycompat
+
+    # Private: saves a quarter of the time of `sweep show`, since no array is Dask's where nobody has imported it.
+    # Since pydata/xarray#7179 other imports of xarray wait until they are needed.
+    # A version without it does this in another way.
+    known: Any = getattr(pycompat, "_cached_duck_array_modules", {})
+    known.setdefault("dask", _DaskArrays())
+
+
+def encode(
+    dataset: "xr.Dataset", chunk_names: Mapping[str, str]
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, bytes]]:
+    """Return the attributes of a dataset, the documents of its arrays, and the contents of their chunks by file.
+
+    Every chunk has a checksum, and none is left out for being empty, so that a missing one must have been lost.
+    """
+    files: dict[str, Any] = {}
+    encoding: dict[Any, dict[str, Any]] = {}
+    for name, variable in dataset.variables.items():
+        encoding[name] = {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "chunks": chunk_shape(variable)}
+        encoding[name]["chunk_key_encoding"] = chunk_names
+        if variable.dtype.kind == "M":
+            encoding[name] |= TIMES
+        elif FILL in variable.encoding:
+            encoding[name][FILL] = variable.encoding[FILL]
+    dataset.drop_encoding().to_zarr(
+        MemoryStore(files), mode="w", consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
+    )
+    contents = {key: bytes(buffer.to_bytes()) for key, buffer in files.items()}
+    attributes: dict[str, Any] = json.loads(contents.pop(ROOT))["attributes"]
+    documents = {str(name): json.loads(contents.pop(f"{name}/zarr.json")) for name in dataset.variables}
+    return attributes, documents, contents
+
+
+def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr.Dataset":
+    """Return the dataset of a root document and the contents of `chunk_keys`, in memory.
+
+    Raises ValueError that names a file which is missing or not what the root document means.
+    """
+    import xarray as xr
+
+    dask_arrays_only_where_imported()
+    expected = chunk_checksums(root).items()
+    problems = {key: integrity.problem_of(contents[key], checksum) for key, checksum in expected}
+    if damaged := {key: problem for key, problem in problems.items() if problem}:
+        raise ValueError("; ".join(f"{key}: {problem}" for key, problem in damaged.items()))
+    files: dict[str, Any] = {
+        key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None
+    }
+    files[ROOT] = cpu.Buffer.from_bytes(json.dumps(root).encode())
     try:
-        with reading(location):
-            yield
-    except DamagedError as error:
-        raise damaged_ledger(location, error.files) from error
+        with warnings.catch_warnings():
+            # Zarr-python#3709: consolidated metadata is not in the v3 specification yet.
+            warnings.filterwarnings("ignore", message="Consolidated metadata")
+            opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
+            dataset: xr.Dataset = opened.load()
+            gaps = [n for n, d in arrays_of(root).items() if d["data_type"] == "int64" and dataset[n].dtype.kind == "f"]
+            if any((np.abs(dataset[name].values) >= EXACT_INT).any() for name in gaps):
+                # Xarray has rounded them.
+                stored = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, mask_and_scale=False)
+                dataset = dataset.assign({n: dataset[n].copy(data=with_gaps(stored[n].values)) for n in gaps})
+    except Exception as error:
+        # Of forged documents: each codec of Zarr raises its own.
+        raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
+    for name in (CHUNKS, LEDGER_THEN, STORE):
+        dataset.attrs.pop(name, None)
+    return dataset
+
+
+def with_gaps(whole: NDArray[np.int64]) -> NDArray[Any]:
+    """Return integers with NaN in place of missing ones: floats, or objects where a float would round one."""
+    missing = whole == MISSING_INT
+    floats = np.where(missing, np.nan, whole)
+    return np.where(missing, np.nan, whole.astype(object)) if (np.abs(floats) >= EXACT_INT).any() else floats
+
+
+def chunk_checksums(root: Mapping[str, Any]) -> dict[str, str]:
+    """Return the checksum of each chunk of the dataset by the name of its file."""
+    checksums: dict[str, str] = json.loads(root["attributes"].get(CHUNKS, "{}"))
+    return checksums
+
+
+def arrays_of(root: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the documents of the dataset's arrays by name."""
+    return dict(root.get("consolidated_metadata", {}).get("metadata", {}))
+
+
+def chunk_shape(variable: "xr.Variable") -> tuple[int, ...]:
+    """Return a shape for chunks of at most `MOST_VALUES` that are whole in the last dimensions: a point's values stay
+    together, and a coordinate is one chunk.
+    """
+    # Values are counted, not bytes: what is on the same axes has the same chunks.
+    shape = list(variable.shape)
+    for axis in range(variable.ndim):
+        rest = math.prod(shape[axis + 1 :])
+        shape[axis] = max(1, min(shape[axis], integrity.MOST_VALUES // max(1, rest)))
+        if shape[axis] > 1:
+            break
+    return tuple(shape)
+
+
+def _of_arrays(keys: Collection[str], names: Collection[str]) -> set[str]:
+    """Return the files of the arrays of these names, and chunks of others that are left over, among all files."""
+    described = {key.removesuffix("/zarr.json") for key in keys if key.endswith("/zarr.json")}
+    chunk = re.compile(r"[^/]+/(c|c\.|\d)[\d.]*")
+    return {
+        key
+        for key in keys
+        if (folder := key.partition("/")[0]) in names or (folder not in described and chunk.fullmatch(key))
+    }
+
+
+@dataclass(frozen=True)
+class Report:
+    """What is wrong with which file: of those that say what the store means (``identity``), of the ``ledger``, and of
+    the ``results``, which can be written anew from the ledger.
+
+    ``remarks`` are sentences about a store in which nothing is wrong: that it is unfinished.
+    """
+
+    identity: dict[str, str]
+    ledger: dict[str, str]
+    results: dict[str, str]
+    remarks: list[str] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        return bool(self.identity or self.ledger or self.results)
+
+
+def check(where: Where) -> Report:
+    """Read every file of a store and compare it with its checksum.
+
+    Raises SweepError where there is no store, where nothing says what its numbers mean, and while a run writes to it.
+    """
+    location = located(where)
+    if (runs := holder(location)) is not None:
+        raise SweepError(f"is being written by {runs}; check it when that has ended", str(location))
+    with reading(location):
+        return _check(location)[0]
+
+
+def repair(where: Where, *, break_lock: bool = False) -> list[str]:
+    """Repair what can be repaired, and return what was done in sentences; damaged files, except those of the results,
+    are moved to ``STORE.damaged``.
+
+    Raises SweepError as `check`, and as `locked`.
+    """
+    location = located(where)
+    with reading(location):
+        # Raises for what is no store, before anything is written.
+        _check(location)
+    with locked(location, break_lock=break_lock), writing(location):
+        report, attributes, ledger = _check(location)
+        done: list[str] = []
+        for file in (*report.identity, *report.ledger):
+            if (content := location.get(file)) is not None:
+                location.parent.put(f"{location.name}.damaged/{file}", content)
+        damaged = dict(report.ledger)
+        for file in report.identity.keys() - {ROOT}:
+            ledger.put("study", copied(attributes))
+            done.append(f"{file}, the copy of {ROOT}, was made anew")
+        if report.identity or damaged:
+            done += [f"{file}: the next `sweep run` computes again what was in it" for file in damaged]
+            ledger.mend(damaged)
+            ledger.tidy()
+        if ROOT in report.identity:
+            put_root(location, {**attributes, LEDGER_THEN: ledger.manifest.model_dump_json()})
+            done.append(f"{ROOT} was made anew from its copy; the results are not in it until `sweep run` writes them")
+        if report.results:
+            files = ", ".join(report.results)
+            done.append(f"{files}: the next `sweep run` writes the results anew from the ledger")
+        return done
+
+
+def _check(location: Location) -> tuple[Report, dict[str, Any], Ledger]:
+    """Return the report, what the store means, and its ledger."""
+    report = Report({}, {}, {})
+    root: dict[str, Any] | None = None
+    try:
+        root = read_root(location)
+        attributes = root["attributes"]
+    except SweepError:
+        copy = readable_copy(location)
+        if copy is None:
+            raise
+        attributes = copy
+        report.identity[ROOT] = "it is of another store"
+        with integrity.noting(report.identity, ROOT):
+            integrity.unsealed(location.get(ROOT), ROOT)
+    of_root = integrity.Manifest(store=attributes[STORE]) if root is None else manifest_of(root)
+    ledger = Ledger(location, of_root)
+    # The samples, which opening leaves unread.
+    ledger.verify()
+    report.ledger.update(ledger.damaged)
+    if (copy_file := path_of(ledger.manifest.documents.get("study"))) in report.ledger:
+        report.identity[copy_file] = report.ledger.pop(copy_file)
+    if root is not None:
+        is_older = _check_results(location, root, report) or ledger.is_ahead or ledger.manifest != of_root
+        if not report and not attributes.get("complete"):
+            done, points = (attributes.get(key) for key in ("points_done", "points"))
+            is_begun = is_new(root) or points is None
+            incomplete = f"is incomplete: {done} of {points} points were done when the results were last written"
+            report.remarks.append(UNFINISHED if is_begun else incomplete)
+        elif not report and is_older:
+            report.remarks.append(CUT_SHORT)
+    return report, attributes, ledger
+
+
+def _check_results(location: Location, root: Mapping[str, Any], report: Report) -> bool:
+    """Add to a report what is wrong with the files of the results; return whether a later writing was cut short."""
+    cut_short = False
+    attributes = root["attributes"]
+    files = {f"{name}/zarr.json": document for name, document in arrays_of(root).items()}
+    for file, content in location.get_all(files).items():
+        with integrity.noting(report.results, file):
+            document = integrity.unsealed(content, file)
+            about = {key: document["attributes"].pop(key, None) for key in (SEAL, STORE, REVISION)}
+            # These documents are for who reads without the root, so they may be of a writing that the root does not
+            # know yet: that of a run which was killed.
+            is_later = type(about[REVISION]) is int and about[REVISION] > attributes["generation"]
+            if about[STORE] != attributes[STORE] or not (document == files[file] or is_later):
+                raise ValueError(integrity.ANOTHER)
+            cut_short |= document != files[file]
+    for file, checksum in chunk_checksums(root).items():
+        # One by one: never all in memory.
+        if problem := integrity.problem_of(location.get(file), checksum):
+            report.results[file] = problem
+    return cut_short

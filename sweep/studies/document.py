@@ -1,12 +1,12 @@
 """The document of a study: its file, the options of the command line that change it, and the problems with it."""
 
+import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from copy import copy
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -44,19 +44,10 @@ def reference_in(name_or_path: str) -> str | None:
 def find_study(name_or_path: str) -> Path:
     """Return the file of a built-in name or a path; raises SweepError where there is none."""
     built_in = built_in_studies()
-    if name_or_path in built_in:
-        return built_in[name_or_path]
-    path = Path(name_or_path)
-    try:
-        if path.is_dir():
-            raise SweepError(f"{name_or_path!r} is a directory, not a study file")
-        if path.exists():
-            return path
-    except (OSError, ValueError) as error:  # for example a name that is too long, or a directory without permission
-        reason = getattr(error, "strerror", None) or str(error)
-        raise SweepError(f"the study {shown(name_or_path)} cannot be read: {reason}") from error
-    hint = "" if path.suffix else suggest(name_or_path, list(built_in))
-    raise SweepError(f"no study {name_or_path!r}: neither a file nor a built-in study{hint}")
+    if name_or_path not in built_in and not os.path.exists(name_or_path):
+        hint = "" if Path(name_or_path).suffix else suggest(name_or_path, list(built_in))
+        raise SweepError(f"no study {shown(name_or_path)}: neither a file nor a built-in study{hint}")
+    return built_in.get(name_or_path, Path(name_or_path))
 
 
 def read_text(path: Path) -> str:
@@ -76,7 +67,7 @@ def read_text(path: Path) -> str:
 
 
 def parsed(text: str, path: Path) -> dict[str, Any]:
-    """Return the document of a TOML text; raises SweepError that quotes the line where it is not valid."""
+    """Return the document of a TOML text; raises SweepError where it is not valid."""
     if path.suffix == ".py":
         raise SweepError(f"is Python, not a study; name a function in it, as {path}:NAME", str(path))
     tokens = (token for token in re.findall(r"[^,=\[\]{}#\n]+", text) if token.count(".") > DEEPEST)
@@ -85,9 +76,7 @@ def parsed(text: str, path: Path) -> dict[str, Any]:
             raise RecursionError
         return tomllib.loads(text)
     except ValueError as error:
-        number = re.search(r"at line (\d+)", str(error))
-        quoted = f": {shown(text.splitlines()[int(number[1]) - 1].strip())}" if number else ""
-        raise SweepError(f"not valid TOML: {error}{quoted}", str(path)) from error
+        raise SweepError(f"not valid TOML: {error}", str(path)) from error
     except RecursionError as error:
         raise SweepError("not valid TOML: nested too deeply", str(path)) from error
 
@@ -112,158 +101,131 @@ def _lines_of_keys(text: str) -> dict[Place, int]:
 class Problems:
     """Takes problems of a study by their place in its document, so that all are reported at once.
 
-    ``where`` names the study, ``text`` is the text of its file, ``sentences`` are the problems so far, and
-    ``overridden`` says which option of the command line gave the value at a place.
+    ``where`` names the study, ``text`` is the text of its file, and ``options`` says which option of the command line
+    gave the value at a place.
     """
 
-    def __init__(
-        self, where: str, text: str = "", sentences: Sequence[str] = (), overridden: Mapping[Place, str] | None = None
-    ) -> None:
-        self.sentences, self.overridden = list(sentences), overridden or {}
-        self._where = where
-        self._lines = cache(lambda: _lines_of_keys(text))
-        self._table: Place = ()
+    def __init__(self, where: str, text: str = "", options: Mapping[Place, str] | None = None) -> None:
+        self.where, self.text, self.options = where, text, {} if options is None else options
+        self.sentences: list[str] = []
 
-    def inside(self, *table: str | int) -> "Problems":
-        """Return an object that takes problems for the same list by their place in one table of the document."""
-        inner = copy(self)
-        inner._table = (*self._table, *table)
-        return inner
+    @cached_property
+    def _lines(self) -> dict[Place, int]:
+        return _lines_of_keys(self.text)
 
     def add(self, place: Place, message: str) -> None:
         """Take one problem; raises SweepError where there are too many."""
         if len(self.sentences) >= MAX_PROBLEMS:
-            raise SweepError([*self.sentences, "... and perhaps more problems like these"], self._where)
-        whole = (*self._table, *place)
-        around = [whole[:n] for n in range(len(whole), 0, -1)]  # the value, and the tables that it is in
-        source = next((self.overridden[table] for table in around if self.overridden.get(table)), None)
-        if source is None:
-            source = next((f"line {self._lines()[table]}" for table in around if table in self._lines()), None)
-        key = ".".join(str(p) if re.fullmatch(r"[\w-]{1,60}", str(p)) else shown(p) for p in whole)
-        self.sentences.append(f"{key}{f' ({source})' if source else ''}: {message}")
+            raise SweepError([*self.sentences, "... and perhaps more problems like these"], self.where)
+        around = [place[:n] for n in range(len(place), 0, -1)]  # the value, and the tables that it is in
+        sources = [self.options[table] for table in around if self.options.get(table)]
+        sources += [f"line {self._lines[table]}" for table in around if table in self._lines]
+        key = ".".join(str(p) if re.fullmatch(r"[\w-]{1,60}", str(p)) else shown(p) for p in place)
+        self.sentences.append(f"{key}{f' ({sources[0]})' if sources else ''}: {message}")
 
     @contextmanager
     def at(self, place: Place, before: str = "") -> Iterator[None]:
         """Take the message of a ValueError or SweepError as problems of a place, with the text ``before`` it."""
         try:
             yield
-        except ValueError as error:
-            self.add(place, f"{before}{error}")
         except SweepError as error:
             for problem in error.problems:
                 self.add(place, f"{before}{problem}")
+        except ValueError as error:
+            self.add(place, f"{before}{error}")
+
+    def report(self) -> None:
+        """Raise SweepError with all problems, if there are any."""
+        if self.sentences:
+            raise SweepError(self.sentences, self.where)
 
 
 @dataclass
-class Overrides:
-    """The options that changed a document: all as written, the one that gave the value at each place, and the problems
-    with them.
+class Options:
+    """The options of the command line that change a study, as `load_study` has them; ``by_place`` says which of them
+    gave the value at a place of the document.
     """
 
-    written: list[str] = field(default_factory=list)
+    settings: Sequence[str] = ()
+    axes: Sequence[str] = ()
+    points: str | None = None
+    design: str | None = None
+    ranges: Sequence[str] = ()
     by_place: dict[Place, str] = field(default_factory=dict)
-    problems: list[str] = field(default_factory=list)
-    slots: dict[Place, str] = field(default_factory=dict)
 
-    def put(self, place: Place, option: str, slot: Place | None = None) -> None:
-        """Note what gave the value at a place; two options that set one ``slot`` are a problem: one would be lost."""
-        if not place:
+    @cached_property
+    def written(self) -> list[tuple[str, str]]:
+        """All options, as pairs of a flag and its text."""
+        flags = {"--set": self.settings, "--axis": self.axes}
+        flags |= {"--points": [self.points] if self.points is not None else []}
+        flags |= {"--design": [self.design] if self.design is not None else [], "--range": self.ranges}
+        return [(flag, text) for flag, texts in flags.items() for text in texts]
+
+    def apply(self, document: dict[str, Any], parameters: Collection[str], problems: list[str]) -> None:
+        """Change a document; ``parameters`` are those that are meant although a key of [sampling] has their name.
+
+        The conclusion is removed where the points change, or parameters that the study fixes: it is about these.
+        """
+        points, axes = (table if isinstance(table := document.get(key), dict) else {} for key in ("points", "axes"))
+        axes_before, other = set(axes), {"axes": "fixed", "fixed": "axes"}
+        if self.points is not None or self.design is not None:
+            kept = ("seed", "ranges") if self.points is None else ()
+            document["points"] = {key: points[key] for key in kept if key in points}
+        slots: dict[Place, str] = {}
+        for flag, text in self.written:
+            option = f"{flag} {text if text.isprintable() and len(text) <= 80 else shown(text)}"
+            try:
+                values = _values_of(flag, text, parameters)
+            except SweepError as error:
+                problems.append(f"{flag} {shown(text)}: {error}")
+                continue
+            for place, value in values.items():
+                slot = ("fixed", *place[1:]) if place[0] == "axes" else place  # a parameter has one place
+                if (earlier := slots.setdefault(slot, option)) != option:
+                    problems.append(f"{earlier} and {option}: {place[-1]} is given twice; leave out one of the two")
+                self.by_place[place] = option
+                if flag in ("--points", "--design", "--range"):  # the table is theirs
+                    self.by_place.setdefault(("points",), option)
+                if place[0] in ("points", "fixed") or (place[0] == "axes" and place[1] not in axes_before):
+                    document.pop("conclusion", None)
+                if isinstance(elsewhere := document.get(other.get(str(place[0]), "")), dict):
+                    elsewhere.pop(place[1], None)
+                _put(document, place, value)
+
+
+def _put(document: dict[str, Any], place: Place, value: Any) -> None:
+    """Set a value of a document, unless it is to be in what is no table: reading the document will say so."""
+    *tables, key = map(str, place)
+    for table in tables:
+        document = document.setdefault(table, {})
+        if not isinstance(document, dict):
             return
-        self.by_place[place] = option
-        if (earlier := self.slots.setdefault(slot or place, option)) != option:
-            self.problems.append(f"{earlier} and {option}: {place[-1]} is given twice; leave out one of the two")
+    document[key] = value
 
 
-def override(
-    document: dict[str, Any],
-    settings: Sequence[str],
-    axes: Sequence[str],
-    points: str | None,
-    design: str | None,
-    ranges: Sequence[str],
-) -> Overrides:
-    """Apply the options of `load_study` to a document.
-
-    The conclusion is removed if they change what it is about: the points, or parameters that the study fixes.
-    """
-    made = Overrides([f"--set {one}" for one in settings] + [f"--axis {one}" for one in axes])
-    before = set(document.get("axes", {})) if isinstance(document.get("axes"), dict) else set()
-    for flag, option in [*(("--set", one) for one in settings), *(("--axis", one) for one in axes)]:
-        place = _override_value(document, option, made.problems, as_axis=flag == "--axis")
-        made.put(place, f"{flag} {_quoted(option)}", ("fixed", *place[1:]) if place[:1] == ("axes",) else None)
-    if any(place[0] == "fixed" or (place[0] == "axes" and place[1] not in before) for place in made.by_place):
-        document.pop("conclusion", None)
-    chosen = [("--points", points), ("--design", design), *(("--range", text) for text in ranges)]
-    if laid := [f"{flag} {_quoted(text)}" for flag, text in chosen if text is not None]:
-        document.pop("conclusion", None)
-        settled = {at: option for at, option in made.by_place.items() if at[0] == "points"}
-        kept = _override_points(document, points, design, ranges, made)
-        lost = [option for at, option in settled.items() if at[1] not in kept]
-        made.problems += [f"{option} has no effect beside {laid[0]}; leave out one of the two" for option in lost]
-        made.by_place["points",] = laid[0]
-        made.written += laid
-    return made
-
-
-def _override_value(document: dict[str, Any], option: str, problems: list[str], as_axis: bool) -> Place:
-    """Put KEY=VALUE into the document: a sampling key or the title in its own place, a parameter into [fixed] or, as an
-    axis, into [axes].  Return the place of the value, empty if there is none.
-    """
-    flag = "--axis" if as_axis else "--set"
-    key, value = split_assignment(option)
-    section, other = ("axes", "fixed") if as_axis else ("fixed", "axes")
-    try:
-        if not key:
-            raise SweepError(f"must be written {'NAME=SPEC' if as_axis else 'KEY=VALUE'}")
-        parsed = parse_axis(value) if as_axis else parse_value(value)
-    except SweepError as error:
-        problems.append(f"{flag} {shown(option)}: {error}")
-        return ()
-    if key == "title" and not as_axis:
-        document[key] = value
-        return (key,)
-    if not as_axis and key.removeprefix("sampling.") in Sampling.model_fields:
-        section, other, key = "sampling", "", key.removeprefix("sampling.")
-    elif not as_axis and key.startswith("points."):
-        section, other, key = "points", "", key.removeprefix("points.")
-    key = key if as_axis else key.removeprefix("fixed.")
-    if not all(isinstance(document.get(table, {}), dict) for table in (section, other) if table):
-        return ()  # the form's own check will say what is wrong with this section
-    document.setdefault(section, {})[key] = parsed
-    document.get(other, {}).pop(key, None)
-    return section, key
-
-
-def _override_points(
-    document: dict[str, Any], file: str | None, design: str | None, ranges: Sequence[str], made: Overrides
-) -> set[str]:
-    """Apply --points, --design and --range to the table [points] of a document; return its keys that stay as they
-    were.
-    """
-    points: dict[str, Any] = {"file": str(Path(file).resolve())} if file is not None else {}
-    if design is not None:
-        name, *numbers = design.split(":")
-        points |= {"design": name} | {key: parse_value(text) for key, text in zip(("n", "seed"), numbers, strict=False)}
+def _values_of(flag: str, text: str, parameters: Collection[str]) -> dict[Place, Any]:
+    """Return the values that an option sets, by their places; raises SweepError that says how it is written."""
+    if flag == "--points":
+        return {("points", "file"): str(Path(text).resolve())}
+    if flag == "--design":
+        name, *numbers = text.split(":")
         if len(numbers) > 2:
-            made.problems.append(f"--design {shown(design)}: must be written NAME:N or NAME:N:SEED")
-    old = document.get("points")
-    kept = old if isinstance(old, dict) and file is None else {}
-    if design is not None:
-        kept = {key: kept[key] for key in ("seed", "ranges") if key in kept}
-    document["points"] = laid = {**kept, **points}
-    for option in ranges:
-        key, value = split_assignment(option)
-        if not key or not isinstance(laid.setdefault("ranges", {}), dict):
-            ways = "NAME=LOW:HIGH, NAME=LOW:HIGH:log or NAME=A,B,C"
-            made.problems.append(f"--range {shown(option)}: must be written {ways}")
-            continue
-        made.put(("points", "ranges", key), f"--range {_quoted(option)}")
-        laid["ranges"] = laid["ranges"] | {key: parse_range(value)}
-    return kept.keys() - points.keys()
-
-
-def _quoted(option: str) -> str:
-    return option if option.isprintable() and len(option) <= 80 else shown(option)
+            raise SweepError("must be written NAME:N or NAME:N:SEED")
+        seed_too = zip(("n", "seed"), map(parse_value, numbers), strict=False)
+        return {("points", "design"): name, **{("points", key): number for key, number in seed_too}}
+    key, value = split_assignment(text)
+    if not key:
+        ways = {"--axis": "NAME=SPEC", "--range": "NAME=LOW:HIGH, NAME=LOW:HIGH:log or NAME=A,B,C"}
+        raise SweepError(f"must be written {ways.get(flag, 'KEY=VALUE')}")
+    if flag != "--set":
+        place = ("axes", key) if flag == "--axis" else ("points", "ranges", key)
+        return {place: parse_axis(value) if flag == "--axis" else parse_range(value)}
+    if key == "title":
+        return {(key,): value}
+    table, _, name = key.partition(".")
+    if table not in ("fixed", "points", "sampling") or not name:
+        table, name = "sampling" if key in Sampling.model_fields and key not in parameters else "fixed", key
+    return {(table, name): parse_value(value)}
 
 
 def parse_value(text: str) -> Any:
@@ -273,10 +235,10 @@ def parse_value(text: str) -> Any:
     (1000.0, [1, 2], True, 'gaia')
     """
     try:
-        parsed = tomllib.loads(f"value = {text}")
+        document = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
         return text  # a bare word is a string
-    return parsed["value"] if len(parsed) == 1 else text
+    return document["value"] if len(document) == 1 else text
 
 
 def parse_axis(text: str) -> Any:

@@ -1,36 +1,307 @@
-"""Many parameters at once, the table [points] of a study: from a file, a design, columns, or a table in Python."""
+"""Values of parameters, checked against the experiment: alone, along an axis, in the ranges of a design, and in the
+table [points] of a study, which is a file, a design, columns, or a table in Python.
+"""
 
-from collections.abc import Iterator, KeysView, Mapping, ValuesView
+import math
+import sys
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from linksweep.sweep.code.load import Code
-from linksweep.sweep.contract import Experiment, SweepError, shown, suggest
+from linksweep.sweep.contract import Array, Experiment, Parameter, SweepError, Value, shown
 from linksweep.sweep.contract.units import factor_between, is_quantity
+from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.document import Place, Problems
-from linksweep.sweep.studies.study import PointsForm
-from linksweep.sweep.studies.values import DESIGNS, MORRIS_LEVELS, Values, read_range
+from linksweep.sweep.studies.study import PointsForm, number_at
 from linksweep.sweep.tables.columns import rows_listed
+from linksweep.sweep.tables.file import table_file
 from linksweep.sweep.tables.reader import read_table
 
-MOST_ROWS = 1_000_000
+MAX_VALUES = 1_000_000
+"""The most values of an axis, and the most rows of a table of points."""
+
+MORRIS_LEVELS = 4
+"""Values of each parameter in a Morris design; an even number."""
 
 PLAIN = frozenset("biufU")
 """Kinds of arrays whose ``tolist`` returns Python's own numbers and texts."""
 
-_DECIMAL_COMMA = str.maketrans(",.", ".,")
-
 Columns = Mapping[str, list[Any]]
 
-_KEYS: Mapping[str, set[str]] = {
-    "file": {"file", "units", "derive"},
-    "columns": {"columns", "units", "derive", "origin"},
-    "design": {"design", "n", "seed", "ranges", "derive"},
+
+class Values:
+    """Reads values of the parameters of an experiment; ``problems`` takes what is wrong.
+
+    Paths of files are relative to ``folder``, or to the working directory where an option gives them.
+    """
+
+    def __init__(self, experiment: Experiment, folder: Path, problems: Problems) -> None:
+        self.experiment, self.folder, self.problems = experiment, folder, problems
+
+    def one(self, place: Place, name: str, raw: object, which: str = "") -> Value:
+        """Return the value at a place, None if it is wrong; problems begin with ``which``."""
+        with self.problems.at(place, which):
+            parameter = self.experiment.parameter(name)
+            value = parameter.parse(raw)
+            if parameter.kind != "file":
+                return value
+            try:
+                return table_file((Path.cwd() if place[:2] in self.problems.options else self.folder) / value)
+            except SweepError as error:  # which does not name the file in its problems
+                raise ValueError(f"{shown(raw)}: {error}") from error
+        return None
+
+    def axis(self, name: str, spec: object) -> tuple[Value, ...] | None:
+        """Return the values of an axis, a list or a range of them; None if any is wrong."""
+        place = ("axes", name)
+        with self.problems.at(place):
+            parameter = self.experiment.parameter(name)
+            if not parameter.may_be_axis:
+                raise ValueError(f"a {parameter.kind} cannot be an axis")
+            if not (raw_values := axis_values(spec, whole=parameter.kind == "int")):
+                raise ValueError("an axis needs at least one value")
+            values = self.several(place, name, raw_values)
+            if repeated := [shown(value) for value, n in Counter(values or ()).items() if n > 1]:
+                self.problems.add(place, f"duplicate values {first_of(repeated, 10)}")
+            return values
+        return None
+
+    def several(
+        self, place: Place, name: str, raw_values: Sequence[object], rows: bool = False
+    ) -> tuple[Value, ...] | None:
+        """Return values of one type, None if any is wrong; problems name the row, from 1, where they are ``rows``."""
+        before = len(self.problems.sentences)
+        values = []
+        for number, raw in enumerate(raw_values, start=1):
+            values.append(self.one(place, name, raw, f"row {number}: " if rows else ""))
+            if len(self.problems.sentences) >= before + 5:
+                self.problems.add(place, "... and perhaps more values like these")
+                return None
+        if len(self.problems.sentences) > before:
+            return None
+        kinds = {type(value) for value in values} if self.experiment.parameter(name).kind == "any" else set()
+        if kinds == {int, float}:
+            return tuple(float(value) for value in values)
+        if len(kinds) > 1:
+            types = ", ".join(sorted(kind.__name__ for kind in kinds))
+            self.problems.add(place, f"has values of several types ({types}); an axis is of one")
+            return None
+        return tuple(values)
+
+
+def _is_log(spec: Mapping[str, Any], *ends: float) -> bool:
+    """Return whether a range is spaced in equal ratios; raises ValueError where that is not possible."""
+    spacing = spec.get("spacing", "linear")
+    if spacing not in ("linear", "log"):
+        raise ValueError(f"spacing = {shown(spacing)}: must be 'linear' or 'log'")
+    if spacing == "log" and min(ends) <= 0:
+        raise ValueError(f"log spacing needs numbers above 0, not {' and '.join(map(shown, ends))}")
+    return bool(spacing == "log")
+
+
+def axis_values(spec: object, whole: bool = False) -> list[Any]:
+    """Return the values of an axis written as a list, {values}, {start, stop, step} or {start, stop, num, spacing}.
+
+    A range includes its stop; values are rounded to 12 digits, so that 14.1 from a range is the 14.1 of a list, or to
+    more where 12 would move them by a thousandth of a step.  If ``whole``, those that are log-spaced are rounded to
+    integers, and a range of integers is exact.  Raises ValueError that says what is allowed.
+
+    >>> axis_values({"start": 14, "stop": 16, "step": 0.5})
+    [14.0, 14.5, 15.0, 15.5, 16.0]
+    >>> axis_values({"start": 10, "stop": 1000, "num": 5, "spacing": "log"}, whole=True)
+    [10, 32, 100, 316, 1000]
+    """
+    if isinstance(spec, dict) and set(spec) == {"values"}:
+        spec = spec["values"]
+    if isinstance(spec, list):
+        return list(spec)
+    keys = set(spec) if isinstance(spec, dict) else set()
+    if not isinstance(spec, dict) or keys - {"spacing"} not in ({"start", "stop", "step"}, {"start", "stop", "num"}):
+        raise ValueError(f"{shown(spec)}: write a list, {{ start, stop, step }} or {{ start, stop, num, spacing }}")
+    start, stop = number_at("start", spec), number_at("stop", spec)
+    exact = whole and isinstance(start, int) and isinstance(stop, int)
+    if "step" in spec:
+        step = number_at("step", spec)
+        if step == 0 or (count := (stop - start) / step) < 0:
+            raise ValueError(f"step = {shown(step)}: does not lead from start = {shown(start)} to stop = {shown(stop)}")
+        if count > MAX_VALUES:
+            raise ValueError(f"start, stop, step make about {count:.3g} values; at most {MAX_VALUES} are allowed")
+        if exact and isinstance(step, int):
+            return [start + step * i for i in range((stop - start) // step + 1)]
+        # The stop is one of the values although start and stop are rounded, and the step may not divide their distance.
+        unsure = 1e-9 + 2 * sys.float_info.epsilon * max(abs(start), abs(stop)) / abs(step)
+        return [_rounded(start + step * i, step) for i in range(math.floor(count + min(unsure, 1e-3)) + 1)]
+    num = number_at("num", spec)
+    if not isinstance(num, int) or not 1 <= num <= MAX_VALUES:
+        raise ValueError(f"num = {shown(num)}: must be an integer from 1 to {MAX_VALUES}")
+    parts = max(num - 1, 1)
+    if _is_log(spec, start, stop):
+        values = [_rounded(start * (stop / start) ** (i / parts)) for i in range(num)]
+        ends = {0: start, parts: stop} if exact else {}  # they may have more than 12 digits
+        return [ends.get(i, round(v) if math.isfinite(v) else v) for i, v in enumerate(values)] if whole else values
+    if exact and (stop - start) % parts == 0:
+        return [start + (stop - start) // parts * i for i in range(num)]
+    return [_rounded(start + (stop - start) * i / parts, (stop - start) / parts) for i in range(num)]
+
+
+def _rounded(x: float, step: float = math.inf) -> float:
+    """Return x with 12 digits, or with 15 where 12 would move it by a thousandth of a step, as they do Julian dates
+    that are a second apart.
+    """
+    short = float(f"{x:.12g}")
+    return short if step == 0 or abs(short - x) <= 1e-3 * abs(step) else float(f"{x:.15g}")
+
+
+@dataclass(frozen=True)
+class Range:
+    """Equally probable values of one parameter: between ``low`` and ``high``, on a linear or ``log`` scale, or
+    ``values``.
+
+    Integers go from ``low`` to ``high``, both included.
+    """
+
+    name: str
+    low: float = 0.0
+    high: float = 1.0
+    log: bool = False
+    whole: bool = False
+    values: tuple[Any, ...] = ()
+
+    def __call__(self, unit: Array) -> list[Any]:
+        """Return the values at places of the unit interval.
+
+        >>> Range("k", 1, 3, whole=True)(np.array([0.0, 0.4, 1.0]))
+        [1, 2, 3]
+        >>> Range("x", 0.01, 1.0, log=True)(np.array([0.0, 0.5, 1.0]))
+        [0.01, 0.1, 1.0]
+        """
+        if self.values or (self.whole and not self.log):
+            n = int(self.levels)
+            steps = [int(i) for i in np.minimum(np.floor(unit * n), n - 1).tolist()]
+            return [self.values[i] if self.values else int(self.low) + i for i in steps]
+        if self.log:
+            first = math.log(self.low)
+            exponents = first + unit * (math.log(self.high + self.whole) - first)
+            numbers = [float(f"{x:.12g}") for x in np.exp(exponents).tolist()]
+        else:
+            numbers = (self.low + (self.high - self.low) * unit).tolist()
+        numbers = [min(max(x, self.low), self.high) for x in numbers]
+        return [math.floor(x) for x in numbers] if self.whole else numbers
+
+    def places(self, values: Array) -> Array:
+        """Return the places of numbers in the unit interval; for integers the middle of their part."""
+        numbers = values.astype(float) + (0.5 if self.whole else 0.0)
+        top = self.high + self.whole
+        if self.log:
+            return np.asarray((np.log(numbers) - math.log(self.low)) / (math.log(top) - math.log(self.low)))
+        return np.asarray((numbers - self.low) / (top - self.low))
+
+    @property
+    def levels(self) -> float:
+        """How many different values there are, infinity for real numbers."""
+        if self.values:
+            return len(self.values)
+        return self.high - self.low + 1 if self.whole else math.inf
+
+
+def read_range(parameter: Parameter, spec: object) -> Range:
+    """Return the range that a study writes for a parameter; raises ValueError that says what is allowed."""
+    if not parameter.may_be_axis:
+        raise ValueError(f"a {parameter.kind} has no range")
+    if isinstance(spec, dict) and set(spec) == {"values"}:
+        values = spec["values"]
+        different = {parameter.parse(value) for value in values} if isinstance(values, list) else set()
+        if not different or len(different) < len(values):
+            raise ValueError(f"values = {shown(values)}: must be a list of different values")
+        return Range(parameter.name, values=tuple(values))
+    if isinstance(spec, list) and len(spec) == 2:
+        spec = {"low": spec[0], "high": spec[1]}
+    is_number_ = parameter.kind in ("float", "int", "any") and (not parameter.choices or parameter.kind == "float")
+    if not is_number_ or not isinstance(spec, dict) or set(spec) - {"spacing"} != {"low", "high"}:
+        ways = '[low, high], { low, high, spacing = "log" } or ' if is_number_ else ""
+        raise ValueError(f"{shown(spec)}: {parameter.name} is {parameter.allowed()}; write {ways}{{ values = [...] }}")
+    low, high = number_at("low", spec), number_at("high", spec)
+    parameter.parse(low)
+    parameter.parse(high)
+    if not low < high:
+        raise ValueError(f"low = {shown(low)} must be less than high = {shown(high)}")
+    return Range(parameter.name, low, high, _is_log(spec, low, high), whole=parameter.kind == "int")
+
+
+class Design(NamedTuple):
+    """Points in the unit cube that sample many parameters at once.
+
+    How to ``draw`` it from n and the number of parameters; whether it ``grows``: a larger n begins with the same
+    points; whether it is even only for powers of two; and how many points each of n has ``beside`` one for each
+    parameter, None if it is a single point.
+    """
+
+    draw: Callable[[int, int, np.random.Generator], Any]
+    grows: bool = True
+    powers_of_two: bool = False
+    beside: int | None = None
+
+    def size(self, n: int, dimensions: int) -> int:
+        """Return how many points it has."""
+        return n if self.beside is None else n * (dimensions + self.beside)
+
+
+def _scipy(name: str, n: int, dimensions: int, rng: np.random.Generator) -> Any:
+    from scipy.stats import qmc
+
+    return getattr(qmc, name)(dimensions, seed=rng).random(n)
+
+
+def _salib(name: str, n: int, dimensions: int, rng: np.random.Generator, **options: Any) -> Any:
+    return getattr(salib().sample, name).sample(unit_cube(dimensions), n, seed=rng, **options)
+
+
+DESIGNS: Mapping[str, Design] = {
+    "sobol": Design(partial(_scipy, "Sobol"), powers_of_two=True),
+    "latin-hypercube": Design(partial(_scipy, "LatinHypercube"), grows=False),
+    "halton": Design(partial(_scipy, "Halton")),
+    "random": Design(lambda n, dimensions, rng: rng.random((n, dimensions))),
+    "saltelli": Design(partial(_salib, "sobol", calc_second_order=False), powers_of_two=True, beside=2),
+    "morris": Design(partial(_salib, "morris", num_levels=MORRIS_LEVELS), beside=1),
 }
+
+
+def salib() -> Any:
+    """Return SALib with its samplers; raises SweepError unless it can be imported."""
+    try:
+        import SALib
+        import SALib.sample.morris
+        import SALib.sample.sobol
+    except ImportError as error:
+        raise SweepError("needs SALib, which is not installed: pip install 'linksweep[sensitivity]'") from error
+    return SALib
+
+
+def unit_cube(dimensions: int) -> dict[str, Any]:
+    """Return SALib's definition of a problem with this many parameters between 0 and 1."""
+    names = [f"x{k}" for k in range(dimensions)]
+    return {"num_vars": dimensions, "names": names, "bounds": [[0.0, 1.0]] * dimensions}
+
+
+def remarks(origin: Mapping[str, Any]) -> list[str]:
+    """Return the warnings of a run about a design."""
+    n, design = origin.get("n", 1), DESIGNS.get(origin.get("design", ""))
+    if design is None or not design.powers_of_two or n & (n - 1) == 0:
+        return []
+    below = 1 << (n.bit_length() - 1)
+    return [f"points.n = {n:,} is not a power of two, and Sobol points spread less evenly: {below:,} or {2 * below:,}?"]
+
+
+# The table [points]
 
 
 def read_points(
@@ -41,72 +312,78 @@ def read_points(
     ``fixed`` are the other parameters that the study sets; the columns are empty where anything is wrong, and the
     problems of ``values`` say what.
     """
-    problems, experiment = values.problems, values.experiment
-    chosen = [key for key in ("file", "design", "columns") if getattr(form, key) is not None]
+    problems, before = values.problems, len(values.problems.sentences)
+    kinds = {
+        "file": {"file", "units"},
+        "columns": {"columns", "units", "origin"},
+        "design": {"design", "n", "seed", "ranges"},
+    }
+    chosen = [key for key in kinds if getattr(form, key) is not None]
     columns: Columns = {}
-    origin: dict[str, Any] = {}
+    origin: dict[str, Any] = dict(form.origin or {})
     if len(chosen) != 1:
-        named = f"not {' and '.join(chosen)}" if chosen else "and has none of them"
-        problems.add(("points",), f"needs exactly one of file, design and columns, {named}")
-    elif stray := sorted(form.model_fields_set - _KEYS[chosen[0]]):
-        problems.add(("points", stray[0]), f"does not go with {chosen[0]}")
-    elif form.design is not None:
-        columns, origin = _designed(form, experiment, problems)
-    elif form.file is not None:
-        columns, origin = _in_file(form, values), {"file": Path(form.file).name}
-    else:
-        origin = dict(form.origin or {})
-        if not form.columns:
-            problems.add(("points", "columns"), "has no columns")
-        columns = _in_units(form.columns or {}, form.units, experiment, ("points", "columns"), problems)
+        problems.add(
+            ("points",), f"needs exactly one of file, design and columns, not {' and '.join(chosen) or 'none'}"
+        )
+        return {}, {}
+    for stray in sorted(form.model_fields_set - kinds[chosen[0]] - {"derive"}):
+        problems.add(("points", stray), f"does not go with {chosen[0]}")
+    before_it = {"file": f"{shown(form.file)}: ", "design": f"{form.design}: "}.get(chosen[0], "")
+    with problems.at(("points", chosen[0]), before_it):
+        if form.design is not None:
+            columns, origin = _designed(form, values)
+        elif form.file is not None:
+            columns, origin = _in_file(form, values), {"file": Path(form.file).name}
+        else:
+            columns = _in_units(form.columns or {}, form.units, values, ("points", "columns"))
+    if len(problems.sentences) > before:
+        return {}, {}
     lengths = {name: len(column) for name, column in columns.items()}
-    if len(set(lengths.values())) > 1:
-        sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
-        problems.add(("points",), f"columns must have the same number of values: {sizes}")
-        columns = {}
-    elif not 1 <= (rows := max(lengths.values(), default=1)) <= MOST_ROWS:
-        problems.add(("points",), f"has {rows:,} points; from 1 to {MOST_ROWS:,} are allowed")
-        columns = {}
-    if form.derive is not None and columns:
+    with problems.at(("points",)):
+        if len(set(lengths.values())) != 1:
+            sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
+            raise ValueError(f"needs columns with the same number of values: {sizes or 'it has no columns'}")
+        if not 1 <= (rows := max(lengths.values())) <= MAX_VALUES:
+            raise ValueError(f"has {rows:,} points; from 1 to {MAX_VALUES:,} are allowed")
+        if form.derive is None:
+            return columns, origin
+    if len(problems.sentences) == before and form.derive is not None:
         with problems.at(("points", "derive")):
-            columns = {**columns, **_derived(form.derive, columns, experiment.defaults() | dict(fixed), values, code)}
-        origin["derive"] = form.derive
-    return columns, origin
+            derived = _derived(form.derive, columns, values.experiment.defaults() | dict(fixed), values, code)
+            return {**columns, **derived}, origin | {"derive": form.derive}
+    return {}, {}
 
 
 def _in_file(form: PointsForm, values: Values) -> Columns:
-    with values.problems.at(("points", "file"), f"{shown(form.file)}: "):
-        table = read_table(values.folder / str(form.file))
-        columns, units = columns_of({name: table[name] for name in table.colnames})
-        kinds = {parameter.name: parameter.kind for parameter in values.experiment.parameters}
-        read = {name: _read_where_possible(cells, kinds.get(name, "any")) for name, cells in columns.items()}
-        return _in_units(read, units | form.units, values.experiment, ("points", "file"), values.problems)
-    return {}
+    table = read_table(values.folder / str(form.file))
+    columns, units = columns_of({name: table[name] for name in table.colnames})
+    kinds = {parameter.name: parameter.kind for parameter in values.experiment.parameters}
+    columns = {name: _read_cells(cells, kinds.get(name, "any")) for name, cells in columns.items()}
+    return _in_units(columns, units | form.units, values, ("points", "file"))
 
 
-def _read_where_possible(values: list[Any], kind: str) -> list[Any]:
-    """Return a column of a file that is text because of some cells, with the others as what the parameter takes: only
-    those that are wrong are then refused.  A column in which no cell is wrong is text on purpose, and stays so, unless
-    it is text for an integer beyond 64 bits.
+def _read_cells(cells: list[Any], kind: str) -> list[Any]:
+    """Return a column of a file that is text because of some cells, with the others as what the parameter takes, so
+    that only those that are wrong are refused.  A column in which no cell is wrong is text on purpose, and stays so.
     """
-    if kind not in ("float", "int", "bool") or not any(isinstance(value, str) for value in values):
-        return values
+    if kind not in ("float", "int", "bool") or not any(isinstance(cell, str) for cell in cells):
+        return cells
+    # of numbers with decimal commas too: the better of two readings
+    readings = [[_read_cell(cell, kind, marks) for cell in cells] for marks in ({}, str.maketrans(",.", ".,"))]
+    best = min(readings, key=lambda reading: sum(isinstance(cell, str) for cell in reading))
+    large = any(isinstance(cell, int) and not -(2**63) <= cell < 2**63 for cell in best)
+    return best if large or any(isinstance(cell, str) for cell in best) else cells
 
-    def cell(value: Any, swapped: Mapping[int, int]) -> Any:
-        if not isinstance(value, str) or "_" in value:  # which Python allows between digits
-            return value
-        if kind == "bool":
-            return {"true": True, "false": False}.get(value.lower(), value)
-        for number in (int, float):
-            with suppress(ValueError):
-                return number(value.translate(swapped))
-        return value
 
-    marks: list[Mapping[int, int]] = [{}, _DECIMAL_COMMA]
-    readings = [[cell(value, swapped) for value in values] for swapped in marks]
-    best = min(readings, key=lambda cells: sum(isinstance(one, str) for one in cells))
-    wrong = any(isinstance(one, str) or (isinstance(one, int) and not -(2**63) <= one < 2**63) for one in best)
-    return best if wrong else values
+def _read_cell(cell: Any, kind: str, marks: Mapping[int, Any]) -> Any:
+    if not isinstance(cell, str) or "_" in cell:  # which Python allows between digits
+        return cell
+    if kind == "bool":
+        return {"true": True, "false": False}.get(cell.lower(), cell)
+    for number in (int, float):
+        with suppress(ValueError):
+            return number(cell.translate(marks))
+    return cell
 
 
 def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str, str]]:
@@ -121,28 +398,25 @@ def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str
     return columns, units
 
 
-def _in_units(
-    columns: Columns, units: Mapping[str, str], experiment: Experiment, where: Place, problems: Problems
-) -> Columns:
-    """Return columns in the units of their parameters, none if anything is wrong."""
+def _in_units(columns: Columns, units: Mapping[str, str], values: Values, where: Place) -> Columns:
+    """Return columns in the units of their parameters."""
     right: dict[str, list[Any]] = {}
     for name in {**columns, **units}:
-        with problems.at((*where, name)):
-            unit, theirs = experiment.parameter(name).unit, units.get(name, "")
+        with values.problems.at((*where, name)):
+            unit, theirs = values.experiment.parameter(name).unit, units.get(name, "")
             if name not in columns:
                 raise ValueError("has a unit, but is no column")
-            values = columns[name]
-            missing = np.array([value is None or value != value for value in values], dtype=bool)  # noqa: PLR0124 (NaN)
+            cells: list[Any] = [cell.decode() if isinstance(cell, bytes) else cell for cell in columns[name]]
+            missing = np.array([cell is None or cell != cell for cell in cells], dtype=bool)  # noqa: PLR0124 (NaN)
             if missing.any():
                 raise ValueError(f"has no value in row {rows_listed(missing)}")
-            values = [value.decode() if isinstance(value, bytes) else value for value in values]
-            factor = factor_between(theirs, unit) if theirs else 1.0
-            if factor is None:
-                expected = f"is in {unit}" if unit else "has no unit"
-                raise ValueError(f"its column is in {theirs}, and the parameter {expected}")
-            scaled = factor != 1.0 and all(isinstance(value, int | float) for value in values)
-            right[name] = [factor * value for value in values] if scaled else values
-    return right if len(right) == len(columns) else {}
+            if (factor := factor_between(theirs, unit) if theirs else 1.0) is None:
+                raise ValueError(
+                    f"its column is in {theirs}, and the parameter {f'is in {unit}' if unit else 'has no unit'}"
+                )
+            is_scaled = factor != 1.0 and not any(isinstance(cell, str) for cell in cells)
+            right[name] = [factor * cell for cell in cells] if is_scaled else cells
+    return right
 
 
 def _derived(reference: str, columns: Columns, settings: Mapping[str, Any], values: Values, code: Code) -> Columns:
@@ -154,45 +428,39 @@ def _derived(reference: str, columns: Columns, settings: Mapping[str, Any], valu
             result = function({**settings, **dict(zip(columns, row, strict=True))})
         except Exception as error:  # whatever a user's function raises
             raise ValueError(f"row {number}: {reference} raises {type(error).__name__}: {error}") from error
-        if not isinstance(result, Mapping) or (derived and result.keys() != derived.keys()):
-            expected = f"a mapping of {', '.join(derived)}" if derived else "a mapping of parameters to their values"
+        if not isinstance(result, Mapping) or (derived and result.keys() != derived.keys()) or result.keys() & columns:
+            expected = f"a mapping of {', '.join(derived) or 'parameters'} that are no columns to their values"
             raise ValueError(f"row {number}: {reference} returns {shown(result)}, not {expected}")
         for name, value in result.items():
             derived.setdefault(str(name), []).append(value.item() if hasattr(value, "item") else value)
-    if twice := sorted(derived.keys() & columns.keys()):
-        raise ValueError(f"{', '.join(twice)} is a column already")
     return derived
 
 
-def _designed(form: PointsForm, experiment: Experiment, problems: Problems) -> tuple[Columns, dict[str, Any]]:
-    before = len(problems.sentences)
-    name = str(form.design)
-    if name not in DESIGNS:
-        problems.add(("points", "design"), f"no design {shown(name)}{suggest(name, list(DESIGNS))}")
-    if form.n is None:
-        what = DESIGNS[name].counts if name in DESIGNS else "points"
-        problems.add(("points", "n"), f"is required: how many {what}")
-    if not form.ranges:
-        problems.add(("points", "ranges"), "is required: the range of each parameter that the design varies")
+def _designed(form: PointsForm, values: Values) -> tuple[Columns, dict[str, Any]]:
+    """Return the columns of a design, and where they come from; raises ValueError or SweepError."""
+    name, problems = str(form.design), values.problems
+    for key, missing in (("n", form.n is None), ("ranges", not form.ranges)):
+        if missing:
+            problems.add(("points", key), "is required by a design")
     ranges = []
     for key, spec in form.ranges.items():
         with problems.at(("points", "ranges", key)):
-            ranges.append(one := read_range(experiment.parameter(key), spec))
+            ranges.append(one := read_range(values.experiment.parameter(key), spec))
             few = one.levels < MORRIS_LEVELS or any(isinstance(value, str | bool) for value in one.values)
             if name == "morris" and few:
                 raise ValueError(f"a Morris design takes steps between {MORRIS_LEVELS} numbers at least")
-    if len(problems.sentences) > before or form.n is None:
+    if form.n is None or not ranges or len(ranges) < len(form.ranges):
         return {}, {}
-    if (size := DESIGNS[name].size(form.n, len(ranges))) > MOST_ROWS:
-        problems.add(("points", "n"), f"makes {size:,} points; at most {MOST_ROWS:,} are allowed")
-        return {}, {}
-    try:
-        unit = DESIGNS[name].make(form.n, len(ranges), form.seed)
-    except (SweepError, ValueError) as error:
-        problems.add(("points", "design"), f"{name}: {' '.join(str(error).split())}")
-        return {}, {}
+    if (size := DESIGNS[name].size(form.n, len(ranges))) > MAX_VALUES:
+        raise ValueError(f"makes {size:,} points of n = {form.n:,}; at most {MAX_VALUES:,} are allowed")
+    with warnings.catch_warnings():  # `remarks` says it in our words
+        warnings.filterwarnings("ignore", message="The balance properties", category=UserWarning)
+        unit = np.asarray(DESIGNS[name].draw(form.n, len(ranges), np.random.default_rng(form.seed)))
     columns = {one.name: one(unit[:, k]) for k, one in enumerate(ranges)}
     return columns, {"design": name, "n": form.n, "seed": form.seed, "ranges": dict(form.ranges)}
+
+
+# Objects of Python in place of a file
 
 
 def plain(value: Any, where: str) -> Any:
@@ -203,26 +471,17 @@ def plain(value: Any, where: str) -> Any:
     if isinstance(value, Mapping):
         return {str(key): plain(item, f"{where}.{key}") for key, item in value.items()}
     if is_quantity(value):
-        unit = str(value.unit)
-        kind = f"a quantity in {unit}" if unit else "a quantity without a unit"
-        raise SweepError(f"{where}: is {kind}; give numbers in the unit of the parameter, .to_value({unit!r})")
+        here = f"is a quantity in {str(value.unit) or 'no unit'}; give numbers in the unit of the parameter"
+        raise SweepError(f"{where}: {here}, .to_value({str(value.unit)!r})")
     if isinstance(value, np.generic):
         return value.item()
     if hasattr(value, "tolist"):  # arrays of NumPy, pandas and xarray
         items = value.tolist()
         return items if getattr(getattr(value, "dtype", None), "kind", "") in PLAIN else plain(items, where)
     if hasattr(value, "values") and hasattr(value.values, "tolist"):
-        return plain(value.values.tolist(), where)
-    if isinstance(value, Iterator):
-        once = f"is a {type(value).__name__}, which gives its values only once"
-        raise SweepError(f"{where}: {once}; give a list, list(...), of them")
-    if isinstance(value, set | frozenset):
-        try:
-            value = sorted(value)  # its own order differs between processes
-        except TypeError:
-            kinds = ", ".join(sorted({type(item).__name__ for item in value}))
-            raise SweepError(f"{where}: is a set of {kinds}, which have no order; give a list") from None
-    if isinstance(value, list | tuple | range | KeysView | ValuesView):
+        return plain(value.values, where)
+    # Neither what gives its values only once, nor a set, whose order differs between processes: both are refused later.
+    if isinstance(value, Iterable) and not isinstance(value, str | bytes | set | frozenset | Iterator):
         return [plain(item, where) for item in value]
     return value
 
@@ -235,17 +494,16 @@ def plain_points(points: Any) -> dict[str, Any]:
     if isinstance(points, str | PathLike):
         return {"file": str(points)}
     if isinstance(points, Mapping):
-        if any(isinstance(points.get(key), str) for key in ("file", "design")) or isinstance(
-            points.get("columns"), dict
-        ):
+        is_form = any(isinstance(points.get(key), str) for key in ("file", "design"))
+        if is_form or isinstance(points.get("columns"), dict):
             return dict(plain(points, "points"))
         quantities, units = columns_of({name: column for name, column in points.items() if is_quantity(column)})
         columns = plain({name: quantities.get(name, column) for name, column in points.items()}, "points")
     elif hasattr(points, "colnames"):
         columns, units = columns_of({name: points[name] for name in points.colnames})
     elif hasattr(points, "columns") and hasattr(points, "to_dict"):
-        if twice := points.columns[points.columns.duplicated()].tolist():
-            raise SweepError(f"points: two columns are called {shown(twice[0])}")
+        if not points.columns.is_unique:
+            raise SweepError("points: two columns have the same name")
         columns = {str(name): points[name].astype(object).where(points[name].notna(), None).tolist() for name in points}
     else:
         wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"

@@ -12,35 +12,14 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from linksweep.sweep.code.load import Code, absolute_reference, keep
-from linksweep.sweep.contract import (
-    DefinitionError,
-    Experiment,
-    Function,
-    Named,
-    Parameter,
-    SweepError,
-    Value,
-    shown,
-    suggest,
-)
-from linksweep.sweep.functions.adapter import is_plain_function
-from linksweep.sweep.functions.declared import name_of
-from linksweep.sweep.studies.claims import ClaimContext, check_figure, checked_claim, checked_conclusion
-from linksweep.sweep.studies.document import (
-    Overrides,
-    Place,
-    Problems,
-    find_study,
-    override,
-    parsed,
-    read_text,
-    reference_in,
-)
-from linksweep.sweep.studies.points import plain, plain_points, read_points
+from linksweep.sweep.contract import DefinitionError, Experiment, Function, Named, SweepError, Value, shown, suggest
+from linksweep.sweep.functions.adapter import is_plain_function, name_of
+from linksweep.sweep.studies.document import Options, Place, Problems, find_study, parsed, read_text, reference_in
+from linksweep.sweep.studies.points import Columns, Values, plain, plain_points, read_points
 from linksweep.sweep.studies.study import (
     DEFAULT_EXPERIMENT,
     POINT,
-    Condition,
+    Context,
     Form,
     PointTable,
     Published,
@@ -48,8 +27,7 @@ from linksweep.sweep.studies.study import (
     Sampling,
     Study,
 )
-from linksweep.sweep.studies.values import Values, is_number, number_problem
-from linksweep.sweep.tables.file import TableFile, content_digest
+from linksweep.sweep.tables.file import TableFile
 
 ONCE = Sampling(n_sim=1)
 """The sampling of a deterministic experiment, which is evaluated once at each point."""
@@ -57,10 +35,10 @@ ONCE = Sampling(n_sim=1)
 GOOD_NAME = re.compile(r"[A-Za-z_][\w.+-]{0,59}", re.ASCII)
 """Names that can be written on the command line wherever it takes a value of an axis."""
 
-Mentioned = Callable[..., Any] | Experiment
+STATEMENTS = ("sampling", "grid", "exclude", "claim", "conclusion", "figure")
+"""The sections that are read last: they are about the axes and the experiment."""
 
-Axes = Mapping[str, tuple[Value, ...] | None]
-"""Values of axes, None for an axis that is itself wrong."""
+Mentioned = Callable[..., Any] | Experiment
 
 
 def load_study(
@@ -100,8 +78,8 @@ def load_study(
         path = find_study(name_or_path)
         text = read_text(path)
         document = parsed(text, path)
-    overrides = override(document, settings, axes, points, design, ranges)
-    return _Reader(document, text, path, function or str(path), overrides, Code()).study()
+    options = Options(settings, axes, points, design, ranges)
+    return _Reader(document, text, path, function or str(path), options, Code()).study()
 
 
 def study_from_dict(
@@ -111,7 +89,7 @@ def study_from_dict(
     ``where``, as `load_study`.
     """
     path = Path.cwd() / f"{name}.toml"
-    return _Reader(dict(document), "", path, where or str(path), Overrides(), code or Code()).study()
+    return _Reader(dict(document), "", path, where or str(path), Options(), code or Code()).study()
 
 
 def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -> Study:
@@ -127,10 +105,11 @@ def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -
         raise SweepError("does not say which study it holds", where) from error
     if "published" in document and not Path(document["published"]["file"]).is_file():
         del document["published"]
-    laid = Overrides()
-    if overrides:
-        laid = Overrides([overrides], {(table, k): "" for table in ("axes", "fixed") for k in document.get(table, {})})
-    return replace(_Reader(document, text, Path(where), where, laid, code).study(), name=name)
+    options = Options()
+    if overrides:  # which of its parameters they changed is not known
+        options.by_place.update({(table, key): "" for table in ("axes", "fixed") for key in document.get(table, {})})
+    study = _Reader(document, text, Path(where), where, options, code).study()
+    return replace(study, name=name, overrides=(overrides,) if overrides else ())
 
 
 def study_of_function(
@@ -168,66 +147,46 @@ def live_study(document: Mapping[str, Any]) -> Study:
     else:
         raise SweepError(f"{shown(function)} is neither a function nor an Experiment")
     written.setdefault("title", name)
-    digest = hashlib.sha256(json.dumps(written, sort_keys=True, default=_digest).encode()).hexdigest()
+    digest = hashlib.sha256(json.dumps(written, sort_keys=True, default=repr).encode()).hexdigest()
     return study_from_dict(written, f"{name}-{digest[:8]}", name, Code(afresh=isinstance(function, str)))
-
-
-def _digest(value: object) -> str:
-    try:
-        return content_digest(value)
-    except TypeError:
-        return repr(value)
 
 
 class _Reader:
     """Reads one document into a Study, gathering every problem on the way."""
 
     def __init__(
-        self, document: dict[str, Any], text: str, path: Path, where: str, overrides: Overrides, code: Code
+        self, document: dict[str, Any], text: str, path: Path, where: str, options: Options, code: Code
     ) -> None:
         self.document, self.text, self.path, self.where = document, text, path, where
-        self.folder, self.overrides, self.code = path.parent, overrides, code
-        self.problems = Problems(where, text, overrides.problems, overrides.by_place)
+        self.folder, self.options, self.code = path.parent, options, code
+        self.problems = Problems(where, text, options.by_place)
 
     def study(self) -> Study:
-        if (form := _read_form(self.document, self.problems)) is None:
-            raise SweepError(self.problems.sentences, self.where)
-        try:
-            experiment = self.code.experiment(form.experiment, self.folder)
-        except SweepError as error:
-            for problem in error.problems:
-                self.problems.add(("experiment",), f"{error.where}: {problem}" if error.where else problem)
-            raise SweepError(self.problems.sentences, self.where) from error
-        if experiment.deterministic:
-            form = self._without_sampling_of_parameters(form, experiment)
+        problems = self.problems
+        form, experiment, is_whole = self._form_and_experiment()
         experiment, definitions = self._defined(experiment, form.define)
-        values = Values(experiment, self.folder, self.problems)
+        values = Values(experiment, self.folder, problems)
         points, origin, columns = self._points(values, form)
-        axes = points | {name: values.axis(name, spec) for name, spec in form.axes.items()}
-        fixed = {}
+        crossed = {name: values.axis(name, spec) for name, spec in form.axes.items()}
+        axes, fixed = {**points, **crossed}, dict[str, Value]()
         for name, raw in form.fixed.items():
             if name in form.axes:
-                self.problems.add(("fixed", name), "is an axis too; leave out one of the two")
+                problems.add(("fixed", name), "is an axis too; leave out one of the two")
             fixed[name] = values.one(("fixed", name), name, raw)
         if points or "points" not in self.document:  # else the table is wrong: what it has is not known
             for name in (one.name for one in experiment.parameters if one.required):
-                if name not in {**form.axes, **form.fixed, **points}:
+                if name not in {**axes, **fixed}:
                     sentence = f"{name} has no default: the study must set it, here or in [axes]"
-                    self.problems.add(("fixed", name), sentence)
-        crossed = {name: axes[name] for name in form.axes}
-        zipped = _zipped_axes(form.grid.zip, crossed, self.problems)
-        excluded = tuple(_exclusion(i, clause, {*axes, *form.fixed}, values) for i, clause in enumerate(form.exclude))
+                    problems.add(("fixed", name), sentence)
         published = None if form.published is None else _read_published(form.published, values, axes)
-        _check_sampling(form.sampling, experiment, self.problems.inside("sampling"))
-        changed = frozenset(str(place[1]) for place in self.problems.overridden if place[0] in ("axes", "fixed"))
-        context = ClaimContext(experiment, crossed, form.grid.zip, changed)
-        claims = tuple(checked_claim(c, context, self.problems.inside("claim", i)) for i, c in enumerate(form.claim))
-        conclusion = form.conclusion
-        if conclusion is not None:
-            conclusion = checked_conclusion(conclusion, context, self.problems.inside("conclusion"))
-        check_figure(form.figure, context, self.problems.inside("figure"))
-        if self.problems.sentences:
-            raise SweepError(self.problems.sentences, self.where)
+        changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
+        groups = _read_form({"title": "", "grid": self.document.get("grid", {})}, Problems(self.where))
+        zipped = groups.grid.zip if isinstance(groups, Form) else []
+        context = Context(experiment, crossed, zipped, frozenset({*axes, *fixed}), changed) if is_whole else None
+        statements = {key: self.document[key] for key in STATEMENTS if key in self.document}
+        checked = _read_form({"title": "", **statements}, problems, context)
+        problems.report()
+        assert isinstance(checked, Form), "what is wrong has been reported"
         return Study(
             name=self.path.stem,
             title=form.title,
@@ -236,21 +195,48 @@ class _Reader:
             experiment=experiment,
             axes={name: one for name, one in axes.items() if one is not None},
             fixed=fixed,
-            sampling=ONCE if experiment.deterministic else form.sampling,
-            zipped=zipped,
+            sampling=ONCE if experiment.deterministic else checked.sampling,
+            zipped=tuple(map(tuple, checked.grid.zip)),
             points=None if form.points is None else PointTable(tuple(points), origin),
-            excluded=excluded,
+            excluded=tuple(tuple(clause.values()) for clause in checked.exclude),
             published=published,
             source=self.where,
-            claims=claims,
-            conclusion=conclusion,
+            claims=tuple(checked.claim),
+            conclusion=checked.conclusion,
             text=self.text,
-            overrides=tuple(self.overrides.written),
+            overrides=tuple(f"{flag} {text}" for flag, text in self.options.written),
             document=self._portable(form, fixed, columns, origin) | ({"define": definitions} if definitions else {}),
         )
 
+    def _form_and_experiment(self) -> tuple[Form, Experiment, bool]:
+        """Return the document, as the options have changed it, without statements and without broken sections, so that
+        the others are checked too; its experiment; and whether axes and points are as they should be.
+        """
+        experiment, reasons = None, list[str]()
+        reference = self.document.get("experiment", DEFAULT_EXPERIMENT)
+        if isinstance(reference, str):
+            try:
+                experiment = self.code.experiment(reference, self.folder)
+            except SweepError as error:
+                reasons = [f"{error.where}: {problem}" if error.where else problem for problem in error.problems]
+        # Without sampling, --set seed=3 means a parameter of that name.
+        is_sampled = experiment is None or not experiment.deterministic
+        names = [] if experiment is None or is_sampled else [one.name for one in experiment.parameters]
+        self.options.apply(self.document, names, self.problems.sentences)
+        document = {key: section for key, section in self.document.items() if key not in STATEMENTS}
+        form = _read_form(document, self.problems)
+        for reason in reasons:
+            self.problems.add(("experiment",), reason)
+        if experiment is None:
+            self.problems.report()
+        assert experiment is not None, "that there is none is a problem"
+        if isinstance(form, Form):
+            return form, experiment, True
+        whole = {key: section for key, section in document.items() if key not in form}
+        return Form.model_validate({"title": "", **whole}), experiment, not {"axes", "points"} & form
+
     def _portable(
-        self, form: Form, fixed: Mapping[str, Value], columns: Mapping[str, list[Any]], origin: Mapping[str, Any]
+        self, form: Form, fixed: Mapping[str, Value], columns: Columns, origin: Mapping[str, Any]
     ) -> dict[str, Any]:
         """Return the document with absolute paths of files, and with the values of a table of points in place of its
         file or design.
@@ -266,32 +252,18 @@ class _Reader:
             document["published"] = document["published"] | {"file": file}
         return document
 
-    def _without_sampling_of_parameters(self, form: Form, experiment: Experiment) -> Form:
-        """Return the form of a deterministic experiment in which ``--set seed=3`` has set its own parameter seed."""
-        sampling = form.sampling.model_dump(include=form.sampling.model_fields_set)
-        names = {parameter.name for parameter in experiment.parameters}
-        names = {key for key in sampling if key in names and ("sampling", key) in self.problems.overridden}
-        if not names:
-            return form
-        rest = {key: value for key, value in self.document["sampling"].items() if key not in names}
-        moved = {key: value for key, value in sampling.items() if key in names}
-        axes = {key: value for key, value in form.axes.items() if key not in names}
-        changed = {"sampling": rest, "fixed": form.fixed | moved, "axes": axes}
-        self.document = {**self.document, **changed}
-        if not rest:
-            del self.document["sampling"]
-        return form.model_copy(update={**changed, "sampling": Sampling(**rest)})
-
     def _points(
         self, values: Values, form: Form
-    ) -> tuple[dict[str, tuple[Value, ...] | None], dict[str, Any], Mapping[str, list[Any]]]:
+    ) -> tuple[dict[str, tuple[Value, ...] | None], dict[str, Any], Columns]:
         """Return the values of a table of points by parameter, where it comes from, and its columns as written."""
         if form.points is None:
             return {}, {}, {}
         experiment = values.experiment
-        parameters, outputs = ({one.name for one in ones} for ones in (experiment.parameters, experiment.outputs))
-        if POINT in parameters | outputs | experiment.coordinates.keys():
-            self.problems.add(("points",), f"{experiment.name} has a {POINT!r} of its own, the name of this dimension")
+        outputs = [output.name for output in experiment.outputs]
+        names = {*experiment.defaults(), *outputs, *experiment.coordinates}
+        if POINT in names:
+            name = f"{POINT!r} of its own, the name of this dimension"
+            self.problems.add(("points",), f"{experiment.name} has a {name}")
         columns, origin = read_points(form.points, values, form.fixed, self.code)
         points: dict[str, tuple[Value, ...] | None] = {}
         for name, raw_values in columns.items():
@@ -311,8 +283,7 @@ class _Reader:
         """Return the experiment with the values that the tables [define.PARAMETER.NAME] define, and these with
         references that work from any directory.
         """
-        known: dict[str, Parameter] = {}
-        portable: dict[str, dict[str, dict[str, Any]]] = {}
+        known, portable = {one.name: one for one in experiment.parameters}, dict[str, dict[str, dict[str, Any]]]()
         for name, by_name in tables.items():
             with self.problems.at(("define", name, *list(by_name)[:1])):
                 parameter = experiment.parameter(name)
@@ -320,72 +291,59 @@ class _Reader:
                     raise ValueError(f"{name} takes no values that a study defines, but {parameter.allowed()}")
                 defined = []
                 for word, table in by_name.items():
-                    problems = self.problems.inside("define", name, word)
+                    place, paths = ("define", name, word), dict[str, str]()
                     if not GOOD_NAME.fullmatch(word):
-                        problems.add(
-                            (), "a name begins with a letter and has at most 60 letters, digits and any of _ . + -"
-                        )
+                        rule = "a name begins with a letter and has at most 60 letters, digits and any of _ . + -"
+                        self.problems.add(place, rule)
                     if word in parameter.choices:
-                        problems.add((), f"{shown(word)} is there already; take another name")
-                    loaded: dict[str, str] = {}
-                    defined.append(self._named(parameter.define, word, table, loaded, problems))
-                    portable.setdefault(name, {})[word] = {
-                        key: loaded.get(text, text) if isinstance(text, str) else text for key, text in table.items()
-                    }
+                        self.problems.add(place, f"{shown(word)} is there already; take another name")
+                    defined.append(self._named(parameter.define, place, table, paths))
+                    written = {key: paths.get(raw, raw) if isinstance(raw, str) else raw for key, raw in table.items()}
+                    portable.setdefault(name, {})[word] = written
                 known[name] = replace(parameter, defined=tuple(defined))
-        parameters = tuple(known.get(parameter.name, parameter) for parameter in experiment.parameters)
-        return replace(experiment, parameters=parameters), portable
+        return replace(experiment, parameters=tuple(known.values())), portable
 
     def _named(
-        self,
-        define: Callable[..., Any],
-        name: str,
-        table: Mapping[str, Any],
-        loaded: dict[str, str],
-        problems: Problems,
+        self, define: Callable[..., Any], place: tuple[str, str, str], table: Mapping[str, Any], paths: dict[str, str]
     ) -> Named:
+        """Return the value that a table defines; ``paths`` takes the references in it as they work anywhere."""
+
         def load(reference: str) -> Function:
             function = self.code.function(reference, self.folder)
-            loaded[reference] = function.reference  # which works from any directory
+            paths[reference] = function.reference
             return function
 
+        name = place[2]
         try:
             value, identity = define(table, load)
             return Named(name, json.dumps(identity, sort_keys=True), value)
         except DefinitionError as error:
             for key, sentence in error.problems:
-                problems.add((key,) if key else (), sentence)
+                self.problems.add((*place, key) if key else place, sentence)
         except Exception as error:  # whatever a user's experiment raises
-            problems.add((), f"the experiment cannot make anything of it: {type(error).__name__}: {error}")
+            said = f"{type(error).__name__}: {error}"
+            self.problems.add(place, f"the experiment cannot make anything of it: {said}")
         return Named(name, name, None)  # so that its name is known where it is used
 
 
-def _read_form(document: Mapping[str, Any], problems: Problems) -> Form | None:
-    """Return the form of a document without its broken sections, so that the others are checked too; None where the
-    key ``experiment`` is wrong.
-    """
+def _read_form(
+    document: Mapping[str, Any], problems: Problems, context: Context | None = None
+) -> Form | set[str | int]:
+    """Return a document with its sections checked; or its broken sections, if any, when what is wrong is reported."""
     try:
-        return Form.model_validate(document)
+        return Form.model_validate(document, context=context)
     except ValidationError as error:
-        errors = error.errors()
-    for item in errors:
-        where = tuple(item["loc"])
-        if item["type"] == "extra_forbidden":
-            problems.add(where, f"unknown key{suggest(str(where[-1]), _known_keys(where))}")
-        elif item["type"] == "missing":
-            problems.add(where, "is required")
-        elif item["type"] == "value_error":
-            problems.add(where, f"{shown(item['input'])} {item['ctx']['error']}")
-        else:
-            problems.add(where, f"{item['msg'][0].lower()}{item['msg'][1:]}, not {shown(item['input'])}")
-    broken = {item["loc"][0] for item in errors}
-    if "experiment" in broken:
-        return None
-    if {"axes", "points"} & broken:
-        broken |= {"grid", "claim", "conclusion", "published", "figure"}
-    if "grid" in broken:
-        broken |= {"claim", "conclusion"}
-    return Form.model_validate({"title": "", **{key: one for key, one in document.items() if key not in broken}})
+        for item in error.errors():
+            where = tuple(item["loc"])
+            if item["type"] == "extra_forbidden":
+                problems.add(where, f"unknown key{suggest(str(where[-1]), _known_keys(where))}")
+            elif item["type"] == "missing":
+                problems.add(where, "is required")
+            elif item["type"] == "value_error":
+                problems.add(where, str(item["ctx"]["error"]))
+            else:
+                problems.add(where, f"{item['msg'][0].lower()}{item['msg'][1:]}, not {shown(item['input'])}")
+        return {item["loc"][0] for item in error.errors()}
 
 
 def _known_keys(where: Place) -> list[str]:
@@ -401,98 +359,9 @@ def _known_keys(where: Place) -> list[str]:
     return list(table.model_fields)
 
 
-def _check_sampling(sampling: Sampling, experiment: Experiment, problems: Problems) -> None:
-    """Report settings of the sampling that contradict each other or the experiment, by their place in its table."""
-    name, most = experiment.name, sampling.max_n_sim
-    if experiment.deterministic:
-        if keys := sorted(sampling.model_fields_set):
-            problems.add(
-                (),
-                f"{name} takes no rng and is evaluated once at each point: there is nothing to sample, "
-                f"leave out {', '.join(keys)}",
-            )
-        return
-
-    def report(key: str, wrong: bool, sentence: str) -> None:
-        if wrong:
-            problems.add((key,), sentence)
-
-    precise, keeps = sampling.precision is not None, sampling.keep_samples
-    alone = f"{name} has no outer draw that realisations share; leave it out"
-    report("n_cat", sampling.n_cat > 1 and not experiment.outer_draw, alone)
-    report("keep_samples", keeps and experiment.samples is None, f"the experiment {name!r} has no samples to keep")
-    unshared = f"the experiment {name!r} declares no parameter that leaves its random numbers unchanged"
-    report("common_random_numbers", sampling.common_random_numbers and not experiment.shared, unshared)
-    report("max_n_sim", most is not None and not precise, "has an effect only with a precision, which is not set")
-    least = f"must be at least n_sim = {sampling.n_sim}, with which every point begins"
-    report("max_n_sim", precise and most is not None and most < sampling.n_sim, f"{most}: {least}")
-    report("precision", precise and keeps, "cannot go with keep_samples: points would keep different numbers")
-    unjudged = f"no headline result X of the experiment {name!r} has an error X_mc_error to judge by"
-    report("precision", precise and not experiment.errors_of_headline(), unjudged)
-
-
-def _zipped_axes(groups: Sequence[Sequence[str]], axes: Axes, problems: Problems) -> tuple[tuple[str, ...], ...]:
-    """Return the groups of zipped axes, and report those that cannot be zipped."""
-    seen: set[str] = set()
-    known = [name for name, values in axes.items() if values is not None]  # others may hold control characters
-    for i, group in enumerate(groups):
-        where = ("grid", "zip", i)
-        if len(group) < 2:
-            problems.add(where, f"{shown(group)}: name at least two axes that advance together")
-        for name in group:
-            if name not in axes:
-                problems.add(where, f"{shown(name)} is not an axis{suggest(name, known) if known else ''}")
-            if name in seen:
-                problems.add(where, f"{shown(name)} is zipped twice")
-            seen.add(name)
-        lengths = {name: len(values) for name in group if (values := axes.get(name)) is not None}
-        if len(set(lengths.values())) > 1:
-            sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
-            problems.add(where, f"zipped axes must have the same number of values: {sizes}")
-    return tuple(tuple(group) for group in groups)
-
-
-def _exclusion(
-    index: int, clause: Mapping[str, object], known: Collection[str], values: Values
-) -> tuple[Condition, ...]:
-    """Return the conditions of one exclusion; ``known`` are the parameters that the study sets."""
-    if not clause:
-        values.problems.add(("exclude", index), "is empty and would leave out every point")
-    return tuple(_condition(("exclude", index, name), name, rule, known, values) for name, rule in clause.items())
-
-
-def _condition(where: Place, name: str, written: object, known: Collection[str], values: Values) -> Condition:
-    with values.problems.at(where):
-        parameter = values.experiment.parameter(name)
-        rule: dict[str, Any] = written if isinstance(written, dict) else {"equal": written}
-        unknown = [key for key in rule if key not in ("above", "below", "equal", "in")]
-        if unknown or not rule:
-            wrong = f"unknown condition {shown(unknown)}" if unknown else "has no condition"
-            raise ValueError(f"{wrong}; allowed are above, below, equal, in")
-        listed = [rule["equal"]] if "equal" in rule else rule.get("in")
-        if listed is not None:
-            if not isinstance(listed, list) or len(rule) > 1:
-                raise ValueError("'in' takes a list, and 'in' or 'equal' stands alone")
-            return Condition(name, among=tuple(values.one(where, name, raw) for raw in listed))
-        if parameter.kind not in ("float", "int"):
-            values.problems.add(where, f"{name} has no order: use equal or in")
-        elif parameter.default is None and name not in known:
-            why = "it is neither an axis nor fixed, and has no default"
-            values.problems.add(where, f"{name} has no value to compare: {why}")
-        for key, raw in rule.items():
-            if problem := number_problem(raw):
-                values.problems.add((*where, key), problem)
-        bounds = {key: float(raw) for key, raw in rule.items() if not number_problem(raw)}
-        return Condition(name, above=bounds.get("above"), below=bounds.get("below"))
-    return Condition(name)
-
-
 def _read_published(form: PublishedForm, values: Values, axes: Collection[str]) -> Published | None:
     """Return the published numbers that a study names, from a CSV file in its folder."""
-    problems, file = values.problems, shown(form.file)
-    if (form.tolerance is None) != (form.tolerance_reason is None):
-        problems.add(("published", "tolerance"), "a tolerance needs a tolerance_reason, and the other way round")
-    where = ("published", "file")
+    problems, file, where = values.problems, shown(form.file), ("published", "file")
     try:
         text = read_text(values.folder / form.file)
         lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line and not line.startswith("#")]
@@ -506,35 +375,29 @@ def _read_published(form: PublishedForm, values: Values, axes: Collection[str]) 
         return None
     outputs = {output.name for output in values.experiment.outputs}
     parameters = {parameter.name: parameter for parameter in values.experiment.parameters}
-    columns = list(reader.fieldnames or ())
-    unknown = [column for column in columns if column not in outputs and column not in parameters]
+    unknown = [column for column in reader.fieldnames or () if column not in outputs and column not in parameters]
     if unknown or not rows:
         wrong = f": columns {shown(unknown)} are neither parameters nor outputs" if rows else " holds no rows"
         problems.add(where, f"{file}{wrong}")
         return None
     for number, row in rows:
-        if "" in row or None in row.values():
-            problems.add(where, f"{file}, line {number}: does not have {len(columns)} cells as the header has")
-            continue
-        for column, cell in row.items():
-            optional = column in outputs and column not in axes
-            if wanted := _wrong_cell(parameters.get(column), cell, optional):
-                problems.add(where, f"{file}, line {number}: {column} = {shown(cell)}: must be {wanted}")
+        with problems.at(where, f"{file}, line {number}: "):
+            if "" in row or None in row.values():
+                raise ValueError(f"does not have {len(reader.fieldnames or ())} cells as the header has")
+            for column, cell in row.items():
+                if column not in outputs or column in axes:
+                    parameters[column].parse(_read_cell(cell, parameters[column].kind))
+                elif cell and isinstance(_read_cell(cell, "float"), str):
+                    raise ValueError(f"{column} = {shown(cell)}: must be a number or empty")
     tolerance, reason = form.tolerance or 0.0, form.tolerance_reason or ""
     return Published(form.source, tuple(row for _, row in rows), tolerance, reason)
 
 
-def _wrong_cell(parameter: Parameter | None, cell: str, optional: bool) -> str | None:
-    """Return what a cell of a published table ought to be, or None if it is; an optional one may be empty."""
-    if optional and not cell:
-        return None
-    if parameter is None or parameter.kind in ("float", "int"):
-        try:
-            number = float(cell)
-        except ValueError:
-            return "a number" + (" or empty" if optional else "")
-        return None if optional or is_number(number) else "a finite number"
-    if parameter.kind == "bool":
-        return None if cell in ("True", "False") else "True or False"
-    known = (*parameter.choices, *(named.name for named in parameter.defined))
-    return parameter.allowed() if parameter.choices and cell not in known else None
+def _read_cell(cell: str, kind: str) -> Any:
+    """Return what a cell of a CSV table is for a parameter, the text itself where it is nothing else."""
+    if kind == "bool":
+        return {"True": True, "False": False}.get(cell, cell)
+    try:
+        return cell if kind == "str" else float(cell)
+    except ValueError:
+        return cell

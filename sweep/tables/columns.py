@@ -6,13 +6,14 @@ Catalogues in files, `sweep tie`, `sweep forecast` and `sweep match` read their 
 import re
 import warnings
 from collections.abc import Collection, Iterable, Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, SweepError, suggest
-from linksweep.sweep.tables.delimited import MISSING
+from linksweep.sweep.tables.reader import MISSING
 
 Flags = NDArray[np.bool_]
 
@@ -55,6 +56,9 @@ HOURS = 24.0
 
 MJD_FROM, JD_FROM, JD_OF_MJD = 15000.0, 2.3e6, 2400000.5
 """Epochs above the first are modified Julian dates, and those above the second Julian dates."""
+
+GAIA_MARKS = {"source_id", "ref_epoch"}
+"""A table with these columns is of the Gaia archive, whose ra is in degrees."""
 
 SEXAGESIMAL = {"deg": False, "d:m:s": False, "hourangle": True, "h": True, "h:m:s": True}
 """Units of angles that are text, and whether these are hours."""
@@ -144,7 +148,6 @@ class Columns:
         self.table, self.where, self.columns, self.units = table, where, columns or {}, units or {}
         self.names: list[str] = list(table.colnames)
         self.problems: list[str] = []
-        self._cos_dec: Array | None = None
         for what, pairs in (("columns", self.columns), ("units", self.units)):
             for quantity, value in pairs.items():
                 if quantity not in known or (what == "units" and not unit_of(quantity)):
@@ -191,15 +194,17 @@ class Columns:
         column = self.table[name]  # times and places on the sky have no dtype
         return str(getattr(getattr(column, "dtype", None), "kind", "V")) if np.ndim(column) == 1 else "V"
 
-    def quantity(self, quantity: str, missing: str = "refused", scale: float = 1.0) -> Array:
+    def quantity(
+        self, quantity: str, missing: str = "refused", scale: float = 1.0, cos_dec: bool | None = None
+    ) -> Array:
         """Return a quantity as float64 in its unit (`unit_of`) times ``scale``, NaN where it is missing; shape (N,).
 
         Values are converted from the unit in the file, or from that of ``units`` if the file gives none; without either
         they are in `unit_of`, or in radians if the name of the column says so.  Angles may be text like '12 34 56.7' or
-        '12:34:56.7', in hours if it is a right ascension.  Along right ascension a second of time is 15 arcsec, and
-        errors and motions in units of time get the factor cos(dec) that they lack.  The column must be there.  NaN
-        everywhere, and a problem, for one that cannot be read; rows that are not finite are a problem unless they are
-        "allowed" to be ``missing``.
+        '12:34:56.7', in hours if it is a right ascension.  Along right ascension a second of time is 15 arcsec.
+        ``cos_dec`` says whether an error or motion has the factor cos(dec), which it gets if not; by default it lacks
+        it in units of time only.  The column must be there.  NaN everywhere, and a problem, for one that cannot be
+        read; rows that are not finite are a problem unless they are "allowed" to be ``missing``.
         """
         name = str(self.name(quantity))
         known = len(self.problems)
@@ -208,21 +213,17 @@ class Columns:
         except ValueError as error:
             self.problems.append(str(error))
             return np.full(len(self), np.nan)
-        if _plain(quantity) in ALONG_RA[1:] and self.in_time(quantity):
-            values = values * self.cos_dec
+        if _plain(quantity) in ALONG_RA[1:] and (self.in_time(quantity) if cos_dec is None else not cos_dec):
+            values = values * self._cos_dec
         if missing == "refused" and len(self.problems) == known:
             self.check(np.isnan(values), f"no {self.label(quantity)}")
             self.check(np.isinf(values), f"an infinite {self.label(quantity)}")
         return values
 
-    @property
-    def cos_dec(self) -> Array:
-        """The cosine of the declination of each row, shape (N,)."""
-        if self._cos_dec is None:
-            if not self.has("dec"):
-                return np.ones(len(self))
-            self._cos_dec = np.cos(self.quantity("dec", "allowed") * (np.pi / 180.0))
-        return self._cos_dec
+    @cached_property
+    def _cos_dec(self) -> Array:
+        dec = self.quantity("dec", "allowed") if self.has("dec") else np.zeros(len(self))
+        return np.cos(dec * (np.pi / 180.0))
 
     def in_time(self, quantity: str) -> bool:
         """Return whether a column of numbers is in units of time or hour angle, and so does not include cos(dec)."""
@@ -326,7 +327,8 @@ class Columns:
             size = float(np.max(np.abs(values), where=~np.isnan(values), initial=0.0))
             if wanted == "deg" and _NAMED_RADIANS.search(name) and size <= 2.0 * np.pi:
                 return np.degrees(values)
-            if quantity == "ra" and np.isfinite(values).any():
+            # the Gaia archive's CSV has no units, and a small field may lie anywhere
+            if quantity == "ra" and np.isfinite(values).any() and not (name == "ra" and {*self.names} >= GAIA_MARKS):
                 _check_hours(name, values, size)
             return values
         factor = _factor(unit, wanted, along_ra)

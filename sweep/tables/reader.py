@@ -1,6 +1,7 @@
 """Reads tables of every format, each known by its content: see `FORMATS`."""
 
 import bz2
+import csv
 import fnmatch
 import gzip
 import io
@@ -9,13 +10,13 @@ import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tables.delimited import read_delimited, read_rows
 
 FORMATS = (
     "FITS, VOTable, ECSV, CSV, TSV or other delimited text, Parquet, MRT, or a CDS table with its ReadMe beside it"
@@ -31,6 +32,22 @@ _ICRF = re.compile(
     r"ICRF (?P<icrf_name>J[0-9.]+[+-][0-9]+)\s+(?P<iers_name>\S+)\s+(?:[A-Z]\s+)?(?P<ra>\d+ \d+ [\d.]+)\s+"
     r"(?P<dec>[+-]?\s*\d+ \d+ [\d.]+)\s+(?P<ra_error>[\d.]+)\s+(?P<dec_error>[\d.]+)\s+(?P<ra_dec_corr>[+-]?[\d.]+)\s"
 )
+
+
+DELIMITERS = ("\t", ";", "|", ",")
+MISSING = (
+    *("", "null", "NULL", "None", "none", "NaN", "nan", "NAN", "N/A", "n/a", "NA", "<NA>"),
+    *("--", "---", "...", "\\N"),
+)
+PREFACE_LINES = 100_000
+"""The most lines that comments, names, units and rules take."""
+
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
+_RULE = re.compile(r"[-=+]+")
+_CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
+_WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr"}
+"""How tables spell units out; dates are numbers of days."""
+_BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
 
 
 def read_table(path: Path) -> Any:
@@ -83,17 +100,28 @@ def _read(path: Path, content: bytes) -> Any:
             content = packed(content)
         except (EOFError, ValueError, OSError, lzma.LZMAError) as error:
             raise SweepError(f"is compressed, but incomplete: {error}") from error
-    start = content[:4096].removeprefix(b"\xef\xbb\xbf").lstrip()
-    if start.startswith(b"SIMPLE  ="):
-        return _fits(content, io.BytesIO(content) if packed else path)
-    for mark, read in ((b"PK\3\4", _zip), (b"PAR1", _whole_parquet), (b"<", _votable), (b"# %ECSV", _ecsv)):
-        if start.startswith(mark):
-            return read(content)
+    content = content.removeprefix(b"\xef\xbb\xbf")
+    start = content[:4096].lstrip().lower()
+    if start.startswith(b"simple  ="):
+        return _fits(content)
+    if start.startswith(b"par1"):
+        return _whole_parquet(content)
+    if b"<html" in start or b"<!doctype html" in start:
+        raise SweepError("is a web page, not a table")
+    if start.startswith(b"<"):
+        return _votable(content)
+    if start.startswith(b"# %ecsv"):
+        return _ecsv(content)
     return _text(path, content)
 
 
 def _text(path: Path, content: bytes) -> Any:
-    text = content.decode("utf-8", "replace")
+    if b"\0" in content[:4096]:
+        raise SweepError("is neither a table format that is known nor text")
+    try:
+        text = content.decode()
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
     if not text.strip():
         raise SweepError("has no rows")
     if text.startswith("\\"):
@@ -104,11 +132,7 @@ def _text(path: Path, content: bytes) -> Any:
         return _icrf(text)
     if (readme := readme_of(path)) is not None:
         return _cds(path, text, readme)
-    return read_delimited(content)
-
-
-def _zip(content: bytes) -> Any:
-    raise SweepError("is a zip archive (or a spreadsheet): unpack or export the table in it")
+    return _delimited(text)
 
 
 def _require_one(tables: Sequence[str]) -> None:
@@ -116,25 +140,22 @@ def _require_one(tables: Sequence[str]) -> None:
         raise SweepError(f"has {len(tables)} tables in it: {', '.join(tables)}; leave one")
 
 
-def _fits(content: bytes, source: Any) -> Any:
+def _fits(content: bytes) -> Any:
     from astropy.io import fits
 
     with _readable_as("as fits"), fits.open(io.BytesIO(content)) as units:
         kinds = (fits.BinTableHDU, fits.TableHDU)
         _require_one([f"{unit.name or 'HDU'} ({k})" for k, unit in enumerate(units) if type(unit) in kinds])
-    return _by_astropy("fits", source)
+    return _by_astropy("fits", io.BytesIO(content))
 
 
 def _votable(content: bytes) -> Any:
     from astropy.io.votable import parse
 
-    head = content[:4096].lower()
-    if b"<html" in head or b"<!doctype html" in head:
-        raise SweepError("is a web page, not a table")
     with _readable_as("as a VOTable"):
         document = parse(io.BytesIO(content), verify="ignore")
         tables = [table for table in document.iter_tables() if len(table.fields)]
-    if not tables:
+    if not tables:  # a service says there why a query failed
         infos = [info for resource in document.resources for info in resource.infos if info.name == "QUERY_STATUS"]
         said = "".join(f": {info.value}: {' '.join((info.content or '').split())[:200]}" for info in infos)
         raise SweepError(f"has no table in it{said}")
@@ -144,25 +165,19 @@ def _votable(content: bytes) -> Any:
 
 def _ecsv(content: bytes) -> Any:
     """Read the header with astropy and the rows with pandas, which takes a twentieth of the time."""
-    content, end = content.removeprefix(b"\xef\xbb\xbf"), 0
-    while content[end : end + 1] == b"#":
-        end = content.find(b"\n", end) + 1 or len(content)
-    names_end = content.find(b"\n", end) + 1 or len(content)
-    table = _by_astropy("ascii.ecsv", content[:names_end].decode("utf-8", "replace").rstrip() + "\n")
+    end = re.match(rb"(#.*\n)*", content).end()  # type: ignore[union-attr]  # it matches nothing, too
+    names, _, body = content[end:].partition(b"\n")
+    header = content[:end].decode("utf-8", "replace")
+    table = _by_astropy("ascii.ecsv", header + names.decode("utf-8", "replace") + "\n")
     plain = "__serialized_columns__" not in table.meta and all(
         type(column).__name__ == "Column" and column.ndim == 1 and column.dtype.kind in "fiubU"
         for column in table.columns.values()
     )
-    delimiter = "," if re.search(rb"^# delimiter: *','", content[:end], re.MULTILINE) else " "
-    if not plain or (delimiter == " " and b'"' in content[names_end:]):
+    delimiter = "," if re.search(r"^# delimiter: *','", header, re.MULTILINE) else " "
+    if not plain or (delimiter == " " and b'"' in body):
         gaps = {"fill_values": [("", "0"), ("null", "0")]} if plain else {}
         return _by_astropy("ascii.ecsv", content.decode("utf-8", "replace"), **gaps)
-    try:
-        rows = read_rows(
-            content[names_end:], table.colnames, delimiter, [column.dtype for column in table.columns.values()]
-        )
-    except ValueError as error:
-        raise SweepError(f"cannot be read as ECSV: {error}") from error
+    rows = _rows(body, table.colnames, delimiter, [column.dtype for column in table.columns.values()])
     for name, column in table.columns.items():
         for attribute in ("unit", "description", "format"):
             setattr(rows[name], attribute, getattr(column, attribute))
@@ -187,24 +202,212 @@ def _icrf(text: str) -> Any:
     return table
 
 
+# ---- delimited text (CSV, TSV as VizieR sends it, `;` or blanks): names and units above, then rows with gaps
+
+
+def _delimited(text: str) -> Any:
+    """Return the table in delimited text; missing values are masked.
+
+    Lines that begin with # are comments; the names of the columns stand in the first other line, or in the last comment
+    before lines of numbers.  A line of units and a line of dashes may follow.
+    """
+    content = text.replace("\r\n", "\n").replace("\r", "\n").encode()
+    names, units, delimiter, start = _layout(content)
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise SweepError(f"two columns are called {', '.join(map(repr, twice))}")
+    table = _rows(content[start:], names, delimiter)
+    for name, unit in zip(names, units, strict=True):
+        if unit:
+            table[name].unit = _unit(unit)
+    return table
+
+
+def _rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequence[Any] | None = None) -> Any:
+    """Return rows of text as an astropy Table with these columns, of the given types or of types that fit the text.
+
+    Raises SweepError for a row with more or fewer columns, or with what is not of its type.
+    """
+    import pandas as pd
+
+    if body.startswith(b"#") or b"\n#" in body:
+        body = b"\n".join(line for line in body.split(b"\n") if not line.startswith(b"#"))
+    first = _fields(body[:4096].split(b"\n")[0].decode(), delimiter)
+    decimal_commas = delimiter in (";", "\t") and any(re.fullmatch(r"[+-]?\d+,\d+", field) for field in first)
+    _check_widths(body, len(names), delimiter)
+    nullable = {k: _nullable(np.dtype(dtype)) for k, dtype in enumerate(dtypes)} if dtypes else None
+    try:
+        frame = pd.read_csv(
+            io.BytesIO(body),
+            sep=r"\s+" if delimiter == " " else delimiter,
+            header=None,
+            names=list(range(len(names))),
+            index_col=False,
+            skipinitialspace=True,
+            na_values=list(MISSING),
+            keep_default_na=False,
+            float_precision="round_trip",
+            decimal="," if decimal_commas else ".",
+            low_memory=False,
+            dtype=nullable,
+            dtype_backend="numpy_nullable",  # integers beside gaps keep all digits, such as those of Gaia's source_id
+        )
+    except pd.errors.EmptyDataError:
+        frame = pd.DataFrame({k: pd.array([], dtype="Float64") for k in range(len(names))})
+    except (ValueError, OverflowError) as error:
+        raise SweepError(f"cannot be read as delimited text: {' '.join(str(error).split())}") from error
+    return _from_frame(frame.set_axis(list(names), axis=1), dtypes)
+
+
+def _nullable(dtype: Any) -> str:
+    """Return the name of the pandas type that stands for a NumPy type and allows missing values."""
+    numbers = {"i": "Int", "u": "UInt", "f": "Float"}
+    return {"b": "boolean", "U": "string"}.get(dtype.kind) or f"{numbers[dtype.kind]}{8 * dtype.itemsize}"
+
+
+def _from_frame(frame: Any, dtypes: Sequence[Any] | None = None) -> Any:
+    """Return a frame of columns that allow gaps as an astropy Table, masked there; text is fixed-width."""
+    from astropy.table import Column, MaskedColumn, Table
+
+    table = Table()
+    for k, (name, column) in enumerate(frame.items()):
+        missing = column.isna().to_numpy(dtype=bool)
+        kind = np.dtype(dtypes[k] if dtypes else getattr(column.dtype, "numpy_dtype", "U"))
+        if kind.kind in "fiub":
+            values: Any = column.to_numpy(dtype=kind, na_value=np.nan if kind.kind == "f" else 0)
+        else:
+            texts = ("" if gone else text for text, gone in zip(column, missing, strict=True))
+            decoded = [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in texts]
+            values = np.array(decoded, dtype=np.str_)
+        if dtypes is None and len(values) and missing.all():
+            values = np.full(len(values), np.nan)
+        table[name] = MaskedColumn(values, mask=missing) if missing.any() else Column(values)
+    return table
+
+
+def _check_widths(body: bytes, n_columns: int, delimiter: str) -> None:
+    """Raise ValueError for the first row that has another number of columns than there are names."""
+    if delimiter == " ":
+        counts = (len(line.split()) for line in body.split(b"\n") if line.strip())
+    elif b'"' in body:
+        counts = (len(row) for row in csv.reader(io.StringIO(body.decode()), delimiter=delimiter) if row)
+    else:
+        mark = delimiter.encode()
+        counts = (line.count(mark) + 1 for line in body.split(b"\n") if line and not line.isspace())
+    for row, count in enumerate(counts, start=1):
+        if count != n_columns:  # pandas would fill a short row with gaps
+            raise SweepError(f"row {row} has {count} columns, not {n_columns} as the line of names")
+
+
+def _fields(line: str, delimiter: str) -> list[str]:
+    """Return the fields of one line without the blanks around them."""
+    if delimiter == " ":
+        return line.split()
+    return [field.strip() for field in next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])]
+
+
+def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
+    """Return names and units of the columns, their delimiter, and the byte at which the first row begins."""
+    lines = _lines(content)
+    last_comment, header, start, end = "", "", 0, 0
+    for line, after in lines:
+        start, end = end, after
+        if line.startswith("#"):
+            last_comment = line.lstrip("#")
+        elif line.strip():
+            header = line
+            break
+    if not header.strip():
+        raise SweepError("has no rows")
+    unquoted = re.sub(r'"[^"]*"', "", header)
+    best = max(DELIMITERS, key=unquoted.count)
+    delimiter = best if best in unquoted else " "
+    names = _fields(header, delimiter)
+    if any(map(_NUMBER.fullmatch, names)):  # this line is a row already
+        commented = next((f for d in (delimiter, " ") if len(f := _fields(last_comment, d)) == len(names)), None)
+        if commented is None or any(map(_NUMBER.fullmatch, commented)):
+            raise SweepError(
+                f"its first line, {header.strip()[:60]!r}, is not one of column names (a table of CDS needs its ReadMe "
+                "beside it)"
+            )
+        return commented, [_bracketed(name) for name in commented], delimiter, start
+    units, start = _units_and_rules(lines, end, delimiter, len(names))
+    names = [name or f"column {k}" for k, name in enumerate(names, start=1)]
+    return names, units or [_bracketed(name) for name in names], delimiter, start
+
+
+def _lines(content: bytes) -> Iterator[tuple[str, int]]:
+    """Yield the first lines of a text, and where each ends."""
+    end = 0
+    for line in islice(io.BytesIO(content), PREFACE_LINES):
+        end += len(line)
+        yield line.decode(), end
+
+
+def _units_and_rules(
+    lines: Iterator[tuple[str, int]], start: int, delimiter: str, n_columns: int
+) -> tuple[list[str] | None, int]:
+    """Return the units in the lines after the names, if there are any, and the byte at which the first row begins."""
+    units, above = None, None
+    for line, end in lines:
+        fields = _fields(line.lstrip("#"), delimiter)
+        commented = line.startswith("#")
+        if not line.strip() or (not commented and all(map(_RULE.fullmatch, line.split()))):
+            if line.strip() and above:
+                units = above  # VizieR has them above the line of dashes
+            start = end
+        elif units is None and len(fields) == n_columns and _are_units(fields):
+            units, start = fields, end
+        elif commented:
+            start = end
+        elif above or len(fields) != n_columns or any(map(_NUMBER.fullmatch, fields)):
+            break
+        else:
+            above = fields
+    return units, start
+
+
+def _are_units(fields: Sequence[str]) -> bool:
+    stated = [field for field in fields if field.strip("-")]
+    return bool(stated) and all(_unit(field, "raise") is not None for field in stated)
+
+
+def _bracketed(name: str) -> str:
+    """Return the unit in a name like 'ra [deg]', '' if there is none."""
+    match = _BRACKETS.fullmatch(name)
+    return match[1] if match and _unit(match[1], "raise") is not None else ""
+
+
+def _unit(text: str, strict: str = "silent") -> Any:
+    """Return a text as an astropy unit: an unrecognised one, or None with "raise", where astropy does not know it."""
+    from astropy.units import Unit
+
+    text = text.strip().strip("[]()").strip()
+    text = _WORDS.get(text, text)
+    if text in ("", "-", "--", "---"):
+        return None
+    if _CLOCK.fullmatch(text):
+        return Unit(text.strip('"'), parse_strict="silent")
+    if strict == "raise" and not text[0].isalpha():
+        return None
+    for form in ("cds", "generic", "vounit"):
+        try:
+            return Unit(text, format=form)
+        except (ValueError, TypeError):
+            continue
+    return Unit(text, parse_strict="silent") if strict == "silent" else None
+
+
 # ---- CDS: a ReadMe beside the table describes it byte by byte
 
 
 def readme_of(path: Path) -> Path | None:
-    """Return the ReadMe beside a table that it describes, or should as the table ends in .dat; None otherwise."""
+    """Return the ReadMe beside a table that describes it byte by byte; None otherwise."""
     readme = next((found for name in READMES if (found := path.parent / name).is_file()), None)
-    if readme is None or not (_unpacked(path).lower().endswith(".dat") or _is_in(_described(readme), path)):
+    if readme is None:
         return None
-    return readme
-
-
-def _described(readme: Path) -> list[str]:
     text = readme.read_text(encoding="utf-8", errors="replace")
-    return [name for match in _DESCRIBED.findall(text) for name in re.split("[, ]+", match) if name]
-
-
-def _is_in(described: Sequence[str], path: Path) -> bool:
-    return any(fnmatch.fnmatch(_unpacked(path), name) for name in described)
+    described = [name for match in _DESCRIBED.findall(text) for name in re.split("[, ]+", match)]
+    return readme if any(fnmatch.fnmatch(_unpacked(path), name) for name in described) else None
 
 
 def _unpacked(path: Path) -> str:
@@ -214,13 +417,6 @@ def _unpacked(path: Path) -> str:
 def _cds(path: Path, text: str, readme: Path) -> Any:
     from astropy.io.ascii import Cds
 
-    described = _described(readme)
-    if not described:
-        raise SweepError(
-            f"the {readme.name} beside it describes no table byte by byte, so it is not that of a CDS table"
-        )
-    if not _is_in(described, path):
-        raise SweepError(f"the {readme.name} beside it describes {', '.join(described)}, not {_unpacked(path)}")
     reader = Cds(readme=str(readme))
     reader.guessing = False
     with _readable_as(f"with the {readme.name} beside it"):
@@ -293,23 +489,13 @@ def _parquet(source: Any) -> Iterator[tuple[Any, dict[str, Any]]]:
 
 
 def _from_arrow(arrow: Any, units: dict[str, Any]) -> Any:
+    import pandas as pd
     import pyarrow as pa
-    from astropy.table import MaskedColumn, Table
 
-    table, kind = Table(), pa.types
-    for name, field in zip(arrow.column_names, arrow.schema, strict=True):
-        column, missing = arrow[name], arrow[name].is_null().to_numpy()
-        if kind.is_decimal(field.type):
-            column = column.cast(pa.float64())
-        if kind.is_dictionary(field.type):
-            column = column.cast(field.type.value_type)
-        if kind.is_integer(column.type) or kind.is_floating(column.type) or kind.is_boolean(column.type):
-            values = column.fill_null(False if kind.is_boolean(column.type) else 0).to_numpy()
-        elif kind.is_string(column.type) or kind.is_large_string(column.type):
-            values = np.array(["" if text is None else text for text in column.to_pylist()], dtype=np.str_)
-        else:
-            values = np.empty(len(column), dtype=object)
-            values[:] = column.to_pylist()
-        unit = (field.metadata or {}).get(b"unit", b"").decode() or units.get(name) or None
-        table[name] = MaskedColumn(values, mask=missing if missing.any() else False, unit=unit)
+    decimals = [pa.float64() if pa.types.is_decimal(field.type) else field.type for field in arrow.schema]
+    plain = [kind.value_type if pa.types.is_dictionary(kind) else kind for kind in decimals]
+    arrow = arrow.cast(pa.schema([field.with_type(kind) for field, kind in zip(arrow.schema, plain, strict=True)]))
+    table = _from_frame(arrow.to_pandas(types_mapper=pd.ArrowDtype))
+    for field in arrow.schema:
+        table[field.name].unit = (field.metadata or {}).get(b"unit", b"").decode() or units.get(field.name)
     return table

@@ -3,40 +3,160 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from linksweep.core.frames import MAS, Array
-from linksweep.core.tie.clips import Clip, clipped, parse_clip, sources_of
-from linksweep.core.tie.draws import Draw, Simulation
-from linksweep.core.tie.forecast import Goal, choose, released, scaled_from, scaling_notes, with_new_rows
+from linksweep.core.tie import forecast
 from linksweep.core.tie.problem import Problem, source_sums
-from linksweep.core.tie.solution import Solution, solve
-from linksweep.sweep.contract import Experiment, Point, SweepError
-from linksweep.sweep.tie.options import Options, TableOptions, parse_bins
-from linksweep.sweep.tie.parameters import (
-    BIN_SHAPE,
-    COMPONENTS,
-    FIELD_UNITS,
-    FIELDS,
-    HIGHEST_STORED,
-    MOST_BINS,
-    ORIENTATION,
-    OUTPUTS,
-    PARAMETERS,
-    POWER_SHAPE,
-    SAMPLE_OUTPUTS,
-    SPIN,
-    TABLE,
-    UNITS,
-    by_bins,
-    components,
-    is_stored,
-    powers,
+from linksweep.core.tie.solution import Clip, KeptSources, Solution, clipped, parse_clip, solve
+from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
+from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
+from linksweep.sweep.tie.link import FIELD_OF, Link, solve_link, spectrum
+from linksweep.sweep.tie.setup import ALL, DECLARED, ZERO_MOTION, Options, Setup, one_of, parse_bins, set_up, year
+from linksweep.sweep.tie.tables import Positions, TableOptions
+
+# ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin
+
+TABLE = "table"
+"""Stands for what a table itself has: its errors, or the release whose epoch it has."""
+
+_STORED = parse_unknowns("orientation,spin,position_glide,glide,parallax")
+COMPONENTS = _STORED.labels
+"""The unknowns of degree 1 and the zero point of parallaxes."""
+
+UNITS = _STORED.units
+ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
+
+FIELDS = tuple(FIELD_OF.values())
+FIELD_UNITS = tuple("mas2/yr2" if field.startswith("motion") else "mas2" for field in FIELDS)
+HIGHEST_STORED = 10
+MOST_BINS = 10
+POWER_SHAPE, BIN_SHAPE = (len(FIELDS), HIGHEST_STORED), (MOST_BINS, 3)
+
+
+def _size(name: str, default: float, meaning: str, unit: str = "", **limits: Any) -> Parameter:
+    return Parameter(name, "float", default, meaning, unit, **(limits or {"minimum": 0.0}))
+
+
+_JITTER = "added in quadrature to the reference's"
+_BY = "how rows are matched: name, COLUMN, position[:ARCSEC]; default name if possible"
+_NO_COLUMN = "of a table without a column of epochs"
+PARAMETERS = (
+    Parameter("satellite", "file", None, "table of the satellite; required"),
+    Parameter("reference", "file", None, "table of the reference; without one the rows are those of n_new"),
+    Parameter("zero_motion", "bool", False, "sources are quasars, which do not move; no table of the reference"),
+    Parameter("unknowns", "str", "orientation,spin", "blocks that are solved for, as in sweep tie --unknowns"),
+    DECLARED["degree"],
+    Parameter(
+        "bins", "str", "", f"a spin for each bin of a column, like phot_g_mean_mag=6,8,10; at most {MOST_BINS} bins"
+    ),
+    Parameter("clip", "str", "none", "none, rayleigh, median:K, discrepancy[:N] or huber:C"),
+    DECLARED["weights"],
+    Parameter("correlations", "bool", True, "whether the errors have the correlations of the tables"),
+    Parameter("g_min", "float", None, "brightest magnitude; default no limit", "mag"),
+    Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
+    Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
+    DECLARED["epoch"],
+    one_of("release", TABLE, "errors of a later release, with its epoch", *forecast.RELEASES),
+    one_of("from_release", TABLE, "of the satellite's errors, if no release has its epoch", *forecast.RELEASES),
+    Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
+    year("new_epoch", "of new positions; default that of the source"),
+    _size("new_error", 0.1, "of each coordinate of a new position", "mas", above=0.0),
+    one_of("new_positions", "single-epoch", "of new rows: displaced by the parallax, or mean ones", "mean"),
+    Parameter("goal", "str", "", "blocks for which new positions are chosen; default all"),
+    one_of("candidates", "matched", "for new positions: sources with rows, or all of the satellite's", "all"),
+    _size("position_jitter", 0.0, f"{_JITTER} positions", "mas"),
+    _size("motion_jitter", 0.0, f"{_JITTER} motions", "mas/yr"),
+    Parameter("known_spin", "vector", None, "subtracted before the fit, reference - satellite; default none", "mas/yr"),
+    DECLARED["aberration"],
+    Parameter("by", "str", "", _BY),
+    Parameter("satellite_columns", "map", (), "the satellite's names of columns"),
+    Parameter("reference_columns", "map", (), "the reference's names of columns"),
+    year("satellite_epoch", _NO_COLUMN),
+    year("reference_epoch", _NO_COLUMN),
+    one_of(
+        "positions",
+        TABLE,
+        "the reference's: of a single epoch or mean; default what the table says",
+        *get_args(Positions),
+    ),
+    one_of(
+        "extragalactic",
+        "none",
+        "the table with mean positions of quasars, which hold at any epoch",
+        *("satellite", "reference", "both"),
+    ),
+    Parameter("accept_misfit", "bool", False, "computes points whose tables have chi2 above 1000 times its average"),
+    DECLARED["zero_errors"],
+    one_of("truth", "estimate", "of the draws: the solution of the tables, or zero", "zero"),
+    _size("error_factor", 1.0, "errors of the draws over those of the tables", above=0.0),
+    _size("outliers", 0.0, "fraction of sources of a draw with larger errors", minimum=0.0, maximum=1.0),
+    _size("outlier_factor", 10.0, "how much larger they are", minimum=1.0),
 )
-from linksweep.sweep.tie.setup import ALL, ZERO_MOTION, Setup, set_up
-from linksweep.sweep.tie.solution import Link, solve_link
+
+_UNITS, _SQUARES = ", ".join(UNITS), ", ".join(FIELD_UNITS)
+_EACH, _RATIO = ("component",), ("unknown",)  # units differ along the first only
+_POWER, _CHANCE = ("field", "power_degree"), ("field_tested", "power_degree")
+_BIN = ("bin", "axis")
+
+
+def _drawn(
+    name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), predicted: bool = True, **further: Any
+) -> list[Output]:
+    """Declare a result of the draws, its Monte-Carlo error and, where there is one, its closed form."""
+    beside = {"mc_error": "its Monte-Carlo error"} | ({"predicted": "closed form without a clip"} if predicted else {})
+    return [
+        Output(name, unit, meaning, dims, nan=True, **further),
+        *(Output(f"{name}_{key}", unit, text, dims, nan=True) for key, text in beside.items()),
+    ]
+
+
+def _fixed(name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), *errors: str) -> Output:
+    """Declare a result of the tables as they are; one with ``errors`` is a headline."""
+    return Output(name, unit, meaning, dims, headline=bool(errors), nan=True, errors=errors)
+
+
+_RMS, _WITHIN, _AS_IS = "RMS of estimate - truth of the draws", "error of the truth", "of the tables as they are"
+OUTPUTS = (
+    Output("n_sources", "", "matched sources of the tables, within g_min and g_max"),
+    _fixed("n_kept", "", f"sources that the clip keeps, {_AS_IS}"),
+    _fixed(
+        *("estimate", _UNITS, "solution of the tables as they are, reference - satellite", _EACH),
+        *("error_scaled", "error_jackknife", "error_formal"),
+    ),
+    _fixed("error_formal", _UNITS, "its formal error", _EACH),
+    _fixed("error_scaled", _UNITS, "its formal error times sqrt(chi2/dof)", _EACH),
+    _fixed("error_jackknife", _UNITS, "its error from the solutions without each source", _EACH),
+    Output("chi2_ratio", "", "chi2 of the tables over its average, 1 if errors are right", (), True, nan=True),
+    _fixed("largest_share", "", "largest share of one source in the weight of a block of unknowns"),
+    *_drawn("sigma", _UNITS, _RMS, _EACH),
+    *_drawn("bias", _UNITS, "mean of estimate - truth of the draws", _EACH, False),
+    *_drawn("coverage", "", f"fraction of draws within their formal {_WITHIN}", _RATIO, False),
+    *_drawn("coverage_scaled", "", f"fraction of draws within their scaled {_WITHIN}", _RATIO, False),
+    *_drawn(
+        *("sigma_orientation", "mas", "RMS error of the orientation, over draws and axes"),
+        headline=True,
+        symbol=r"$\sigma_\epsilon$",
+    ),
+    *_drawn(
+        "sigma_spin", "mas/yr", "RMS error of the spin, over draws and axes", headline=True, symbol=r"$\sigma_\omega$"
+    ),
+    _fixed("power", _SQUARES, f"of harmonics of degree 1 to {HIGHEST_STORED}, {_AS_IS}", _POWER),
+    _fixed("power_noise", _SQUARES, "mean power for noise alone, from the formal errors", _POWER),
+    _fixed("power_probability", "", "probability that noise gives as significant a power", _CHANCE),
+    *_drawn("power_drawn", _SQUARES, "mean power of estimate - truth of the draws", _POWER),
+    _fixed("spin_by_bin", "mas/yr", f"spin in each bin, {_AS_IS}", _BIN, "spin_by_bin_error"),
+    _fixed("spin_by_bin_error", "mas/yr", "its scaled error", _BIN),
+    *_drawn("sigma_by_bin", "mas/yr", _RMS, _BIN),
+    Output("n_drawn", "", "sources that are simulated"),
+    Output("n_kept_drawn", "", "mean number of these that the clip keeps"),
+    *_drawn("chi2_ratio_drawn", "", "mean of chi2 over its average, of the draws", predicted=False),
+)
+
+SAMPLE_OUTPUTS = (Output("drawn", "", "estimate of a draw, reference - satellite", _EACH, nan=True),)
+
 
 FACTS = ("n_sources", "n_kept", "chi2_ratio", "largest_share", "n_drawn")
 """Numbers of the tables that no draw changes."""
@@ -54,6 +174,45 @@ SUMS: Mapping[str, tuple[int, ...]] = {
     **dict.fromkeys(("bins_variance", "bins_squares"), BIN_SHAPE),
     **dict.fromkeys(("kept", "ratio", "ratio_squares"), ()),
 }
+
+
+def components(values: Array, labels: Sequence[str]) -> Array:
+    """Return values (..., K) at the places of their labels among `COMPONENTS`, NaN elsewhere."""
+    placed = np.full((*values.shape[:-1], len(COMPONENTS)), np.nan)
+    for i, label in enumerate(labels):
+        if label in COMPONENTS:
+            placed[..., COMPONENTS.index(label)] = values[..., i]
+    return placed
+
+
+def powers(unknowns: Unknowns, estimate: Array, covariance: Array) -> Array:
+    """Return the power of each field and degree of an estimate in rad, its mean for noise alone, and the
+    probability that noise is as significant; shape (3, fields, degrees), in mas2 and mas2/yr2, NaN if not solved for.
+    """
+    stored = np.full((3, *POWER_SHAPE), np.nan)
+    for one in spectrum(unknowns, estimate / MAS, covariance / MAS**2):
+        if one.degree <= HIGHEST_STORED:
+            stored[:, FIELDS.index(one.field), one.degree - 1] = one.power, one.noise, one.probability
+    return stored
+
+
+def by_bins(unknowns: Unknowns, values: Array) -> Array:
+    """Return values (..., K) of the spin in each bin; shape (..., bins, 3), NaN without bins and beyond the last."""
+    stored = np.full((*values.shape[:-1], *BIN_SHAPE), np.nan)
+    for block in unknowns.blocks:
+        if isinstance(block, SpinByBin):
+            if max(block.used) >= MOST_BINS:
+                raise ValueError(f"bins: results hold {MOST_BINS} bins at most, the edges make {len(block.edges) + 1}")
+            spins = values[..., unknowns.part(block.name)]
+            stored[..., list(block.used), :] = spins.reshape(*values.shape[:-1], len(block.used), 3)
+    return stored
+
+
+def is_stored(unknowns: Unknowns) -> bool:
+    """Return whether results have a place for any of the unknowns."""
+    parts = components(np.zeros(len(unknowns)), unknowns.labels), by_bins(unknowns, np.zeros(len(unknowns)))
+    stored = powers(unknowns, np.zeros(len(unknowns)), np.eye(len(unknowns)))[0]
+    return any(np.any(np.isfinite(part)) for part in (*parts, stored))
 
 
 # ---- what a point stands for: tables as they are, their solution, and the tables to simulate
@@ -104,9 +263,9 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     notes = [] if solved is None else [*solved.notes]
     if (release := point["release"]) != TABLE:
         named = None if point["from_release"] == TABLE else point["from_release"]
-        old = scaled_from(problem.satellite.epoch, release, named)
-        problem = released(problem, old, release, point["epoch"] is None)
-        notes += scaling_notes(old, release)
+        old = forecast.release_of(problem.satellite.epoch, release, named)
+        problem, further = forecast.released(problem, old, release, point["epoch"] is None)
+        notes += further
     if point["n_new"]:
         problem = _with_chosen(problem, point)
     if not len(problem.rows):
@@ -173,12 +332,12 @@ def _with_chosen(problem: Problem, point: Mapping[str, Any]) -> Problem:
         raise SweepError(f"n_new = {number}: there are {n_sources} sources to observe")
     epoch = np.nan if point["new_epoch"] is None else point["new_epoch"]
     apparent = point["new_positions"] == "single-epoch"
-    planned = with_new_rows(problem, [epoch], point["new_error"] * MAS, apparent)
+    planned = forecast.with_new_rows(problem, [epoch], point["new_error"] * MAS, apparent)
     if number == n_sources:
         return planned
     blocks = tuple(name.strip() for name in point["goal"].split(",") if name.strip())
-    goal = Goal(problem.unknowns, blocks, "A")
-    chosen = choose(source_sums(problem), source_sums(planned), number, goal).sources
+    goal = forecast.Goal(problem.unknowns, blocks, "A")
+    chosen, _ = forecast.choose(source_sums(problem), source_sums(planned), number, goal)
     old = len(problem.rows)
     rows = np.concatenate([np.arange(old), old + np.sort(np.array(chosen, dtype=np.int64))])
     return replace(planned, rows=planned.rows.taken(rows), source=planned.source[rows])
@@ -209,10 +368,12 @@ def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> tuple[dict
     design = design_of(point)
     unknowns, labels = design.problem.unknowns, design.problem.unknowns.labels
     truth = design.truth if point["truth"] == "estimate" else np.zeros_like(design.truth)
-    simulation = Simulation(design.problem, truth, point["error_factor"], point["outliers"], point["outlier_factor"])
+    simulation = forecast.Simulation(
+        design.problem, truth, point["error_factor"], point["outliers"], point["outlier_factor"]
+    )
     solution = solve(simulation.normals, labels)
     covariance = solution.covariance
-    drawn = [_drawn(draw, design.clip, truth, solution, labels) for draw in simulation.draws(n_sim, rng)]
+    drawn = [_solved(draw, design.clip, truth, solution) for draw in simulation.draws(n_sim, rng)]
     error, formal, ratio, kept = (np.array(part) for part in zip(*drawn, strict=True))
     power = np.array([powers(unknowns, one * MAS, covariance)[0] for one in error])
     in_bins = by_bins(unknowns, error)
@@ -225,7 +386,7 @@ def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> tuple[dict
         "power_drawn": power,
         "ratio": ratio,
     }
-    fixed = _fixed(design) | {
+    fixed = _as_they_are(design) | {
         "predicted_variance": components(np.diag(covariance) / MAS**2, labels),
         "power_predicted": powers(unknowns, solution.estimate, covariance)[1],
         "bins_variance": by_bins(unknowns, np.diag(covariance) / MAS**2),
@@ -239,23 +400,21 @@ def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> tuple[dict
     return sums | {"bins_squares": np.sum(in_bins**2, axis=0)}, error + components(truth / MAS, labels)
 
 
-def _drawn(
-    draw: Draw, clip: Clip, truth: Array, solution: Solution, labels: tuple[str, ...]
-) -> tuple[Array, Array, float, float]:
+def _solved(draw: KeptSources, clip: Clip, truth: Array, solution: Solution) -> tuple[Array, Array, float, float]:
     """Return the error of the estimate and its formal error (mas, mas/yr), chi2 over its average, and sources kept."""
     if clip.kind == "none":
         right, one = draw.sums.right.sum(axis=0), solution  # its matrices are the same for every draw
         estimate, expected, kept = one.inverse @ right, one.expected, len(draw.sums)
         squares = max(0.0, float(draw.sums.squares.sum() - right @ estimate))
     else:
-        result = clipped(clip, sources_of(draw.sums, labels), draw.separations)
+        result = clipped(clip, draw)
         one, kept = result.solution, int(np.sum(result.factors > 0.0))
         estimate, expected, squares = one.estimate, one.expected, one.squares
     ratio = squares / expected if one.dof > 0 and expected > 0.0 else np.nan
     return (estimate - truth) / MAS, np.sqrt(np.diag(one.covariance)) / MAS, ratio, kept
 
 
-def _fixed(design: Design) -> dict[str, Array]:
+def _as_they_are(design: Design) -> dict[str, Array]:
     """Return what no draw changes: the solution of the tables as they are, in mas and mas/yr."""
     unknowns, solved = design.problem.unknowns, design.solved
     facts = [float(design.matched), np.nan, np.nan, np.nan, float(len(design.problem.satellite))]
@@ -322,7 +481,7 @@ def check(point: Point) -> str | None:
         design = design_of(point)
         if design.solved is not None and design.solved.misfit.absurd and not point["accept_misfit"]:
             return f"{design.solved.misfit.text}; accept_misfit = true computes it all the same"
-        solve(Simulation(design.problem, design.truth).normals, design.problem.unknowns.labels)
+        solve(forecast.Simulation(design.problem, design.truth).normals, design.problem.unknowns.labels)
         if not is_stored(design.problem.unknowns):
             places = f"results have no place for any of these; harmonics end at degree {HIGHEST_STORED}"
             return f"unknowns = {point['unknowns']!r}: {places}"

@@ -8,12 +8,11 @@ import numpy as np
 
 from linksweep.core.frames import MAS, Array
 from linksweep.core.link import LinkError
-from linksweep.core.tie.forecast import Criterion, Goal, choose, released, scaled_from, scaling_notes, with_new_rows
+from linksweep.core.tie import forecast as core
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import inverted
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tie.options import Options
-from linksweep.sweep.tie.setup import Setup, set_up
+from linksweep.sweep.tie.setup import Options, Setup, set_up
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -33,7 +32,7 @@ def forecast(
     from_release: str | None = None,
     number: int = 0,
     goal: Sequence[str] = (),
-    criterion: Criterion = "A",
+    criterion: core.Criterion = "A",
     all_sources: bool = False,
     **options: Any,
 ) -> "xr.Dataset":
@@ -70,13 +69,14 @@ def forecast(
     _check(add, error, number, criterion, options)
     setup = set_up(satellite, reference, Options(unknowns=unknowns, **options), all_sources)
     problem = setup.problem
-    goals = Goal(problem.unknowns, tuple(goal), criterion)
+    goals = core.Goal(problem.unknowns, tuple(goal), criterion)
     try:
         _ = goals.parts  # raises for an unknown block
-        future, old = problem, ""
+        future, old, notes = problem, "", list(setup.notes)
         if release is not None:
-            old = scaled_from(problem.satellite.epoch, release, from_release)
-            future = released(problem, old, release, options.get("epoch") is None)
+            old = core.release_of(problem.satellite.epoch, release, from_release)
+            future, further = core.released(problem, old, release, options.get("epoch") is None)
+            notes = [*further, *notes]
         variables, coordinates = _planned(setup, future, release, list(add), error * MAS, number, goals)
     except ValueError as problem_found:
         raise SweepError(str(problem_found)) from problem_found
@@ -93,7 +93,7 @@ def forecast(
         "satellite_sha256": setup.satellite.digest,
         "reference": setup.reference.path,
         "reference_sha256": setup.reference.digest,
-        "notes": [*(scaling_notes(old, release) if release else []), *setup.notes],
+        "notes": notes,
     }
     import xarray as xr
 
@@ -116,12 +116,12 @@ def _check(add: Sequence[float], error: float, number: int, criterion: str, opti
 
 
 def _planned(
-    setup: Setup, future: Problem, release: str | None, add: list[float], error: float, number: int, goal: Goal
+    setup: Setup, future: Problem, release: str | None, add: list[float], error: float, number: int, goal: core.Goal
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the variables and coordinates of the dataset; ``error`` (rad) is that of the new positions."""
     base = source_sums(future)
-    planned = source_sums(with_new_rows(future, add, error)) if add else base
-    choice = choose(base, planned, number, goal)
+    planned = source_sums(core.with_new_rows(future, add, error)) if add else base
+    sources, normals = core.choose(base, planned, number, goal)
     unknowns, total = setup.problem.unknowns, base.normal.sum(axis=0)
     stages = {"now": source_sums(setup.problem).normal.sum(axis=0)}
     stages |= {} if release is None else {release: total}
@@ -134,15 +134,15 @@ def _planned(
         "rank": ("source", np.argsort(np.argsort(gain)) + 1),
     }
     if add:
-        observed = (source_sums(with_new_rows(future, [epoch], error)).normal.sum(axis=0) for epoch in add)
+        observed = (source_sums(core.with_new_rows(future, [epoch], error)).normal.sum(axis=0) for epoch in add)
         errors = np.array([_errors(normal) for normal in observed])
         variables["error_with_epoch"] = (("new_epoch", "unknown"), errors)
-    if choice.sources:
-        chosen = np.array(["", *setup.names[list(choice.sources)]]).astype(str)
+    if sources:
+        chosen = np.array(["", *setup.names[sources]]).astype(str)
         variables |= {
             "step_source": ("step", chosen),
-            "step_error": (("step", "unknown"), np.array([_errors(normal) for normal in choice.normals])),
-            "step_criterion": ("step", _scaled([goal.value(normal) for normal in choice.normals], goal)),
+            "step_error": (("step", "unknown"), np.array([_errors(normal) for normal in normals])),
+            "step_criterion": ("step", _scaled([goal.value(normal) for normal in normals], goal)),
         }
     coordinates = {
         "stage": list(stages),
@@ -162,7 +162,7 @@ def _errors(normal: Array) -> Array:
         return np.full(len(normal), np.nan)
 
 
-def _scaled(values: Sequence[float] | Array, goal: Goal) -> Array:
+def _scaled(values: Sequence[float] | Array, goal: core.Goal) -> Array:
     """Return a criterion in mas instead of rad: the root of the mean variance, or the log determinant."""
     found, n = np.asarray(values), len(goal.parts)
     return np.asarray(np.sqrt(found / n) / MAS if goal.criterion == "A" else found - 2.0 * n * np.log(MAS))

@@ -1,24 +1,26 @@
-"""`tie`: the link of two tables as an xarray Dataset, every number with its dimension, unit and sign."""
+"""`tie`: the link of two tables, solved with its clip and every kind of error, as an xarray Dataset."""
 
 import logging
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from scipy.special import chdtrc
+from threadpoolctl import threadpool_limits
 
 from linksweep.core.frames import MAS, Array
-from linksweep.core.tie.astrometry import differences, kinds
-from linksweep.core.tie.clips import separation
-from linksweep.core.unknowns import PARAMETERS, SpinByBin
+from linksweep.core.link import LinkError
+from linksweep.core.tie import mistakes, solution
+from linksweep.core.tie.astrometry import kinds
+from linksweep.core.unknowns import PARAMETERS, Harmonics, SpinByBin, Unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
-from linksweep.sweep.tie.options import SIGNS, Options
 from linksweep.sweep.tie.row_groups import set_up_row_groups, why_whole
-from linksweep.sweep.tie.setup import set_up
-from linksweep.sweep.tie.solution import RESAMPLES, Link, solve_link, spectrum
+from linksweep.sweep.tie.setup import SIGNS, Options, Setup, set_up
+from linksweep.sweep.tie.tables import UNITS
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,8 +28,195 @@ if TYPE_CHECKING:
 EXPERIMENT = "linksweep.sweep.tie.experiment:tie"
 """The experiment whose code the workers must have."""
 
+ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
+RESAMPLES = 1000
+
 ROWS_KEPT = 100_000
 """The rows of larger tables are not included in a result."""
+
+HEAVIEST = 100
+"""If there are too many sources to keep the sums of each, so many are examined for a large share."""
+
+VECTOR_POWER = 8.0 * np.pi / 3.0
+"""Power of degree 1 of a rotation or a glide is this times the square of its length (Mignard & Klioner 2012)."""
+
+FIELD_OF = {
+    "orientation": "position toroidal",
+    "position_glide": "position spheroidal",
+    "spin": "motion toroidal",
+    "glide": "motion spheroidal",
+}
+"""The field whose degree 1 a block is."""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A solved link: its setup, the clip and its solution, the covariances by kind of error, and the influence of each
+    source (None where there are too many).  ``discrepancy`` is None where it was not asked for.  The first note is what
+    chi2 says of the tables, if anything.
+    """
+
+    setup: Setup
+    clip: str
+    clipped: solution.Clipped
+    covariances: dict[str, Array]
+    influence: solution.Influence | None
+    discrepancy: Array | None
+    count: Any
+    misfit: mistakes.Misfit
+    notes: tuple[str, ...]
+
+    @property
+    def solution(self) -> solution.Solution:
+        """The solution of the sources that were kept."""
+        return self.clipped.solution
+
+
+def solve_link(
+    setup: Setup,
+    clip: str = "none",
+    errors: Sequence[str] = ("scaled",),
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+    sources: solution.Sources | None = None,
+    per_source: bool = True,
+) -> Link:
+    """Return the solution of a setup; raises SweepError if there is none.
+
+    ``sources`` are those of a table that is read by row groups; without ``per_source`` it is not read again for values
+    of single sources.
+    """
+    if not errors or any(name not in ERRORS for name in errors):
+        raise SweepError(f"errors {', '.join(errors)!r}: must be among {', '.join(ERRORS)}")
+    if resamples < 2:
+        raise SweepError(f"{resamples} resamples: must be at least 2")
+    unknowns, effect = setup.problem.unknowns, None
+    try:
+        with threadpool_limits(1):  # bitwise the same on any number of cores; products of blocks are small
+            how = solution.parse_clip(clip)
+            if sources is None:
+                sources = solution.sources_of(setup.problem)
+            result = solution.clipped(how, sources)
+            covariances, notes = _covariances(sources, result, errors, resamples, seed)
+            squares = sources.discrepancies(result.solution.estimate) if per_source else None
+            if isinstance(sources, solution.KeptSources):
+                effect = solution.influence(sources.sums, result.solution, unknowns, result.factors)
+                places, share = np.arange(len(effect.share)), effect.share
+            else:
+                places, sums = sources.heaviest(HEAVIEST)
+                share = solution.shares(sums, result.solution, unknowns) * result.factors[places, None]
+            doubt = _misfit(setup, sources, result)
+    except ValueError as error:  # LinkError is one
+        raise SweepError(f"{error}{_rows_there_are(setup) if isinstance(error, LinkError) else ''}") from error
+    for block, part in zip(unknowns.names, share.T, strict=True):
+        large = np.flatnonzero(part > solution.LARGE_SHARE)
+        if len(large):
+            large = large[np.argsort(-part[large])]
+            listed = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
+            notes.append(f"more than {100 * solution.LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
+    notes = [*([doubt.text] if doubt.text else []), *setup.notes, *result.notes, *notes]
+    return Link(setup, str(how), result, covariances, effect, squares, sources.count, doubt, tuple(notes))
+
+
+def _misfit(setup: Setup, sources: solution.Sources, result: solution.Clipped) -> mistakes.Misfit:
+    """Return what chi2 says of the sources that are kept, with the best weights; of all if the clip keeps fewer than
+    half of them.
+    """
+    factors, solved, problem = result.factors, result.solution, setup.problem
+    if in_groups := isinstance(sources, solution.StreamedSources) and len(sources.problems) > 1:
+        if mistakes.DEFICIT <= solved.scale**2 <= mistakes.GOOD:
+            return mistakes.Misfit(solved.scale**2)  # a row group is read again only if something is wrong
+        problem = sources.problems[0]()
+    few = np.count_nonzero(factors) < 0.5 * len(factors)
+    if problem.weights != "covariance" or few:
+        factors = np.ones(len(factors), dtype=bool) if few else factors
+        problem = replace(problem, weights="covariance")
+        solved = solved if in_groups else solution.sources_of(problem).solve(factors)
+    kept = np.flatnonzero(factors[: len(problem.satellite)] > 0.0)
+    return mistakes.misfit(problem, kept, solved, setup.names, ("reference", *setup.missions))
+
+
+def _rows_there_are(setup: Setup) -> str:
+    """Return which kinds of rows there are, and what is known about the tables, for an error."""
+    names, numbers = np.unique(kinds(setup.problem.rows), return_counts=True)
+    counted = ", ".join(f"{n} {kind}" for kind, n in zip(names, numbers, strict=True))
+    if len(epochs := np.unique(setup.problem.rows.epoch[np.isfinite(setup.problem.rows.epoch)])):
+        counted += f", of {epochs[0]:g} to {epochs[-1]:g}" if len(epochs) > 1 else f", all of {epochs[0]:g}"
+    return f" (rows: {'; '.join([counted, *setup.notes])})"
+
+
+def _covariances(
+    sources: solution.Sources, result: solution.Clipped, errors: Sequence[str], resamples: int, seed: int
+) -> tuple[dict[str, Array], list[str]]:
+    """Return the covariance of each kind of error, the main one first, and notes."""
+    solved, notes, sums = result.solution, [], sources.sums
+    if sums is not None:
+        used = result.factors > 0.0
+        sums, factors = sums.taken(used), result.factors[used]
+        sums = sums if np.all(factors == 1.0) else sums.scaled(factors)
+    covariances = {}
+    for kind in dict.fromkeys([*errors, "formal", "scaled"]):
+        groups = sums if kind != "cells" and sums is not None else sources.cell_sums(result.factors)
+        if sums is None and kind in ("jackknife", "bootstrap", "sandwich"):
+            notes.append(f"{kind} errors are those of {len(groups)} cells of the sky: there are too many sources")
+        if kind in ("formal", "scaled"):
+            one = solved.covariance * (1.0 if kind == "formal" else solved.scale**2)
+        elif kind in ("jackknife", "cells"):
+            one = solution.jackknife(groups, solved.normal, solved.normal @ solved.estimate)
+        elif kind == "sandwich":
+            one = solution.sandwich(groups, solved)
+        else:
+            one, drawn = solution.bootstrap(groups, resamples, np.random.default_rng(seed))
+            if failed := np.count_nonzero(np.isnan(drawn[:, 0])):
+                notes.append(f"{failed} of {resamples} resamples did not determine the unknowns")
+        if not np.all(np.isfinite(one)):
+            why = "there are no degrees of freedom" if kind == "scaled" else "some unknowns depend on a single source"
+            notes.append(f"there are no {kind} errors: {why}")
+        covariances[kind] = one
+    return covariances, notes
+
+
+class Power(NamedTuple):
+    """Power of one degree l of a field (mas^2 or mas^2/yr^2), its mean for noise alone, c'V^-1 c, which
+    for noise alone is a chi2 of 2 l + 1 degrees of freedom, and the probability that noise is as significant.
+    """
+
+    field: str
+    degree: int
+    power: float
+    noise: float
+    chi2: float
+    probability: float
+
+
+def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> list[Power]:
+    """Return the power of each degree among the unknowns (rotations, glides: degree 1); none without harmonics."""
+    if not any(isinstance(block, Harmonics) for block in unknowns.blocks):
+        return []
+    powers = []
+    for block in unknowns.blocks:
+        part = unknowns.part(block.name)
+        x, v = estimate[part], covariance[part, part]
+        if isinstance(block, Harmonics):
+            start, where = 0, "motion" if block.rate else "position"
+            for kind, degree in block.parts:
+                weights = np.array([1.0, *[2.0] * (2 * degree)])  # order 0, then both parts of each other order
+                piece = slice(start, start + len(weights))
+                field = f"{where} {'toroidal' if kind == 't' else 'spheroidal'}"
+                powers.append(_power(field, degree, weights, x[piece], v[piece, piece]))
+                start = piece.stop
+        elif block.name in FIELD_OF and len(x) == 3:
+            powers.append(_power(FIELD_OF[block.name], 1, np.full(3, VECTOR_POWER), x, v))
+    return powers
+
+
+def _power(field: str, degree: int, weights: Array, x: Array, v: Array) -> Power:
+    chi2 = float(x @ np.linalg.solve(v, x)) if np.any(v) else np.nan  # a table linked to itself has errors of 0
+    probability = float(chdtrc(2 * degree + 1, chi2))
+    return Power(field, degree, float(weights @ x**2), float(weights @ np.diag(v)), chi2, probability)
+
+
+# ---- from tables to a dataset
 
 
 class MisfitError(SweepError):
@@ -86,7 +275,7 @@ def tie(
             ``weights``, ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``,
             ``corrections``, ``missions`` (further tables by name, each with an orientation and a spin of its own),
             ``satellite_options``, ``reference_options`` and ``mission_options``
-            (`sweep.tie.options.TableOptions`).
+            (`sweep.tie.tables.TableOptions`).
 
     Returns:
         A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr,
@@ -107,28 +296,32 @@ def tie(
     if unknown := sorted(set(options) - known):
         raise SweepError(f"no option {', '.join(unknown)}; there are {', '.join(sorted(known))}")
     asked = Options(unknowns=unknowns, **options)
-    kinds = [name.strip() for name in errors.split(",")] if isinstance(errors, str) else list(errors)
+    names = [name.strip() for name in errors.split(",")] if isinstance(errors, str) else list(errors)
     on = resources or Resources(
         workers, None, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits
     )
     if (why := why_whole(satellite, reference, asked)) is None:
         with mapped(EXPERIMENT, on, logging.getLogger("linksweep").warning) as run:
-            setup, table = set_up_row_groups(satellite, asked, run, per_source)
-            link = solve_link(setup, clip, kinds, resamples, seed, table, per_source)
-            return _accepted(link, as_dataset(link, asked, per_source), accept_misfit)
-    if not on.none_requested:
+            setup, sources = set_up_row_groups(satellite, asked, run, per_source)
+            link = solve_link(setup, clip, names, resamples, seed, sources, per_source)
+    elif on.none_requested:
+        link = solve_link(set_up(satellite, reference, asked), clip, names, resamples, seed)
+    else:
         raise SweepError(
             f"workers are for tables that are read by row groups, and these are solved at once in this process: {why}; "
             "leave --workers, --scheduler and the like out"
         )
-    link = solve_link(set_up(satellite, reference, asked), clip, kinds, resamples, seed)
-    return _accepted(link, as_dataset(link, asked, per_source), accept_misfit)
-
-
-def _accepted(link: Link, result: "xr.Dataset", accept_misfit: bool) -> "xr.Dataset":
+    result = as_dataset(link, asked, per_source)
     if link.misfit.absurd and not accept_misfit:
         raise MisfitError(result)
     return result
+
+
+COORDINATES = (
+    *("unit", "block", "ra", "dec", "row_source_index", "row_source", "row_kind", "row_table", "row_epoch"),
+    *("observable_unit", "bin_low", "bin_high"),
+)
+"""The variables that label others, beside those that are called as their dimension."""
 
 
 def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dataset":
@@ -138,40 +331,37 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
     """
     import xarray as xr
 
-    setup, problem, solution = link.setup, link.setup.problem, link.solution
+    setup, problem, solved = link.setup, link.setup.problem, link.solution
     unknowns, sign = problem.unknowns, SIGNS[options.sign]
-    order = [link.main, *(kind for kind in link.covariances if kind != link.main)]
-    covariance = np.array([link.covariances[kind] for kind in order]) / MAS**2
+    main = next(iter(link.covariances))
+    covariance = np.array(list(link.covariances.values())) / MAS**2
     errors = np.sqrt(np.einsum("ekk->ek", covariance))
     with np.errstate(invalid="ignore", divide="ignore"):  # tables without any discrepancy have scaled errors of 0
         correlation = covariance[0] / np.outer(errors[0], errors[0])
+    both = ("unknown", "unknown_other")
     variables: dict[str, Any] = {
-        "estimate": ("unknown", sign * solution.estimate / MAS, {"long_name": f"{options.sign}", "sign": options.sign}),
-        "error": ("unknown", errors[0], {"kind": link.main}),
+        "unknown": ("unknown", list(unknowns.labels)),
+        "unknown_other": ("unknown_other", list(unknowns.labels)),
+        "unit": ("unknown", list(unknowns.units)),
+        "block": ("unknown", [b.name for b in unknowns.blocks for _ in b.labels]),
+        "error_kind": ("error_kind", list(link.covariances)),
+        "estimate": ("unknown", sign * solved.estimate / MAS, {"long_name": f"{options.sign}", "sign": options.sign}),
+        "error": ("unknown", errors[0], {"kind": main}),
         "errors": (("error_kind", "unknown"), errors),
-        "covariance": (("unknown", "unknown_other"), covariance[0], {"kind": link.main}),
-        "covariances": (("error_kind", "unknown", "unknown_other"), covariance),
-        "correlation": (("unknown", "unknown_other"), correlation),
-        "chi2": ((), solution.squares),
-        "chi2_expected": ((), solution.expected, {"long_name": "average of chi2 if the errors are right"}),
-        "dof": ((), solution.dof),
+        "covariance": (both, covariance[0], {"kind": main}),
+        "covariances": (("error_kind", *both), covariance),
+        "correlation": (both, correlation),
+        "chi2": ((), solved.squares),
+        "chi2_expected": ((), solved.expected, {"long_name": "average of chi2 if the errors are right"}),
+        "dof": ((), solved.dof),
         "n_sources": ((), int(np.sum((link.clipped.factors > 0) & (link.count > 0)))),
         "n_sources_matched": ((), len(problem.satellite)),
     }
-    coordinates: dict[str, Any] = {
-        "unknown": list(unknowns.labels),
-        "unknown_other": list(unknowns.labels),
-        "unit": ("unknown", list(unknowns.units)),
-        "block": ("unknown", [b.name for b in unknowns.blocks for _ in b.labels]),
-        "error_kind": order,
-    }
     if per_source:
-        _add_sources(link, variables, coordinates, sign)
+        variables |= _of_sources(link, sign)
         if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
-            _add_rows(link, variables, coordinates, sign)
-    _add_steps(link, variables, sign)
-    _add_spectrum(link, covariance[0], variables, coordinates)
-    _add_bins(link, errors[0], variables, coordinates, sign)
+            variables |= _of_rows(link, sign)
+    variables |= _of_steps(link, sign) | _of_harmonics(link, covariance[0]) | _of_bins(link, errors[0], sign)
     attributes = {
         "result": "tie",
         "sign": options.sign,
@@ -192,65 +382,64 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "misfit": link.misfit.text if link.misfit.first else "",
         "notes": list(link.notes),
     } | ({} if options.bins is None else {"bin_column": options.bins[0]})
-    return xr.Dataset(variables, coords=coordinates, attrs=attributes)
+    return xr.Dataset(variables, attrs=attributes).set_coords([name for name in COORDINATES if name in variables])
 
 
-def _add_sources(link: Link, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
+def _of_sources(link: Link, sign: float) -> dict[str, Any]:
     names, values = link.setup.names, link.setup.problem.satellite.values
-    coordinates |= {
-        "source": names if names.dtype.kind == "i" else names.astype(str),
+    variables: dict[str, Any] = {
+        "source": ("source", names if names.dtype.kind == "i" else names.astype(str)),
         "ra": ("source", np.degrees(values[0]) % 360.0, {"units": "deg"}),
         "dec": ("source", np.degrees(values[1]), {"units": "deg"}),
-    }
-    variables |= {
         "discrepancy": ("source", link.discrepancy, {"long_name": "chi2 of the residuals of a source"}),
         "n_observations": ("source", link.count.astype(np.float64)),
         "weight_factor": ("source", link.clipped.factors.astype(np.float64), {"long_name": "1 kept, 0 dropped"}),
     }
     if (effect := link.influence) is not None:
-        coordinates["block_name"] = list(link.setup.problem.unknowns.names)
         variables |= {
+            "block_name": ("block_name", list(link.setup.problem.unknowns.names)),
             "discrepancy_expected": ("source", effect.expected),
             "estimate_without": (("source", "unknown"), sign * effect.without / MAS, {"long_name": "leave one out"}),
             "cook_distance": ("source", effect.cook),
             "share": (("source", "block_name"), effect.share, {"long_name": "share of the weight"}),
         }
+    return variables
 
 
-def _add_rows(link: Link, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
+def _of_rows(link: Link, sign: float) -> dict[str, Any]:
     problem, names = link.setup.problem, link.setup.names
     satellite, source, rows = problem.satellite, problem.source, problem.rows
-    before = differences(satellite, rows, source, problem.taken_out(satellite), problem.unknowns.frames)
+    before = problem.differences()
     shift = np.einsum("nik,k->ni", problem.unknowns.matrix(*problem.objects(satellite)), link.solution.estimate)
     after = before.values - np.einsum("rij,rj->ri", before.by_frames, shift[source])
-    covariance = satellite.covariance()[source]
-    whole = before.covariance + before.partials @ covariance @ before.partials.swapaxes(1, 2)
-    error = np.sqrt(np.einsum("rii->ri", whole))
-    normalised, plain = separation(problem)
-    tables = np.array(["reference", *link.setup.missions])
-    coordinates |= {
-        "observable": list(PARAMETERS),
+    error = np.sqrt(np.einsum("rii->ri", before.whole(satellite.covariance()[source])))
+    normalised, plain = solution.separation(problem)
+
+    def shown(values: Array) -> tuple[tuple[str, str], Array]:
+        return ("row", "observable"), np.where(before.present, values / MAS, np.nan)
+
+    return {
+        "observable": ("observable", list(PARAMETERS)),
+        "observable_unit": ("observable", list(UNITS.values())),
         "row_source_index": ("row", source),
         "row_source": ("row", names[source].astype(str)),
         "row_kind": ("row", kinds(rows)),
-        "row_table": ("row", tables[np.zeros_like(source) if rows.frame is None else rows.frame]),
+        "row_table": ("row", np.array(["reference", *link.setup.missions])[rows.frame]),
         "row_epoch": ("row", rows.epoch, {"units": "yr"}),
-        "observable_unit": ("observable", ["mas", "mas", "mas", "mas/yr", "mas/yr"]),
-    }
-    for name, values in (("difference", sign * before.values), ("residual", sign * after), ("difference_error", error)):
-        variables[name] = (("row", "observable"), np.where(before.present, values / MAS, np.nan))
-    variables |= {
+        "difference": shown(sign * before.values),
+        "residual": shown(sign * after),
+        "difference_error": shown(error),
         "normalised_separation": ("source", normalised, {"long_name": "X before the fit"}),
         "separation": ("source", plain / MAS, {"units": "mas"}),
     }
 
 
-def _add_steps(link: Link, variables: dict[str, Any], sign: float) -> None:
+def _of_steps(link: Link, sign: float) -> dict[str, Any]:
     names, clipped = link.setup.names, link.clipped
     if not (steps := clipped.trajectory):
-        return
+        return {}
     errors = np.array([np.sqrt(np.diag(s.covariance)) * s.scale for s in steps]) / MAS
-    variables |= {
+    return {
         "step_estimate": (("step", "unknown"), sign * np.array([s.estimate for s in steps]) / MAS),
         "step_error": (("step", "unknown"), errors, {"kind": "scaled"}),
         "step_chi2": ("step", np.array([s.squares for s in steps])),
@@ -260,28 +449,33 @@ def _add_steps(link: Link, variables: dict[str, Any], sign: float) -> None:
     }
 
 
-def _add_spectrum(link: Link, main: Array, variables: dict[str, Any], coordinates: dict[str, Any]) -> None:
+def _of_harmonics(link: Link, main: Array) -> dict[str, Any]:
     powers = spectrum(link.setup.problem.unknowns, link.solution.estimate / MAS, main)
     if not powers:
-        return
-    degrees, fields = (sorted({getattr(power, name) for power in powers}) for name in ("degree", "field"))
-    table = np.full((4, len(fields), len(degrees)), np.nan)
+        return {}
+    degrees, names = (sorted({getattr(power, name) for power in powers}) for name in ("degree", "field"))
+    table = np.full((4, len(names), len(degrees)), np.nan)
     for field, degree, *numbers in powers:
-        table[:, fields.index(field), degrees.index(degree)] = numbers
-    coordinates |= {"degree": degrees, "field": fields}
-    names = ("power", "power_noise", "power_chi2", "power_probability")
-    variables |= {name: (("field", "degree"), values) for name, values in zip(names, table, strict=True)}
+        table[:, names.index(field), degrees.index(degree)] = numbers
+    variables = zip(("power", "power_noise", "power_chi2", "power_probability"), table, strict=True)
+    labels = {"degree": ("degree", degrees), "field": ("field", names)}
+    return labels | {name: (("field", "degree"), values) for name, values in variables}
 
 
-def _add_bins(link: Link, errors: Array, variables: dict[str, Any], coordinates: dict[str, Any], sign: float) -> None:
+def _of_bins(link: Link, errors: Array, sign: float) -> dict[str, Any]:
     unknowns = link.setup.problem.unknowns
-    for block in (block for block in unknowns.blocks if isinstance(block, SpinByBin)):
-        part = unknowns.part(block.name)
-        coordinates |= {
-            "bin": [f"[{low:g},{high:g})" for low, high in block.bins],
-            "bin_low": ("bin", [low for low, _ in block.bins]),
-            "bin_high": ("bin", [high for _, high in block.bins]),
-            "component": ["x", "y", "z"],
-        }
-        for name, values in (("spin_by_bin", sign * link.solution.estimate / MAS), ("spin_by_bin_error", errors)):
-            variables[name] = (("bin", "component"), values[part].reshape(-1, 3), {"units": "mas/yr"})
+    block = next((block for block in unknowns.blocks if isinstance(block, SpinByBin)), None)
+    if block is None:
+        return {}
+    spins = (
+        values[unknowns.part(block.name)].reshape(-1, 3) for values in (sign * link.solution.estimate / MAS, errors)
+    )
+    in_bins, unit = ("bin", "component"), {"units": "mas/yr"}
+    return {
+        "bin": ("bin", [f"[{low:g},{high:g})" for low, high in block.bins]),
+        "bin_low": ("bin", [low for low, _ in block.bins]),
+        "bin_high": ("bin", [high for _, high in block.bins]),
+        "component": ("component", ["x", "y", "z"]),
+        "spin_by_bin": (in_bins, next(spins), unit),
+        "spin_by_bin_error": (in_bins, next(spins), unit),
+    }

@@ -1,24 +1,29 @@
-"""The problem that follows from two or more tables and the options: matched rows, what is done to them, unknowns."""
+"""The problem of two or more tables: the options, which source a row belongs to, what is doubtful about that, what is
+done to the rows, and the unknowns.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from linksweep.core.frames import GALACTIC_AXES, MAS, Array, Indices, triad
+from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Indices, triad
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import KINDS, PAIRS, Astrometry, joined, kinds, named_rows
-from linksweep.core.tie.clips import SourceTable
-from linksweep.core.tie.problem import Problem
-from linksweep.core.unknowns import Rotation, SpinByBin, Unknowns, parse_unknowns
-from linksweep.sweep.contract import SweepError
+from linksweep.core.tie.astrometry import KINDS, PAIRS, Astrometry, joined, kinds, named_rows, propagated
+from linksweep.core.tie.problem import Problem, Weights
+from linksweep.core.tie.solution import sources_of
+from linksweep.core.unknowns import Rotation, SpinByBin, Unknowns, parse_unknowns, require_mission_name
+from linksweep.sweep.contract import Parameter, SweepError
+from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.tables.reader import read_table as read_file
-from linksweep.sweep.tie.matching import Match, far_rows, match, match_notes
-from linksweep.sweep.tie.options import SIGNS, Options, TableOptions
-from linksweep.sweep.tie.tables import AstrometricTable, read_table
+from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, Zeros, read_table
+
+Sign = Literal["reference-satellite", "satellite-reference"]
+SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference": -1.0}
 
 ICRF3_EPOCH = 2015.0
 
@@ -28,28 +33,145 @@ ALL = "all"
 ZERO_MOTION = "zero-motion"
 """Stands for a reference whose sources do not move: quasars, for which only the satellite's table is needed."""
 
+EVERY_SOURCE = "the satellite's sources"
+"""How rows without a table are matched."""
+
+DEFAULT_RADIUS_ARCSEC = 1.0
+FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
+"""Separations from the source of the same name above which a row is noted, and is refused."""
+
+SAME_EPOCH_YR = 0.005
+"""Rows of a source within two days may be the same measurement."""
+
+_NO_NAME = ("", "--", "nan")
+_NONE = np.zeros(0, dtype=np.int64)
+
+
+# ---- options
+
+
+def year(name: str, meaning: str) -> Parameter:
+    """Declare an epoch."""
+    return Parameter(name, "float", None, meaning, "yr", minimum=1800.0, maximum=2200.0)
+
+
+def one_of(name: str, default: str, meaning: str, *choices: str) -> Parameter:
+    """Declare a word out of a few, the first of which is the default."""
+    return Parameter(name, "str", default, meaning, choices=tuple(dict.fromkeys((default, *choices))))
+
+
+DECLARED = {
+    parameter.name: parameter
+    for parameter in (
+        Parameter(
+            "degree", "int", None, "adds vector spherical harmonics up to this; default none", minimum=1, maximum=50
+        ),
+        one_of("weights", "covariance", "of the differences", *get_args(Weights)),
+        year("epoch", "of the orientation; default the satellite's"),
+        Parameter(
+            "aberration",
+            "float",
+            0.0,
+            "Galactic, carries positions without an epoch from 2015.0",
+            "uas/yr",
+            minimum=0.0,
+        ),
+        one_of("zero_errors", "error", "what an error of 0 means", *get_args(Zeros)),
+        one_of("sign", "reference-satellite", "of all results", *SIGNS),
+    )
+}
+"""Options that a study sets too, or that have the same limits in every table."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """The options of a link of two or more tables.
+
+    ``unknowns`` as in `parse_unknowns`, None for those of orientation and spin that the tables determine; ``degree``
+    adds vector spherical harmonics up to it.  ``bins`` are a column and edges.  ``epoch`` (Julian year) is that of the
+    orientation, by default the satellite's.  ``known_spin`` is a vector (mas/yr, in the sign of ``sign``) or the path
+    of a table by magnitude.  ``jitter`` maps kinds of rows to (mas, mas/yr) added in quadrature.  ``aberration``
+    (uas/yr) carries reference positions without an epoch from 2015.0 to the satellite's epoch.  ``missions`` are
+    further tables by name, each in a frame of its own with an orientation and a spin; ``mission_options`` say how
+    these are read.
+    """
+
+    unknowns: str | None = None
+    degree: int | None = None
+    bins: tuple[str, Sequence[float]] | None = None
+    by: str | None = None
+    epoch: float | None = None
+    weights: Weights = "covariance"
+    known_spin: Sequence[float] | str | Path | None = None
+    jitter: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    sign: Sign = "reference-satellite"
+    corrections: bool = True
+    aberration: float = 0.0
+    missions: Mapping[str, str | Path] = field(default_factory=dict)
+    satellite_options: TableOptions = field(default_factory=TableOptions)
+    reference_options: TableOptions = field(default_factory=TableOptions)
+    mission_options: Mapping[str, TableOptions] = field(default_factory=dict)
+
+    def check(self) -> None:
+        """Raise SweepError for values that are not allowed."""
+        try:
+            for part in (self, self.satellite_options, self.reference_options, *self.mission_options.values()):
+                for name, parameter in DECLARED.items():
+                    if (value := getattr(part, name, None)) is not None:
+                        parameter.parse(value)
+            for name in self.missions:
+                require_mission_name(name)
+        except ValueError as error:
+            raise SweepError(str(error)) from error
+        if unknown := sorted(set(self.mission_options) - set(self.missions)):
+            raise SweepError(f"options of {', '.join(unknown)}: no such mission")
+
+    def jitter_in(self, mission: str | None) -> dict[str, tuple[float, float]]:
+        """Return the jitter by kind of row of the reference, or of a mission: ``hipparcos:position``."""
+        chosen = {}
+        for key, size in self.jitter.items():
+            table, colon, kind = key.rpartition(":")
+            if (table if colon else None) == mission:
+                chosen[kind] = size
+            elif colon and table not in self.missions:
+                raise SweepError(f"jitter of {key!r}: no mission {table!r}")
+        return chosen
+
+
+def parse_bins(text: str) -> tuple[str, list[float]]:
+    """Return the column and the edges of a text like phot_g_mean_mag=6,8,10; raises SweepError for any other text."""
+    column, edges = split_assignment(text)
+    try:
+        numbers = [float(part) for part in edges.split(",")]
+    except ValueError:
+        numbers = []
+    if not (column and numbers):
+        raise SweepError(f"bins {text!r}: must be written COLUMN=EDGE,EDGE and so on")
+    return column, numbers
+
+
+# ---- the problem
+
 
 @dataclass(frozen=True)
 class Setup:
-    """The tables as read and matched, and the problem of the matched sources (S) and rows (R).
+    """The problem of the matched sources (S) and rows (R), the tables as read, and how they were matched.
 
-    ``sources`` (S,) are places in the satellite's table, ``names`` (S,) their names, or numbers.  ``missions`` are the
-    further tables by name; the rows of the first one have the frame 1, and so on.
+    ``names`` (S,) are the names of the sources, or numbers.  ``missions`` are the further tables by name; the rows of
+    the first one have the frame 1, and so on.
     """
 
     satellite: AstrometricTable
     reference: AstrometricTable
-    matched: Match
+    matched: "Match"
     problem: Problem
-    sources: Indices
     names: NDArray[Any]
     notes: tuple[str, ...] = ()
     missions: Mapping[str, AstrometricTable] = field(default_factory=dict)
 
     def only(self, sources: Indices) -> "Setup":
         """Return the setup of some of the matched sources and their rows."""
-        problem = self.problem.only(sources)
-        return replace(self, problem=problem, sources=self.sources[sources], names=self.names[sources])
+        return replace(self, problem=self.problem.only(sources), names=self.names[sources])
 
 
 def set_up(satellite: str | Path, reference: str | Path, options: Options, all_sources: bool = False) -> Setup:
@@ -69,15 +191,16 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     for frame, name in enumerate((None, *options.missions)):
         if name is None and str(reference) == ZERO_MOTION:
             table = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
-            matched = Match(np.arange(n), np.arange(n), "the satellite's sources", np.zeros(0, dtype=np.int64))
+            matched = Match(np.arange(n), np.arange(n), EVERY_SOURCE)
+            rows = table.astrometry
         else:
             how = options.reference_options if name is None else options.mission_options.get(name, TableOptions())
             table = read_table(Path(reference if name is None else options.missions[name]), how)
             matched = match(left, table, options.by)
+            rows = _taken(table.astrometry, matched.rows)
             far = far_rows(left, table, matched)
-        rows = with_jitter(_taken(table.astrometry, matched.rows), options.jitter_in(name))
-        if table.path != ZERO_MOTION:
             notes += [*table.named_notes(), *match_notes(table, matched, rows), *far]
+        rows = with_jitter(rows, options.jitter_in(name))
         if name is not None:
             rows = replace(rows, frame=np.full(len(rows), frame))
         elif options.aberration:
@@ -85,30 +208,28 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         tables.append(table)
         matches.append(matched)
         parts.append(rows)
-    sources = np.arange(n) if all_sources else np.unique(np.concatenate([matched.source for matched in matches]))
-    place = np.full(n, -1)
-    place[sources] = np.arange(len(sources))
-    source = place[np.concatenate([matched.source for matched in matches])]
+    source = np.concatenate([matched.source for matched in matches])
+    sources = np.arange(n) if all_sources else np.unique(source)
     names = _names(left, tables[0], matches[0])[sources]
     own = replace(_taken(left.astrometry, sources), names=names)
-    rows = parts[0] if len(parts) == 1 else joined(*parts)
+    rows, source = parts[0] if len(parts) == 1 else joined(*parts), np.searchsorted(sources, source)
     epoch = default_epoch(own.epoch) if options.epoch is None else options.epoch
     notes += _resting(own, rows, source)
+    problem = Problem(own, rows, source, Unknowns(()), epoch, options.weights)
     try:
-        unknowns = unknowns_for(options, own, rows, source, epoch, notes)
-        known = None if options.known_spin is None else known_spin(options.known_spin, own, SIGNS[options.sign])
+        unknowns = unknowns_for(options, problem, notes)
+        problem = replace(problem, unknowns=unknowns, known=known_spin(options, own))
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
-    problem = Problem(own, rows, source, unknowns, epoch, options.weights, known)
     missions = dict(zip(options.missions, tables[1:], strict=True))
-    return Setup(left, tables[0], matches[0], problem, sources, names, tuple(dict.fromkeys(notes)), missions)
+    return Setup(left, tables[0], matches[0], problem, names, tuple(dict.fromkeys(notes)), missions)
 
 
 def _taken(table: Astrometry, rows: Indices) -> Astrometry:
     return table if np.array_equal(rows, np.arange(len(table))) else table.taken(rows)
 
 
-def _names(left: AstrometricTable, reference: AstrometricTable, matched: Match) -> NDArray[np.str_]:
+def _names(left: AstrometricTable, reference: AstrometricTable, matched: "Match") -> NDArray[np.str_]:
     """Return the names of all sources: the satellite's first column of names, else the reference's, else numbers."""
     if left.names:
         return next(iter(left.names.values()))
@@ -120,11 +241,11 @@ def _names(left: AstrometricTable, reference: AstrometricTable, matched: Match) 
 
 def _resting(own: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
     """Return a note if single-epoch positions are of sources without parallaxes and motions, like quasars."""
-    if rows.apparent is None or not np.any(seen := rows.apparent & (kinds(rows) == "single epoch")):
+    observed = np.unique(source[kinds(rows) == "single epoch"])
+    if len(observed) < 5:
         return []
     size = np.where(own.present[2:], (own.values[2:] / np.where(own.present[2:], own.errors[2:], 1.0)) ** 2, np.nan)
-    observed = np.unique(source[seen])
-    if len(observed) < 5 or not np.nanmean(size[:, observed]) < 4.0:
+    if not np.nanmean(size[:, observed]) < 4.0:
         return []
     said = "positions of a single epoch are displaced by parallaxes, and these sources have none, nor motions"
     return [f"{said}: if they are quasars, say --extragalactic reference"]
@@ -142,6 +263,177 @@ def default_epoch(epochs: Array) -> float:
     return float(np.median(known)) if len(known) else ICRF3_EPOCH
 
 
+# ---- which source a row belongs to
+
+
+@dataclass(frozen=True)
+class Match:
+    """The rows that were matched (R,), the source of the satellite for each (R,), how they were matched, the rows left
+    over, and those for which several sources were within the radius, so that the nearest was taken.
+    """
+
+    rows: Indices
+    source: Indices
+    by: str
+    unmatched: Indices = field(default_factory=_NONE.copy)
+    ambiguous: Indices = field(default_factory=_NONE.copy)
+
+
+def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | None = None) -> Match:
+    """Match by ``name``, by a column that both tables have, or by ``position`` within 1 arcsec (``position:R``).
+
+    By default by name if columns of names in both tables have a name in common, and by position otherwise.
+    Raises SweepError if nothing matches, or if the satellite's table has a name twice.
+    """
+    kind, _, radius = (by or "").partition(":")
+    if kind == "position":
+        return _by_position(satellite, reference, radius)
+    pairs = [(name, name) for name in satellite.names if name in reference.names and kind in ("", "name", name)]
+    if kind in ("", "name"):
+        pairs += [(a, b) for a in satellite.names for b in reference.names if a != b]
+    for pair in pairs:
+        matched = _by_name(satellite, reference, pair, strict=kind == pair[0] or pair[0].casefold() in SOURCE_NAMES)
+        if len(matched.rows):
+            return matched
+    if by is None:
+        return _by_position(satellite, reference, "")
+    said = []
+    for table, column in zip((satellite, reference), pairs[0] if pairs else (None, None), strict=True):
+        names = [str(name) for name in table.names.get(str(column), ()) if name.casefold() not in _NO_NAME]
+        there = f"names in {', '.join(table.names) or 'no column'}"
+        said.append(f"{table.path} has {f'{column} like {names[0]!r}' if names else there}")
+    raise SweepError(f"match by {by!r}: {'no name is in both tables; ' if pairs else ''}{', '.join(said)}")
+
+
+def _by_name(satellite: AstrometricTable, reference: AstrometricTable, pair: tuple[str, str], strict: bool) -> Match:
+    """Match by two columns; a name that the satellite has twice is an error if ``strict``, else nothing matches."""
+    column, other = pair
+    names, wanted = ([n.casefold() for n in t.names[c]] for t, c in zip((satellite, reference), pair, strict=True))
+    place = {name: i for i, name in enumerate(names) if name not in _NO_NAME}
+    rows = np.array([i for i, name in enumerate(wanted) if name in place], dtype=np.int64)
+    used = {wanted[i] for i in rows}
+    if twice := {satellite.names[column][i] for i, name in enumerate(names) if name in used and place[name] != i}:
+        if strict:
+            raise SweepError(
+                f"{column} {', '.join(sorted(twice)[:5])} occurs more than once in the table", satellite.path
+            )
+        rows = rows[:0]
+    source = np.array([place[wanted[i]] for i in rows], dtype=np.int64)
+    how = column if column == other else f"{column} = {other}"
+    return Match(rows, source, how, np.setdiff1d(np.arange(len(wanted)), rows))
+
+
+def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radius_text: str) -> Match:
+    """Match each row to the nearest source, carried to the row's epoch with its proper motion."""
+    try:
+        radius = float(radius_text) if radius_text else DEFAULT_RADIUS_ARCSEC
+    except ValueError:
+        radius = np.nan
+    if not 0.0 < radius <= 3600.0:
+        raise SweepError(f"match by position:{radius_text}: the radius must be above 0 and at most 3600 arcsec")
+    sources, rows = satellite.astrometry, reference.astrometry
+    if len(without := np.flatnonzero(~np.isfinite(rows.values[:2]).all(axis=0))):
+        raise SweepError(f"match by position: no position in {named_rows(without)}; match by name", reference.path)
+    chord = 2.0 * np.sin(0.5 * radius * ARCSEC)
+    place, several = np.full(len(rows), -1), np.zeros(len(rows), dtype=bool)
+    epochs = np.where(np.isfinite(rows.epoch), rows.epoch, np.inf)
+    for epoch in np.unique(epochs):  # the sources move, so that each epoch has a tree of its own
+        at = np.flatnonzero(epochs == epoch)
+        tree = cKDTree(_directions(sources, np.full(len(sources), epoch)).T)
+        distance, nearest = map(np.asarray, tree.query(triad(*rows.values[:2, at]).r.T, k=2))
+        place[at] = np.where(distance[:, 0] <= chord, nearest[:, 0], -1)
+        several[at] = distance[:, 1] <= chord
+    matched = np.flatnonzero(place >= 0)
+    if not len(matched):
+        raise SweepError(f"no row of the reference is within {radius:g} arcsec of a source", reference.path)
+    how = f"position within {radius:g} arcsec"
+    return Match(matched, place[matched], how, np.flatnonzero(place < 0), np.flatnonzero(several))
+
+
+def _directions(sources: Astrometry, epoch: Array) -> Array:
+    """Return unit vectors to sources at epochs, (3, N); their own where either has none."""
+    both = np.isfinite(epoch) & np.isfinite(sources.epoch)
+    start, end = (np.where(both, one, 0.0) for one in (sources.epoch, epoch))
+    return triad(*propagated(sources.values, sources.radial_velocity, start, end)[:2]).r
+
+
+# ---- what is doubtful about a match
+
+
+def far_rows(satellite: AstrometricTable, table: AstrometricTable, matched: Match) -> list[str]:
+    """Return a note on rows far from their sources; raises SweepError if they cannot be the same objects."""
+    there, here = satellite.astrometry.taken(matched.source), table.astrometry.taken(matched.rows)
+    with np.errstate(invalid="ignore"):
+        between = np.linalg.norm(triad(*here.values[:2]).r - _directions(there, here.epoch), axis=0)
+    apart = np.nan_to_num(2.0 * np.arcsin(np.minimum(0.5 * between, 1.0)) / DEGREE)
+    refused = np.any(apart > FARTHEST_DEG)
+    far = np.flatnonzero(apart > (FARTHEST_DEG if refused else FAR_DEG))
+    if not len(far):
+        return []
+    size = f"{apart[far].max():.3g} deg" if refused else f"{apart[far].max() * 3600.0:.3g} arcsec"
+    whose = "their source" if matched.by.startswith("position") else "the source of the same name"
+    note = f"{named_rows(matched.rows[far])} of {Path(table.path).name}: up to {size} from {whose}"
+    elsewhere = _elsewhere(satellite, table, matched, far)
+    if refused:
+        question = "are the names right, the epochs, and the units of the positions?"
+        raise SweepError(f"{note}; {elsewhere or question}")
+    return [f"{note}; {elsewhere}" if elsewhere else note]
+
+
+def _elsewhere(satellite: AstrometricTable, table: AstrometricTable, matched: Match, far: Indices) -> str:
+    """Return a clause that names the other sources at whose positions rows are that are far from their own."""
+    rows = replace(table, astrometry=table.astrometry.taken(matched.rows[far]))
+    try:
+        near = match(satellite, rows, f"position:{FAR_DEG * 3600.0:g}")
+    except SweepError:  # none of them is near any source
+        return ""
+    names = next(iter(satellite.names.values()), np.arange(1, len(satellite.astrometry) + 1).astype(str))
+    both = zip(names[matched.source[far[near.rows]]], names[near.source], strict=True)
+    pairs = dict.fromkeys(f"{a} is where {b} is" for a, b in both if a != b)
+    return f"{', '.join(list(pairs)[:3])}: are names exchanged?" if pairs else ""
+
+
+def match_notes(table: AstrometricTable, matched: Match, rows: Astrometry) -> list[str]:
+    """Return notes on rows that match no source, several, or the same one with the same numbers; ``rows`` are those
+    that were matched.
+    """
+    total, name = len(table.astrometry), Path(table.path).name
+    notes = [f"{len(matched.unmatched)} of {total} rows of {name} match no source"] if len(matched.unmatched) else []
+    exact, nearly = _repeated(matched, rows)
+    for numbers, what in (
+        (matched.ambiguous, "several sources are within the radius; the nearest is taken"),
+        (exact, "the same numbers as another row of the source; all are used"),
+        (nearly, "nearly the numbers of another row of the source; one measurement that is there twice counts twice"),
+    ):
+        if len(numbers):
+            notes.append(f"{named_rows(numbers)} of {name}: {what}")
+    several = np.bincount(matched.source)[matched.source] > 1
+    epochs = rows.epoch[rows.present[0]]
+    if np.any(several & rows.present[0]) and len(epochs) > 2 and np.all(epochs == epochs[0]):
+        notes.append(f"{name}: all positions have the epoch {epochs[0]:g}, although sources have several: is it right?")
+    return notes
+
+
+def _repeated(matched: Match, rows: Astrometry) -> list[Indices]:
+    """Return the numbers of the table's rows that repeat another row of the same source and epoch: exactly, and nearly,
+    which is within a fraction of the errors, or with the same errors.
+    """
+    source = matched.source
+    order = np.lexsort((rows.epoch, rows.present.T @ (1 << np.arange(5)), source))
+    one, other = order[:-1], order[1:]
+    present, first, second = rows.present[:, one], rows.errors[:, one], rows.errors[:, other]
+    same = (source[one] == source[other]) & np.all(present == rows.present[:, other], axis=0) & present.any(axis=0)
+    years = np.nan_to_num(np.abs(rows.epoch[one] - rows.epoch[other]))
+    apart = rows.values[:, one] - rows.values[:, other]
+    apart[0] *= np.cos(rows.values[1, one])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        most = np.where(present & (apart != 0.0), np.abs(apart) / np.maximum(first, second), 0.0).max(axis=0)
+    alike = np.all(~present | np.isclose(first, second, rtol=0.01, atol=0.0), axis=0)
+    exact = same & (most == 0.0) & (years == 0.0) & np.all(~present | (first == second), axis=0)
+    nearly = same & ~exact & (years < SAME_EPOCH_YR) & ((most < 0.3) | (alike & (most < 2.0)))
+    return [np.sort(matched.rows[other[which]]) for which in (exact, nearly)]
+
+
 # ---- what is done to the rows of a reference before the solution
 
 
@@ -153,7 +445,7 @@ def with_jitter(rows: Astrometry, jitter: Mapping[str, tuple[float, float]]) -> 
     """
     if not jitter:
         return rows
-    known = [*KINDS.values(), "single epoch", ALL]
+    known = [*KINDS, "single epoch", ALL]
     if unknown := sorted(set(jitter) - set(known)):
         raise SweepError(f"jitter: no kind of row {', '.join(unknown)}; kinds are {', '.join(known)}")
     kind_of_row = kinds(rows)
@@ -195,13 +487,16 @@ def _aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astromet
     return replace(rows, values=values)
 
 
-def known_spin(spin: Sequence[float] | str | Path, own: Astrometry, sign: float) -> tuple[Unknowns, Array]:
+def known_spin(options: Options, own: Astrometry) -> tuple[Unknowns, Array] | None:
     """Return the block and the values (rad/yr) of a spin that is known: a vector, or a table by bins of a column.
 
     A table has columns COLUMN_min and COLUMN_max of the satellite's magnitude (or other) COLUMN, or mag_min and
     mag_max for phot_g_mean_mag, and omega_x, omega_y, omega_z in mas/yr or their unit.  Raises SweepError for anything
     else, and for sources outside its bins.
     """
+    spin, sign = options.known_spin, SIGNS[options.sign]
+    if spin is None:
+        return None
     if not isinstance(spin, (str, Path)):
         vector = np.asarray(spin, dtype=np.float64)
         if vector.shape != (3,) or not np.all(np.isfinite(vector)):
@@ -237,20 +532,18 @@ def known_spin(spin: Sequence[float] | str | Path, own: Astrometry, sign: float)
 # ---- unknowns
 
 
-def unknowns_for(
-    options: Options, own: Astrometry, rows: Astrometry, source: Indices, epoch: float, notes: list[str]
-) -> Unknowns:
+def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknowns:
     """Return the unknowns of the options; if none are named, those of orientation and spin that the rows determine.
 
     A note is added if these are not both.  Raises ValueError for unknowns that do not exist.
     """
     missions = list(options.missions)
-    names = [name.strip() for name in (options.unknowns or "").split(",") if name.strip()]
-    of_missions = [name for name in names if name.partition(":")[0] in missions]
-    names = [name for name in names if name not in of_missions]
+    named = [name.strip() for name in (options.unknowns or "").split(",") if name.strip()]
+    of_missions = [name for name in named if name.partition(":")[0] in missions]
+    names = [name for name in named if name not in of_missions]
     if options.unknowns is None or (of_missions and not names):
-        in_reference = np.arange(len(rows)) if rows.frame is None else np.flatnonzero(rows.frame == 0)
-        names = _determined(own, rows.taken(in_reference), source[in_reference], epoch)
+        here = np.flatnonzero(problem.rows.frame == 0)
+        names = _determined(replace(problem, rows=problem.rows.taken(here), source=problem.source[here]))
         if len(names) == 1:
             notes.append(f"of orientation and spin the tables determine only the {names[0]}")
     for rotation, glide, harmonics in (
@@ -263,25 +556,20 @@ def unknowns_for(
     names += of_missions
     for mission in missions:
         if not any(name.startswith(f"{mission}:") for name in of_missions):
-            names += _determined(own, rows, source, epoch, names, mission, missions)
-    return parse_unknowns(",".join(names), options.bins, own.columns, options.corrections, missions)
+            names += _determined(problem, names, mission, missions)
+    return parse_unknowns(",".join(names), options.bins, problem.satellite.columns, options.corrections, missions)
 
 
 def _determined(
-    own: Astrometry,
-    rows: Astrometry,
-    source: Indices,
-    epoch: float,
-    beside: Sequence[str] = (),
-    mission: str = "",
-    missions: Sequence[str] = (),
+    problem: Problem, beside: Sequence[str] = (), mission: str = "", missions: Sequence[str] = ()
 ) -> list[str]:
     """Return those of orientation and spin, of the satellite or a mission, that rows determine together with others."""
     for blocks in (("orientation", "spin"), ("orientation",), ("spin",)):
         names = [f"{mission}:{block}" if mission else block for block in blocks]
         unknowns = parse_unknowns(",".join([*beside, *names]), missions=missions)
+        trial = sources_of(replace(problem, unknowns=unknowns, weights="covariance"))
         try:
-            SourceTable(Problem(own, rows, source, unknowns, epoch)).solve(np.ones(len(own)))
+            trial.solve(np.ones(len(problem.satellite)))
         except LinkError:
             continue
         return names

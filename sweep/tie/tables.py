@@ -2,22 +2,24 @@
 
 import hashlib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.core.frames import DEGREE, MAS, Array, Flags
+from linksweep.core.tie import mistakes
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
-from linksweep.core.tie.mistakes import LARGER, LARGEST, PLAUSIBLE, SMALLER
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tables.columns import CORRELATIONS, Columns, column_of, first_found
 from linksweep.sweep.tables.reader import read_table as read_file
-from linksweep.sweep.tie.options import Positions, TableOptions
+
+Positions = Literal["single-epoch", "mean"]
+Zeros = Literal["error", "missing", "exact"]
 
 SOURCE_NAMES = ("name", "star", "source", "source_id", "designation", "psr_name", "hip", "iers_name", "icrf_name")
 """Columns that name a source, in upper or lower case, best first; other columns of text come after them."""
@@ -42,7 +44,31 @@ TYPICAL = (0.005, 300.0)
 EARLIEST, LATEST = 1970.0, 2060.0
 """Epochs of positions with errors below 10 mas."""
 
+UNITS = dict(zip(PARAMETERS, ("mas", "mas", "mas", "mas/yr", "mas/yr"), strict=True))
+
 _BUILT_IN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
+
+
+@dataclass(frozen=True)
+class TableOptions:
+    """How a table is read.
+
+    ``columns`` gives the table's names of quantities, ``units`` the units of quantities whose columns have none.
+    ``epoch`` (Julian year) is for a table without a column of epochs.  ``extragalactic``: positions are mean ones of
+    quasars, which neither move nor have parallaxes, and hold at any epoch.
+    ``positions`` says whether positions without parallax and motion are of a single epoch, displaced by the parallax,
+    or mean ones; by default as the table's metadata say, else of a single epoch.  Those without an epoch are mean.
+    ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``: whether pmra is mu_alpha*; by default it is, unless
+    its unit is one of time.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    epoch: float | None = None
+    extragalactic: bool = False
+    positions: Positions | None = None
+    zero_errors: Zeros = "error"
+    pmra_cos_dec: bool | None = None
 
 
 @dataclass(frozen=True)
@@ -96,13 +122,12 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         raise SweepError("has no rows", where)
     notes: list[str] = []
     values, errors = np.full((2, 5, len(read)), np.nan)
-    for row, name in zip(values, PARAMETERS, strict=True):
+    for value, error, name in zip(values, errors, PARAMETERS, strict=True):
         if read.has(name):
-            row[:] = _in_radians(read, name, options)
-            read.check(np.isinf(row), f"an infinite {name}")
-    for row, value, name in zip(errors, values, PARAMETERS, strict=True):
+            value[:] = _in_radians(read, name, options)
+            read.check(np.isinf(value), f"an infinite {name}")
         if read.has(f"{name}_error"):
-            row[:] = _errors(read, name, options, notes)
+            error[:] = _errors(read, name, options, notes)
         elif np.any(np.isfinite(value)):
             notes.append(f"no errors of {name}, which counts as not measured")
     read.finish()
@@ -140,16 +165,15 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
 
 def _in_radians(read: Columns, quantity: str, options: TableOptions) -> Array:
     """Return a quantity in rad or rad/yr, pmra and its error with cos(dec) also where the options say they lack it."""
-    values = read.quantity(quantity, "allowed", DEGREE if quantity in ("ra", "dec") else MAS)
-    lacks = quantity.startswith("pmra") and not options.pmra_cos_dec and not read.in_time(quantity)
-    return values * read.cos_dec if lacks else values
+    cos_dec = options.pmra_cos_dec if quantity.startswith("pmra") else None
+    return read.quantity(quantity, "allowed", DEGREE if quantity in ("ra", "dec") else MAS, cos_dec)
 
 
 def _errors(read: Columns, parameter: str, options: TableOptions, notes: list[str]) -> Array:
     quantity = f"{parameter}_error"
     name, column = read.name(quantity), read.name(parameter)
     if column in read.names and read.table[name].unit is None and quantity not in read.units:
-        unit, of_value = "mas/yr" if parameter.startswith("pm") else "mas", read.table[column].unit
+        unit, of_value = UNITS[parameter], read.table[column].unit
         if parameter in ("ra", "dec"):
             if read.kind(column) in "USO":
                 taken = f"{name!r} has no unit and is taken as {unit}; else say --unit {quantity}="
@@ -166,26 +190,26 @@ def _errors(read: Columns, parameter: str, options: TableOptions, notes: list[st
 
 def _note_lost(read: Columns, lost: Flags, notes: list[str]) -> None:
     """Note values (5, N) that have no error, and so decide the kind of their rows."""
-    alike: dict[bytes, list[int]] = {}
-    for i in np.flatnonzero(lost.any(axis=1)).tolist():
-        alike.setdefault(lost[i].tobytes(), []).append(i)
-    for places in alike.values():
-        rows, names = np.flatnonzero(lost[places[0]]), ", ".join(PARAMETERS[i] for i in places)
-        if read.has(f"{PARAMETERS[places[0]]}_error"):
-            notes.append(f"{len(rows)} rows have no error of {names}, which is not used: {named_rows(rows)}")
+    alike: dict[bytes, list[str]] = {}
+    for row, name in zip(lost, PARAMETERS, strict=True):
+        if row.any() and read.has(f"{name}_error"):
+            alike.setdefault(row.tobytes(), []).append(name)
+    for flags, names in alike.items():
+        rows = np.flatnonzero(np.frombuffer(flags, dtype=bool))
+        notes.append(f"{len(rows)} rows have no error of {', '.join(names)}, which is not used: {named_rows(rows)}")
 
 
 def _note_unlikely(values: Array, errors: Array, notes: list[str]) -> None:
     """Note numbers of a size that no star and no instrument has, with the likely mistake in their unit."""
-    for name, value, error in zip(PARAMETERS, values, errors, strict=True):
-        unit = "mas/yr" if name.startswith("pm") else "mas"
-        most = np.inf if name in ("ra", "dec") else LARGEST[unit]
+    for (name, unit), value, error in zip(UNITS.items(), values, errors, strict=True):
+        most = np.inf if name in ("ra", "dec") else mistakes.LARGEST[unit]
         if len(beyond := np.flatnonzero((np.abs(value) > most * MAS) & (np.abs(value) > 5.0 * error))):
             what = f"{name} beyond {most:g} {unit}, which no star has"
             notes.append(f"{what}: is its unit right? {named_rows(beyond)}")
         known = error[np.isfinite(error) & (error > 0.0)] / MAS
-        if len(known) and not PLAUSIBLE[0] <= (median := float(np.median(known))) <= PLAUSIBLE[1]:
-            units = (SMALLER if median < PLAUSIBLE[0] else LARGER).items()
+        low, high = mistakes.PLAUSIBLE
+        if len(known) and not low <= (median := float(np.median(known))) <= high:
+            units = (mistakes.SMALLER if median < low else mistakes.LARGER).items()
             likely = [said for factor, said in units if TYPICAL[0] <= median * factor <= TYPICAL[1]]
             cause = f" The likely cause: {', or '.join(likely)}." if likely else ""
             what = f"errors of {name} of {median:.2g} {unit}, which no instrument has."

@@ -5,9 +5,8 @@ import xarray as xr
 
 from linksweep.sweep.contract.block import BlockRows, ledger_key
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.checked_grid import make_grid
-from linksweep.sweep.planning.plan import Plan
-from linksweep.sweep.planning.streams import generators_of
+from linksweep.sweep.planning.grid import make_grid
+from linksweep.sweep.planning.plan import Plan, generators_of
 from linksweep.sweep.running.results import assemble, covariances
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.studies.record import provenance

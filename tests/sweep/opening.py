@@ -30,7 +30,7 @@ def flat(rows):
 
 def parts_of(store, column="rows"):
     """Return the names of the files of a column of the ledger, in a folder or a bucket, in their order."""
-    return [path_of(file) for file in OpenStore(store).ledger().columns[column].files]
+    return [path_of(getattr(part, column)) for part in OpenStore(store).ledger().parts]
 
 
 def rows_on_disk(store):
@@ -39,4 +39,4 @@ def rows_on_disk(store):
         manifest = json.loads((Path(store) / "blocks" / "zarr.json").read_text())["attributes"]["manifest"]
     except FileNotFoundError:
         return 0
-    return sum(file["records"] for file in manifest["columns"]["rows"])
+    return sum(part["records"] for part in manifest["parts"])

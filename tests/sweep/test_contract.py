@@ -20,12 +20,12 @@ GOOD = {
 }
 
 WRONG = {
-    "a missing comma": ({"outputs": Output("mean", "", "mean")}, "outputs: is one Output, not a tuple of them"),
-    "no tuple": ({"parameters": "rate"}, "parameters: is a str, not a tuple of Parameter"),
-    "another thing": ({"outputs": (Output("mean", "", "mean"), "mean")}, "outputs[1]: is a str, not an Output"),
+    "a missing comma": ({"outputs": Output("mean", "", "mean")}, "must be a tuple of Output"),
+    "no tuple": ({"parameters": "rate"}, "parameters = 'rate': must be a tuple of Parameter"),
+    "another thing": ({"outputs": (Output("mean", "", "mean"), "mean")}, "outputs: 'mean' is no Output"),
     "unknown dimension": (
         {"outputs": (Output("mean", "", "mean", ("tme",)),), "coordinates": {"time": ("a",)}},
-        "the dimension 'tme' has no labels in coordinates; did you mean 'time'?",
+        "dims: 'tme' is no dimension with labels in coordinates; did you mean 'time'?",
     ),
     "dims without a comma": (
         {"outputs": (Output("mean", "", "mean", "time"),), "coordinates": {"time": ("a",)}},
@@ -36,20 +36,23 @@ WRONG = {
         "component_units['axis']: 1 units for 2 labels",
     ),
     "labels that repeat": ({"coordinates": {"axis": ("x", "x")}}, "coordinates['axis']: 'x' is listed twice"),
-    "labels as one text": ({"coordinates": {"axis": "xyz"}}, "coordinates['axis']: must be a tuple of strings"),
-    "a dimension like a parameter": ({"coordinates": {"rate": ("x",)}}, "dimension 'rate': is the name of a parameter"),
+    "labels as one text": ({"coordinates": {"axis": "xyz"}}, "coordinates['axis'] = 'xyz': must be a tuple of str"),
+    "a dimension like a parameter": (
+        {"coordinates": {"rate": ("x",)}},
+        "dimension 'rate': is the name of another parameter",
+    ),
     "an output like a parameter": (
         {"outputs": (Output("rate", "", "x"),)},
-        "output 'rate': is the name of a parameter",
+        "output 'rate': is the name of another parameter",
     ),
     "an output like a dimension": (
         {"coordinates": {"mean": ("x",)}},
-        "dimension 'mean': is the name of an output too",
+        "dimension 'mean': is the name of another output",
     ),
-    "an output twice": ({"outputs": (Output("mean", "", "x"),) * 2}, "output 'mean': is declared twice"),
+    "an output twice": ({"outputs": (Output("mean", "", "x"),) * 2}, "output 'mean': is the name of another output"),
     "a parameter twice": (
         {"parameters": (Parameter("rate", "float", 1.0, "x"),) * 2},
-        "parameter 'rate': is declared twice",
+        "parameter 'rate': is the name of another parameter",
     ),
     **{
         f"an output named {name}": (
@@ -78,12 +81,12 @@ WRONG = {
         "rate = 'a': must be one of 'b', 'c'",
     ),
     "a kind that is none": ({"parameters": (Parameter("rate", "flaot", 1.0, "x"),)}, "did you mean 'float'?"),
-    "no function": ({"evaluate": 3}, "evaluate: is an int, not a function"),
+    "no function": ({"evaluate": 3}, "evaluate = 3: must be a function"),
     "another signature": (
         {"evaluate": lambda points, rng: {}},
         "evaluate: takes (points, rng), but is called with (points, n_sim, rng, catalogue_rng)",
     ),
-    "sums that are no shapes": ({"sums": {"total": 3}}, "sums['total'] = 3: must be a shape"),
+    "sums that are no shapes": ({"sums": {"total": 3}}, "sums['total'] = 3: must be a tuple of int"),
     "no sums": ({"sums": {}}, "must give the shape of each sum"),
     "errors that are no output": (
         {"outputs": (Output("mean", "m", "x", errors=("eror",)), Output("error", "m", "x"))},
@@ -96,7 +99,7 @@ WRONG = {
     "unknown shared": ({"shared": ("rat",)}, "shared: 'rat' is no parameter; did you mean 'rate'?"),
     "samples alone": ({"samples": lambda p, n, r, c: {}}, "samples: needs sample_outputs"),
     "a package that is not there": ({"packages": ("nunpy",)}, "packages: 'nunpy' is not installed"),
-    "packages as one text": ({"packages": "numpy"}, "packages = 'numpy': must be a tuple of names"),
+    "packages as one text": ({"packages": "numpy"}, "packages = 'numpy': must be a tuple of str"),
 }
 
 
@@ -119,20 +122,18 @@ def test_a_right_declaration_is_taken():
 def test_all_mistakes_of_a_file_are_told_at_once_and_shortly(tmp_path, sweep):
     write_experiment(
         tmp_path,
-        parameters='Parameter("rate", "float", -1.0, "x", minimum=0.0)',
-        outputs='Output("rate", "metre", "x", ("time",))',
+        parameters='Parameter("rate", "float", -1.0, "x", minimum=0.0),',
+        outputs='Output("rate", "metre", "x", ("time",)),',
         rest="shared=('kind',),",
     )
     write_study(tmp_path)
     code, out, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)
     assert (code, out) == (2, "")
     for words in (
-        "parameters: is one Parameter",
-        "outputs: is one Output",
         "its own default",
         "'metre'",
-        "'time' has no labels",
-        "is the name of a parameter too",
+        "'time' is no dimension",
+        "is the name of another parameter",
         "'kind' is no parameter",
     ):
         assert words in err

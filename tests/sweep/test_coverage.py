@@ -9,9 +9,8 @@ import pytest
 from scipy.stats import binom, chi2, t
 
 from linksweep.sweep.analysis.compare import compare
-from linksweep.sweep.analysis.crossings import find, interpolate, parse_limit
 from linksweep.sweep.analysis.fits import levelling, power_law
-from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, ratio
+from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, parse_limit, ratio
 from linksweep.sweep.running.scaling import _dataset
 from linksweep.sweep.search.crossmatch import Positions, chance_pairs, sky_tree
 from tests.sweep import spread

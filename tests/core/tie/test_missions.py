@@ -8,10 +8,9 @@ from scipy.linalg import block_diag, lstsq
 
 from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import differences, joined, propagated
-from linksweep.core.tie.clips import separation
-from linksweep.core.tie.draws import Simulation
+from linksweep.core.tie.forecast import Simulation
 from linksweep.core.tie.problem import Problem, group_sums, source_discrepancies, source_sums
-from linksweep.core.tie.solution import solve
+from linksweep.core.tie.solution import separation, solve
 from linksweep.core.unknowns import parse_unknowns, require_mission_name
 from tests.core.tie.made import noise, seen_by_satellite, stars
 

@@ -11,10 +11,18 @@ from linksweep.core.fields import terms
 from linksweep.core.frames import MAS
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, positive_definite
-from linksweep.core.tie.clips import MEDIAN_RAYLEIGH, SourceTable, clipped, parse_clip, separation, sky_cells
 from linksweep.core.tie.forecast import Goal, choose, with_new_rows
 from linksweep.core.tie.problem import NormalSums, Problem, add_products, group_sums, source_sums
-from linksweep.core.tie.solution import leave_one_out, solve
+from linksweep.core.tie.solution import (
+    MEDIAN_RAYLEIGH,
+    clipped,
+    leave_one_out,
+    parse_clip,
+    separation,
+    sky_cells,
+    solve,
+    sources_of,
+)
 from linksweep.core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
 from tests.core.tie.test_elimination import mixed
@@ -163,7 +171,7 @@ def with_outliers(offset=0.0, outliers=(3, 17, 40), n=80):
 @pytest.mark.parametrize("clip", ["rayleigh", "median:5", "discrepancy", "discrepancy:3"])
 def test_a_clip_drops_the_outliers(clip):
     problem = with_outliers()
-    found = clipped(parse_clip(clip), SourceTable(problem).as_sources(), lambda: separation(problem))
+    found = clipped(parse_clip(clip), sources_of(problem))
     dropped = set(np.flatnonzero(found.factors == 0.0))
     assert dropped >= {3, 17, 40}
     assert len(dropped) <= (5 if clip == "rayleigh" else 3)  # that clip drops one good source on average
@@ -173,7 +181,7 @@ def test_a_clip_drops_the_outliers(clip):
 
 def test_the_trajectory_is_kept_beyond_the_choice():
     problem = with_outliers()
-    found = clipped(parse_clip("discrepancy"), SourceTable(problem).as_sources(), lambda: separation(problem))
+    found = clipped(parse_clip("discrepancy"), sources_of(problem))
     assert found.dropped[:4] == [-1, 40, 17, 3]  # the worst first
     assert found.chosen == 3
     assert len(found.trajectory) > 50
@@ -184,17 +192,17 @@ def test_the_trajectory_is_kept_beyond_the_choice():
 
 def test_a_clip_before_the_fit_of_frames_far_apart_is_said():
     problem = with_outliers(offset=1.0)
-    found = clipped(parse_clip("rayleigh"), SourceTable(problem).as_sources(), lambda: separation(problem))
+    found = clipped(parse_clip("rayleigh"), sources_of(problem))
     assert "frames differ by more than the errors" in found.notes[0]
-    after = clipped(parse_clip("median:5"), SourceTable(problem).as_sources(), lambda: separation(problem))
+    after = clipped(parse_clip("median:5"), sources_of(problem))
     np.testing.assert_allclose(after.solution.estimate / MAS, [1.0, -1.0, 0.5], atol=0.1)
     assert set(np.flatnonzero(after.factors == 0.0)) == {3, 17, 40}
 
 
 def test_huber_weights_are_those_of_its_own_solution():
     problem = with_outliers()
-    table = SourceTable(problem)
-    found = clipped(parse_clip("huber:1.5"), table.as_sources(), lambda: separation(problem))
+    table = sources_of(problem)
+    found = clipped(parse_clip("huber:1.5"), table)
     from linksweep.core.tie.solution import discrepancies
 
     residual = np.sqrt(discrepancies(table.sums, found.solution.estimate) / table.sums.count)
@@ -211,17 +219,17 @@ def test_an_unknown_clip_is_refused(text):
 def test_dropping_more_than_there_is_is_refused():
     problem = with_outliers(n=50)
     with pytest.raises(LinkError, match="sources can be dropped"):
-        clipped(parse_clip("discrepancy:49"), SourceTable(problem).as_sources(), lambda: separation(problem))
+        clipped(parse_clip("discrepancy:49"), sources_of(problem))
 
 
 def test_streamed_sources_give_what_kept_ones_give(monkeypatch):
     problem = with_outliers()
-    table = SourceTable(problem)
-    kept = clipped(parse_clip("median:5"), table.as_sources(), lambda: separation(problem))
-    monkeypatch.setattr("linksweep.core.tie.clips.KEPT_NUMBERS", 0)
-    streamed_table = SourceTable(problem)
-    assert not streamed_table.single
-    streamed = clipped(parse_clip("median:5"), streamed_table.as_sources(), lambda: separation(problem))
+    table = sources_of(problem)
+    kept = clipped(parse_clip("median:5"), table)
+    monkeypatch.setattr("linksweep.core.tie.solution.KEPT_NUMBERS", 0)
+    streamed_table = sources_of(problem)
+    assert streamed_table.sums is None
+    streamed = clipped(parse_clip("median:5"), streamed_table)
     np.testing.assert_array_equal(streamed.factors, kept.factors)
     np.testing.assert_allclose(streamed.solution.estimate, kept.solution.estimate, rtol=1e-9)
     factors_of = np.linspace(0.1, 1.0, 80)
@@ -287,11 +295,11 @@ def choose_exhaustively(now, new, number, goal):
 def test_the_best_choice_is_found(criterion, blocks):
     now, new, problem = forecast_sums()
     goal = Goal(problem.unknowns, blocks, criterion)
-    greedy, best = choose(now, new, 1, goal), choose_exhaustively(now, new, 1, goal)
-    assert greedy.sources == best  # one at a time is exact
-    three, best = choose(now, new, 3, goal), choose_exhaustively(now, new, 3, goal)
+    (greedy, _), best = choose(now, new, 1, goal), choose_exhaustively(now, new, 1, goal)
+    assert greedy == list(best)  # one at a time is exact
+    (_, normals), best = choose(now, new, 3, goal), choose_exhaustively(now, new, 3, goal)
     gain = (new.normal - now.normal)[list(best)].sum(axis=0)
-    value = goal.value(three.normals[-1])
+    value = goal.value(normals[-1])
     assert goal.value(now.normal.sum(axis=0) + gain) - 1e-9 * abs(value) <= value < goal.value(now.normal.sum(axis=0))
     if criterion == "A":
         assert value < 1.05 * goal.value(now.normal.sum(axis=0) + gain)
@@ -329,12 +337,10 @@ def test_products_are_those_of_single_sources():
 
 
 def test_errors_of_cells_take_no_pass_of_their_own(monkeypatch):
-    from linksweep.core.tie import clips as sources
-
-    monkeypatch.setattr(sources, "KEPT_NUMBERS", 0)
+    monkeypatch.setattr("linksweep.core.tie.solution.KEPT_NUMBERS", 0)
     passes = []
-    monkeypatch.setattr(sources, "group_sums", lambda *given: passes.append(1) or group_sums(*given))
-    table = SourceTable(with_outliers())
+    monkeypatch.setattr("linksweep.core.tie.problem.group_sums", lambda *given: passes.append(1) or group_sums(*given))
+    table = sources_of(with_outliers())
     table.solve(np.ones(80))
     table.cell_sums(np.ones(80))
     assert len(passes) == 1

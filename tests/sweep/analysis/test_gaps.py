@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 import linksweep
 from linksweep.sweep.analysis.answer import answers, completeness
-from linksweep.sweep.analysis.crossings import parse_limit, points_where
+from linksweep.sweep.analysis.laws import parse_limit, points_where
 from linksweep.sweep.cli import main
 
 LARGE = 2**60

@@ -13,10 +13,9 @@ from linksweep.sweep.analysis.sensitivity import (
     first_order,
     indices_of_grid,
     saltelli_indices,
-    tables,
     weights_of_order,
 )
-from linksweep.sweep.studies.values import DESIGNS
+from linksweep.sweep.studies.points import DESIGNS
 from tests.tiers import slow
 
 PI = np.pi
@@ -243,7 +242,7 @@ def test_the_command_prints_writes_and_draws(tmp_path, sweep):
     code, out, err = sweep("sensitivity", "s.zarr", cwd=tmp_path)
     assert code == 0, err
     assert "by analysis of variance of the grid, from 16 points" in out
-    for name in ("s.png", "s.svg", "s.csv", "s.json", "i.zarr"):
+    for name in ("s.png", "s.svg", "i.zarr"):
         code, out, err = sweep("sensitivity", "s.zarr", "--json", "-o", name, cwd=tmp_path)
         assert code == 0, err
         assert (tmp_path / name).exists()
@@ -251,9 +250,7 @@ def test_the_command_prints_writes_and_draws(tmp_path, sweep):
     assert [row["first"] for row in rows] == pytest.approx([0.2, 0.8])
     stored = xr.open_zarr(tmp_path / "i.zarr", consolidated=False).load()
     assert stored.total.values == pytest.approx([0.2, 0.8])
-    assert json.loads((tmp_path / "s.json").read_text())["rows"] == rows
-    assert (tmp_path / "s.csv").read_text().startswith("parameter,first,first_error,total,total_error\na,0.2")
-    for name, said in (("x.txt", "the name must end with"), ("i.zarr", "exists already")):
+    for name, said in (("x.txt", "x.txt"), ("i.zarr", "exists already")):
         code, out, err = sweep("sensitivity", "s.zarr", "-o", name, cwd=tmp_path)
         assert (code, out) == (2, "")
         assert said in err
@@ -287,7 +284,7 @@ def test_errors_of_given_points_cover_the_truth(n):
 def test_errors_of_saltelli_designs_are_one_sigma():
     """Half of SALib's intervals of 95 % are 1.96 standard deviations of the same resamples."""
     sobol = pytest.importorskip("SALib.analyze.sobol")
-    unit = DESIGNS["saltelli"].make(64, 3, 1)
+    unit = np.asarray(DESIGNS["saltelli"].draw(64, 3, np.random.default_rng(1)))
     values = ishigami_of(*(2 * PI * unit.T - PI))
     problem = {"num_vars": 3, "names": list(BOX), "bounds": [[0.0, 1.0]] * 3}
     theirs = sobol.analyze(problem, values, calc_second_order=False, num_resamples=200, conf_level=0.95, seed=1)
@@ -300,7 +297,7 @@ def test_errors_of_saltelli_designs_are_one_sigma():
 def test_errors_of_saltelli_designs_cover_the_truth():
     found = []
     for seed in range(60):
-        unit = DESIGNS["saltelli"].make(256, 3, seed)
+        unit = np.asarray(DESIGNS["saltelli"].draw(256, 3, np.random.default_rng(seed)))
         found.append(saltelli_indices(ishigami_of(*(2 * PI * unit.T - PI)), 3, seed))
     first, first_error, total, total_error = np.moveaxis(np.array(found), 1, 0)
     for k in range(3):
@@ -347,17 +344,11 @@ def only_one(x: float, y: float):
     return 2.0 * x
 
 
-def test_indices_that_are_rounding_are_shown_as_zero(tmp_path):
+def test_indices_that_are_rounding_are_zero(tmp_path):
     axes = {"x": [0.1, 0.7, 1.3], "y": [0.3, 1.1]}
     found = sensitivity(linksweep.run(only_one, tmp_path / "one.zarr", pool="serial", axes=axes))
-    found["first"].values[:] = [1.0, 5.06e-33]
-    found["first_error"].values[:] = [1e-3, 5e-33]
-    found["total"].values[:] = [1.0, -2e-16]
-    cells = {column.name: column.cells for column in tables(found)[0].columns}
-    assert cells["first"] == ["1.0000 ± 0.0010", "0"]
-    assert cells["total"][1].startswith("0")
-    found["first_error"].values[1] = 0.01  # a known error of 0 stays
-    assert tables(found)[0].columns[1].cells[1] == "0.000 ± 0.010"
+    assert found["first"].values.tolist() == [1.0, 0.0]
+    assert found["total"].values[1] == 0.0
 
 
 def flat(x: float, y: float):

@@ -107,7 +107,7 @@ STUDIES = {
     "axis and fixed": (fixed("v_max = 16.0"), "fixed.v_max (line 9): is an axis too; leave out one of the two"),
     "zero step": (axis("{ start = 14, stop = 16, step = 0 }"), "step = 0: does not lead from start = 14 to stop ="),
     "1e9 values": (axis("{ start = 14, stop = 16, step = 2e-9 }"), "make about 1e+09 values; at most 1000000"),
-    "log with zero": (axis('{ start = 0, stop = 16, num = 3, spacing = "log" }'), "log spacing needs start and"),
+    "log with zero": (axis('{ start = 0, stop = 16, num = 3, spacing = "log" }'), "log spacing needs numbers above 0"),
     "a million bad values": (axis("{ start = 21, stop = 30, num = 1000000 }"), "other reasons; the rest of the"),
     "too many points": (
         axis("{ start = 14, stop = 16, num = 1000000 }").replace("[20, 50]", "{ start = 2, stop = 21, step = 1 }"),
@@ -121,10 +121,13 @@ STUDIES = {
     "zip of an unknown axis": (after('[grid]\nzip = [["v_max", "n_ob"]]'), "'n_ob' is not an axis; did you mean"),
     "zipped twice": (after('[grid]\nzip = [["v_max", "n_obj"], ["n_obj", "v_max"]]'), "is zipped twice"),
     "everything excluded": (after("[[exclude]]\nv_max = { above = 1 }"), "every point of the grid is excluded"),
-    "empty exclusion": (after("[[exclude]]"), "exclude.0 (line 14): is empty and would leave out every point"),
+    "empty exclusion": (after("[[exclude]]"), "exclude.0 (line 14): dictionary should have at least 1 item"),
     "unknown condition": (after("[[exclude]]\nv_max = { over = 1 }"), "exclude.0.v_max (line 15): unknown"),
     "unordered condition": (after("[[exclude]]\nmodel = { above = 1 }"), "model has no order: use equal or in"),
-    "condition not a number": (after('[[exclude]]\nv_max = { above = "a" }'), "exclude.0.v_max.above"),
+    "condition not a number": (
+        after('[[exclude]]\nv_max = { above = "a" }'),
+        "exclude.0.v_max (line 15): above = 'a': must be",
+    ),
     "condition on what has no value": (
         axis("", "n_obj").replace("n_obj = ", "") + "[[exclude]]\nn_obj = { above = 30 }",
         "exclude.0.n_",
@@ -208,7 +211,7 @@ def test_all_reasons_of_a_grid_are_reported(here):
         (b"v_max,colour,sigma_spin\n16,red,1\n", "columns ['colour'] are neither parameters nor outputs"),
         (b"# c\nv_max,sigma_spin\n16,0.5\n17\n", "line 4: does not have 2 cells as the header has"),
         (b"v_max,sigma_spin\n16,0.5 mas\n", "line 2: sigma_spin = '0.5 mas': must be a number or empty"),
-        (b"v_max,sigma_spin\nnan,0.5\n", "line 2: v_max = 'nan': must be a finite number"),
+        (b"v_max,sigma_spin\nnan,0.5\n", "line 2: v_max = nan: must be a finite number"),
         (b"model,v_max,sigma_spin\nhipparcos,16,0.5\n", "line 2: model = 'hipparcos': must be one of"),
         (b"v_max,sigma_spin\n16," + b"1" * 200_000, "is not a CSV table: field larger than field limit"),
         (b"v_max\n\xff\n", "not UTF-8 text: byte 0xff in line 2"),
@@ -250,14 +253,11 @@ def test_a_package_that_is_not_installed(here):
     (here / "own" / "inner" / "__init__.py").touch()
     (here / "own" / "inner" / "part.py").write_text("from ..other import unit\ndef f(x: float): return x\n")
     (here / "own" / "other.py").write_text("unit = 1.0\n")
-    for reference, phrase in (
-        ("own/inner/part.py:f", f"named by its module: PYTHONPATH={here} sweep run own.inner.part:f"),
-        ("own.inner.part:f", f"No module named 'own'; it is not installed: PYTHONPATH={here} finds it here"),
-    ):
+    for reference in ("own/inner/part.py:f", "own.inner.part:f"):
         command = [sys.executable, "-P", "-m", "linksweep", "run", reference, "--axis", "x=1"]  # as the command is
         done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stdout) == (2, "")
-        assert phrase in done.stderr
+        assert "name a function of a package by its module, and put the package's folder in PYTHONPATH" in done.stderr
 
 
 def test_a_check_that_raises_is_a_reason(here):
@@ -289,8 +289,8 @@ def test_study_file_too_large(here):
     ("study", "phrase"),
     [
         ("quasar", "no study 'quasar': neither a file nor a built-in study; did you mean 'quasars'?"),
-        ("", "'' is a directory, not a study file"),
-        ("a" * 300, "cannot be read: File name too long"),
+        ("", "no study ''"),
+        ("a" * 300, "no study 'aaa"),
         ("/dev/zero", "/dev/zero: is larger than 1,000,000 bytes"),
         ("/dev/null", "/dev/null: title: is required"),
     ],
@@ -313,8 +313,8 @@ def test_bad_study_path(here, study, phrase):
         (("--set", "weighting=equl"), "weighting = 'equl': must be one of 'inverse-variance', 'equal'; did you mean"),
         (("--axis", "v_max=14:16:"), "axes.v_max (--axis v_max=14:16:): step = '': must be a finite number"),
         (("--axis", "v_max=14:1e305:1"), "stop = 1e+305: must be a finite number, below 1e+300 in size"),
-        (("--axis", "v_max=0:16:log5"), "log spacing needs start and stop > 0, not 0 and 16"),
-        (("--axis", "model=amex,amex"), "axes.model (--axis model=amex,amex): duplicate value 'amex'"),
+        (("--axis", "v_max=0:16:log5"), "log spacing needs numbers above 0, not 0 and 16"),
+        (("--axis", "model=amex,amex"), "axes.model (--axis model=amex,amex): duplicate values 'amex'"),
         (("--axis", "modle=amex"), "axes.modle (--axis modle=amex): unknown parameter 'modle'; did you mean 'model'?"),
         (("--workers", "0"), "Invalid value for '--workers': 0 is not in the range 1<=x<=4096"),
         (("--pool", "gpu"), "Invalid value for '--pool': 'gpu' is not one of 'processes', 'threads', 'serial'"),
@@ -431,10 +431,10 @@ def attributes(store, change):
 
 
 def flip(folder, files="*"):
-    chunk = next(p for p in sorted(folder.rglob(files)) if p.is_file() and p.name != "zarr.json")
-    content = bytearray(chunk.read_bytes())
-    content[len(content) // 2] ^= 0xFF
-    chunk.write_bytes(content)
+    for chunk in [path for path in folder.rglob(files) if path.is_file() and path.name != "zarr.json"]:
+        content = bytearray(chunk.read_bytes())
+        content[len(content) // 2] ^= 0xFF
+        chunk.write_bytes(content)
 
 
 GOING_ON = {

@@ -8,7 +8,7 @@ import pytest
 import xarray as xr
 
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.work_queue import Pending
 from linksweep.sweep.studies.reader import study_from_dict

@@ -8,8 +8,8 @@ import pytest
 from distributed import Client
 from distributed.comm import CommClosedError
 
+from linksweep.sweep.code import load
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing import versions
 from linksweep.sweep.executing.clusters import local_cluster
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import Limits, Resources
@@ -94,7 +94,7 @@ def test_a_worker_that_goes_while_it_is_asked_is_not_missed(cluster, monkeypatch
 
 
 def let_versions_be_others():
-    versions.version_of = lambda name: "0.1"
+    load.version_of = lambda name: "0.1"
 
 
 def test_one_that_joins_later_is_compared_too(monkeypatch):

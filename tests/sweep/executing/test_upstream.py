@@ -6,7 +6,7 @@ import sys
 SCRIPT = """
 import sys
 import numpy as np, xarray as xr
-from linksweep.sweep.stores.snapshot import dask_arrays_only_where_imported
+from linksweep.sweep.stores.store import dask_arrays_only_where_imported
 dask_arrays_only_where_imported()
 plain = xr.Dataset({"a": ("x", np.arange(4.0))})
 assert bool((plain["a"] == plain["a"]).all())

@@ -141,44 +141,40 @@ def test_pandas_series_are_arrays_with_their_index():
 REFUSED = {
     "nothing": (None, "f returns nothing (None)"),
     "an empty dict": ({}, "f returns no results"),
-    "None in it": ({"y": None}, "'y' is None"),
-    "complex": ({"y": 1j}, "'y' is complex; return its real and imaginary parts"),
-    "complex array": ({"y": np.array([1j])}, "'y' is complex"),
+    "None in it": ({"y": None}, "'y' is of type NoneType"),
+    "complex": ({"y": 1j}, "'y' is of type complex"),
+    "complex array": ({"y": np.array([1j])}, "'y' is of type complex128"),
     "ragged": ({"y": [[1.0], [1.0, 2.0]]}, "'y' has parts of different lengths"),
     "nested": ({"y": {"z": 1.0}}, "'y' is a dict; results are not nested"),
     "an object": ({"y": object()}, "'y' is of type object"),
     "decimal": ({"y": Decimal(1)}, "'y' is of type Decimal"),
     "bytes": ({"y": b"x"}, "'y' is of type bytes"),
-    "objects": ({"y": np.array([1.0, None], dtype=object)}, "'y' mixes values of types NoneType, float"),
-    "objects that are numbers": (
-        {"y": np.array([1, 2], dtype=object)},
-        "'y' holds objects of type int; make it an array of numbers, .astype(int)",
-    ),
+    "objects": ({"y": np.array([1.0, None], dtype=object)}, "'y' is of type NoneType, float"),
     "a large int": ({"y": 2**63}, "integers have 64 bits at most"),
-    "large ints": ({"y": [2**64]}, "'y' has integers of more than 64 bits"),
-    "a large unsigned": ({"y": np.uint64(2**63)}, "integers have 63 bits and a sign"),
+    "large ints": ({"y": [2**64]}, "'y' is 18446744073709551616; integers have 64 bits at most"),
+    "a large unsigned": ({"y": np.uint64(2**63)}, "'y' is 9223372036854775808; integers have 64 bits at most"),
     "a zone": (
         {"y": datetime.datetime(2024, 1, 1, tzinfo=datetime.UTC)},
         "'y' is a time with the zone UTC; results are in UTC without one",
     ),
     "far times": ({"y": np.datetime64("9999-01-01")}, "beyond the years 1678 to 2261"),
-    "a duration": ({"y": np.timedelta64(3, "s")}, "'y' is a duration"),
+    "a duration": ({"y": np.timedelta64(3, "s")}, "'y' is of type timedelta64[s]"),
     "a surrogate": ({"y": "\ud800"}, "'y' is '\\ud800', which has a lone surrogate"),
     "no values": ({"y": []}, "'y' has no values"),
-    "mixed": ({"y": [1, "a"]}, "'y' mixes values of types int, str"),
+    "mixed": ({"y": [1, "a"]}, "'y' is of type int, str"),
     "masked": ({"y": np.ma.array([1.0, 2.0], mask=[0, 1])}, "'y' has 1 masked values"),
     "masked quantity": ({"y": Masked([1.0, 2.0] * u.km, mask=[False, True])}, "'y' has 1 masked values"),
     "masked array of astropy": ({"y": Masked([1.0, 2.0], mask=[True, True])}, "'y' has 2 masked values"),
     "quantities": ({"y": [1.0 * u.km, 2.0 * u.m]}, "'y' is a list of quantities; make one of them"),
-    "a truth value of NumPy among numbers": ({"y": [np.True_, 2.5]}, "'y' mixes values of types bool, float"),
-    "a time of astropy": ({"y": Time(2020.0, format="jyear")}, "'y' is a Time of astropy; return .utc.datetime64"),
+    "a truth value of NumPy among numbers": ({"y": [np.True_, 2.5]}, "'y' is of type bool, float"),
+    "a time of astropy": ({"y": Time(2020.0, format="jyear")}, "'y' is of type Time"),
     "a coordinate of durations": (
         {"y": xr.DataArray([1.0], dims="k", coords={"k": pd.to_timedelta([1], "h")})},
-        "'y' along 'k' is a duration",
+        "'y' has a coordinate 'k' that is of type timedelta64",
     ),
     "a coordinate that is NaN": (
         {"y": xr.DataArray([1.0], dims="k", coords={"k": [np.nan]})},
-        "'y' along 'k' has values that are not finite",
+        "'y' has a coordinate 'k' that has values that are not finite",
     ),
     "like a parameter": ({"beta": 1.0}, "the output 'beta' has the name of a parameter"),
     "a name of ours": ({"status": 1.0}, "the output 'status': the platform gives this name"),
@@ -199,7 +195,7 @@ def test_what_is_no_result_is_refused_by_name(what):
 
 @pytest.mark.filterwarnings("ignore:Duplicate dimension names")
 def test_a_dimension_that_is_there_twice_is_refused():
-    with pytest.raises(ResultError, match="'y' has the dimension 'k' twice"):
+    with pytest.raises(ResultError, match=r"'y' has the dimensions .k, k., one of them twice"):
         flatten({"y": xr.DataArray([[1.0]], dims=("k", "k"))}, PLAIN)
 
 
@@ -249,29 +245,29 @@ def test_later_points_are_compared_by_name_with_what_is_expected_and_found():
     assert not differences(expected, layout_of(dict(reversed(first.items()))))
     assert not differences(expected, layout_of(first | {"y": 2, "n": 3.0}))  # integers and floats are joined
     for changed, sentence in (
-        ({"n": True}, "'n' is of type bool, expected a number; return the number float(...) at every point"),
-        ({"y": "a"}, "'y' is of type text, expected a number"),
-        ({"y": [1.0]}, "'y' has the dimensions (y_dim_0), expected no dimensions"),
+        ({"n": True}, "'n' has the type 'bool', expected 'int'"),
+        ({"y": "a"}, "'y' has the type 'text', expected 'float'"),
+        ({"y": [1.0]}, "'y' has the dimensions ('y_dim_0',), expected ()"),
         ({"more": 1}, "'more' was not returned by the first point"),
         (
             {"t": xr.DataArray([1.0, 2.0], {"x": [0.0, 0.6]}, ("x",), attrs={"units": "m"})},
-            "the coordinate 'x' has 0.6 at index 1, expected 0.5",
+            "the coordinate 'x', at index 1, has the value 0.6, expected 0.5",
         ),
         (
             {"t": xr.DataArray([1.0], {"x": [0.0]}, ("x",), attrs={"units": "m"})},
-            "the dimension 'x' has 1 values, expected 2",
+            "the coordinate 'x' has the length 1, expected 2",
         ),
         (
             {"t": xr.DataArray([1.0, 2.0], {"x": [0.0, 0.5]}, ("x",), attrs={"units": "km"})},
-            "'t' is in km, expected m",
+            "'t' has the unit 'km', expected 'm'",
         ),
         (
             {"t": xr.DataArray([1.0, 2.0], {"x": ("x", [0.0, 0.5], {"units": "s"})}, ("x",), attrs={"units": "m"})},
-            "the coordinate 'x' is in s, expected no unit",
+            "the coordinate 'x' has the unit 's', expected ''",
         ),
         (
             {"t": xr.DataArray([1.0, 2.0], {"x": [False, True]}, ("x",), attrs={"units": "m"})},
-            "the coordinate 'x' is of type bool, expected float",
+            "the coordinate 'x' has the type 'bool', expected 'float'",
         ),
     ):
         assert sentence in differences(expected, layout_of(first | changed))
@@ -281,7 +277,7 @@ def test_later_points_are_compared_by_name_with_what_is_expected_and_found():
 
 
 def test_rows_are_brought_into_the_order_of_the_first():
-    expected = layout_of({"a": 1.0, "b": 2}).floats
+    expected = layout_of({"a": 1.0, "b": 2}).with_floats("b")
     other = flatten({"b": 7, "a": 3.5}, PLAIN)
     assert as_row(other, expected) == (3.5, 7)
 
@@ -314,14 +310,14 @@ def test_points_of_a_vectorised_result_are_those_of_single_calls():
         single = flatten({k: v if k == "c" else v[i] for k, v in together.items()}, PLAIN)
         assert flat.layout == single.layout
         assert all(map(np.array_equal, flat.row, single.row))
-    with pytest.raises(ResultError, match="'a' has 2 values, expected one for each of 3 points"):
+    with pytest.raises(ResultError, match="'a' has 2 values, expected an array, one for each of 3 points"):
         split_points({"a": [1.0, 2.0]}, 3, PLAIN, "points")
 
 
 @pytest.mark.parametrize("noun", ["points", "realisations"])
 @pytest.mark.parametrize("n", [1, 3])
 def test_one_number_for_all_is_refused_and_a_text_is_that_of_each(noun, n):
-    with pytest.raises(ResultError, match=f"'a' is one number, .*; expected an array, one for each of {n} {noun}"):
+    with pytest.raises(ResultError, match=f"'a' is one number, expected an array, one for each of {n} {noun}"):
         split_points({"a": 1.0}, n, PLAIN, noun)
     assert len(split_points({"a": np.arange(n), "s": "x"}, n, PLAIN, noun)) == n
 

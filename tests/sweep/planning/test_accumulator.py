@@ -10,7 +10,7 @@ import pytest
 from linksweep.sweep.contract import Experiment, Output, Parameter
 from linksweep.sweep.contract.block import Block, BlockRows, ledger_key
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.work_queue import Pending

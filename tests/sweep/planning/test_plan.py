@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.contract.block import BlockRows, ledger_key
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import LARGEST_BLOCK, MAX_CATALOGUES, MAX_SIMS, Plan
 from linksweep.sweep.planning.work_queue import TASK_S, TUNED, Pending
 from linksweep.sweep.studies.reader import load_study, study_from_dict

@@ -5,7 +5,7 @@ import itertools
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.sweep.planning.checked_grid import PointCache
+from linksweep.sweep.planning.grid import PointCache
 from tests.tiers import examples
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linksweep.sweep.contract.block import Block
-from linksweep.sweep.planning.streams import generators, generators_of
+from linksweep.sweep.planning.plan import generators, generators_of
 
 SEEDS = st.sampled_from([0, 5, 2**32, 2**64 - 1]) | st.integers(0, 2**64 - 1)
 

@@ -3,7 +3,7 @@
 import pytest
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict
 
 SHAPES = """

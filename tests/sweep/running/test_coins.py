@@ -9,9 +9,8 @@ import xarray as xr
 from linksweep.sweep.contract import Experiment, Outcome
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.checked_grid import make_grid
-from linksweep.sweep.planning.plan import Plan
-from linksweep.sweep.planning.streams import generators
+from linksweep.sweep.planning.grid import make_grid
+from linksweep.sweep.planning.plan import Plan, generators
 from linksweep.sweep.planning.work_queue import Pending, Tuning
 from linksweep.sweep.running.run import plan_study, run_study
 from linksweep.sweep.studies.reader import study_from_dict
@@ -169,7 +168,7 @@ def test_a_point_of_nothing_but_nan_has_failed(coins, tmp_path, monkeypatch):
 
 def test_a_title_is_shown_as_it_is_written(coins, tmp_path, capsys):
     """Square brackets are markup to some libraries that draw tables."""
-    from linksweep.sweep.cli.output import print_result
+    from linksweep.sweep.cli.group import print_result
 
     dataset, _ = run(coins | {"title": "Coins [/mas] [bold]x"}, tmp_path / "s.zarr")
     print_result(dataset, "text")
@@ -178,14 +177,14 @@ def test_a_title_is_shown_as_it_is_written(coins, tmp_path, capsys):
 
 def test_a_table_for_reading_says_what_it_leaves_out(coins, tmp_path, capsys):
     from linksweep.sweep.analysis.results_table import MOST_ROWS
-    from linksweep.sweep.cli.output import print_headlines
+    from linksweep.sweep.cli.group import print_headlines, print_result
 
     axes = {"coins": {"start": 1, "stop": MOST_ROWS + 7, "step": 1}}
     sampling = {"n_sim": 1, "n_cat": 1, "seed": 1}
     dataset, _ = run(coins | {"axes": axes, "sampling": sampling}, tmp_path / "s.zarr")
-    print_headlines(dataset, "text")
+    print_headlines(dataset, as_json=False)
     lines = capsys.readouterr().out.splitlines()
     assert lines[-2].split()[0] == str(MOST_ROWS)
     assert lines[-1] == "7 more points: `sweep show STORE --format csv` has all of them"
-    print_headlines(dataset, "csv")
+    print_result(dataset, "csv")
     assert len(capsys.readouterr().out.splitlines()) > MOST_ROWS + 7

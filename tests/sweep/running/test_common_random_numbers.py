@@ -9,7 +9,7 @@ from astropy import units as u
 
 from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.running.results import squared
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import study_from_dict

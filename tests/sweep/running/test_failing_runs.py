@@ -12,7 +12,7 @@ from rich.console import Console
 import linksweep
 from linksweep import SweepError
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.point_status import Status, count_status
 from linksweep.sweep.running import progress
 from linksweep.sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError, failed_points

@@ -10,7 +10,7 @@ import pytest
 
 import linksweep
 from linksweep.sweep.stores.integrity import MANIFEST
-from linksweep.sweep.stores.lock import holder
+from linksweep.sweep.stores.location import holder
 from tests.patience import PATIENCE_S
 
 MODEL = """

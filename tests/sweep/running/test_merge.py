@@ -10,8 +10,7 @@ import linksweep
 from linksweep import SweepError
 from linksweep.sweep.running.merge import MERGED, merge
 from linksweep.sweep.stores.location import Folder
-from linksweep.sweep.stores.repair import check
-from linksweep.sweep.stores.store import OpenStore
+from linksweep.sweep.stores.store import OpenStore, check
 from tests.tiers import slow
 
 MODEL = (

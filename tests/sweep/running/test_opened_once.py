@@ -17,7 +17,7 @@ from linksweep.sweep.running.reproduce import reproduce
 from linksweep.sweep.running.run import Silent, plan_study, run_study
 from linksweep.sweep.running.status import status_report
 from linksweep.sweep.stores.location import Folder
-from linksweep.sweep.stores.repair import repair
+from linksweep.sweep.stores.store import repair
 from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 from tests.sweep.opening import parts_of

@@ -13,7 +13,7 @@ from linksweep.sweep.cli import main
 from linksweep.sweep.contract.block import Block
 from linksweep.sweep.executing.task import TaskResult
 from linksweep.sweep.formatting import in_words
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
 from linksweep.sweep.running.failures import failed_points
 from linksweep.sweep.running.progress import SENTENCES, TerminalProgress

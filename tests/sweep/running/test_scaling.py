@@ -59,7 +59,7 @@ def test_a_function_without_random_numbers_has_no_weak_scaling(tmp_path, sweep):
         "--json", "-o", tmp_path / "s.zarr",
     )  # fmt: skip
     assert status == 0, err
-    assert {(row["kind"], row["workers"]) for row in json.loads(out)} == {("strong", 1), ("strong", 2)}
+    assert {(row["kind"], row["workers"]) for row in json.loads(out)["rows"]} == {("strong", 1), ("strong", 2)}
 
 
 @pytest.mark.slow
@@ -73,7 +73,7 @@ def test_the_command_leaves_the_measurements_and_nothing_else(coins, tmp_path, s
         "scaling", *arguments, "--pool", "threads", "--figure", "scaling.png", "--json", cwd=tmp_path
     )
     assert status == 0, err
-    rows = json.loads(out)
+    rows = json.loads(out)["rows"]
     assert [(row["kind"], row["workers"]) for row in rows] == [
         (kind, workers) for kind in ("strong", "weak") for workers in (1, 2)
     ]

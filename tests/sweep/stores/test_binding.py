@@ -21,8 +21,7 @@ from linksweep.sweep.stores import ledger
 from linksweep.sweep.stores import location as folder
 from linksweep.sweep.stores.integrity import sealed, unsealed
 from linksweep.sweep.stores.location import Folder, located
-from linksweep.sweep.stores.repair import check, repair
-from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.stores.store import check, open_dataset, repair
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.studies.record import RECORD, provenance, recorded
 from tests.sweep.opening import create_or_resume, existing_store, parts_of
@@ -31,9 +30,8 @@ from tests.tiers import slow
 SERIAL = Resources(pool="serial")
 
 
-def small_chunks(monkeypatch, rows=4):
-    monkeypatch.setattr(ledger, "FEWEST_RECORDS", rows)
-    monkeypatch.setattr(ledger, "PART_BYTES", {"rows": 16, "samples": 2**15, "texts": 16})
+def small_chunks(monkeypatch, size=200):
+    monkeypatch.setattr(ledger, "PART_BYTES", size)
 
 
 @pytest.fixture
@@ -80,12 +78,10 @@ def test_any_two_files_exchanged_are_found_or_harmless(two_writings):
 
 def in_use(store):
     """The files that the root document means, and those of the ledger; the rest is of the writing before."""
-    from linksweep.sweep.stores import snapshot
-
     root = json.loads((store / "zarr.json").read_text())
-    arrays = snapshot.arrays_of(root)
+    arrays, chunks = root["consolidated_metadata"]["metadata"], json.loads(root["attributes"]["chunk_checksums"])
     ledger_files = {p.relative_to(store).as_posix() for p in (store / "blocks").rglob("*") if p.is_file()}
-    return {"zarr.json", *(f"{name}/zarr.json" for name in arrays), *snapshot.chunk_keys(arrays), *ledger_files}
+    return {"zarr.json", *(f"{name}/zarr.json" for name in arrays), *chunks, *ledger_files}
 
 
 def test_exchanged_chunks_of_the_ledger_are_repaired_to_the_same_bits(two_writings):

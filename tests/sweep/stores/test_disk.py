@@ -13,8 +13,7 @@ from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.location import Folder
-from linksweep.sweep.stores.repair import check, repair
-from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.stores.store import check, open_dataset, repair
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import existing_store
 

@@ -65,7 +65,7 @@ def test_the_ends_of_so_many_tracebacks_are_kept_and_every_message(tmp_path, stu
 def test_a_forged_record_is_named(tmp_path, study, failures, monkeypatch):
     store = open_store(tmp_path / "s.zarr", study)
     store.fail(digest(1), record(1))
-    monkeypatch.setattr("linksweep.sweep.stores.store.failures_as_json", lambda known: {"failures": failures})
+    monkeypatch.setattr("linksweep.sweep.stores.ledger._recorded", lambda known: failures)
     store.flush()
-    with pytest.raises(SweepError, match=r"blocks/failures\.\d+\.0 is damaged \(it is no record of failed points"):
+    with pytest.raises(SweepError, match=r"blocks/failures\.\d+\.0 is damaged \(failures"):
         open_store(tmp_path / "s.zarr", study)

@@ -132,7 +132,7 @@ def test_a_store_from_elsewhere_asks_once(tmp_path, coins):
 def test_another_host_or_user_is_elsewhere(tmp_path, coins, monkeypatch, who):
     run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
     monkeypatch.setattr(
-        f"linksweep.sweep.stores.store.{'host' if who == 'host' else 'getpass.getuser'}", lambda: "another"
+        f"linksweep.sweep.stores.store.{'platform.node' if who == 'host' else 'getpass.getuser'}", lambda: "another"
     )
     with pytest.raises(SweepError, match=r"coins.py, and the store was not written here"):
         study_of(tmp_path / "s.zarr")

@@ -12,14 +12,15 @@ from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores import ledger
-from linksweep.sweep.stores.location import Folder, located
-from linksweep.sweep.stores.lock import locked
-from linksweep.sweep.stores.repair import check, repair
-from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.stores.location import Folder, located, locked
+from linksweep.sweep.stores.store import check, open_dataset, repair
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import create_or_resume, existing_store, parts_of
 from tests.sweep.stores.test_integrity import in_use
 from tests.tiers import slow
+
+ROW = 48
+"""Bytes of a row of coins with its key."""
 
 SERIAL = Resources(pool="serial")
 SAMPLES = {
@@ -30,9 +31,8 @@ SAMPLES = {
 }
 
 
-def small_parts(monkeypatch, records, samples=2**19):
-    monkeypatch.setattr(ledger, "FEWEST_RECORDS", records)
-    monkeypatch.setattr(ledger, "PART_BYTES", {"rows": 16, "samples": samples, "texts": 16})
+def small_parts(monkeypatch, size):
+    monkeypatch.setattr(ledger, "PART_BYTES", size)
 
 
 def flip(content):
@@ -50,7 +50,7 @@ DAMAGE = {"a bit flipped": flip, "cut": cut, "lost": None}
 @pytest.fixture(params=["coins", slow("samples")])
 def whole(request, tmp_path, coins, monkeypatch):
     """A study and a store of it, with several chunks of each array of the ledger, and a failure."""
-    small_parts(monkeypatch, 8 if request.param == "coins" else 3)
+    small_parts(monkeypatch, 8 * ROW if request.param == "coins" else 2**19)
     study = study_from_dict(coins if request.param == "coins" else SAMPLES)
     run_study(study, tmp_path / "whole.zarr", SERIAL)
     store = existing_store(tmp_path / "whole.zarr", study)
@@ -119,7 +119,7 @@ def test_every_file_may_be_damaged(whole, tmp_path, change, step):
 @pytest.mark.parametrize("document", ["coins", pytest.param("samples", marks=pytest.mark.slow)])
 def test_killed_before_any_writing_of_a_file_it_goes_on(document, turns, tmp_path, coins, monkeypatch):
     """A run that writes often ends before its n-th file, for n from the first to the last; what is there is whole."""
-    small_parts(monkeypatch, 2)
+    small_parts(monkeypatch, 2 * ROW)
     often = Tuning(most_blocks=1, flush_every_s=-1.0)
     study = study_from_dict(coins if document == "coins" else SAMPLES)
     written = []
@@ -229,7 +229,7 @@ def test_the_commands(tmp_path, link_study, sweep):
 @pytest.mark.slow
 def test_an_unchanged_value_of_samples_survives_a_lost_index(tmp_path, monkeypatch):
     """Rows after a lost chunk of the index still speak of their own samples."""
-    small_parts(monkeypatch, 2, 2**17)
+    small_parts(monkeypatch, 2**17)
     study = study_from_dict(SAMPLES)
     run_study(study, tmp_path / "s.zarr", SERIAL)
     before = existing_store(tmp_path / "s.zarr", study)

@@ -16,7 +16,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.stores import bucket as bucket_module
+from linksweep.sweep.stores import location as bucket_module
 from linksweep.sweep.stores.location import located
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_from_dict
@@ -258,7 +258,6 @@ def test_what_does_not_work_is_said_in_a_sentence(bucket, link_study, sweep, mon
 
 
 def test_obstore_is_an_extra(monkeypatch):
-    monkeypatch.delitem(sys.modules, "linksweep.sweep.stores.bucket")
     monkeypatch.setitem(sys.modules, "obstore", None)
     with pytest.raises(SweepError, match=r"pip install 'linksweep\[s3\]'"):
         located("s3://abc/x")

@@ -14,7 +14,9 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.running.study_store import find_store
-from linksweep.sweep.stores import snapshot
+from linksweep.sweep.stores import integrity
+from linksweep.sweep.stores import store as snapshot
+from linksweep.sweep.stores.ledger import PART_BYTES
 from linksweep.sweep.stores.store import OpenStore, open_dataset
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.studies.record import provenance
@@ -53,7 +55,7 @@ def test_what_was_flushed_is_there_again(tmp_path, study):
 @pytest.mark.slow
 def test_the_ledger_grows_over_chunks_in_few_files(tmp_path, study):
     store = open_store(tmp_path / "s.zarr", study)
-    chunk = store._ledger.columns["rows"].size
+    chunk = PART_BYTES // 48
     written = 0
     for size in (chunk - 1, 1, 5, chunk, 7):  # to the brim, over it, a whole one, a bit more
         store.append(*rows(size, written))
@@ -176,7 +178,7 @@ def test_a_newer_format_is_refused_politely(tmp_path, study):
     document = json.loads(root.read_text())
     document["attributes"]["linksweep_format"] = 99
     root.write_text(json.dumps(document))
-    with pytest.raises(SweepError, match=r"format 99; this version of linksweep reads format 5. It is newer: upgrade"):
+    with pytest.raises(SweepError, match=r"format 99; this version of linksweep reads format 6. It is newer: upgrade"):
         open_store(tmp_path / "s.zarr", study)
 
 
@@ -188,7 +190,7 @@ def test_plain_xarray_opens_a_store_without_a_warning(tmp_path, study):
 
 
 def test_results_on_the_same_axes_have_the_same_chunks(tmp_path, monkeypatch):
-    monkeypatch.setattr(snapshot, "MOST_VALUES", 9)
+    monkeypatch.setattr(integrity, "MOST_VALUES", 9)
 
     def f(a: int, b: int):
         return {"x": a / b, "n": a * b, "even": a % 2 == 0, "name": f"{a}-{b}"}

@@ -1,9 +1,6 @@
 """What is given beside or in place of a study file: options that contradict each other, texts and objects as axes."""
 
 import contextlib
-import os
-import subprocess
-import sys
 
 import pytest
 from hypothesis import given
@@ -11,8 +8,8 @@ from hypothesis import strategies as st
 
 from linksweep import SweepError, load_study
 from linksweep.sweep.studies.document import parse_axis, parse_places, parse_range
+from linksweep.sweep.studies.points import axis_values
 from linksweep.sweep.studies.reader import study_of_function
-from linksweep.sweep.studies.values import axis_values
 
 
 def law(a: float = 1.0, m: str = "x", e=1):
@@ -45,13 +42,22 @@ def test_no_option_is_dropped_for_another(options, said):
 @pytest.mark.parametrize(
     ("options", "lost"),
     [
-        ({"design": "sobol:8:3", "settings": ["points.seed=4"]}, "--set points.seed=4"),
-        ({"design": "sobol:8", "settings": ["points.n=16"]}, "--set points.n=16"),
-        ({"points": "t.csv", "settings": ["points.seed=4"]}, "--set points.seed=4"),
+        (
+            {"design": "sobol:8:3", "settings": ["points.seed=4"]},
+            "--set points.seed=4 and --design sobol:8:3: seed is given",
+        ),
+        (
+            {"design": "sobol:8", "settings": ["points.n=16"]},
+            "--set points.n=16 and --design sobol:8: n is given twice",
+        ),
+        (
+            {"points": "t.csv", "settings": ["points.seed=4"]},
+            "points.seed (--set points.seed=4): does not go with file",
+        ),
     ],
 )
 def test_a_setting_of_points_that_another_option_replaces_is_refused(options, lost):
-    assert f"{lost} has no effect beside --" in refusal("quasars", ranges=["v_max=14:15"], **options)
+    assert lost in refusal("quasars", ranges=["v_max=14:15"], **options)
 
 
 def test_options_that_go_together():
@@ -65,7 +71,9 @@ def test_a_wrong_range_is_blamed_on_its_own_option():
     said = refusal("quasars", design="sobol:8", ranges=["v_max=14:15", "v_mxa=14:15", "error_scale=2:1e305"])
     assert "points.ranges.v_mxa (--range v_mxa=14:15): unknown parameter" in said
     assert "(--range error_scale=2:1e305): high = 1e+305: must be a finite number, below 1e+300 in size" in said
-    assert "points.design (--design sobl:8): no design" in refusal("quasars", design="sobl:8", ranges=["v_max=14:15"])
+    assert "points.design (--design sobl:8): input should be 'sobol'," in refusal(
+        "quasars", design="sobl:8", ranges=["v_max=14:15"]
+    )
 
 
 def test_a_parameter_called_seed_is_set_in_a_study_with_another_mistake(tmp_path):
@@ -116,23 +124,11 @@ def test_a_step_is_not_rounded_away():
     assert axis_values({"start": 0, "stop": 1, "num": 4})[1] == 0.333333333333  # stored: it must never change
 
 
-def test_texts_of_a_set_are_in_the_same_order_in_every_process():
-    code = (
-        "from linksweep.sweep.studies.reader import study_of_function as study; "
-        "from tests.sweep.studies.test_arguments import law; "
-        "print(study(law, {'m': {'tin', 'gold', 'lead', 'iron'}}).axes['m'])"
-    )
-    for seed in "12":
-        environment = os.environ | {"PYTHONHASHSEED": seed}
-        said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
-        assert said.stdout.strip() == "('gold', 'iron', 'lead', 'tin')"
-
-
 @pytest.mark.parametrize(
     ("axes", "said"),
     [
-        ({"e": {1, "a"}}, "axes.e: is a set of int, str, which have no order; give a list"),
-        ({"a": map(float, (1, 2))}, "axes.a: is a map, which gives its values only once; give a list"),
+        ({"e": {1, "a"}}, "axes.e: .*write a list"),
+        ({"a": map(float, (1, 2))}, "axes.a: <map .*write a list"),
     ],
 )
 def test_objects_without_order_or_that_give_their_values_once_are_refused(axes, said):

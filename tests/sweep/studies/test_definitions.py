@@ -150,7 +150,7 @@ def test_points_are_known_by_the_curve_and_not_by_its_name(here):
 
 def test_one_curve_under_two_names_is_one_value(here):
     copy = STUDY[STUDY.index("[define.model.small]") : STUDY.index("[define.model.coded]")].replace("small", "copy")
-    with pytest.raises(SweepError, match="duplicate value 'small'"):
+    with pytest.raises(SweepError, match="duplicate values 'small'"):
         edited(here, ("[fixed]", f"{copy}[fixed]"), ('"small", "coded"', '"small", "copy"'))
 
 
@@ -277,9 +277,9 @@ where = { model = "small" }
             "define.model.nominal_length (line 8): input should be a valid dict",
         ),
         ("nominal_length = 3.0", "length = 3.0", "define.model.small.length (line 8): unknown key"),
-        ("nominal_length = 3.0", "length = 3.0", "define.model.small.nominal_length (line 7): is required [yr]"),
+        ("nominal_length = 3.0", "length = 3.0", "define.model.small.nominal_length (line 7): is required"),
         ("[13.0, 25.0]", "[8.0, 25.0]", "define.model.small.sigma_pm (line 10): row 2: magnitude 8 does not come"),
-        ("25.0", "-25.0", "small.sigma_pm (line 10): row 2, sigma = -25.0: must be a number from 1e-06 to 1e+10"),
+        ("25.0", "-25.0", "small.sigma_pm (line 10): row 2, sigma: -25.0: must be a number from 1e-06 to 1e+10"),
         ("curves.py:motions", "curve.py:motions", "define.model.coded.sigma_pm (line 15): there is no file "),
         ("curves.py:motions", "curves.py:motion", "'curves.py:motion': the module has no attribute 'motion'"),
         (

@@ -10,9 +10,9 @@ from jsonschema import Draft202012Validator
 
 from linksweep.sweep.code.load import load_experiment
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict
-from linksweep.sweep.studies.template import NOT_HERE, new_study, study_schema
+from linksweep.sweep.studies.study import new_study, study_schema
 from tests.conftest import COINS
 from tests.sweep.mutations import corpus
 from tests.sweep.studies.test_study_fuzz import GOOD, documents
@@ -45,7 +45,6 @@ def test_a_new_study_runs_as_it_is(reference, tmp_path, sweep):
     assert code == 0, err
     assert "mine" not in out.splitlines()[1]
     assert len(out.splitlines()) >= 4  # a heading and two points at least
-    assert reference == LINK or out.splitlines()[-1].startswith("share goes from 0.")
     validator(reference).validate(tomllib.loads((tmp_path / "mine.toml").read_text()))
 
 
@@ -55,16 +54,17 @@ def test_what_it_says_in_comments_are_the_defaults(reference):
     without = tomllib.loads(text)
     [axis] = without["axes"]
     begun, fixed = text.split("[fixed]")
-    lines = re.findall(rf"^(?!# .*{re.escape(NOT_HERE)}).*\n# (\w+ = .*)$", fixed, flags=re.MULTILINE)
+    lines = re.findall(r"^# (\w+ = .*)$", fixed, flags=re.MULTILINE)
     assert len(lines) > 1
-    with_all = tomllib.loads(begun + "[fixed]\n" + "\n".join(lines))
-    assert digests(with_all) == digests(without)
+    for line in lines:
+        try:
+            has_changed = digests(tomllib.loads(begun + "[fixed]\n" + line)) != digests(without)
+        except SweepError as error:
+            has_changed = "changes nothing" not in str(error)  # with the values of the others
+        assert not has_changed, line
     sampled = re.sub(r"^# (precision|max_n_sim) =", r"\1 =", begun, flags=re.MULTILINE)
     assert ("precision =" in sampled) == (reference == LINK)  # coins have no error to judge by
     study_from_dict(tomllib.loads(sampled))
-    for line in re.findall(rf"^# .*{re.escape(NOT_HERE)}.*\n# (\w+ = .*)$", fixed, flags=re.MULTILINE):
-        with pytest.raises(SweepError, match="changes nothing"):
-            digests(tomllib.loads(begun + "[fixed]\n" + line))
     names = re.findall(r"^# (\w+) =", fixed, flags=re.MULTILINE)
     assert names == [p.name for p in load_experiment(reference).parameters if p.name != axis]
 
@@ -108,8 +108,7 @@ def test_an_odd_experiment(tmp_path, sweep):
     assert code == 0, err
     lines = re.findall(r"^# (\w+ = .*)$", text.split("[fixed]")[1], flags=re.MULTILINE)
     assert len(lines) == 4
-    filled = text.replace("[conclusion]", "\n".join([*lines, "", "[conclusion]"]), 1)
-    (tmp_path / "all.toml").write_text(filled)
+    (tmp_path / "all.toml").write_text("\n".join([text, *lines]))
     code, _, err = sweep("plan", "all.toml", cwd=tmp_path)
     assert code == 0, err
     code, out, err = sweep("params", "--schema", "odd.py:experiment", cwd=tmp_path)

@@ -11,9 +11,9 @@ from astropy.utils.masked import Masked
 
 from linksweep import Parameter, SweepError, experiment
 from linksweep.sweep.contract import Parameter as Declared
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
+from linksweep.sweep.studies.points import DESIGNS, Range
 from linksweep.sweep.studies.reader import study_of_function
-from linksweep.sweep.studies.values import DESIGNS, Range, read_range
 
 
 @experiment()
@@ -72,14 +72,17 @@ def test_a_table_is_the_same_whatever_holds_it(kind, tmp_path):
         ({"k": [1, 2.5]}, "points.columns.k: row 2: k = 2.5: must be an integer"),
         ({"solver": ["a", "c"]}, "points.columns.solver: row 2: solver = 'c': must be one of 'a', 'b'"),
         ({"beta": ["x", "y"]}, "points.columns.beta: row 1: beta = 'x': must be a finite number"),
-        ({"beta": [1.0, 2.0], "k": [1]}, "must have the same number of values: beta has 2, k has 1"),
+        ({"beta": [1.0, 2.0], "k": [1]}, "the same number of values: beta has 2, k has 1"),
         ({"beta": []}, "has 0 points"),
         (Table({"beta": [1.0] * u.m}), "its column is in m, and the parameter is in 1/d"),
         (Table({"k": [1] * u.m}), "its column is in m, and the parameter has no unit"),
         ("nowhere.csv", "no such file"),
         (3, "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
-        ({"design": "sobl", "n": 4, "ranges": {"beta": [1, 2]}}, "no design 'sobl'; did you mean 'sobol'"),
-        ({"design": "sobol", "ranges": {"beta": [1, 2]}}, "points.n: is required: how many points"),
+        (
+            {"design": "sobl", "n": 4, "ranges": {"beta": [1, 2]}},
+            "points.design: input should be 'sobol', .* not 'sobl'",
+        ),
+        ({"design": "sobol", "ranges": {"beta": [1, 2]}}, "points.n: is required"),
         ({"design": "sobol", "n": 4}, "points.ranges: is required"),
         ({"design": "sobol", "n": 4, "ranges": {"beta": [0, 2]}}, "points.ranges.beta: beta = 0: must be .* > 0"),
         ({"design": "sobol", "n": 4, "ranges": {"beta": [2, 1]}}, "low = 2 must be less than high = 1"),
@@ -88,13 +91,13 @@ def test_a_table_is_the_same_whatever_holds_it(kind, tmp_path):
         ({"design": "sobol", "n": 4, "ranges": {"q": [1, 2]}}, "unknown parameter 'q'"),
         (
             {"design": "sobol", "n": 4, "ranges": {"k": {"low": 0, "high": 9, "spacing": "log"}}},
-            "log spacing needs low > 0",
+            "log spacing needs numbers above 0, not 0 and 9",
         ),
         ({"design": "morris", "n": 4, "ranges": {"solver": {"values": ["a", "b"]}}}, "steps between 4 numbers"),
         ({"design": "morris", "n": 4, "ranges": {"k": [1, 3]}}, "steps between 4 numbers"),
         ({"design": "saltelli", "n": 10**6, "ranges": {"beta": [1, 2]}}, "makes 3,000,000 points"),
         ({"file": "t.csv", "n": 3}, "points.n: does not go with file"),
-        ({"columns": {"k": [1]}, "design": "sobol"}, "not design and columns"),
+        ({"columns": {"k": [1]}, "design": "sobol"}, "not columns and design"),
     ],
 )
 def test_what_is_wrong_is_told_by_name_and_row(points, problem):
@@ -235,8 +238,6 @@ def test_ranges_go_back_to_the_unit_interval():
         assert one.places(np.array(one(unit))) == pytest.approx(unit)
     counts = np.bincount(Range("k", 1, 4, whole=True)(np.linspace(0.0, 1.0, 4001)))
     assert counts[1:].tolist() == [1000, 1000, 1000, 1001]
-    steps = read_range(Declared("s", "str", "a"), {"values": ["a", "b"]})
-    assert steps.places(np.array(["b", "a"])).tolist() == [0.75, 0.25]
 
 
 def test_a_sobol_design_that_is_not_a_power_of_two_is_warned_of_once():
@@ -247,7 +248,7 @@ def test_a_sobol_design_that_is_not_a_power_of_two_is_warned_of_once():
     assert warnings(64) == []
     [sentence] = warnings(100)
     assert sentence.startswith("points.n = 100 is not a power of two")
-    assert "take 64 or 128" in sentence
+    assert "64 or 128" in sentence
 
 
 def test_a_function_derives_further_columns(tmp_path):
@@ -266,7 +267,7 @@ def test_a_function_derives_further_columns(tmp_path):
         "wrong": r"row 1: .*:wrong returns \[1\], not a mapping of parameters",
         "fails": "row 2: .* raises ZeroDivisionError",
         "bad": "row 1: k = -0.5: must be an integer",
-        "again": "beta is a column already",
+        "again": "again returns .*no columns",
         "none": "none",
     }.items():
         with pytest.raises(SweepError, match=problem):

@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.planning.checked_grid import make_grid
+from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
 from tests.sweep.mutations import ROOT, mutants

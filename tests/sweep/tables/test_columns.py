@@ -95,3 +95,14 @@ def test_a_unit_that_contradicts_the_file_or_is_none():
         read("ra", [1.0], "deg", stated="hourangle")
     with pytest.raises(SweepError, match="units: ra in 'hurz', which is no unit"):
         read("ra", [100.0], stated="hurz")
+
+
+def test_a_csv_of_the_gaia_archive_has_no_units_and_is_in_degrees():
+    marks = {"source_id": [10**17, 10**17 + 1], "ref_epoch": [2016.0, 2016.0]}
+    np.testing.assert_array_equal(read("ra", [10.5, 11.25], **marks), [10.5, 11.25])
+
+
+def test_what_a_table_is_said_to_include_holds_for_units_of_time_too():
+    table = Table({"pmra": [1e-3], "dec": [60.0]}, units={"pmra": "s / yr"})
+    by_default, stated, without = (Columns(table).quantity("pmra", cos_dec=said)[0] for said in (None, True, False))
+    assert (by_default, stated, without) == pytest.approx((7.5, 15.0, 7.5), rel=1e-14)

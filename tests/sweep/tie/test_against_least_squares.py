@@ -18,7 +18,7 @@ from linksweep import SweepError
 from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import joined
 from linksweep.core.unknowns import Objects, parse_unknowns
-from linksweep.sweep.tie.options import TableOptions
+from linksweep.sweep.tie.tables import TableOptions
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import gaia
 
@@ -316,7 +316,7 @@ def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypa
     tables = drawn_tables(folder, 8, n=30, far=(3, 7))
     options = {"clip": clip, "weights": weights, "errors": "formal,scaled,cells"}
     plain = linked(tables, **options)
-    monkeypatch.setattr("linksweep.core.tie.clips.KEPT_NUMBERS", 0)
+    monkeypatch.setattr("linksweep.core.tie.solution.KEPT_NUMBERS", 0)
     monkeypatch.setattr("linksweep.core.tie.problem.BLOCK", 4)
     monkeypatch.setattr("linksweep.core.tie.problem.GATHERED", 11)
     link = linked(tables, **options)

@@ -16,7 +16,7 @@ from linksweep.core.tie.astrometry import PAIRS, parallax_factors, propagated
 from linksweep.sweep.cli import main
 from linksweep.sweep.tie.experiment import check, warn
 from linksweep.sweep.tie.experiment import tie as study_tie
-from linksweep.sweep.tie.options import TableOptions
+from linksweep.sweep.tie.tables import TableOptions
 from tests.core.tie.made import noise, seen_by_satellite, stars
 from tests.sweep.tie.test_tables import NAMES
 

@@ -54,7 +54,7 @@ def test_errors_are_scaled_from_the_release_that_has_the_epoch(folder, pair):
     """A table of DR4 was scaled from DR3, which made its motions 2.7 times too good."""
     old, new = pair
     if MONTHS[new] < MONTHS[old]:
-        with pytest.raises(SweepError, match=f"epoch is that of {old}, which is later"):
+        with pytest.raises(SweepError, match=f"is that of {old}, which is later"):
             planned(folder, old, new)
         plan = planned(folder, old, new, from_release=old)
     else:

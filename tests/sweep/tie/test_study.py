@@ -13,15 +13,14 @@ from linksweep import SweepError, load_study
 from linksweep.core.frames import MAS
 from linksweep.core.missions import MISSIONS
 from linksweep.core.tie.astrometry import differences
-from linksweep.core.tie.clips import separation
-from linksweep.core.tie.draws import Simulation
+from linksweep.core.tie.forecast import Simulation
 from linksweep.core.tie.problem import Problem, source_sums
+from linksweep.core.tie.solution import separation
 from linksweep.core.unknowns import Objects, Rotation, parse_unknowns
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.tie.experiment import check, design_of, tie, unused
-from linksweep.sweep.tie.parameters import FIELDS
-from linksweep.sweep.tie.solution import spectrum
+from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie, unused
+from linksweep.sweep.tie.link import spectrum
 from tests.core.tie.made import stars
 from tests.sweep.tie.test_tables import gaia
 
