@@ -19,13 +19,13 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from linksweep.sweep.executing.forkserver import ENVIRONMENT
 from threadpoolctl import threadpool_limits
 
 from benchmarks.measured import Measured, Size, Target, watch
 from linksweep.core.catalogues import V_MAX
 from linksweep.core.experiment import cost, evaluate, link
 from linksweep.core.noise import ROWS, TILE
+from linksweep.sweep.executing.clusters import ENVIRONMENT
 
 N_OBJ = (28, 300, 1156, 15_533)
 TARGETS = {"fixed design": 0.80, "equal weights": 0.80, "errors of both": 0.35}

@@ -129,6 +129,7 @@ class Children:
     def run(self, task: Task) -> TaskResult:
         """Compute one task."""
         tasks = [(None, task)]
+        result: TaskResult
         [(_, result)] = self._results(lambda: tasks.pop() if tasks else None)
         return result
 
@@ -167,7 +168,7 @@ class Children:
         """Return which children have answered or ended; end those that overfill their memory."""
         channels = {self._children[place].channel: place for place in places}
         if ready := wait(list(channels), LOOK_EVERY_S):
-            return [channels[channel] for channel in ready]  # type: ignore[index]
+            return [channels[channel] for channel in ready]
         for place in places:
             child = self._children[place]
             if self._limits.memory and child.memory() > MEMORY_SHARE * self._limits.memory:

@@ -12,7 +12,7 @@ import signal
 import tempfile
 import tomllib
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import resource_tracker
@@ -39,6 +39,9 @@ ADAPT_WITHIN = "500ms"
 
 PATIENCE_S = 0.5
 """Seconds that workers get to finish when a run is stopped."""
+
+UNDO_S = 5.0
+"""Seconds that an interrupted run waits for what it has begun to start, so as to end it: usually less than one."""
 
 REPLACE_EVERY_S = 5
 """Seconds between two looks whether a cluster has lost workers."""
@@ -204,16 +207,32 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Creating scratch directories is taking")  # even our own, if it is busy
             warnings.filterwarnings("ignore", "Using a temporary security object")  # in the folder that jobs start in
-            # A terminal or a batch system sends signals to every process, but only the client is to answer
-            # (distributed#1925): the thread that starts workers inherits this mask, and they from it.
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-            try:
-                cluster = stack.enter_context(kind(**{**defaults, **options}))
-                stack.enter_context(_prompt_end(cluster))
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            cluster = stack.enter_context(_started(lambda: kind(**{**defaults, **options})))
+        stack.enter_context(_prompt_end(cluster))
         stack.enter_context(_lost_workers_replaced(cluster))
         yield cluster
+
+
+def _started(make: Callable[[], Any]) -> Any:
+    """Return the cluster that is made; its processes do not get SIGINT, SIGHUP and SIGTERM: a terminal or a batch
+    system sends these to every process, but only the client is to answer (distributed#1925).
+
+    Processes inherit the signal mask of the thread that starts them.  Here that is another thread, so that this one can
+    be interrupted meanwhile: then what was begun is ended.
+    """
+
+    def start() -> Any:
+        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        return make()
+
+    with ThreadPoolExecutor(1) as pool:
+        made = pool.submit(start)
+        try:
+            return made.result()
+        except BaseException:
+            with suppress(Exception):
+                made.result(UNDO_S).close()
+            raise
 
 
 @contextmanager

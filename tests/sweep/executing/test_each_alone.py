@@ -37,10 +37,10 @@ def told(of_all, **declared):
         (lambda x: x - x.mean(), "is 2.375 in a call for 4 points, but 0.0 for"),
         (lambda x: np.arange(len(x)), "is 1 in a call for 4 points, but 0 for"),
         (lambda x: x == x.max(), "is False in a call for 4 points, but True for"),
-        (lambda x: np.where(x < x.max(), "less", "most"), "is 'most' in a call for 4 points, but '"),
+        (lambda x: np.where(x < x.max(), "less", "most"), "is 'less' in a call for 4 points, but 'most' for"),
         (
             lambda x: np.stack([x, x / np.abs(x).max()], axis=1),
-            "[3.0, 1.0] in a call",
+            "is [1.0, 0.3333333333333333] in a call for 4 points, but [1.0, 1.0] for",
         ),
         (
             lambda x: np.broadcast_to(x, (len(x), len(x))).copy(),
