@@ -190,6 +190,7 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
     with ExitStack() as stack:
         stack.enter_context(without_logs())
         scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True))
+        stack.enter_context(_environment_restored())
         stack.enter_context(dask.config.set({**OWN_CLUSTER, "temporary-directory": scratch}))
         dashboard = {"dashboard_address": "127.0.0.1:0"}
         defaults: dict[str, Any] = {}
@@ -197,7 +198,7 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
             defaults = {**dashboard, "silence_logs": False}
             if options.get("processes", True):
                 defaults["security"] = True
-                os.environ.setdefault(SAFE_PATH, "1")
+                os.environ[SAFE_PATH] = "1"
                 resource_tracker.ensure_running()  # its start would unblock signals in the thread that starts workers
         elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
             defaults = {"scheduler_options": dashboard | dict(options.get("scheduler_options", {})), "security": True}
@@ -211,6 +212,18 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
         stack.enter_context(_prompt_end(cluster))
         stack.enter_context(_lost_workers_replaced(cluster))
         yield cluster
+
+
+@contextmanager
+def _environment_restored() -> Iterator[None]:
+    """Take out again what we, and Dask before it starts workers, put into the environment of this process."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def _started(make: Callable[[], Any]) -> Any:
