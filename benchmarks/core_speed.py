@@ -25,7 +25,7 @@ from benchmarks.measured import Measured, Size, Target, watch
 from linksweep.core.catalogues import V_MAX
 from linksweep.core.experiment import cost, evaluate, link
 from linksweep.core.setup import ROWS, TILE
-from linksweep.sweep.executing.forkserver import ENVIRONMENT
+from linksweep.sweep.executing.clusters import ENVIRONMENT
 
 N_OBJ = (28, 300, 1156, 15_533)
 TARGETS = {"fixed design": 0.80, "equal weights": 0.80, "errors of both": 0.35}

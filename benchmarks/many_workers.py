@@ -15,7 +15,7 @@ import time
 import dask
 from distributed import Scheduler, Worker
 
-import linksweep.sweep.executing.dask_worker  # noqa: F401, imported before the forks
+import linksweep.sweep.executing.dask_driver  # noqa: F401, imported before the forks
 from linksweep.sweep.code.load import identity
 
 dask.config.set(

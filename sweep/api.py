@@ -12,7 +12,6 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.contract import Experiment, SweepError, shown
-from linksweep.sweep.executing.forkserver import leave_a_worker_that_runs_its_script
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, PoolName, Resources
 from linksweep.sweep.formatting import harmless
 from linksweep.sweep.result import open_result
@@ -114,7 +113,6 @@ def run(
         >>> run(area, axes={"width": [1.0, 2.0]}, fixed={"height": 3.0}, pool="serial").area.values.tolist()
         [3.0, 6.0]
     """
-    leave_a_worker_that_runs_its_script()
     if type(verify) is not int or verify < 0:
         raise SweepError(f"verify = {shown(verify)}: must be a number of points, from 0")
     loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title, "points": points})

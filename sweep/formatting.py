@@ -9,71 +9,45 @@ import platform
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, is_dataclass
 from datetime import UTC, datetime
 from functools import lru_cache
 from math import floor, inf, isfinite, isnan, log10
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-if TYPE_CHECKING:
-    pass
+WIDTH = 80  # sentences are broken into lines of at most this many characters
 
-WIDTH = 80
-"""Sentences are broken into lines of at most this many characters."""
-
+# What changes a terminal instead of being shown by it, or the order in which text is shown: the control characters of
+# ASCII and Latin-1, separators of lines and paragraphs, marks of the direction of writing.
 ESCAPED = {
     code: f"\\u{code:04x}"
     for codes in (range(0x20), range(0x7F, 0xA0), (0x61C, 0x200E, 0x200F), range(0x2028, 0x202F), range(0x2066, 0x206A))
     for code in codes
 }
-"""What changes a terminal instead of being shown by it, or the order in which text is shown: the control characters of
-ASCII and Latin-1, separators of lines and paragraphs, marks of the direction of writing."""
-
 LINES_ESCAPED = {code: escaped for code, escaped in ESCAPED.items() if chr(code) not in "\t\n"}
 
-
+# The words of the `sweep` command that this process runs; a script of the user's runs none, whatever its own are.
 COMMAND: list[str] = []
-"""The words of the `sweep` command that this process runs; a script of the user's runs none, whatever its own are."""
 
 _ADDRESS = re.compile(r"([a-z][a-z0-9+.-]*://)(?:[^\s?#'\"]*@)?([^\s/?#'\"]*)([^\s?#'\"]*)(?:[?#][^\s'\"]*)?", re.I)
 _TOKEN = re.compile(r"[A-Za-zµμ]+")
 _END = re.compile(r" \(|, |; |: ")
 
-LEAST, MOST = 0.1, 1000.0
-"""A number from the first to below the second needs no other prefix."""
-
-SMALL = 1e-4
-"""A smaller number with an error is written with a power of ten."""
-
+LEAST, MOST = 0.1, 1000.0  # a number from the first to below the second needs no other prefix
 STEPS = {"n": -9, "u": -6, "m": -3, "": 0, "k": 3, "M": 6, "G": 9}
-"""Prefixes that are chosen between, and their powers of ten."""
-
-ONLY_SMALLER = ("s", "arcsec", "rad", "g")
-"""Units that take only prefixes below one: nobody writes 3000 s as 3 ks."""
-
+ONLY_SMALLER = ("s", "rad", "g")  # units that take only prefixes below one: nobody writes 3000 s as 3 ks
 ONLY_LARGER = ("pc", "yr", "lyr", "AU", "bit", "byte")
-
+# Units that take no prefix, mostly because their multiples have other names or they are logarithms.
 NEVER = ("d", "h", "min", "deg", "arcmin", "hourangle", "dex", "dB", "t", "ct", "ph", "mag")
-"""Units that take no prefix, mostly because their multiples have other names or they are logarithms."""
-
-SPELLED = {"narcsec": "nas", "uarcsec": "uas", "marcsec": "mas"}
-
+# Angles by their powers of ten.  Smaller ones are not widely known, and for these astropy need not be imported, which
+# takes longer than everything else at the end of a run.
 ANGLES = {"uas": -6, "mas": -3, "arcsec": 0}
-"""Angles of link results by their powers of ten: converted without astropy, whose import takes longer than everything
-else at the end of a run.
-"""
 
-DESCRIPTION = "description"
-"""The whole meaning, where ``long_name`` is only the beginning of it."""
-
-ERRORS = "errors"
-"""The attribute with the names of the variables that are one-sigma errors of a variable, each of another kind."""
-
+DESCRIPTION = "description"  # the whole meaning, where ``long_name`` is only the beginning of it
+ERRORS = "errors"  # the attribute with the names of the variables that are errors of a variable, each of another kind
+# Units that are logarithms already: plots and interpolation use a logarithmic scale for them only if one is chosen.
 LOGARITHMIC_UNITS = ("mag", "dB", "dex")
-"""Units that are logarithms already: plots and interpolation use a logarithmic scale for them only if one is chosen."""
-
+# Attributes of truth values, some of which are missing: these are stored as floats, with NaN.
 TRUTH: Mapping[str, Any] = {"flag_values": [0, 1], "flag_meanings": "False True"}
-"""Attributes of truth values, some of which are missing: these are stored as floats, with NaN."""
 
 
 def host() -> str:
@@ -146,11 +120,6 @@ def rounded(value: Any, error: float = 0.0) -> str:
         return f"{value:.{decimals}f}" if decimals <= 9 else f"{value:.3g}"
     exact = float(value).is_integer() and abs(value) < 2**53  # beyond it a float may stand for another integer
     return f"{value:.0f}" if exact else f"{value:.4g}"
-
-
-def fixed(value: float, digits: str, unit: str = "") -> str:
-    """Return a number with its unit, in a format of Python such as '.2f'; '' where it is not finite."""
-    return f"{value:{digits}}{unit}" if isfinite(value) else ""
 
 
 def plain(value: Any) -> str:
@@ -237,20 +206,12 @@ def to_json(value: Any) -> str:
          "n": 3
         }
     """
-    return json.dumps(_jsonable(value), indent=1, allow_nan=False)
+    from pydantic_core import to_jsonable_python
 
+    def listed(other: Any) -> Any:
+        return other.tolist() if hasattr(other, "tolist") else str(other)  # of NumPy
 
-def _jsonable(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        value = asdict(value)
-    if isinstance(value, Mapping):
-        return {str(key): _jsonable(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):  # of NumPy, whose import would take longer than all other code for printing
-        value = value.tolist()
-    if isinstance(value, list | tuple | set):
-        return [_jsonable(item) for item in value]
-    value = finite_or(value, None)
-    return value if isinstance(value, str | int | float | bool | None) else str(value)
+    return json.dumps(to_jsonable_python(value, inf_nan_mode="null", fallback=listed), indent=1, allow_nan=False)
 
 
 class Prefixed(NamedTuple):
@@ -331,38 +292,29 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
     if token is None or token[0] in NEVER:
         return ()
     name, rest = token[0], unit[token.end() :]
-    if name in ANGLES and re.fullmatch("( ?/ ?yr| yr-1)?", rest):
-        return tuple(Prefixed(n + rest, 10.0 ** (ANGLES[name] - p)) for n, p in ANGLES.items() if n != name)
+    if name in ANGLES:
+        simple = re.fullmatch(r"( ?/ ?\w+| \w+-1)?", rest)  # and no square, and no list of units
+        return tuple(Prefixed(n + rest, 10.0 ** (ANGLES[name] - p)) for n, p in ANGLES.items() if simple and n != name)
     from astropy import units
 
     try:
-        whole = units.Unit(unit)
-        base, power = _base(name)
-        if [power for power in whole.powers if power > 0] != [1] or base in NEVER:
-            return ()
-        # Units below a microarcsecond are not widely known.
-        least = -6 if base == "arcsec" else 0 if base in ONLY_LARGER else -9
-        most = 0 if base in ONLY_SMALLER else 9
-        powers = {x: p for x, p in STEPS.items() if least <= p <= most and p != power}
-        others = [
-            (SPELLED.get(prefix + base, prefix + base) + rest, 10.0 ** (power - p)) for prefix, p in powers.items()
-        ]
-        return tuple(Prefixed(n, f) for n, f in others if abs(float(whole.to(units.Unit(n))) / f - 1.0) < 1e-9)
+        whole, token_unit = units.Unit(unit), units.Unit(name)
+        base, power = name, 0
+        if isinstance(token_unit, units.PrefixUnit):
+            base = str(token_unit.represents.bases[0])
+            power = round(log10(float(token_unit.to(base))))
+        others = {
+            f"{prefix}{base}{rest}": 10.0 ** (power - step)
+            for prefix, step in STEPS.items()
+            if step != power
+            and base not in NEVER
+            and (step <= 0 or base not in ONLY_SMALLER)
+            and (step >= 0 or base not in ONLY_LARGER)
+        }
+        # astropy has the last word: of a square the factor is another one
+        return tuple(Prefixed(n, f) for n, f in others.items() if abs(float(whole.to(units.Unit(n))) / f - 1.0) < 1e-9)
     except (ValueError, TypeError, AttributeError):
         return ()
-
-
-def _base(name: str) -> tuple[str, int]:
-    """Return a unit without its prefix, and the prefix's power of ten; raises ValueError for one not in `STEPS`."""
-    from astropy import units
-
-    unit = units.Unit(name)
-    if not isinstance(unit, units.PrefixUnit) and name not in ("mas", "uas"):
-        return name, 0
-    (base,) = unit.represents.bases
-    scale = float(unit.to(base))
-    (power,) = (p for p in STEPS.values() if abs(scale / 10.0**p - 1.0) < 1e-9)
-    return str(base), power
 
 
 def _with_micro_sign(token: str) -> str:
@@ -388,12 +340,7 @@ def with_unit(value: float, error: float = 0.0, unit: str = "") -> str:
     chosen = prefixed(value, unit)
     if chosen.factor != 1.0:  # an integer stays one
         value, error = value * chosen.factor, error * chosen.factor
-    if 0.0 < abs(value) < SMALL and 0.0 < error < inf:
-        power = 10.0 ** floor(log10(abs(value)))
-        text = f"({with_error(value / power, error / power)})e{floor(log10(abs(value))):+03d}"
-    else:
-        text = with_error(value, error)
-    return f"{text} {in_ascii(chosen.unit)}" if unit else text
+    return f"{with_error(value, error)} {in_ascii(chosen.unit)}".rstrip()
 
 
 def in_short(value: float, error: float = 0.0, unit: str = "") -> str:
@@ -405,8 +352,8 @@ def in_short(value: float, error: float = 0.0, unit: str = "") -> str:
         ('0.54 uas/yr', '15,533', '2.0', '1.7')
     """
     chosen = prefixed(value, unit)
-    value, error = value * chosen.factor, error * chosen.factor
-    return f"{_short(value, error)} {in_ascii(chosen.unit)}" if unit else _short(value, error)
+    text = _short(value * chosen.factor, error * chosen.factor)
+    return f"{text} {in_ascii(chosen.unit)}".rstrip()
 
 
 def in_three_digits(value: float, unit: str = "") -> str:
@@ -417,26 +364,22 @@ def in_three_digits(value: float, unit: str = "") -> str:
         '0.541 uas/yr'
     """
     chosen = prefixed(value, unit)
-    return f"{value * chosen.factor:.3g} {in_ascii(chosen.unit)}".strip()
+    return f"{value * chosen.factor:.3g} {in_ascii(chosen.unit)}".rstrip()
 
 
 def _short(value: float, error: float) -> str:
     if value == 0.0 or not isfinite(value):
         return f"{value:g}"
-    known = 0.0 < error < inf
-    if not known and float(value).is_integer():
+    known, size = 0.0 < error < inf, floor(log10(abs(value)))
+    if not known and 0 <= size < 7 and (float(value).is_integer() or size >= 4):
         return f"{value:,.0f}"
-    size = floor(log10(abs(value)))
-    if abs(value) >= MOST * 10.0 and not known:
-        return f"{value:,.0f}" if size < 6 else f"{value:.2e}"
-    leading = abs(value) / 10.0**size
-    last = size - (1 if known and leading >= 2.0 else 2)
+    digits = 2 if known and abs(value) / 10.0**size >= 2.0 else 3
+    last = size - digits + 1
     if known:
         last = max(last, floor(log10(error)))
-    if last < -6:
-        return f"{value:.2g}"
-    rounded_value = round(value, -last) + 0.0  # and not -0.0
-    return f"{rounded_value:,.{max(0, -last)}f}" if abs(value) < 1e7 else f"{value:.2e}"
+    if last < -6 or size >= 7:
+        return f"{value:.{digits}g}"
+    return f"{round(value, -last) + 0.0:,.{max(0, -last)}f}"  # and not -0.0
 
 
 def described(unit: str, meaning: str) -> dict[str, Any]:

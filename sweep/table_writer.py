@@ -20,17 +20,12 @@ from rich.cells import cell_len
 
 from linksweep.sweep.formatting import ESCAPED, WIDTH, harmless, in_ascii, is_missing, plain, to_json
 
-GAP = 2
-"""Blanks between two columns."""
+GAP = 2  # blanks between two columns
+LONG_NAME = 13  # column names longer than this are broken into two lines at an underscore
+FORMULA = tuple("=+-@＝＋－＠")  # how a cell of CSV begins that a spreadsheet would compute
 
-LONG_NAME = 13
-"""Column names longer than this are broken into two lines at an underscore."""
-
-FORMULA = tuple("=+-@＝＋－＠")
-"""How a cell of CSV begins that a spreadsheet would compute."""
-
+# styles of a terminal: headings, titles, and the end of a style
 BOLD, ITALIC, PLAIN = "\x1b[1m", "\x1b[3m", "\x1b[0m"
-"""Styles of a terminal: headings, titles, and the end of a style."""
 
 
 @dataclass(frozen=True)
@@ -131,16 +126,13 @@ class Table:
             line = self._line(heading, widths)
             lines += [f"{BOLD}{line}{PLAIN}" if styled else line] if line else []
         rows = list(zip(*(column.texts for column in self.columns), strict=True))
-        for number, row in enumerate([*rows, None]):
-            lines += [sentence(*text) for text in self.between.get(number, ())]
-            if row is None:
-                break
+        for number, row in enumerate(rows):
+            lines += [sentence(*words) for words in self.between.get(number, ())]
             parts = [
-                _wrapped(cell, w) if column.wrap and _length(cell) > w else [cell]
-                for cell, w, column in zip(row, widths, self.columns, strict=True)
+                _wrapped(cell, w) if c.wrap else [cell] for cell, w, c in zip(row, widths, self.columns, strict=True)
             ]
             lines += [self._line(line, widths, styled) for line in zip_longest(*parts, fillvalue="")]
-        return "\n".join(lines)
+        return "\n".join([*lines, *(sentence(*words) for words in self.between.get(len(rows), ()))])
 
     def _line(self, cells: Sequence[str], widths: Sequence[int], styled: bool = False) -> str:
         parts = []
@@ -193,7 +185,9 @@ def _length(text: str) -> int:
 
 
 def _wrapped(text: str, width: int) -> list[str]:
-    return textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False)
+    return (
+        textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) if _length(text) > width else [text]
+    )
 
 
 def _safe(value: Any) -> Any:

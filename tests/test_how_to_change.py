@@ -109,7 +109,7 @@ from linksweep.sweep.executing.worker import compute
 
 
 @contextmanager
-def backwards(reference, workers, say, limits, dashboard):
+def backwards(reference, workers, limits):
     def execute(take):
         while jobs := take(3):
             for job in reversed(jobs):

@@ -1,5 +1,6 @@
-"""Runs tasks in a child process, so that a block that ends its process ends nothing else and can be identified."""
+"""Computes jobs in child processes, so that a block that ends its process ends nothing else and can be identified."""
 
+import ctypes
 import fcntl
 import multiprocessing
 import os
@@ -9,17 +10,29 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from multiprocessing.connection import Connection
+from dataclasses import replace
+from multiprocessing.connection import Connection, wait
 from typing import IO, Any
 
-from linksweep.sweep.code.load import Identity, differences, identity, load_experiment, new_process, provide, sendable
+from linksweep.sweep.code.load import (
+    Identity,
+    differences,
+    identity,
+    load_experiment,
+    new_process,
+    provide,
+    sendable,
+    source_digest,
+)
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.executing.process import Deadlines, ignored
-from linksweep.sweep.executing.task import Failure, PointBlock, Task, TaskResult, failed, joined, too_long
-from linksweep.sweep.executing.worker import ENOUGH_S, run_units, takes_several
+from linksweep.sweep.executing.task import AnyJob, Call, Failure, PointBlock, Task, TaskResult, failed, joined, too_long
+from linksweep.sweep.executing.worker import ENOUGH_S, compute, run_units, takes_several
+from linksweep.sweep.interrupt import SIGNALS
 
 TRIES = 2
 """How often a block may end its child, when it is known which block it was."""
@@ -28,7 +41,7 @@ MEMORY_SHARE = 0.95
 """Share of the memory limit at which a child is ended, the same at which Dask's nanny ends a worker."""
 
 LOOK_EVERY_S = 0.05
-"""Seconds between two looks at the child's memory."""
+"""Seconds between two looks at the children's memory."""
 
 SEND_EVERY_S = 0.02
 """Seconds of work whose results a child sends together."""
@@ -37,122 +50,207 @@ LAST_WORDS = 4096
 """Bytes that are kept of the end of what a child wrote to standard error."""
 
 END_S = 1.0
-"""Seconds that a child gets to end by itself: threads and files that an experiment leaves may keep it."""
+"""Seconds that children get to end by themselves: threads and files that an experiment leaves may keep them."""
 
 NOT_TO_BE_FORKED = ("jax", "torch", "tensorflow", "cupy")
 """Libraries with threads or devices of their own, for which a fork of a process that used them may wait for ever."""
 
+KEEP_BYTES = 2**28
+"""Freed memory that a child's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them back
+to the system each time costs a fifth of the run."""
+
+ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+"""Variables that libraries of linear algebra read as they are loaded."""
+
 
 class Children:
-    """Computes tasks in a child process, which lives on for the next task unless a block ends it or takes more memory
-    than ``memory_limit`` (bytes); then another one takes its place.
+    """An executor on child processes, which live on for the next job unless a block ends one or takes more memory than
+    the limit; then another one takes its place.
 
-    With ``forked`` it is a copy of this process where there can be one, which starts in milliseconds and has every
-    function that this one has; else a new process, which imports or unpickles what it needs.
+    If ``forked`` they are copies of this process where there can be some, which start in milliseconds and have every
+    function that this one has; else new processes, which import or unpickle what they need, and whose code must be as
+    ``expected``, by default that of this process.
     """
 
-    def __init__(self, expected: Identity, memory_limit: int | None = None, *, forked: bool = False) -> None:
-        self._expected, self._memory_limit, self._forked = expected, memory_limit, forked
-        self._child: _Child | None = None
+    def __init__(
+        self,
+        reference: str,
+        number: int = 1,
+        limits: Limits = NO_LIMITS,
+        *,
+        forked: bool = True,
+        digest: str | None = None,
+        expected: Identity | None = None,
+    ) -> None:
+        self._reference, self._limits, self._expected = reference, limits, expected
+        self._digest = digest or source_digest(reference)
+        self._forked = forked and _may_be_forked()
+        self._children: list[_Child] = []
+        self._number = number
 
     def __enter__(self) -> "Children":
+        self._children = self._started(self._number)  # before this process has threads, whose locks a fork would keep
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
-        self._end(END_S if kind is None else 0.0)
+        end = time.monotonic() + (END_S if kind is None else 0.0)
+        for child in self._children:
+            child.ask_to_end()
+        for child in self._children:
+            child.end(end - time.monotonic())
 
-    def _end(self, patience_s: float) -> None:
-        child, self._child = self._child, None
-        if child is not None:
-            child.end(patience_s)
+    def _started(self, number: int) -> "list[_Child]":
+        """Start children; raises SweepError where they do not start or would compute other numbers."""
+        started: list[_Child] = []
+        try:
+            for _ in range(number):
+                started.append(_Child(self._forked))
+            if not self._forked:
+                code = sendable(self._reference, self._digest), self._reference, self._digest
+                expected = self._expected or identity(self._reference, self._digest)
+                for child in started:  # all of them import at the same time
+                    child.prepare(code, expected)
+        except BaseException as error:
+            for child in started:
+                child.end()
+            if isinstance(error, OSError):
+                raise SweepError(f"a child process could not start: {error}") from error
+            raise
+        return started
+
+    def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
+        """Compute everything that ``take`` gives."""
+
+        def following() -> tuple[AnyJob, Task | Call] | None:
+            return next(((job, job.task(self._limits, 0.0)) for job in take(1)), None)
+
+        return self._results(following)
 
     def run(self, task: Task) -> TaskResult:
-        """Compute a task as `run_task` does: the last blocks have no result where it takes longer than `ENOUGH_S`.
+        """Compute one task."""
+        tasks = [(None, task)]
+        result: TaskResult
+        [(_, result)] = self._results(lambda: tasks.pop() if tasks else None)
+        return result
 
-        Raises SweepError where the child cannot start or is not as expected.
-        """
-        parts = [_Part(unit) for unit in task.units]
-        enough = time.monotonic() + max(ENOUGH_S, task.enough_s)
-        one_by_one = task.time_limit_s is not None
-        while pending := [part for part in parts if part.result is None]:
-            if pending[0].whole and pending[0] is not parts[0] and time.monotonic() > enough:
-                break
-            death = self._attempt(task, pending, one_by_one, enough)
-            if death is None:
-                continue
-            guilty = next(part for part in pending if part.result is None)
-            if not one_by_one and len(pending) > 1:  # it is not known how far the child came
-                one_by_one = True
-                continue
-            if len(guilty.unit.points) > 1:  # which of those that share the draw is to blame?
-                place = parts.index(guilty)
-                alone = (replace(guilty.unit, points=(point,)) for point in guilty.unit.points)
-                parts[place : place + 1] = [_Part(unit, whole=False) for unit in alone]
-                continue
-            guilty.deaths += 1
-            if death.kind == "time limit" or guilty.deaths >= TRIES:
-                for part in pending:  # nor are the other blocks of this point tried
-                    same_point = (part.unit.stream, part.unit.points) == (guilty.unit.stream, guilty.unit.points)
-                    if part.result is None and same_point:
-                        part.result = failed(1, death)
-        first = next((place for place, part in enumerate(parts) if part.result is None), len(parts))
-        return joined([part.result for part in parts[:first] if part.result is not None])
+    def _results(self, following: Callable[[], tuple[Any, Task | Call] | None]) -> Iterator[tuple[Any, Any]]:
+        under_way: dict[int, tuple[Any, _Trial]] = {}
 
-    def _attempt(self, task: Task, parts: "Sequence[_Part]", one_by_one: bool, enough: float) -> Failure | None:
-        """Fill in the results of these parts, in order.  Return None once the child has done all or it is later than
-        ``enough``, or why the child has ended.
-        """
-        todo = replace(task, units=tuple(part.unit for part in parts))
-        if self._child is None:
+        def begin(place: int) -> None:
+            if place not in under_way and (new := following()) is not None:
+                if self._children[place].channel.closed:  # of a call that was given up
+                    [self._children[place]] = self._started(1)
+                under_way[place] = new[0], _Trial(new[1])
+                self._send(place, under_way[place][1])
+
+        def results() -> Iterator[tuple[Any, Any]]:
             try:
-                self._child = _Child(todo, self._expected, self._forked and _may_be_forked())
-            except OSError as error:
-                raise SweepError(f"a child process could not start: {error}") from error
-        child, waiting = self._child, iter(parts)
-        try:
-            child.channel.send((todo, one_by_one, enough - time.monotonic()))
-            while (answer := self._received(child)) is not None:
-                for result in answer:
-                    _fill_in(waiting, result)
-            return None
-        except (EOFError, OSError):
-            self._child = None
-            return child.death(task, self._memory_limit)
-        except BaseException:
-            self._end(0.0)
-            raise
+                while under_way:
+                    for place in self._that_answer(under_way):
+                        job, trial = under_way[place]
+                        self._go_on(place, trial)
+                        if trial.ended:
+                            del under_way[place]
+                            if self._number > 1:  # of several none waits while a result is used; one may be the last
+                                begin(place)
+                            yield job, trial.result()
+                    for place in range(self._number):
+                        begin(place)
+            finally:
+                for place in under_way:  # nobody will take these results
+                    self._children[place].end()
 
-    def _received(self, child: "_Child") -> Any:
-        """Return the next answer of a child; end the child where it overfills its memory.
+        for place in range(self._number):  # now, not when the first result is asked for
+            begin(place)
+        return results()
 
-        Raises EOFError where it has ended; what it has started may keep its files open.
-        """
-        while not child.channel.poll(LOOK_EVERY_S):
-            if child.code(0.0) is not None and not child.channel.poll():
-                raise EOFError
-            if self._memory_limit and child.memory() > MEMORY_SHARE * self._memory_limit:
+    def _that_answer(self, places: Any) -> list[int]:
+        """Return which children have answered or ended; end those that overfill their memory."""
+        channels = {self._children[place].channel: place for place in places}
+        if ready := wait(list(channels), LOOK_EVERY_S):
+            return [channels[channel] for channel in ready]
+        for place in places:
+            child = self._children[place]
+            if self._limits.memory and child.memory() > MEMORY_SHARE * self._limits.memory:
                 child.overfull = True
                 child.process.kill()
-        return child.channel.recv()
+        # What a child has started may keep its channel open.
+        return [place for place in places if self._children[place].code(0.0) is not None]
+
+    def _go_on(self, place: int, trial: "_Trial") -> None:
+        """Take a child's answer; where it has ended, find out why, and let another one do what is left."""
+        child = self._children[place]
+        try:
+            if not child.channel.poll():
+                raise EOFError
+            if (answer := child.channel.recv()) is not None:
+                trial.take(answer)
+                return
+        except (EOFError, OSError):
+            trial.after_death(child.death(trial.task.time_limit_s, self._limits.memory))
+            [self._children[place]] = self._started(1)
+        else:
+            trial.ended = not trial.units or (bool(trial.results) and not trial.inside)
+        if not trial.ended:
+            self._send(place, trial)
+
+    def _send(self, place: int, trial: "_Trial") -> None:
+        with suppress(OSError):  # it has ended, as is found out when its answer is waited for
+            self._children[place].channel.send((trial.rest(), trial.careful))
 
 
-@dataclass(eq=False)
-class _Part:
-    """A unit of a task, or one point of it, how often it ended a child, and its result."""
+class _Trial:
+    """A task on its way through children: the ``units`` that have no result yet, and the ``results`` of those before.
 
-    unit: PointBlock
-    whole: bool = True
-    deaths: int = 0
-    result: TaskResult | None = None
+    ``careful`` is a task of which a child has died, so that each result is to be sent at once: else nobody knows how
+    far it came.  ``inside`` counts the points that are left of a unit which was taken apart.
+    """
 
+    def __init__(self, task: Task | Call) -> None:
+        self.task = task
+        self.units: deque[Any] = deque(task.units if isinstance(task, Task) else [task])
+        self.results: list[Any] = []
+        self.careful, self.ended = task.time_limit_s is not None, False
+        self.inside = self._deaths = 0
 
-def _fill_in(waiting: "Iterator[_Part]", result: TaskResult) -> None:
-    """Give a result to the parts that it is of; where these are several, the first one has all of it."""
-    rows, empty = len(result.seconds), failed(0)
-    while rows > 0:
-        part = next(waiting)
-        part.result, result = result, empty
-        rows -= len(part.unit.points)
+    def rest(self) -> Task | Call:
+        """Return what a child is to compute next."""
+        return replace(self.task, units=tuple(self.units)) if isinstance(self.task, Task) else self.task
+
+    def take(self, results: list[Any]) -> None:
+        """Add results of the first units; one of several units has the rows of all of them."""
+        self._deaths = 0
+        for result in results:
+            self.results.append(result)
+            rows = len(result.seconds) if isinstance(result, TaskResult) else 1
+            self.inside = max(0, self.inside - rows)
+            while rows > 0:
+                rows -= len(self.units.popleft().points) if isinstance(self.task, Task) else 1
+
+    def after_death(self, death: Failure) -> None:
+        """Find out which point has ended a child, and give that up after so many `TRIES`; raises SweepError for a call,
+        without which nothing goes on.
+
+        Then the task ends: its other blocks are given out again, but for those of this point, which would cost as much.
+        """
+        unit = self.units[0]
+        if not self.careful:
+            self.careful = True
+        elif isinstance(unit, PointBlock) and len(unit.points) > 1:  # one of those that share the draw is to blame
+            self.units.popleft()
+            self.units.extendleft(replace(unit, points=(point,)) for point in reversed(unit.points))
+            self.inside = len(unit.points)
+        else:
+            self._deaths += 1
+            if death.kind == "time limit" or self._deaths >= TRIES:
+                if isinstance(unit, Call):
+                    unit.failed(death)
+                self.take([failed(1, death)])
+                self.ended = not self.inside
+
+    def result(self) -> Any:
+        """Return the result of the task: the last units have none where it took too long."""
+        return joined(self.results) if isinstance(self.task, Task) else self.results[0]
 
 
 def _may_be_forked() -> bool:
@@ -164,12 +262,9 @@ def _may_be_forked() -> bool:
 
 
 class _Child:
-    """A process that computes tasks, and the ``channel`` to it: a copy of this one (``forked``), or a new one.
+    """A process that computes tasks, and the ``channel`` to it: a copy of this one (``forked``), or a new one."""
 
-    Raises SweepError where a new one does not start, and where it is not as ``expected``.
-    """
-
-    def __init__(self, task: Task, expected: Identity, forked: bool) -> None:
+    def __init__(self, forked: bool) -> None:
         self.channel, theirs = multiprocessing.Pipe()
         self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
         self.overfull = False
@@ -177,32 +272,32 @@ class _Child:
         if forked:
             arguments = self.channel, theirs, self._words
             self.process = multiprocessing.get_context("fork").Process(target=_compute_forked, args=arguments)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", DeprecationWarning)  # of threads: see `_may_be_forked`
-                self.process.start()
+            # A signal that arrives before the child has its own handlers would be answered by those of this process.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", DeprecationWarning)  # of threads: see `_may_be_forked`
+                    self.process.start()
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
         else:
-            start = f"from linksweep.sweep.executing.children import compute; compute({theirs.fileno()})"
+            start = f"from linksweep.sweep.executing.children import compute_anew; compute_anew({theirs.fileno()})"
             files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
             self.process = new_process(start, **files, pass_fds=[theirs.fileno()])
         theirs.close()
-        if not forked:
-            self._prepare(task, expected)
 
-    def _prepare(self, task: Task, expected: Identity) -> None:
+    def prepare(self, code: tuple[Any, str, str | None], expected: Identity) -> None:
+        """Send a new process the code; raises SweepError where it cannot load that, and where it is not as expected."""
         try:
-            self.channel.send((sendable(task.experiment_reference, task.source_digest), task))
+            self.channel.send(code)
             answer = self.channel.recv()
-            if isinstance(answer, SweepError):
-                raise answer
-            if differ := differences(expected.deciding, answer.deciding):
-                raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
         except (EOFError, OSError) as error:
-            code, words = self.code(END_S), self._last_words()
-            self.end(0.0)
-            raise SweepError(f"a child process could not start (exit code {code}): {words}") from error
-        except BaseException:
-            self.end(0.0)
-            raise
+            exit_code, words = self.code(END_S), self._last_words()
+            raise SweepError(f"a child process could not start (exit code {exit_code}): {words}") from error
+        if isinstance(answer, SweepError):
+            raise answer
+        if differ := differences(expected.deciding, answer.deciding):
+            raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
 
     def memory(self) -> float:
         """Return the bytes of memory that the process takes."""
@@ -219,15 +314,19 @@ class _Child:
                 self.process.wait(patience_s)
             return self.process.returncode
         self.process.join(patience_s)
-        code: int | None = self.process.exitcode
-        return code
+        exit_code: int | None = self.process.exitcode
+        return exit_code
 
-    def end(self, patience_s: float) -> None:
-        """End the process; let it take so many seconds for its own clean-up."""
-        if patience_s:
-            with suppress(OSError):
-                self.channel.send(None)
-        if not patience_s or self.code(patience_s) is None:
+    def ask_to_end(self) -> None:
+        """Let a child that waits for a task clean up and end."""
+        with suppress(OSError):
+            self.channel.send(None)
+
+    def end(self, patience_s: float = 0.0) -> None:
+        """End the process unless it ends by itself within so many seconds."""
+        if self.channel.closed:
+            return
+        if patience_s <= 0.0 or self.code(patience_s) is None:
             self.process.kill()
             self.code(END_S)
         self.channel.close()
@@ -241,23 +340,19 @@ class _Child:
         self._words.seek(max(0, size - LAST_WORDS))
         return self._words.read().decode(errors="replace").strip()
 
-    def death(self, task: Task, memory_limit: int | None) -> Failure:
+    def death(self, time_limit_s: float | None, memory_limit: int | None) -> Failure:
         """Return the failure for which a process that does not answer any more stands, and end it if need be."""
-        code = self.code(END_S)
-        words = self._last_words()
-        self.end(0.0)
-        if code is not None and task.time_limit_s is not None and code == -signal.SIGALRM and not self.overfull:
-            return too_long(task, words)
+        code, words = self.code(END_S), self._last_words()
+        self.end()
         if self.overfull and memory_limit:
-            reason = f"needs more than the memory limit of {memory_limit / 1e9:.3g} GB"
-        elif code is None:
-            reason = "closed the files of its process, among them the one for its results"
-        elif code >= 0:
-            reason = f"ended its process with exit code {code}"
-        else:
-            reason = f"ended its process with {(name := signal.Signals(-code).name)}"
-            reason += ", perhaps because the machine had no memory left" if name == "SIGKILL" else ""
-        return Failure("killed", reason, words)
+            return Failure("killed", f"needs more than the memory limit of {memory_limit / 1e9:.3g} GB", words)
+        if time_limit_s is not None and code == -signal.SIGALRM:
+            return too_long(time_limit_s, words)
+        if code is None:
+            return Failure("killed", "closed the files of its process, among them the one for its results", words)
+        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        how += ", perhaps because the machine had no memory left" if how == "SIGKILL" else ""
+        return Failure("killed", f"ended its process with {how}", words)
 
 
 def _compute_forked(parents: Connection, channel: Connection, words: IO[bytes]) -> None:
@@ -265,21 +360,22 @@ def _compute_forked(parents: Connection, channel: Connection, words: IO[bytes]) 
     parents.close()
     signal.set_wakeup_fd(-1)  # that of an event loop of the parent
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    sys.stdout = sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115 (locks of others came with the fork)
     parent = multiprocessing.parent_process()
     assert parent is not None, "this is a child"
     _end_with(parent.sentinel)
     _serve(channel, words)
 
 
-def compute(number: int) -> None:
+def compute_anew(number: int) -> None:
     """Run as a new child whose channel has this file descriptor."""
     _end_with(0)
     channel = Connection(number)
-    sources, task = channel.recv()
+    sources, reference, digest = channel.recv()
     if sources is not None:
         provide(sources)
     try:
-        channel.send(identity(task.experiment_reference, task.source_digest))
+        channel.send(identity(reference, digest))
     except SweepError as error:
         channel.send(error)
         return
@@ -302,6 +398,12 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
 
     for number in (signal.SIGINT, signal.SIGHUP):  # only the parent answers; programs that a block starts may too
         signal.signal(number, ignored)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+    for name in ONE_THREAD:
+        os.putenv(name, "1")  # for libraries that a block loads; `os.environ` stays the user's
+    with suppress(OSError, AttributeError):  # there is only one such allocator
+        for what in (-1, -3):  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD
+            ctypes.CDLL(None).mallopt(what, KEEP_BYTES)
     with suppress(OSError):
         os.dup2(2, 1)  # what is printed outside of Python must not get among the results
     faulthandler.enable(words, all_threads=False)  # prints where the code was when the process ends
@@ -314,17 +416,21 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
             channel.send(None)
 
 
-def _results(deadlines: Deadlines, task: Task, one_by_one: bool, enough_s: float) -> Iterator[list[TaskResult]]:
-    """Yield the results of a task: several at once, or with ``one_by_one`` each unit as soon as it is done."""
-    enough, sent = time.monotonic() + enough_s, time.monotonic()
+def _results(deadlines: Deadlines, task: Task | Call, careful: bool) -> Iterator[list[Any]]:
+    """Yield the results of a task: several at once, or if ``careful`` each unit as soon as it is done."""
+    if isinstance(task, Call):
+        yield [compute(task, deadlines)]
+        return
+    sent = time.monotonic()
+    enough = sent + max(ENOUGH_S, task.enough_s)
     experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
-    split = one_by_one and (experiment.vectorised or takes_several(experiment, task))
+    split = careful and (experiment.vectorised or takes_several(experiment, task))
     tasks = [replace(task, units=(unit,)) for unit in task.units] if split else [task]
     ready: list[TaskResult] = []
     for result in (result for part in tasks for result in run_units(part, deadlines)):
         ready.append(result)
         now = time.monotonic()
-        if one_by_one or now > min(enough, sent + SEND_EVERY_S):
+        if careful or now > min(enough, sent + SEND_EVERY_S):
             yield ready
             ready, sent = [], now
         if now > enough:

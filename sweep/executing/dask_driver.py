@@ -1,5 +1,7 @@
 """Computes jobs on the workers of a Dask client, and goes on when these die, stall or come late."""
 
+import os
+import signal
 import time
 from asyncio import run_coroutine_threadsafe
 from collections import deque
@@ -10,16 +12,21 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 from threading import Event
-from typing import Any, Generic
+from typing import Any
 
-from distributed import Client, Future, KilledWorker, WorkerPlugin
+from distributed import Client, Future, KilledWorker, WorkerPlugin, get_worker
+from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code.load import Identity, differences, identity, require_same, sendable, source_digest
+from linksweep.sweep.code.load import Identity, differences, identity, provide, require_same, sendable, source_digest
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.dask_worker import Answer, SourcesPlugin, TaskPlugin, run_on_worker
+from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.pools import Limits
-from linksweep.sweep.executing.task import AnyJob, Failure, Say
+from linksweep.sweep.executing.process import Deadlines
+from linksweep.sweep.executing.task import AnyJob, Call, Failure, Say, Task
+from linksweep.sweep.executing.worker import compute
 from linksweep.sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_seconds
+
+PLUGIN = "linksweep"
 
 LOOK_EVERY_S = 1.0
 """Seconds between two looks at the number of workers."""
@@ -34,7 +41,8 @@ experiment to an end; the pause after the first is `FIRST_PAUSE_S` long, each ot
 FIRST_PAUSE_S = 0.25
 
 MOST_SENT, MOST_FETCHED = 32, 256
-"""Most tasks that are sent in one message, and most results that are fetched in one."""
+"""Most tasks that are sent in one message, and most results that are fetched in one: with a message for each, the round
+trip to a worker limited a run to 60 tasks a second."""
 
 MAX_LOSSES = 3
 """How often a block may be with a worker that dies: in a task, in a child process, and in one of its own."""
@@ -42,30 +50,101 @@ MAX_LOSSES = 3
 KEPT = "what was finished is kept, the same command goes on from there"
 
 
+class TaskPlugin(WorkerPlugin):
+    """Limits BLAS to one thread for as long as the plugin is on a worker, and holds the deadlines of its blocks.
+
+    Dask's nanny limits BLAS for the workers that it starts, but not in other processes (distributed#9075): sums of
+    products there would depend on the number of cores, and workers would compete for the cores.
+    """
+
+    name = PLUGIN
+    idempotent = True  # a second client of the same workers must not reset their alarm
+
+    def setup(self, worker: Any) -> None:
+        """Set the limits when the plugin reaches a worker; in a process of its own this runs in the main thread."""
+        self._limits = threadpool_limits(1)
+        self.deadlines = Deadlines()
+        if getattr(worker, "nanny", None):  # a process of its own
+            os.dup2(2, 1)  # standard output goes to standard error, also that of C code and of programs it starts
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])  # which an experiment may need
+
+    def teardown(self, worker: Any) -> None:
+        """Lift the limit of one thread."""
+        self._limits.restore_original_limits()
+
+
+class SourcesPlugin(WorkerPlugin):
+    """Brings the sources of an experiment's file and of its local modules, which a worker may not have."""
+
+    idempotent = True
+
+    def __init__(self, sources: Any) -> None:
+        self._sources = sources
+        self.name = f"{PLUGIN}-{sources.path}-{sources.digest}"
+
+    def setup(self, worker: Any) -> None:
+        """Let the worker load the experiment."""
+        provide(self._sources)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A worker's answer: its address, how it differs from the client, and the result if this decides no number."""
+
+    worker: str
+    deciding: list[str]
+    others: list[str]
+    result: Any = None
+
+
+def run_on_worker(task: Task | Call, expected: Identity, guarded: bool, memory_limit: int | None) -> Answer:
+    """Run a task on the worker that this is called on, if it computes the same numbers as the client.
+
+    With ``guarded`` blocks run in a child process of at most ``memory_limit`` bytes (None: no limit).
+    """
+    worker = get_worker()
+    reference, digest = task.experiment_reference, task.source_digest
+    here = identity(reference, digest)
+    answer = Answer(
+        worker.address, differences(expected.deciding, here.deciding), differences(expected.others, here.others)
+    )
+    if answer.deciding:
+        return answer
+    if guarded and isinstance(task, Task):
+        limits = Limits(task.time_limit_s, memory_limit)
+        with Children(reference, 1, limits, forked=False, digest=digest, expected=expected) as child:
+            return replace(answer, result=child.run(task))
+    plugin = worker.plugins[PLUGIN]
+    assert isinstance(plugin, TaskPlugin)
+    return replace(answer, result=compute(task, plugin.deadlines))
+
+
 @dataclass
-class _Submission(Generic[AnyJob]):
+class _Submission:
     """A job on its way to a worker: how often it was with a worker that died, how often Dask failed with it, and the
     time of the monotonic clock before which it is not sent.
 
     ``succeeded`` counts the tasks of the run that had succeeded when this job was last lost.
     """
 
-    job: AnyJob
+    job: Any
     losses: int = 0
     troubles: int = 0
     not_before: float = 0.0
     succeeded: int = 0
 
 
-class DaskWorkers:
-    """The workers of a Dask ``client`` for an experiment: ``where`` they are in words, how many ``threads`` they have,
-    and the identity that is ``expected`` of them.  ``memory_limit`` is that of a worker's child, by default its own.
+class DaskDriver:
+    """An executor on the workers of a Dask ``client``; ``where`` these are in words.
+
+    The work of a worker that died is done again in a child process of another one, where a block that ends its process
+    ends nothing else and can be identified: no block is blamed for another.
     """
 
-    def __init__(self, client: Client, where: str, reference: str, say: Say, memory_limit: int | None = None) -> None:
-        self.client, self.where, self.say = client, where, say
-        self.threads, self.expected = 1, identity(reference)
-        self._reference, self._memory_limit = reference, memory_limit
+    def __init__(self, client: Client, where: str, reference: str, limits: Limits, say: Say) -> None:
+        self.client, self._where, self._reference, self._limits, self._say = client, where, reference, limits, say
+        self._expected = identity(reference)
+        self._threads = 1
         self._warned: set[str] = set()
         self._looked = self._had_workers = time.monotonic()
         self._waiting = False
@@ -86,17 +165,17 @@ class DaskWorkers:
             ended = Event()
             probe.add_done_callback(lambda _: ended.set())
             while not ended.wait(LOOK_EVERY_S):
-                self.look()
+                self._look()
             answers = self.client.run(identity, *arguments, on_error="return")
         except SweepError:
             raise
         except Exception as error:  # whatever keeps a worker from importing what it is sent
-            raise (self.unable(error) if self.client.status == "running" else self.gone()) from error
+            raise (self._unable(error) if self.client.status == "running" else self._gone()) from error
         for worker, answer in sorted(answers.items()):
             if isinstance(answer, Identity):
-                self.warn(worker, differences(self.expected.others, answer.others))
-        require_same(self.expected.deciding, answers)
-        self.look()
+                self._warn(worker, differences(self._expected.others, answer.others))
+        require_same(self._expected.deciding, answers)
+        self._look()
 
     def _register(self, plugin: WorkerPlugin) -> None:
         """Bring a plugin to all workers; some of them may leave meanwhile."""
@@ -109,124 +188,70 @@ class DaskWorkers:
                     raise
                 time.sleep(FIRST_PAUSE_S)
 
-    def look(self) -> None:
+    def _look(self) -> None:
         """Count the threads of the workers; raises SweepError where the connection is lost."""
         if self.client.status != "running":
-            raise self.gone()
+            raise self._gone()
         try:
-            self.threads = sum(self.client.nthreads().values())
+            threads = sum(self.client.nthreads().values())
         except (OSError, TimeoutError) as error:
-            raise self.gone() from error
-        self._looked = time.monotonic()
-        if self.threads:
+            raise self._gone() from error
+        self._looked, self._threads = time.monotonic(), max(1, threads)
+        if threads:
             if self._waiting:
-                self.say(f"{self.where} has workers again")
+                self._say(f"{self._where} has workers again")
             self._had_workers, self._waiting = self._looked, False
         elif not self._waiting and self._looked - self._had_workers > PATIENCE_S:
-            self.say(f"{self.where} has no workers; waiting for some")
+            self._say(f"{self._where} has no workers; waiting for some")
             self._waiting = True
-        self.threads = max(1, self.threads)
 
-    def look_if_due(self) -> None:
-        """Call `look`, unless that was done a moment ago."""
-        if time.monotonic() - self._looked > LOOK_EVERY_S:
-            self.look()
-
-    def memory_limit(self) -> int | None:
-        """Return the bytes that a child of a worker may take: by default those of the worker that has least."""
-        if self._memory_limit is not None:
-            return self._memory_limit
-        limits = (worker["memory_limit"] for worker in self.client.scheduler_info()["workers"].values())
-        return min(filter(None, limits), default=None)
-
-    def result(self, future: Future[Any]) -> Answer:
-        """Wait for a result, and watch the workers meanwhile: if the worker that had it has died since, it is computed
-        again, which would take for ever without workers.
-        """
-        fetching = self.fetch([future])
-        while not wait([fetching], LOOK_EVERY_S).done:
-            self.look()
-        return fetching.result()[0]
-
-    def fetch(self, futures: list[Future[Any]]) -> Fetching[list[Answer]]:
-        """Begin to fetch results, in one message.
-
-        Fetching goes on whether it is waited for or not.  Dask cancels what takes longer than its timeouts; if it had
-        not begun yet, as on a machine that stalls for a moment, all that the client fetches later fails.
-        """
-        loop: Any = self.client.loop
-        return run_coroutine_threadsafe(self.client.gather(futures, asynchronous=True), loop.asyncio_loop)
-
-    def warn(self, worker: str, texts: list[str]) -> None:
+    def _warn(self, worker: str, texts: list[str]) -> None:
         """Say once how a worker differs in what decides at most how sums are rounded."""
         for text in texts:
             if text not in self._warned:
                 self._warned.add(text)
-                self.say(f"warning: {text} (worker {worker}); the last digits of results may differ")
+                self._say(f"warning: {text} (worker {worker}); the last digits of results may differ")
 
-    def gone(self) -> SweepError:
-        """Return the error for a connection that is lost."""
-        return SweepError(f"the connection to {self.where} is lost; {KEPT}")
+    def _gone(self) -> SweepError:
+        return SweepError(f"the connection to {self._where} is lost; {KEPT}")
 
-    def unable(self, error: BaseException) -> SweepError:
-        """Return the error for workers that cannot import what they are sent."""
-        return SweepError(f"the workers of {self.where} cannot run linksweep: {type(error).__name__}: {error}")
-
-
-class DaskDriver:
-    """An executor on the workers of a Dask client.
-
-    The work of a worker that died is done again in a child process of another one, where a block that ends its process
-    ends nothing else and can be identified: no block is blamed for another.
-    """
-
-    def __init__(self, workers: DaskWorkers, limits: Limits, guarded: bool = False) -> None:
-        """``guarded`` lets everything run in child processes, for workers in a process that must not be ended."""
-        self._workers, self._limits, self._guarded = workers, limits, guarded
+    def _unable(self, error: BaseException) -> SweepError:
+        return SweepError(f"the workers of {self._where} cannot run linksweep: {type(error).__name__}: {error}")
 
     def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         """Compute everything that ``take`` gives; begin now, not when the first result is asked for."""
-        loop = _Loop(self._workers, self._limits, self._guarded, take)
-        loop.send_what_is_new()
-        return loop.results()
-
-
-class _Loop(Generic[AnyJob]):
-    """The loop over the jobs of one call."""
-
-    def __init__(
-        self, workers: DaskWorkers, limits: Limits, guarded: bool, take: Callable[[int], Sequence[AnyJob]]
-    ) -> None:
-        self._workers, self._limits, self._guarded = workers, limits, guarded
-        self._take: Callable[[int], Sequence[AnyJob]] = take
-        self._in_flight: dict[Future[Any], _Submission[AnyJob]] = {}
+        self._take: Callable[[int], Sequence[Any]] = take
+        self._in_flight: dict[Future[Any], _Submission] = {}
         self._ended: SimpleQueue[Future[Any]] = SimpleQueue()
         self._arrived: deque[tuple[Future[Any], Answer | None]] = deque()
-        self._retries: deque[_Submission[AnyJob]] = deque()
-        self._given_up: dict[bytes, Failure] = {}
+        self._retries: deque[_Submission] = deque()
         self._troubles: set[str] = set()
         self._succeeded = 0
+        self._send_what_is_new()
+        return self._results()
 
     def _room(self) -> int:
-        return max(0, TASKS_IN_FLIGHT * self._workers.threads - len(self._in_flight))
+        return max(0, TASKS_IN_FLIGHT * self._threads - len(self._in_flight))
 
-    def send_what_is_new(self) -> None:
+    def _send_what_is_new(self) -> None:
         """Send as much as there is room for: in several messages, so that workers need not wait for all to be sent."""
         while (room := min(self._room(), MOST_SENT)) and (jobs := self._take(room)):
             self._send([_Submission(job) for job in jobs])
 
-    def results(self) -> Iterator[tuple[AnyJob, Any]]:
+    def _send_again(self) -> None:
+        """Send what is to be tried again and is still wanted."""
+        now = time.monotonic()
+        for again in [one for one in self._retries if one.not_before <= now][: self._room()]:
+            self._retries.remove(again)
+            if job := again.job.wanted():
+                self._send([replace(again, job=job)])
+
+    def _results(self) -> Iterator[tuple[Any, Any]]:
         """Yield each job with its result until there are no more."""
         while True:
-            now = time.monotonic()
-            for again in [one for one in self._retries if one.not_before <= now][: self._room()]:
-                self._retries.remove(again)
-                rest, failures = again.job.without(self._given_up)
-                yield from failures
-                if rest is not None:
-                    self._send([replace(again, job=rest)])
-            if not self._arrived or self._room() >= self._workers.threads:
-                self.send_what_is_new()
+            self._send_again()
+            if not self._arrived or self._room() >= self._threads:
+                self._send_what_is_new()
             if not self._retries and not self._in_flight:
                 return
             if not self._arrived:
@@ -235,77 +260,78 @@ class _Loop(Generic[AnyJob]):
                 continue
             future, fetched = self._arrived.popleft()
             one = self._in_flight.pop(future)
-            answer, error = self._received(future, fetched)
-            if answer is not None:
-                self._succeeded += 1
-                result = answer.result
-            elif not isinstance(error, KilledWorker):
+            try:
+                answer = self._received(future, fetched)
+            except SweepError:
+                raise
+            except KilledWorker as error:
+                if parts := self._after_loss(one):
+                    self._retries.extend(parts)
+                else:
+                    yield one.job, one.job.failed(Failure("killed", f"its worker died {MAX_LOSSES} times: {error}"))
+            except Exception as error:
                 self._retries.append(self._after_trouble(one, error))
-                continue
-            elif parts := self._after_loss(one):
-                self._retries.extend(parts)
-                continue
             else:
-                result = one.job.failed(Failure("killed", f"its worker died {MAX_LOSSES} times: {error}"))
-            self._given_up = one.job.given_up(result) | self._given_up
-            yield one.job, result
+                self._succeeded += 1
+                yield one.job, answer.result
 
-    def _send(self, submissions: Sequence[_Submission[AnyJob]]) -> None:
+    def _send(self, submissions: Sequence[_Submission]) -> None:
         """Send jobs in one message; all of them were with a worker that died equally often."""
-        seconds = task_seconds(self._workers.threads)
+        seconds = task_seconds(self._threads)
         enough_s = 2.0 * seconds if seconds > TASK_S else 0.0
-        guarded = self._guarded or submissions[0].losses > 0
-        futures = self._workers.client.map(
+        guarded = submissions[0].losses > 0
+        futures = self.client.map(
             run_on_worker,
             [one.job.task(self._limits, enough_s) for one in submissions],
-            expected=self._workers.expected,
+            expected=self._expected,
             guarded=guarded,
-            memory_limit=self._workers.memory_limit() if guarded else None,
+            memory_limit=self._memory_limit() if guarded else None,
             pure=False,
         )
         for future, one in zip(futures, submissions, strict=True):
             self._in_flight[future] = one
             future.add_done_callback(self._ended.put)
 
-    def _after_loss(self, one: _Submission[AnyJob]) -> list[_Submission[AnyJob]]:
+    def _memory_limit(self) -> int | None:
+        """Return the bytes that a child of a worker may take: by default those of the worker that has least."""
+        limits = (worker["memory_limit"] for worker in self.client.scheduler_info()["workers"].values())
+        return self._limits.memory or min(filter(None, limits), default=None)
+
+    def _after_loss(self, one: _Submission) -> list[_Submission]:
         """Return what is to be tried after the death of a worker: the same work in a child process, then each block in
         one of its own, then nothing.
 
         Raises SweepError where workers die and nothing else succeeds: that is no proof against a block.
         """
-        losses, blocks = one.losses + 1, len(one.job)
+        losses = one.losses + 1
         if losses < MAX_LOSSES:
-            words = "one block" if blocks == 1 else f"{blocks} blocks"
-            self._workers.say(
-                f"a worker died that had {words}; a child process of another one does them again ({losses})"
-            )
+            self._say(f"a worker died; a child process of another one does its work again ({losses})")
             jobs = [one.job] if losses == 1 else one.job.alone()
             return [replace(one, job=job, losses=losses, succeeded=self._succeeded) for job in jobs]
         if one.succeeded == self._succeeded:
-            raise SweepError(
-                f"the workers of {self._workers.where} die whatever they do; no point is blamed for it, {KEPT}"
-            )
+            raise SweepError(f"the workers of {self._where} die whatever they do; no point is blamed for it, {KEPT}")
         return []
 
-    def _after_trouble(self, one: _Submission[AnyJob], error: BaseException | None) -> _Submission[AnyJob]:
+    def _after_trouble(self, one: _Submission, error: Exception) -> _Submission:
         """Return what is to be tried after an error that is not the experiment's; raises SweepError after too many."""
         troubles = one.troubles + 1
         what = f"{type(error).__name__}: {error}"
         if troubles >= MAX_ATTEMPTS:
             raise SweepError(
-                f"a task on {self._workers.where} failed {troubles} times outside of the experiment, last with {what}; "
+                f"a task on {self._where} failed {troubles} times outside of the experiment, last with {what}; "
                 f"no point is blamed for it, {KEPT}"
             ) from error
         if what not in self._troubles:
             self._troubles.add(what)
-            self._workers.say(f"warning: a task failed outside of the experiment ({what}); it is tried again")
+            self._say(f"warning: a task failed outside of the experiment ({what}); it is tried again")
         return replace(one, troubles=troubles, not_before=time.monotonic() + FIRST_PAUSE_S * 2.0 ** (troubles - 1))
 
     def _wait(self, timeout: float) -> None:
-        """Wait for futures that end, and watch the workers meanwhile; fetch results in one message, since one by one
-        each would cost a round trip to the worker.  What fails so is fetched by itself later.
+        """Wait for futures that end, and watch the workers meanwhile; fetch results in one message.  What fails so is
+        fetched by itself later.
         """
-        self._workers.look_if_due()
+        if time.monotonic() - self._looked > LOOK_EVERY_S:
+            self._look()
         try:
             futures = [self._ended.get(timeout=timeout)]
         except Empty:
@@ -316,28 +342,44 @@ class _Loop(Generic[AnyJob]):
         answers: list[Answer] = []
         if len(good) > 1:
             with suppress(Exception):
-                answers = self._workers.fetch(good).result(LOOK_EVERY_S)
+                answers = self._fetch(good).result(LOOK_EVERY_S)
         known = dict(zip(good, answers, strict=False))
         self._arrived.extend((future, known.get(future)) for future in futures)
 
-    def _received(self, future: Future[Any], fetched: Answer | None) -> tuple[Answer | None, BaseException | None]:
-        """Return a worker's answer, or the error with which Dask lost it; what the experiment raises is in the answer.
+    def _fetch(self, futures: list[Future[Any]]) -> Fetching[list[Answer]]:
+        """Begin to fetch results, in one message.
+
+        Fetching goes on whether it is waited for or not.  Dask cancels what takes longer than its timeouts; if it had
+        not begun yet, as on a machine that stalls for a moment, all that the client fetches later fails.
+        """
+        loop: Any = self.client.loop
+        return run_coroutine_threadsafe(self.client.gather(futures, asynchronous=True), loop.asyncio_loop)
+
+    def _result(self, future: Future[Any]) -> Answer:
+        """Wait for a result, and watch the workers meanwhile: if the worker that had it has died since, it is computed
+        again, which would take for ever without workers.
+        """
+        fetching = self._fetch([future])
+        while not wait([fetching], LOOK_EVERY_S).done:
+            self._look()
+        return fetching.result()[0]
+
+    def _received(self, future: Future[Any], fetched: Answer | None) -> Answer:
+        """Return a worker's answer; raises the error with which Dask lost it.  What the experiment raises is in it.
 
         Raises SweepError where the worker differs, where it cannot run linksweep, and where the connection is lost.
         """
         try:
-            answer = fetched or self._workers.result(future)
-        except SweepError:
-            raise
+            answer = fetched or self._result(future)
         except ImportError as error:
-            raise self._workers.unable(error) from error
+            raise self._unable(error) from error
         except Exception as error:
-            if self._workers.client.status != "running":
-                raise self._workers.gone() from error
-            return None, error
+            if self.client.status != "running" and not isinstance(error, SweepError):
+                raise self._gone() from error
+            raise
         finally:
             future.release()
-        self._workers.warn(answer.worker, answer.others)
+        self._warn(answer.worker, answer.others)
         if answer.deciding:
             raise SweepError([f"{answer.worker}: {text}" for text in answer.deciding], "a worker that differs")
-        return answer, None
+        return answer

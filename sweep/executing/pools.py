@@ -26,8 +26,7 @@ class Pool(NamedTuple):
     def open(self, *arguments: Any) -> Any:
         """Return a context manager that gives the place and the executor of an experiment with this reference.
 
-        The arguments are the reference, the number of workers, what says sentences, the limits, and whether Dask's
-        dashboard is wished for.
+        The arguments are the reference, the number of workers and the limits.
         """
         module, _, name = self.opener.partition(":")
         return getattr(import_module(module), name)(*arguments)
@@ -35,7 +34,7 @@ class Pool(NamedTuple):
 
 POOLS: Mapping[PoolName, Pool] = {
     "processes": Pool("worker processes", "linksweep.sweep.executing.executor:processes"),
-    "threads": Pool("threads of this process", "linksweep.sweep.executing.clusters:threads"),
+    "threads": Pool("threads of this process", "linksweep.sweep.executing.executor:threads"),
     "serial": Pool("this process alone", "linksweep.sweep.executing.executor:serial", has_workers=False),
 }
 DEFAULT_POOL: PoolName = "processes"
@@ -64,8 +63,8 @@ NO_LIMITS = Limits()
 class Resources:
     """What to run on; never part of a study, because it cannot change a number.
 
-    ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.  With ``dashboard`` local
-    workers have the dashboard of Dask, which needs bokeh.
+    ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.  With ``dashboard`` the
+    local worker processes are Dask's and have its dashboard, which needs bokeh.
     """
 
     workers: int | None = None
@@ -85,10 +84,8 @@ class Resources:
 
         if self.pool not in (None, *POOLS):
             raise SweepError(f"no pool {shown(self.pool)}{suggest(str(self.pool), list(POOLS))}")
-        if self.scheduler is not None or self.cluster is not None:
-            raise SweepError("a dashboard is made for local workers; a scheduler and a cluster have their own")
-        if not POOLS[self.pool or DEFAULT_POOL].has_workers:
-            raise SweepError(f"pool {shown(self.pool)} has no workers and no dashboard")
+        if self.scheduler is not None or self.cluster is not None or self.pool not in (None, DEFAULT_POOL):
+            raise SweepError("a dashboard is for local worker processes; a scheduler and a cluster have their own")
         if find_spec("bokeh") is None:
             raise SweepError("a dashboard needs bokeh: `pip install 'linksweep[report]'`")
 
@@ -108,8 +105,8 @@ def available_cores() -> int:
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """Collect no garbage in this block: modules are none, and importing Dask, pandas and xarray takes a tenth less
-    time where Python does not search for it after every few hundred new objects.
+    """Collect no garbage in this block: modules are none, and importing pandas and xarray takes a tenth less time where
+    Python does not search for it after every few hundred new objects.
     """
     enabled = gc.isenabled()
     gc.disable()

@@ -12,11 +12,11 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 
@@ -51,20 +51,17 @@ class _Routes(io.TextIOBase):
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._threads: dict[int, Captured] = {}
-        self._before: TextIO | None = None
-        self._restore = ExitStack()
 
     def begin(self, captured: Captured) -> None:
         """Capture the calling thread."""
         with self._lock:
             if not self._threads:
-                self._before, sys.stdout = sys.stdout, self
-                self._restore.enter_context(warnings.catch_warnings())
+                self._before = sys.stdout, warnings.showwarning, list(warnings.filters)
+                self._generators = np.random.get_state(), random.getstate()  # noqa: NPY002
+                sys.stdout, warnings.showwarning = self, self._warn  # type: ignore[assignment]
                 seldom = ("default", "module", "once")  # count all of these; keep "ignore" and "error"
                 _set_filters([("always" if f[0] in seldom else f[0], *f[1:]) for f in warnings.filters])
                 warnings.simplefilter("always", append=True)
-                self._show, warnings.showwarning = warnings.showwarning, self._warn  # type: ignore[assignment]
-                self._restore.enter_context(_generators_restored())
                 self._folder, self._environment = _working_folder(), _environment()
                 self._variables, self._filters = dict(os.environ), list(warnings.filters)
                 self._streams = sys.stdin, sys.stdout, sys.stderr
@@ -91,16 +88,17 @@ class _Routes(io.TextIOBase):
         with self._lock:
             del self._threads[threading.get_ident()]
             if not self._threads:
-                self._restore.close()
-                if sys.stdout is self and self._before is not None:
-                    sys.stdout = self._before
+                sys.stdout, warnings.showwarning, filters = self._before
+                _set_filters(filters)
+                np.random.set_state(self._generators[0])  # noqa: NPY002
+                random.setstate(self._generators[1])
 
     def write(self, text: str) -> int:
         """Keep what a thread prints; text of a thread that an experiment has started is kept with a block under way."""
         if (captured := self._captured()) is not None:
             captured.printed += text[: MOST_PRINTED - len(captured.printed)]
-        elif self._before is not None:
-            self._before.write(text)
+        else:
+            self._before[0].write(text)
         return len(text)
 
     def writable(self) -> bool:
@@ -112,7 +110,7 @@ class _Routes(io.TextIOBase):
 
     def _warn(self, message: Any, category: type[Warning], filename: str, lineno: int, *rest: Any) -> None:
         if (captured := self._captured()) is None:
-            self._show(message, category, filename, lineno, *rest)
+            self._before[1](message, category, filename, lineno, *rest)
             return
         text = f"{category.__name__}: {message} ({Path(filename).name}, line {lineno})"
         if text in captured.warnings or len(captured.warnings) < MOST_WARNINGS:
@@ -146,8 +144,11 @@ def undisturbed(seed: int) -> Iterator[None]:
         with np.errstate(), decimal.localcontext():
             yield
     except BaseException as error:
-        if os.getpid() != parent:
-            _end_fork(error)
+        if os.getpid() != parent:  # as Python ends: with the code of `sys.exit`, or with 1 and a traceback
+            code = error.code if isinstance(error, SystemExit) else 1
+            if not isinstance(error, SystemExit):
+                traceback.print_exception(error, file=sys.__stderr__)
+            os._exit(0 if code is None else code if isinstance(code, int) else 1)
         raise
     finally:
         if os.getpid() != parent:  # it would go on with the run beside its parent
@@ -167,7 +168,7 @@ def ignored(*_signal: object) -> None:
     """Ignore a signal in this process, but not in the programs that it starts, as SIG_IGN would."""
 
 
-def _set_filters(filters: Sequence[Any]) -> None:
+def _set_filters(filters: list[Any]) -> None:
     """Let these be the filters of warnings, from their entries in `warnings.filters`."""
     warnings.resetwarnings()
     for action, message, category, module, line in filters:
@@ -185,24 +186,6 @@ def _working_folder() -> str | None:
     with suppress(OSError):
         return os.getcwd()
     return None
-
-
-@contextmanager
-def _generators_restored() -> Iterator[None]:
-    states = np.random.get_state(), random.getstate()  # noqa: NPY002
-    try:
-        yield
-    finally:
-        np.random.set_state(states[0])  # noqa: NPY002
-        random.setstate(states[1])
-
-
-def _end_fork(error: BaseException) -> None:
-    """End a forked process as Python does: with the code of `sys.exit`, or with 1 and a traceback."""
-    code = error.code if isinstance(error, SystemExit) else 1
-    if not isinstance(error, SystemExit):
-        traceback.print_exception(error, file=sys.__stderr__)
-    os._exit(0 if code is None else code if isinstance(code, int) else 1)
 
 
 class TimeLimitError(BaseException):
@@ -258,10 +241,8 @@ class Deadlines:
     def _set(self, thread: int, end: float | None) -> None:
         """Set or drop a thread's end, and set the alarm to the earliest of all ends."""
         with self._lock:
-            if end is None:
-                self._ends.pop(thread, None)
-            else:
+            self._ends.pop(thread, None)
+            if end is not None:
                 self._ends[thread] = end
             wait = max(1e-3, min(self._ends.values()) - time.monotonic()) if self._ends else 0.0
-            if hasattr(signal, "setitimer"):
-                signal.setitimer(signal.ITIMER_REAL, wait)
+            signal.setitimer(signal.ITIMER_REAL, wait)

@@ -1,7 +1,7 @@
 """What goes to a worker and what comes back: blocks of a study or a call of a function; results and failures."""
 
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol, TypeVar
@@ -74,6 +74,24 @@ class Failure:
         object.__setattr__(self, "traceback", _printable(self.traceback, MAX_TRACEBACK))
 
 
+@dataclass
+class TaskResult:
+    """Results of a task, of one row for each point of each unit in their order, and the ``seconds`` that each took,
+    (rows,).  The last units have no rows where the task took longer than `linksweep.sweep.executing.worker.ENOUGH_S`.
+
+    By the number of a row, ``outcomes`` has what its block left, ``failures`` the reason why it could not be computed,
+    and ``said`` what was printed in the unit whose first row it is.  ``cold`` says that the first row was the first
+    call in its process, which may include imports; ``refused`` why no result of this experiment is to be used, or ''.
+    """
+
+    seconds: NDArray[np.float64]
+    outcomes: dict[int, Outcome] = field(default_factory=dict)
+    failures: dict[int, Failure] = field(default_factory=dict)
+    said: dict[int, Captured] = field(default_factory=dict)
+    cold: bool = False
+    refused: str = ""
+
+
 @dataclass(frozen=True)
 class Call:
     """A function and its arguments, which a worker with the code of an experiment is to compute; as a job, itself."""
@@ -97,13 +115,9 @@ class Call:
         """Return the call: it has no parts."""
         return [self]
 
-    def given_up(self, _result: Any) -> dict[bytes, "Failure"]:
-        """Return nothing: a call stands for itself."""
-        return {}
-
-    def without(self, _given_up: object) -> "tuple[Call, list[Any]]":
+    def wanted(self) -> "Call":
         """Return the call."""
-        return self, []
+        return self
 
     def failed(self, reason: "Failure") -> Any:
         """Raise SweepError: nothing goes on without the result of a call."""
@@ -112,10 +126,13 @@ class Call:
 
 @dataclass(frozen=True)
 class Batch:
-    """A job: blocks of a study that go to a worker in one task."""
+    """A job: blocks of a study that go to a worker in one task.  ``is_missing`` says of a point, by its index, whether
+    it is still to be computed.
+    """
 
     study: Study
     works: list[Work]
+    is_missing: Callable[[int], bool] = lambda _: True
 
     def __len__(self) -> int:
         return sum(len(work.points) for work in self.works)
@@ -125,7 +142,7 @@ class Batch:
         """What the blocks cost, in the unit of `Work.cost`."""
         return sum(work.cost for work in self.works)
 
-    def task(self, limits: Limits = NO_LIMITS, enough_s: float = 0.0) -> "Task":
+    def task(self, limits: Limits = NO_LIMITS, enough_s: float = 0.0) -> Task:
         """Return what a worker gets; after ``enough_s`` seconds it is to return what it has."""
         experiment, sampling, reference = self.study.experiment, self.study.sampling, self.study.experiment_reference
         defaults = experiment.defaults()
@@ -143,30 +160,17 @@ class Batch:
 
     def alone(self) -> "list[Batch]":
         """Return each block by itself."""
-        return [Batch(self.study, [work]) for work in self.works]
+        return [replace(self, works=[work]) for work in self.works]
 
-    def given_up(self, result: "TaskResult") -> dict[bytes, "Failure"]:
-        """Return the points, by digest, that ended their process or took too long, by a result of this work."""
-        points = [point for work in self.works for point in work.points]
-        lost = {row: why for row, why in result.failures.items() if why.kind in ("killed", "time limit")}
-        return {points[row].digest: why for row, why in lost.items()}
-
-    def without(self, given_up: Mapping[bytes, "Failure"]) -> "tuple[Batch | None, list[tuple[Batch, TaskResult]]]":
-        """Return the work without the points that are given up, and these with their failures: each of their blocks
-        would cost as much again.
-        """
-        rest, failures = [], []
+    def wanted(self) -> "Batch":
+        """Return the work without the points that have failed meanwhile, which would cost as much again."""
+        works = []
         for work in self.works:
-            left = tuple(point for point in work.points if point.digest not in given_up)
-            for point in work.points:
-                if (reason := given_up.get(point.digest)) is not None:
-                    one = Batch(self.study, [work._replace(points=(point,), cost=work.cost / len(work.points))])
-                    failures.append((one, one.failed(reason)))
-            if left:
-                rest.append(work._replace(points=left, cost=work.cost * len(left) / len(work.points)))
-        return (Batch(self.study, rest) if rest else None), failures
+            if left := tuple(point for point in work.points if self.is_missing(point.index)):
+                works.append(work._replace(points=left, cost=work.cost * len(left) / len(work.points)))
+        return replace(self, works=works)
 
-    def failed(self, reason: "Failure") -> "TaskResult":
+    def failed(self, reason: Failure) -> TaskResult:
         """Return the result of work that failed."""
         return failed(len(self), reason)
 
@@ -207,24 +211,6 @@ class RefusedError(SweepError):
     """No result of an experiment is to be used, as a worker has found."""
 
 
-@dataclass
-class TaskResult:
-    """Results of a task, of one row for each point of each unit in their order, and the ``seconds`` that each took,
-    (rows,).  The last units have no rows where the task took longer than `linksweep.sweep.executing.worker.ENOUGH_S`.
-
-    By the number of a row, ``outcomes`` has what its block left, ``failures`` the reason why it could not be computed,
-    and ``said`` what was printed in the unit whose first row it is.  ``cold`` says that the first row was the first
-    call in its process, which may include imports; ``refused`` why no result of this experiment is to be used, or ''.
-    """
-
-    seconds: NDArray[np.float64]
-    outcomes: dict[int, Outcome] = field(default_factory=dict)
-    failures: dict[int, Failure] = field(default_factory=dict)
-    said: dict[int, Captured] = field(default_factory=dict)
-    cold: bool = False
-    refused: str = ""
-
-
 def failure_of(error: BaseException) -> Failure:
     """Return why a point failed, from what was raised."""
     if isinstance(error, NotFiniteError):
@@ -238,9 +224,9 @@ def failure_of(error: BaseException) -> Failure:
     return Failure("exception", f"{type(error).__name__}{f': {text}' if text else ''}", traceback.format_exc())
 
 
-def too_long(task: Task, trace: str) -> Failure:
+def too_long(limit_s: float, trace: str) -> Failure:
     """Return the failure of a block that reached its time limit."""
-    return Failure("time limit", f"a block took longer than the time limit of {task.time_limit_s:g} s", trace)
+    return Failure("time limit", f"a block took longer than the time limit of {limit_s:g} s", trace)
 
 
 def failed(rows: int, reason: Failure | None = None) -> TaskResult:
@@ -251,19 +237,14 @@ def failed(rows: int, reason: Failure | None = None) -> TaskResult:
 
 def joined(results: Sequence[TaskResult]) -> TaskResult:
     """Return the result of a task from those of its parts, in their order."""
-    starts = np.cumsum([0, *(len(result.seconds) for result in results)]).tolist()
-
-    def by_row(parts: Iterator[dict[int, Any]]) -> dict[int, Any]:
-        return {first + row: value for first, part in zip(starts, parts, strict=False) for row, value in part.items()}
-
-    return TaskResult(
-        np.concatenate([result.seconds for result in results]),
-        by_row(result.outcomes for result in results),
-        by_row(result.failures for result in results),
-        by_row(result.said for result in results),
-        cold=any(result.cold for result in results[:1]),
-        refused=next((result.refused for result in results if result.refused), ""),
-    )
+    whole = failed(0)
+    for first, result in zip(np.cumsum([0, *(len(one.seconds) for one in results)]).tolist(), results, strict=False):
+        for name in ("outcomes", "failures", "said"):
+            getattr(whole, name).update({first + row: value for row, value in getattr(result, name).items()})
+        whole.refused = whole.refused or result.refused
+    whole.seconds = np.concatenate([whole.seconds, *(result.seconds for result in results)])
+    whole.cold = any(result.cold for result in results[:1])
+    return whole
 
 
 def _printable(text: str, most: int) -> str:

@@ -1,17 +1,20 @@
-"""Computes a task on a worker: its blocks, one after the other."""
+"""Computes a task on a worker: its blocks one after the other, or many points at once; and checks that what a plain
+function returns depends on its point alone.
+"""
 
 import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import replace
 from itertools import chain, groupby
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from linksweep.sweep.code.load import load_experiment
-from linksweep.sweep.contract import Experiment, GeneratorPair, Point, SweepError
-from linksweep.sweep.executing.function_calls import how_it_differs, points_together
+from linksweep.sweep.contract import Experiment, Outcome, Point, SweepError, shown
 from linksweep.sweep.executing.process import (
     Captured,
     Deadlines,
@@ -31,6 +34,7 @@ from linksweep.sweep.executing.task import (
     joined,
     too_long,
 )
+from linksweep.sweep.functions.results import differences, same_value
 from linksweep.sweep.planning.plan import generators_of
 
 ENOUGH_S = 2.0
@@ -42,8 +46,28 @@ MOST_CATALOGUES = 256
 IMPORTS_S = 30.0
 """A first call in a process that takes longer is slow by itself; a shorter one may be so for what it imports."""
 
-_called: set[tuple[str, str | None, int]] = set()
-"""The experiments that were called in this process, by reference, digest and thread."""
+CHECKED = 3
+"""Points of a process's first call of a vectorised function for more than these that are also computed alone."""
+
+LONGEST_S = 1.0
+"""Seconds of a first call after which there is no second one."""
+
+WHAT_TO_DO = (
+    "A function that draws random numbers takes them from its argument rng; one whose results need not be the same "
+    "declares @experiment(deterministic=False)"
+)
+
+Who = tuple[str, str | None]
+"""The reference and the digest of an experiment."""
+
+_called: set[tuple[Who, int]] = set()
+"""The experiments that were called in this process, by thread."""
+
+_dependence: dict[Who, str] = {}
+"""How points of vectorised functions depend on those beside them."""
+
+_agreed: set[Who] = set()
+"""The functions that returned the same twice in this process."""
 
 
 def compute(task: Task | Call, deadlines: Deadlines | None = None) -> Any:
@@ -75,85 +99,72 @@ def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
 
 
 def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
-    """Yield the result of each unit of a task; the other blocks of a point that took too long are not tried."""
-    who = task.experiment_reference, task.source_digest, threading.get_ident()
+    """Yield the results of the units of a task in their order: of one, or of several that were computed in one call.
+
+    They end with a point that took too long: its other blocks would too, and the rest is given out again.
+    """
+    caller = (task.experiment_reference, task.source_digest), threading.get_ident()
     for result in _run_units(task, deadlines):
-        result.cold = who not in _called and float(result.seconds[0]) < IMPORTS_S
-        _called.add(who)
+        result.cold = caller not in _called and float(result.seconds[0]) < IMPORTS_S
+        _called.add(caller)
         yield result
+        if any(failure.kind == "time limit" for failure in result.failures.values()):
+            return
 
 
 def _run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
     if experiment.vectorised and len(task.units) > 1:
-        together = points_together(experiment, task, deadlines)
+        together = _points_together(experiment, task, deadlines)
         if together is not None:
             yield together
             return
     with captured() if task.caught else nullcontext(Captured()) as said:
         several = takes_several(experiment, task)
         for units in alike(task.units) if several else [task.units]:
-            known = catalogues_together(experiment, task, units) if several else None
-            if known is None:
-                said.taken()  # the units say it again, one by one
+            result = _catalogues_together(experiment, task, units) if several else None
+            printed = said.taken()
+            if result is None:  # the units print it again, one by one
                 yield from _one_by_one(experiment, task, units, deadlines, said)
                 continue
-            if (told := said.taken()) is not None:
-                known.said[0] = told
-            yield known
+            if printed is not None:
+                result.said[0] = printed
+            yield result
 
 
 def _one_by_one(
     experiment: Experiment, task: Task, units: Sequence[PointBlock], deadlines: Deadlines, said: Captured
 ) -> Iterator[TaskResult]:
     """Yield the result of each of these units of a task, with what was ``said`` meanwhile."""
-    defaults = experiment.defaults()
-    given_up: list[tuple[bytes, dict[str, Any], Failure]] = []
     for unit in units:
-        pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
         result = failed(len(unit.points))
-        for stream, point, reason in given_up:
-            known = [row for row, own in enumerate(unit.points) if (stream, point) == (unit.stream, own)]
-            result.failures.update(dict.fromkeys(known, reason))
-        rows = [row for row in range(len(unit.points)) if row not in result.failures]
+        rows = list(range(len(unit.points)))
         begun = time.perf_counter()
-        points = [defaults | unit.points[row] for row in rows]
-        if rows and not _try(experiment, points, rows, unit, pairs, task, result, deadlines) and len(rows) > 1:
-            for point, row in zip(points, rows, strict=True):  # which of those that share the draw is to blame?
-                afresh = generators_of(task.seed, unit.stream, unit.block)
-                _try(experiment, [point], [row], unit, afresh, task, result, deadlines)
-        if (told := said.taken()) is not None:
-            result.said[min(rows, default=0)] = told
-        result.seconds[rows] = (time.perf_counter() - begun) / max(1, len(rows))
+        if not _try(experiment, rows, unit, task, result, deadlines) and len(rows) > 1:
+            for row in rows:  # which of those that share the draw is to blame?
+                _try(experiment, [row], unit, task, result, deadlines)
+        if (printed := said.taken()) is not None:
+            result.said[0] = printed
+        result.seconds[:] = (time.perf_counter() - begun) / len(rows)
         if task.repeatable and 0 in result.outcomes:
             seconds = float(result.seconds[0])
-            alone = replace(task, units=(unit,))
-            result.refused = how_it_differs(experiment, alone, [result.outcomes[0]], seconds, deadlines)
+            result.refused = _how_it_differs(experiment, task, [unit], [result.outcomes[0]], seconds, deadlines)
             said.taken()  # what the second call says was said by the first
-        late = [row for row in rows if row in result.failures and result.failures[row].kind == "time limit"]
-        given_up += [(unit.stream, unit.points[row], result.failures[row]) for row in late]
         yield result
 
 
 def _try(
-    experiment: Experiment,
-    points: Sequence[Point],
-    rows: list[int],
-    unit: PointBlock,
-    pairs: Sequence[GeneratorPair],
-    task: Task,
-    result: TaskResult,
-    deadlines: Deadlines,
+    experiment: Experiment, rows: list[int], unit: PointBlock, task: Task, result: TaskResult, deadlines: Deadlines
 ) -> bool:
     """Compute some points of a unit and fill in these rows of its result; return whether that succeeded."""
+    pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
+    points = [experiment.defaults() | unit.points[row] for row in rows]
+    limit = None if task.time_limit_s is None else task.time_limit_s * len(rows)
     try:
-        with (
-            undisturbed(task.seed_of(unit)),
-            deadlines.within(None if task.time_limit_s is None else task.time_limit_s * len(rows)),
-        ):
+        with undisturbed(task.seed_of(unit)), deadlines.within(limit):
             outcomes = experiment.compute(points, unit.block.n_sim, pairs, task.keep_samples)
     except TimeLimitError:
-        reason = too_long(task, traceback.format_exc())
+        reason = too_long(task.time_limit_s or 0.0, traceback.format_exc())
     except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
         if is_interruption(error) or not task.caught:
             raise
@@ -172,12 +183,9 @@ def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
     them, whose blocks have only one catalogue.
     """
     for small, group in groupby(units, lambda u: (u.stream, u.block.n_sim, u.points) if u.block.n_cat > 1 else None):
-        if small is None:
-            yield tuple(group)
-        else:
-            whole = tuple(group)
-            most = max(1, MOST_CATALOGUES // max(unit.block.n_cat for unit in whole))
-            yield from (whole[first : first + most] for first in range(0, len(whole), most))
+        whole = tuple(group)
+        most = max(1, MOST_CATALOGUES // max(unit.block.n_cat for unit in whole)) if small else len(whole)
+        yield from (whole[first : first + most] for first in range(0, len(whole), most))
 
 
 def takes_several(experiment: Experiment, task: Task) -> bool:
@@ -185,13 +193,13 @@ def takes_several(experiment: Experiment, task: Task) -> bool:
     return experiment.evaluate_catalogues is not None and not task.keep_samples and task.time_limit_s is None
 
 
-def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBlock, ...]) -> TaskResult | None:
+def _catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBlock, ...]) -> TaskResult | None:
     """Return the sums of blocks of one point whose catalogues are evaluated in one call.
 
     None where they are large, and where the call raises: one by one the blocks show which is to blame.
     """
     n_cat = [unit.block.n_cat for unit in units]
-    if experiment.evaluate_catalogues is None or n_cat[0] == 1:
+    if n_cat[0] == 1:
         return None
     points = [experiment.defaults() | point for point in units[0].points]
     begun = time.perf_counter()
@@ -204,7 +212,137 @@ def catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBl
         if is_interruption(error):
             raise
         return None
+    return _succeeded(outcomes, time.perf_counter() - begun)
+
+
+def _points_together(experiment: Experiment, task: Task, deadlines: Deadlines) -> TaskResult | None:
+    """Return the results of all points of a task from one call of a vectorised function, or None where it raises.
+
+    The first call in a process also computes some points alone; where a result differs, all points fail, in this call
+    and later ones.
+    """
+    points = [experiment.defaults() | unit.points[0] for unit in task.units]
+    who = task.experiment_reference, task.source_digest
+    wrong = _dependence.get(who, "")
+    if wrong:
+        return failed(len(points), Failure("exception", wrong))
+    begun = time.perf_counter()
+    with captured() as said:
+        try:
+            limit = None if task.time_limit_s is None else task.time_limit_s * (len(points) + CHECKED)
+            with undisturbed(task.seed_of(task.units[0])), deadlines.within(limit):
+                outcomes = experiment.compute(points, 1, ())
+                if who not in _dependence:
+                    wrong = dependence(experiment, points, outcomes, [unit.stream for unit in task.units])
+                    if wrong or len(points) > CHECKED:
+                        _dependence[who] = wrong
+        except BaseException as error:  # which point is to blame is found out one by one
+            if is_interruption(error):
+                raise
+            return None
+        printed, seconds = said.taken(), time.perf_counter() - begun
+        refused = _how_it_differs(experiment, task, task.units, outcomes, seconds, deadlines)
+    result = _succeeded(outcomes, seconds)
+    if wrong:
+        result.outcomes, result.failures = {}, dict.fromkeys(range(len(points)), Failure("exception", wrong))
+    result.refused = refused
+    if printed is not None:
+        result.said[0] = printed
+    return result
+
+
+def _succeeded(outcomes: Sequence[Outcome], seconds: float) -> TaskResult:
+    """Return the result of points that were computed in one call."""
     result = failed(len(outcomes))
     result.outcomes.update(enumerate(outcomes))
-    result.seconds[:] = (time.perf_counter() - begun) / len(result.seconds)
+    result.seconds[:] = seconds / len(outcomes)
     return result
+
+
+def dependence(
+    experiment: Experiment, points: Sequence[Point], outcomes: Sequence[Outcome], digests: Sequence[bytes]
+) -> str:
+    """Return how one of many points differs from the result of that point alone, in words; '' where none does.
+
+    The points with the least digests are compared: the same of the same points, whatever their order, and at least one
+    that is neither the first nor the last.  Raises whatever the function raises.
+    """
+    among = _columns(outcomes)
+    for place in sorted(range(len(points)), key=digests.__getitem__)[:CHECKED]:
+        alone = _columns(experiment.compute([points[place]], 1, ()))
+        for name in among.keys() & alone.keys():
+            there, here = np.asarray(among[name][place]), np.asarray(alone[name][0])
+            if not _agree(there, here, among[name], experiment.tolerance):
+                where = ", ".join(f"{parameter}={shown(value)}" for parameter, value in points[place].items())
+                return (
+                    f"{experiment.name}: {name!r} is {shown(there.tolist())} in a call for {len(points):,} points, but "
+                    f"{shown(here.tolist())} for the same point ({where}) alone; what a vectorised function returns "
+                    "for a point must not depend on the others by more than its tolerance (1e-12 if it declares none)"
+                )
+    return ""
+
+
+def _columns(outcomes: Sequence[Outcome]) -> dict[str, NDArray[Any]]:
+    """Return the results of points of one layout by name, (points, ...)."""
+    fields = outcomes[0].layout.fields
+    return {field.name: np.array([outcome.row[k] for outcome in outcomes]) for k, field in enumerate(fields)}
+
+
+def _agree(one: NDArray[Any], other: NDArray[Any], everything: NDArray[Any], tolerance: float) -> bool:
+    """Return whether values agree; floats within the tolerance, relative to them or to a hundredth of the largest that
+    another point has in their place, as for those that are zero but for rounding.
+    """
+    if one.shape != other.shape:
+        return False
+    same = one == other
+    if one.dtype.kind == other.dtype.kind == "f":
+        others = 0.01 * np.max(np.abs(everything), axis=0, where=np.isfinite(everything), initial=0.0)
+        with np.errstate(invalid="ignore"):
+            apart = np.abs(one - other)
+        near = apart <= tolerance * np.maximum(np.maximum(np.abs(one), np.abs(other)), others)
+        same |= (near & np.isfinite(apart)) | (np.isnan(one) & np.isnan(other))
+    return bool(np.all(same))
+
+
+def _how_it_differs(
+    experiment: Experiment,
+    task: Task,
+    units: Sequence[PointBlock],
+    first: Sequence[Outcome],
+    seconds: float,
+    deadlines: Deadlines,
+) -> str:
+    """Return a sentence if a second call at the points of some units gives other results than the ``first``, which took
+    so many ``seconds``; '' if it gives the same, and where there is no second one.
+    """
+    who = task.experiment_reference, task.source_digest
+    if not task.repeatable or who in _agreed or seconds > LONGEST_S:
+        return ""
+    points = [experiment.defaults() | unit.points[0] for unit in units]
+    try:
+        limit = None if task.time_limit_s is None else task.time_limit_s * len(points)
+        # Other random numbers than at first, if it takes those of the process.
+        with undisturbed(task.seed_of(units[0]) ^ 1), deadlines.within(limit):
+            second = experiment.compute(points, 1, ())
+        how = next(filter(None, map(_difference, first, second)), "")
+    except TimeLimitError:
+        return ""
+    except BaseException as error:
+        if is_interruption(error):
+            raise
+        how = f"and then raises {type(error).__name__}"
+    if not how:
+        _agreed.add(who)
+        return ""
+    place = ", ".join(f"{name} = {shown(value)}" for name, value in points[0].items()) or "its only point"
+    many = f" and {len(points) - 1:,} more" if len(points) > 1 else ""
+    return f"{experiment.name}: called twice at {place}{many}, it returns a result {how}. {WHAT_TO_DO}"
+
+
+def _difference(first: Outcome, second: Outcome) -> str:
+    """Return how two results differ, '' where they do not: their order does not matter, and NaN is NaN."""
+    if (wrong := differences(first.layout, second.layout)) or differences(second.layout, first.layout):
+        return f"and then another one: {'; '.join(wrong) or 'of another type'}"
+    other = dict(zip((field.name for field in second.layout.fields), second.row, strict=True))
+    pairs = zip(first.layout.fields, first.row, strict=True)
+    return next((f"and then one with another {f.name!r}" for f, v in pairs if not same_value(v, other[f.name])), "")

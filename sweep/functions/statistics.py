@@ -21,7 +21,12 @@ from linksweep.sweep.functions.results import NUMBERS, Field, Layout, as_row, di
 MOMENTS = 6
 """What a block keeps of each number of an output: mean, sums of 2nd to 4th powers about it, least and largest value."""
 
-NAMES = ("mean", "std", "min", "max", "count", "median")
+WORDS = {
+    **{"mean": "mean", "std": "standard deviation", "min": "least", "max": "largest"},
+    **{"count": "number of true", "median": "median"},
+}
+"""The statistics besides quantiles, in words."""
+
 DEFAULT = ("mean", "std")
 """The statistics of an output that declares none."""
 
@@ -49,9 +54,9 @@ SAME = 1e-6
 
 def statistic_problem(name: object) -> str | None:
     """Return what is wrong with the name of a statistic, None if nothing is."""
-    if name in NAMES or (isinstance(name, str) and quantile_of(name) is not None):
+    if name in WORDS or (isinstance(name, str) and quantile_of(name) is not None):
         return None
-    hint = suggest(name, NAMES) if isinstance(name, str) else ""
+    hint = suggest(name, list(WORDS)) if isinstance(name, str) else ""
     return f"there is no statistic {shown(name)}{hint}; quantiles are written q5, q95, q99.9"
 
 
@@ -62,6 +67,10 @@ def quantile_of(name: str) -> float | None:
     found = QUANTILE.fullmatch(name)
     level = float(found[1]) / 100.0 if found else 0.0
     return level if 0.0 < level < 1.0 else None
+
+
+def _words(name: str) -> str:
+    return WORDS.get(name) or f"{100.0 * (quantile_of(name) or 0.0):g} % quantile"
 
 
 def unknown(name: str, field: Field) -> str:
@@ -283,7 +292,7 @@ class Moments:
             meaning = field.meaning or field.name.replace("_", " ")
             plain = Output(field.name, field.unit, dims=field.dims, headline=field.name in headline, nan=True)
             for name in self.statistics[field.name]:
-                value = replace(plain, name=f"{field.name}_{name}", meaning=f"{_in_words(name)} of {meaning}")
+                value = replace(plain, name=f"{field.name}_{name}", meaning=f"{_words(name)} of {meaning}")
                 if name == "count":
                     value = replace(value, unit="")
                 made.append(value)
@@ -339,11 +348,3 @@ def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ..
     kept = [own for field, own in zip(layout.fields, values, strict=True) if reducer.levels(field)]
     row = reducer.as_row(len(rows), [moments_of(own) for own in values])
     return Outcome(row, np.concatenate(kept, axis=1) if kept else None, layout)
-
-
-def _in_words(name: str) -> str:
-    level = None if name == "median" else quantile_of(name)
-    if level is not None:
-        return f"{100.0 * level:g} % quantile"
-    words = {"std": "standard deviation", "min": "least", "max": "largest", "count": "number of true"}
-    return words.get(name, name)

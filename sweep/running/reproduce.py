@@ -13,7 +13,6 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code.load import identity
 from linksweep.sweep.contract import ResultError, SweepError, Value, shown, suggest
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.task import Task, TaskResult
@@ -138,7 +137,7 @@ def verify(study: Study, where: Where, number: int) -> Verified:
 
     def computed(points: Sequence[GridPoint]) -> dict[int, xr.Dataset | str]:
         results: dict[int, xr.Dataset | str] = {}
-        with Children(identity(study.experiment_reference)) as children:
+        with Children(study.experiment_reference, forked=False) as children:
             for point in points:
                 result, failures = _alone(study, point.parameters, children.run)
                 results[point.index] = next(iter(failures.values()), result)

@@ -161,7 +161,9 @@ class Session:
         most_blocks = writer.pending.most_blocks
         with self._kept(writer):
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
-            results = of_study(self.study, execute)(writer.pending.take)  # workers begin while this process writes
+            results = of_study(self.study, execute, self.accumulator.is_missing)(
+                writer.pending.take
+            )  # workers begin while this process writes
             if pending.blocks:
                 writer.write()  # so that there is a labelled, if empty, dataset from the start
             with writer:

@@ -313,45 +313,28 @@ def read_points(
     problems of ``values`` say what.
     """
     problems, before = values.problems, len(values.problems.sentences)
-    kinds = {
-        "file": {"file", "units"},
-        "columns": {"columns", "units", "origin"},
-        "design": {"design", "n", "seed", "ranges"},
-    }
-    chosen = [key for key in kinds if getattr(form, key) is not None]
-    columns: Columns = {}
+    columns: Columns = form.columns or {}
     origin: dict[str, Any] = dict(form.origin or {})
-    if len(chosen) != 1:
-        problems.add(
-            ("points",), f"needs exactly one of file, design and columns, not {' and '.join(chosen) or 'none'}"
-        )
-        return {}, {}
-    for stray in sorted(form.model_fields_set - kinds[chosen[0]] - {"derive"}):
-        problems.add(("points", stray), f"does not go with {chosen[0]}")
-    before_it = {"file": f"{shown(form.file)}: ", "design": f"{form.design}: "}.get(chosen[0], "")
-    with problems.at(("points", chosen[0]), before_it):
+    with problems.at(("points", form.source), "" if form.source == "columns" else f"{form.file or form.design}: "):
         if form.design is not None:
             columns, origin = _designed(form, values)
         elif form.file is not None:
             columns, origin = _in_file(form, values), {"file": Path(form.file).name}
         else:
-            columns = _in_units(form.columns or {}, form.units, values, ("points", "columns"))
-    if len(problems.sentences) > before:
-        return {}, {}
-    lengths = {name: len(column) for name, column in columns.items()}
+            columns = _in_units(columns, form.units, values, ("points", "columns"))
     with problems.at(("points",)):
-        if len(set(lengths.values())) != 1:
-            sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
-            raise ValueError(f"needs columns with the same number of values: {sizes or 'it has no columns'}")
-        if not 1 <= (rows := max(lengths.values())) <= MAX_VALUES:
-            raise ValueError(f"has {rows:,} points; from 1 to {MAX_VALUES:,} are allowed")
-        if form.derive is None:
-            return columns, origin
-    if len(problems.sentences) == before and form.derive is not None:
+        lengths = {name: len(column) for name, column in columns.items()}
+        sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
+        if len(problems.sentences) == before and len(set(lengths.values())) != 1:
+            raise ValueError(f"needs columns with the same number of values; {sizes}")
+        if len(problems.sentences) == before and not 1 <= max(lengths.values()) <= MAX_VALUES:
+            raise ValueError(f"needs from 1 to {MAX_VALUES:,} points; {sizes}")
+    if form.derive is not None and len(problems.sentences) == before:
         with problems.at(("points", "derive")):
-            derived = _derived(form.derive, columns, values.experiment.defaults() | dict(fixed), values, code)
-            return {**columns, **derived}, origin | {"derive": form.derive}
-    return {}, {}
+            settings = values.experiment.defaults() | dict(fixed)
+            columns = {**columns, **_derived(form.derive, columns, settings, values, code)}
+            origin["derive"] = form.derive
+    return ({}, {}) if len(problems.sentences) > before else (columns, origin)
 
 
 def _in_file(form: PointsForm, values: Values) -> Columns:
@@ -438,10 +421,7 @@ def _derived(reference: str, columns: Columns, settings: Mapping[str, Any], valu
 
 def _designed(form: PointsForm, values: Values) -> tuple[Columns, dict[str, Any]]:
     """Return the columns of a design, and where they come from; raises ValueError or SweepError."""
-    name, problems = str(form.design), values.problems
-    for key, missing in (("n", form.n is None), ("ranges", not form.ranges)):
-        if missing:
-            problems.add(("points", key), "is required by a design")
+    name, n, problems = str(form.design), form.n or 0, values.problems
     ranges = []
     for key, spec in form.ranges.items():
         with problems.at(("points", "ranges", key)):
@@ -449,15 +429,15 @@ def _designed(form: PointsForm, values: Values) -> tuple[Columns, dict[str, Any]
             few = one.levels < MORRIS_LEVELS or any(isinstance(value, str | bool) for value in one.values)
             if name == "morris" and few:
                 raise ValueError(f"a Morris design takes steps between {MORRIS_LEVELS} numbers at least")
-    if form.n is None or not ranges or len(ranges) < len(form.ranges):
+    if len(ranges) < len(form.ranges):
         return {}, {}
-    if (size := DESIGNS[name].size(form.n, len(ranges))) > MAX_VALUES:
-        raise ValueError(f"makes {size:,} points of n = {form.n:,}; at most {MAX_VALUES:,} are allowed")
+    if (size := DESIGNS[name].size(n, len(ranges))) > MAX_VALUES:
+        raise ValueError(f"makes {size:,} points of n = {n:,}; at most {MAX_VALUES:,} are allowed")
     with warnings.catch_warnings():  # `remarks` says it in our words
         warnings.filterwarnings("ignore", message="The balance properties", category=UserWarning)
-        unit = np.asarray(DESIGNS[name].draw(form.n, len(ranges), np.random.default_rng(form.seed)))
+        unit = np.asarray(DESIGNS[name].draw(n, len(ranges), np.random.default_rng(form.seed)))
     columns = {one.name: one(unit[:, k]) for k, one in enumerate(ranges)}
-    return columns, {"design": name, "n": form.n, "seed": form.seed, "ranges": dict(form.ranges)}
+    return columns, {"design": name, "n": n, "seed": form.seed, "ranges": dict(form.ranges)}
 
 
 # Objects of Python in place of a file

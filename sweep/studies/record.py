@@ -56,12 +56,23 @@ def recorded(study: Study, costs: Costs | None) -> str:
     experiment = study.experiment
     record = {name: getattr(experiment, name) for name in _SAME}
     for name in ("parameters", "outputs", "sample_outputs"):
-        record[name] = [_declared(one) for one in getattr(experiment, name)]
+        declared = [
+            {f.name: (getattr(one, f.name), f.default) for f in fields(one)} for one in getattr(experiment, name)
+        ]
+        record[name] = [
+            {k: v for k, (v, default) in one.items() if v != default and not callable(v)} for one in declared
+        ]
     if further := experiment.as_record():
         record |= {"coordinates": {}} | further
     if costs is not None:
         record |= {"cost_axes": costs[0], "costs": {as_json(list(key)): cost for key, cost in costs[1].items()}}
-    return json.dumps(record, default=dict)  # mappings that are no dict
+    return json.dumps(record, default=_jsonable)
+
+
+def _jsonable(value: Any) -> Any:
+    if isinstance(value, Named):
+        return [value.name, value.identity]
+    return value.item() if hasattr(value, "item") else dict(value)  # numbers of NumPy, and mappings that are no dict
 
 
 def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
@@ -90,43 +101,24 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
     parameters = tuple(_made(Parameter, parameter) for parameter in record["parameters"])
     if "function" in record:
         return experiment_of_record(record, parameters)
+
+    def nothing(*_arguments: Any, **_named: Any) -> Any:
+        raise SweepError("the record of an experiment computes nothing")
+
+    names, costs = record.get("cost_axes", ()), record.get("costs", {})
+    cost: Any = nothing if "costs" not in record else lambda point: costs[as_json([point[name] for name in names])]
     outputs, samples = (tuple(_made(Output, o) for o in record[key]) for key in ("outputs", "sample_outputs"))
+    more = {} if costs == {as_json([]): 1.0} else {"cost": cost}  # all points cost the same: that is the default
     return Experiment(
         **{key: _tuples(record[key]) for key in _SAME},
         parameters=parameters,
         outputs=outputs,
-        evaluate=_computes_nothing,
-        summarise=_computes_nothing,
-        samples=_computes_nothing if samples else None,
+        evaluate=nothing,
+        summarise=nothing,
+        samples=nothing if samples else None,
         sample_outputs=samples,
-        **_cost(record),
+        **more,
     )
-
-
-def _cost(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the function for the cost of a point; none if all points cost 1, as is the default of an experiment."""
-    if "costs" not in record:
-        return {"cost": _computes_nothing}
-    names, costs = record["cost_axes"], record["costs"]
-    if costs == {as_json([]): 1.0}:
-        return {}
-    return {"cost": lambda point: float(costs[as_json([point[name] for name in names])])}
-
-
-def _computes_nothing(*_arguments: Any, **_named: Any) -> Any:
-    raise SweepError("the record of an experiment computes nothing")
-
-
-def _declared(declared: Parameter | Output) -> dict[str, Any]:
-    """Return the fields that differ from their defaults, as JSON has them."""
-    record: dict[str, Any] = {}
-    for field in fields(declared):
-        value = getattr(declared, field.name)
-        if field.name == "defined":
-            value = [[named.name, named.identity] for named in value]
-        if not callable(value) and value not in (field.default, []):
-            record[field.name] = value.item() if hasattr(value, "item") else value
-    return record
 
 
 def _made(kind: Any, stored: Mapping[str, Any]) -> Any:

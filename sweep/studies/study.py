@@ -251,13 +251,19 @@ class Sampling(Section):
     parameters that do not change the random numbers draw the same ones.
     """
 
-    n_sim: Count = 1000
-    n_cat: Count = 1
-    seed: Seed = 0
-    keep_samples: bool = False
-    precision: Tolerance | None = None
-    max_n_sim: Count | None = None
-    common_random_numbers: bool = False
+    n_sim: Count = Field(1000, description="realisations of each catalogue")
+    n_cat: Count = Field(1, description="catalogues of each point, an outer draw that realisations share")
+    seed: Seed = Field(0, description="same seed, same numbers, on any machine layout")
+    keep_samples: bool = Field(False, description="keep every single estimate too")
+    precision: Tolerance | None = Field(
+        None,
+        description="relative error of the headline results at which a point stops, after n_sim at least",
+        examples=[0.01],
+    )
+    max_n_sim: Count | None = Field(None, description="but not more than these", examples=[MOST_SIMS])
+    common_random_numbers: bool = Field(
+        False, description="let points share what they can: ratios and exponents have far less noise"
+    )
 
     @property
     def most(self) -> int:
@@ -271,7 +277,7 @@ class Sampling(Section):
         experiment: Experiment = info.context.experiment
         if experiment.deterministic:
             if keys := ", ".join(sorted(self.model_fields_set)):
-                raise ValueError(f"{experiment.name} takes no rng: there is nothing to sample, leave out {keys}")
+                raise ValueError(f"{experiment.name} takes no rng and is evaluated once: leave out {keys}")
             return self
         precise, most = self.precision is not None, self.max_n_sim
         judged, beyond = experiment.errors_of_headline(), most is not None and most < self.n_sim
@@ -489,6 +495,22 @@ class PointsForm(Section):
     derive: str | None = None
     origin: dict[str, Any] | None = None
 
+    @property
+    def source(self) -> str:
+        """Which of the three it is."""
+        return "file" if self.file is not None else "design" if self.design is not None else "columns"
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if [self.file, self.design, self.columns].count(None) != 2:
+            raise ValueError("needs exactly one of file, design and columns")
+        keys = {"file": {"units"}, "design": {"n", "seed", "ranges"}, "columns": {"units", "origin"}}[self.source]
+        if stray := sorted(self.model_fields_set - keys - {self.source, "derive"}):
+            raise ValueError(f"{', '.join(stray)}: does not go with {self.source}")
+        if self.design is not None and (self.n is None or not self.ranges):
+            raise ValueError(f"n = {self.n}, ranges = {shown(self.ranges)}: a design needs both")
+        return self
+
 
 class PublishedForm(Printed, frozen=True):
     """The table [published]."""
@@ -661,17 +683,6 @@ class Study:
 
 # What to begin a study with: a study that runs as it is, and the form of studies as JSON Schema, for editors
 
-SAMPLING = {
-    "n_sim": "realisations of each catalogue",
-    "n_cat": "catalogues of each point, an outer draw that realisations share",
-    "seed": "same seed, same numbers, on any machine layout",
-    "precision": "relative error of the headline results at which a point stops, after n_sim at least",
-    "max_n_sim": "but not more than these",
-    "keep_samples": "keep every single estimate too",
-    "common_random_numbers": "let points share what they can: ratios and exponents have far less noise",
-}
-SUGGESTED = {"precision": 0.01, "max_n_sim": MOST_SIMS}
-
 Schema = dict[str, Any]
 
 
@@ -688,13 +699,8 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         '# NAME = { start = 10, stop = 1000, num = 5, spacing = "log" }',
         *([f"{name} = {_toml(values)}"] if name else []),
         "",
-        "# [points]  # many parameters at once, crossed with the axes: a table, or a design in ranges",
+        "# [points]  # many parameters at once, from a table or a design: docs/points.md",
         '# file = "runs.csv"  # a column for each parameter',
-        '# design = "sobol"  # or another: docs/points.md',
-        "# n = 256",
-        "# ranges.NAME = [0.1, 0.5]",
-        '# ranges.NAME = { low = 0.01, high = 1.0, spacing = "log" }',
-        '# ranges.NAME = { values = ["a", "b"] }',
     ]
     if not experiment.deterministic:
         judged = experiment.errors_of_headline()
@@ -703,9 +709,9 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         lines += ["", "[sampling]"]
         for key, field_ in Sampling.model_fields.items():
             if needed.get(key, True):
-                words = SAMPLING[key].replace("catalogue", experiment.outer_draw or "point")
-                value = _toml(SUGGESTED.get(key, field_.default))
-                lines.append(f"{'# ' if key in SUGGESTED else ''}{key} = {value}  # {words}")
+                words = str(field_.description).replace("catalogue", experiment.outer_draw or "point")
+                value = f"{key} = {_toml(field_.examples[0] if field_.examples else field_.default)}"
+                lines.append(f"{'# ' if field_.examples else ''}{value}  # {words}")
     lines += ["", "[fixed]  # any other parameter; these are the defaults"]
     for parameter in (one for one in experiment.parameters if one.name != name):
         words = " ".join(f"# {parameter.meaning}; {parameter.allowed()}".split())

@@ -14,7 +14,18 @@ from linksweep.core.tie.solution import Clip, KeptSources, Solution, clipped, pa
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
 from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
 from linksweep.sweep.tie.link import FIELD_OF, Link, solve_link, spectrum
-from linksweep.sweep.tie.setup import ALL, DECLARED, ZERO_MOTION, Options, Setup, one_of, parse_bins, set_up, year
+from linksweep.sweep.tie.setup import (
+    ALL,
+    DECLARED,
+    ZERO_MOTION,
+    Options,
+    Setup,
+    number,
+    one_of,
+    parse_bins,
+    set_up,
+    year,
+)
 from linksweep.sweep.tie.tables import Positions, TableOptions
 
 # ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin
@@ -34,10 +45,6 @@ FIELD_UNITS = tuple("mas2/yr2" if field.startswith("motion") else "mas2" for fie
 HIGHEST_STORED = 10
 MOST_BINS = 10
 POWER_SHAPE, BIN_SHAPE = (len(FIELDS), HIGHEST_STORED), (MOST_BINS, 3)
-
-
-def _size(name: str, default: float, meaning: str, unit: str = "", **limits: Any) -> Parameter:
-    return Parameter(name, "float", default, meaning, unit, **(limits or {"minimum": 0.0}))
 
 
 _JITTER = "added in quadrature to the reference's"
@@ -63,12 +70,12 @@ PARAMETERS = (
     one_of("from_release", TABLE, "of the satellite's errors, if no release has its epoch", *forecast.RELEASES),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
     year("new_epoch", "of new positions; default that of the source"),
-    _size("new_error", 0.1, "of each coordinate of a new position", "mas", above=0.0),
+    number("new_error", 0.1, "of each coordinate of a new position", "mas", above=0.0),
     one_of("new_positions", "single-epoch", "of new rows: displaced by the parallax, or mean ones", "mean"),
     Parameter("goal", "str", "", "blocks for which new positions are chosen; default all"),
     one_of("candidates", "matched", "for new positions: sources with rows, or all of the satellite's", "all"),
-    _size("position_jitter", 0.0, f"{_JITTER} positions", "mas"),
-    _size("motion_jitter", 0.0, f"{_JITTER} motions", "mas/yr"),
+    number("position_jitter", 0.0, f"{_JITTER} positions", "mas"),
+    number("motion_jitter", 0.0, f"{_JITTER} motions", "mas/yr"),
     Parameter("known_spin", "vector", None, "subtracted before the fit, reference - satellite; default none", "mas/yr"),
     DECLARED["aberration"],
     Parameter("by", "str", "", _BY),
@@ -91,9 +98,9 @@ PARAMETERS = (
     Parameter("accept_misfit", "bool", False, "computes points whose tables have chi2 above 1000 times its average"),
     DECLARED["zero_errors"],
     one_of("truth", "estimate", "of the draws: the solution of the tables, or zero", "zero"),
-    _size("error_factor", 1.0, "errors of the draws over those of the tables", above=0.0),
-    _size("outliers", 0.0, "fraction of sources of a draw with larger errors", minimum=0.0, maximum=1.0),
-    _size("outlier_factor", 10.0, "how much larger they are", minimum=1.0),
+    number("error_factor", 1.0, "errors of the draws over those of the tables", above=0.0),
+    number("outliers", 0.0, "fraction of sources of a draw with larger errors", minimum=0.0, maximum=1.0),
+    number("outlier_factor", 10.0, "how much larger they are", minimum=1.0),
 )
 
 _UNITS, _SQUARES = ", ".join(UNITS), ", ".join(FIELD_UNITS)
@@ -158,21 +165,23 @@ OUTPUTS = (
 SAMPLE_OUTPUTS = (Output("drawn", "", "estimate of a draw, reference - satellite", _EACH, nan=True),)
 
 
-FACTS = ("n_sources", "n_kept", "chi2_ratio", "largest_share", "n_drawn")
-"""Numbers of the tables that no draw changes."""
-
 KINDS = ("formal", "scaled", "jackknife")
 N = len(COMPONENTS)
+FIXED: Mapping[str, tuple[int, ...]] = {
+    **dict.fromkeys(("n_sources", "n_kept", "chi2_ratio", "largest_share", "n_drawn"), ()),
+    **dict.fromkeys(("estimate", *(f"error_{kind}" for kind in KINDS)), (N,)),
+    **dict.fromkeys(("power", "power_noise", "power_probability"), POWER_SHAPE),
+    **dict.fromkeys(("spin_by_bin", "spin_by_bin_error"), BIN_SHAPE),
+}
+"""Outputs that no draw changes; their sums are these times the number of draws."""
+
 SUMS: Mapping[str, tuple[int, ...]] = {
-    "facts": (len(FACTS),),
-    **dict.fromkeys(("estimate", *(f"error_{kind}" for kind in KINDS), "predicted_variance"), (N,)),
-    **dict.fromkeys(("error", "error_squares", "within", "within_scaled"), (N,)),
+    **FIXED,
+    **dict.fromkeys(("predicted_variance", "bias", "bias_squares", "coverage", "coverage_scaled"), (N,)),
     **dict.fromkeys(("mean_square", "mean_square_squares"), (2,)),
-    "power": (3, *POWER_SHAPE),
-    **dict.fromkeys(("power_predicted", "power_drawn", "power_drawn_squares"), POWER_SHAPE),
-    "bins": (2, *BIN_SHAPE),
+    **dict.fromkeys(("power_drawn_predicted", "power_drawn", "power_drawn_squares"), POWER_SHAPE),
     **dict.fromkeys(("bins_variance", "bins_squares"), BIN_SHAPE),
-    **dict.fromkeys(("kept", "ratio", "ratio_squares"), ()),
+    **dict.fromkeys(("n_kept_drawn", "chi2_ratio_drawn", "chi2_ratio_drawn_squares"), ()),
 }
 
 
@@ -206,13 +215,6 @@ def by_bins(unknowns: Unknowns, values: Array) -> Array:
             spins = values[..., unknowns.part(block.name)]
             stored[..., list(block.used), :] = spins.reshape(*values.shape[:-1], len(block.used), 3)
     return stored
-
-
-def is_stored(unknowns: Unknowns) -> bool:
-    """Return whether results have a place for any of the unknowns."""
-    parts = components(np.zeros(len(unknowns)), unknowns.labels), by_bins(unknowns, np.zeros(len(unknowns)))
-    stored = powers(unknowns, np.zeros(len(unknowns)), np.eye(len(unknowns)))[0]
-    return any(np.any(np.isfinite(part)) for part in (*parts, stored))
 
 
 # ---- what a point stands for: tables as they are, their solution, and the tables to simulate
@@ -346,58 +348,54 @@ def _with_chosen(problem: Problem, point: Mapping[str, Any]) -> Problem:
 # ---- sums over draws, and results
 
 
-def evaluate(
-    points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
-) -> dict[str, Array]:
-    """Return the sums of `SUMS` over ``n_sim`` draws of the errors of each point's tables."""
-    rows = [_simulated(point, n_sim, rng)[0] for point in points]
-    return {name: np.array([row[name] for row in rows]) for name in SUMS}
-
-
 def samples(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
     """Return what `evaluate` returns and the estimates, shape (points, n_sim, components)."""
     rows = [_simulated(point, n_sim, rng) for point in points]
-    sums = {name: np.array([row[name] for row, _ in rows]) for name in SUMS}
-    return sums | {"drawn": np.array([drawn for _, drawn in rows])}
+    return {name: np.array([row[name] for row in rows]) for name in (*SUMS, "drawn")}
 
 
-def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> tuple[dict[str, Array], Array]:
-    """Return the sums of one point, and its estimates in mas and mas/yr (n_sim, components)."""
+def evaluate(
+    points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
+) -> dict[str, Array]:
+    """Return the sums of `SUMS` over ``n_sim`` draws of the errors of each point's tables."""
+    sums = samples(points, n_sim, rng, catalogue_rng)
+    return {name: sums[name] for name in SUMS}
+
+
+def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> dict[str, Array]:
+    """Return the sums of one point, and its estimates in mas and mas/yr, (n_sim, components)."""
     design = design_of(point)
     unknowns, labels = design.problem.unknowns, design.problem.unknowns.labels
     truth = design.truth if point["truth"] == "estimate" else np.zeros_like(design.truth)
-    simulation = forecast.Simulation(
-        design.problem, truth, point["error_factor"], point["outliers"], point["outlier_factor"]
-    )
+    factors = point["error_factor"], point["outliers"], point["outlier_factor"]
+    simulation = forecast.Simulation(design.problem, truth, *factors)
     solution = solve(simulation.normals, labels)
-    covariance = solution.covariance
+    variance = np.diag(solution.covariance) / MAS**2
     drawn = [_solved(draw, design.clip, truth, solution) for draw in simulation.draws(n_sim, rng)]
     error, formal, ratio, kept = (np.array(part) for part in zip(*drawn, strict=True))
-    power = np.array([powers(unknowns, one * MAS, covariance)[0] for one in error])
+    power = np.array([powers(unknowns, one * MAS, solution.covariance)[0] for one in error])
     in_bins = by_bins(unknowns, error)
     error, formal = components(error, labels), components(formal, labels)
-    missing = np.where(np.isnan(error[0]), np.nan, 0.0)  # unknowns that are not solved for
-    within = {"within": formal, "within_scaled": formal * np.sqrt(ratio)[:, None]}
     moments = {
-        "error": error,
+        "bias": error,
         "mean_square": np.stack([np.mean(error[:, part] ** 2, axis=1) for part in (ORIENTATION, SPIN)], axis=1),
         "power_drawn": power,
-        "ratio": ratio,
+        "chi2_ratio_drawn": ratio,
     }
     fixed = _as_they_are(design) | {
-        "predicted_variance": components(np.diag(covariance) / MAS**2, labels),
-        "power_predicted": powers(unknowns, solution.estimate, covariance)[1],
-        "bins_variance": by_bins(unknowns, np.diag(covariance) / MAS**2),
+        "predicted_variance": components(variance, labels),
+        "power_drawn_predicted": powers(unknowns, solution.estimate, solution.covariance)[1],
+        "bins_variance": by_bins(unknowns, variance),
     }
     sums = {name: n_sim * values for name, values in fixed.items()}
-    sums |= {name: np.asarray(values.sum(axis=0)) for name, values in (moments | {"kept": kept}).items()}
+    sums |= {name: np.asarray(values.sum(axis=0)) for name, values in (moments | {"n_kept_drawn": kept}).items()}
     sums |= {f"{name}_squares": np.asarray(np.sum(values**2, axis=0)) for name, values in moments.items()}
-    sums |= {name: np.sum(np.abs(error) <= size, axis=0) + missing for name, size in within.items()}
-    if np.isnan(ratio).any():
-        sums["within_scaled"] = np.full(N, np.nan)
-    return sums | {"bins_squares": np.sum(in_bins**2, axis=0)}, error + components(truth / MAS, labels)
+    for name, size in (("coverage", formal), ("coverage_scaled", formal * np.sqrt(ratio)[:, None])):
+        inside = np.where(np.isnan(error) | np.isnan(size), np.nan, np.abs(error) <= size)
+        sums[name] = inside.sum(axis=0)
+    return sums | {"bins_squares": np.sum(in_bins**2, axis=0), "drawn": error + components(truth / MAS, labels)}
 
 
 def _solved(draw: KeptSources, clip: Clip, truth: Array, solution: Solution) -> tuple[Array, Array, float, float]:
@@ -414,25 +412,25 @@ def _solved(draw: KeptSources, clip: Clip, truth: Array, solution: Solution) -> 
     return (estimate - truth) / MAS, np.sqrt(np.diag(one.covariance)) / MAS, ratio, kept
 
 
-def _as_they_are(design: Design) -> dict[str, Array]:
+def _as_they_are(design: Design) -> dict[str, Any]:
     """Return what no draw changes: the solution of the tables as they are, in mas and mas/yr."""
-    unknowns, solved = design.problem.unknowns, design.solved
-    facts = [float(design.matched), np.nan, np.nan, np.nan, float(len(design.problem.satellite))]
-    if solved is None:
-        fixed = {
-            name: np.full(SUMS[name], np.nan) for name in ("estimate", *(f"error_{k}" for k in KINDS), "power", "bins")
-        }
-        return fixed | {"facts": np.array(facts)}
-    estimate = solved.solution.estimate / MAS
-    errors = {kind: np.sqrt(np.diag(solved.covariances[kind])) / MAS for kind in KINDS}
-    facts[1:3] = float(np.sum((solved.clipped.factors > 0.0) & (solved.count > 0))), solved.solution.scale**2
-    facts[3] = np.nan if solved.influence is None else float(solved.influence.share.max())
-    return {
-        "facts": np.array(facts),
+    unknowns, link = design.problem.unknowns, design.solved
+    fixed: dict[str, Any] = {name: np.full(shape, np.nan) for name, shape in FIXED.items()}
+    fixed |= {"n_sources": design.matched, "n_drawn": len(design.problem.satellite)}
+    if link is None:
+        return fixed
+    estimate = link.solution.estimate / MAS
+    errors = {kind: np.sqrt(np.diag(link.covariances[kind])) / MAS for kind in KINDS}
+    power = powers(unknowns, link.solution.estimate, link.solution.covariance)
+    return fixed | {
+        "n_kept": np.sum((link.clipped.factors > 0.0) & (link.count > 0)),
+        "chi2_ratio": link.solution.scale**2,
+        "largest_share": np.nan if link.influence is None else link.influence.share.max(),
         "estimate": components(estimate, unknowns.labels),
         **{f"error_{kind}": components(error, unknowns.labels) for kind, error in errors.items()},
-        "power": powers(unknowns, solved.solution.estimate, solved.solution.covariance),
-        "bins": np.array([by_bins(unknowns, one) for one in (estimate, errors["scaled"])]),
+        **dict(zip(("power", "power_noise", "power_probability"), power, strict=True)),
+        "spin_by_bin": by_bins(unknowns, estimate),
+        "spin_by_bin_error": by_bins(unknowns, errors["scaled"]),
     }
 
 
@@ -447,32 +445,28 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
             size = np.where(each[name] > 1, each[name] - 1.0, np.nan)
             return np.sqrt(np.maximum(mean[f"{name}_squares"] - mean[name] ** 2, 0.0) / size)
 
-    results = dict(zip(FACTS, mean["facts"].T, strict=True))
+    results = {name: mean[name] for name in (*FIXED, "n_kept_drawn", "power_drawn_predicted")}
     for name in ("n_sources", "n_kept", "n_drawn"):
         results[name] = np.round(results[name])  # a whole number times n, over n
-    results |= {name: mean[name] for name in ("estimate", *(f"error_{kind}" for kind in KINDS))}
     for name, squares, variance in (
-        ("sigma", "error_squares", "predicted_variance"),
+        ("sigma", "bias_squares", "predicted_variance"),
         ("sigma_by_bin", "bins_squares", "bins_variance"),
     ):
         results[name] = np.sqrt(mean[squares])
         results[f"{name}_mc_error"] = results[name] / np.sqrt(2.0 * each[squares])
         results[f"{name}_predicted"] = np.sqrt(mean[variance])
-    for name, key in (("bias", "error"), ("chi2_ratio_drawn", "ratio"), ("power_drawn", "power_drawn")):
-        results[name], results[f"{name}_mc_error"] = mean[key], error_of_mean(key)
-    for name, key in (("coverage", "within"), ("coverage_scaled", "within_scaled")):
-        between = (sums[key] + 1.0) / (each[key] + 2.0)  # never 0 or 1, where the error would be 0
-        results[name], results[f"{name}_mc_error"] = mean[key], np.sqrt(between * (1.0 - between) / each[key])
+    for name in ("bias", "chi2_ratio_drawn", "power_drawn"):
+        results[name], results[f"{name}_mc_error"] = mean[name], error_of_mean(name)
+    for name in ("coverage", "coverage_scaled"):
+        between = (sums[name] + 1.0) / (each[name] + 2.0)  # never 0 or 1, where the error would be 0
+        results[name], results[f"{name}_mc_error"] = mean[name], np.sqrt(between * (1.0 - between) / each[name])
     for which, (name, part) in enumerate((("sigma_orientation", ORIENTATION), ("sigma_spin", SPIN))):
         rms = results[name] = np.sqrt(mean["mean_square"][:, which])
         with np.errstate(invalid="ignore", divide="ignore"):
             scatter = error_of_mean("mean_square")[:, which] / (2.0 * rms)
         results[f"{name}_mc_error"] = np.where(rms > 0.0, scatter, rms)
         results[f"{name}_predicted"] = np.sqrt(mean["predicted_variance"][:, part].mean(axis=1))
-    power = ("power", "power_noise", "power_probability")
-    results |= dict(zip(power, np.moveaxis(mean["power"], 1, 0), strict=True))
-    results |= dict(zip(("spin_by_bin", "spin_by_bin_error"), np.moveaxis(mean["bins"], 1, 0), strict=True))
-    return results | {"n_kept_drawn": mean["kept"], "power_drawn_predicted": mean["power_predicted"]}
+    return results
 
 
 def check(point: Point) -> str | None:
@@ -482,7 +476,9 @@ def check(point: Point) -> str | None:
         if design.solved is not None and design.solved.misfit.absurd and not point["accept_misfit"]:
             return f"{design.solved.misfit.text}; accept_misfit = true computes it all the same"
         solve(forecast.Simulation(design.problem, design.truth).normals, design.problem.unknowns.labels)
-        if not is_stored(design.problem.unknowns):
+        unknowns, ones = design.problem.unknowns, np.ones(len(design.problem.unknowns))
+        places_of = components(ones, unknowns.labels), by_bins(unknowns, ones), powers(unknowns, ones, np.diag(ones))
+        if all(np.all(np.isnan(part)) for part in places_of):
             places = f"results have no place for any of these; harmonics end at degree {HIGHEST_STORED}"
             return f"unknowns = {point['unknowns']!r}: {places}"
     except (SweepError, ValueError) as error:  # LinkError is one
@@ -546,5 +542,5 @@ tie = Experiment(
     cost=cost,
     cost_unit="random numbers",
     outer_draw="catalogue",
-    nan_sums=tuple(name for name in SUMS if name != "kept"),
+    nan_sums=tuple(name for name in SUMS if name != "n_kept_drawn"),
 )

@@ -82,17 +82,13 @@ def forecast(
         raise SweepError(str(problem_found)) from problem_found
     attributes = {
         "result": "forecast",
-        "epoch": problem.epoch,
         "epoch_of_forecast": future.epoch,
         "release": release or "",
         "from_release": old,
         "new_error_mas": error,
         "goal": ", ".join(goal or problem.unknowns.names),
         "criterion": criterion,
-        "satellite": setup.satellite.path,
-        "satellite_sha256": setup.satellite.digest,
-        "reference": setup.reference.path,
-        "reference_sha256": setup.reference.digest,
+        **setup.attributes(),
         "notes": notes,
     }
     import xarray as xr

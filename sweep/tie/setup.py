@@ -55,6 +55,11 @@ def year(name: str, meaning: str) -> Parameter:
     return Parameter(name, "float", None, meaning, "yr", minimum=1800.0, maximum=2200.0)
 
 
+def number(name: str, default: float, meaning: str, unit: str = "", **limits: Any) -> Parameter:
+    """Declare a number, which is not negative if no other limits are given."""
+    return Parameter(name, "float", default, meaning, unit, **(limits or {"minimum": 0.0}))
+
+
 def one_of(name: str, default: str, meaning: str, *choices: str) -> Parameter:
     """Declare a word out of a few, the first of which is the default."""
     return Parameter(name, "str", default, meaning, choices=tuple(dict.fromkeys((default, *choices))))
@@ -63,19 +68,10 @@ def one_of(name: str, default: str, meaning: str, *choices: str) -> Parameter:
 DECLARED = {
     parameter.name: parameter
     for parameter in (
-        Parameter(
-            "degree", "int", None, "adds vector spherical harmonics up to this; default none", minimum=1, maximum=50
-        ),
+        Parameter("degree", "int", None, "adds harmonics up to this degree; default none", minimum=1, maximum=50),
         one_of("weights", "covariance", "of the differences", *get_args(Weights)),
         year("epoch", "of the orientation; default the satellite's"),
-        Parameter(
-            "aberration",
-            "float",
-            0.0,
-            "Galactic, carries positions without an epoch from 2015.0",
-            "uas/yr",
-            minimum=0.0,
-        ),
+        number("aberration", 0.0, "Galactic, carries positions without an epoch from 2015.0", "uas/yr"),
         one_of("zero_errors", "error", "what an error of 0 means", *get_args(Zeros)),
         one_of("sign", "reference-satellite", "of all results", *SIGNS),
     )
@@ -168,6 +164,12 @@ class Setup:
     names: NDArray[Any]
     notes: tuple[str, ...] = ()
     missions: Mapping[str, AstrometricTable] = field(default_factory=dict)
+
+    def attributes(self) -> dict[str, Any]:
+        """Return what a dataset says of the tables."""
+        pairs = (("satellite", self.satellite), ("reference", self.reference))
+        files = {name: table.path for name, table in pairs}
+        return files | {f"{name}_sha256": table.digest for name, table in pairs} | {"epoch": self.problem.epoch}
 
     def only(self, sources: Indices) -> "Setup":
         """Return the setup of some of the matched sources and their rows."""
@@ -502,31 +504,27 @@ def known_spin(options: Options, own: Astrometry) -> tuple[Unknowns, Array] | No
         if vector.shape != (3,) or not np.all(np.isfinite(vector)):
             raise SweepError(f"known spin {spin!r}: give three numbers in mas/yr, or the path of a table")
         return Unknowns((Rotation(),)), sign * vector * MAS
-    from astropy import units
+    from astropy.units import Unit
 
     table = read_file(Path(spin))
-    lows = [name for name in table.colnames if name.endswith("_min")]
-    if len(lows) != 1 or (high := lows[0][:-4] + "_max") not in table.colnames:
-        raise SweepError("a table of spins has one column COLUMN_min and one COLUMN_max", str(spin))
-    if missing := [f"omega_{axis}" for axis in "xyz" if f"omega_{axis}" not in table.colnames]:
-        raise SweepError(f"no column {', '.join(missing)}", str(spin))
-    table.sort(lows[0])
-    low_edges, high_edges = (np.asarray(table[name], dtype=np.float64) for name in (lows[0], high))
-    column = {"mag": "phot_g_mean_mag", "G": "phot_g_mean_mag"}.get(lows[0][:-4], lows[0][:-4])
-    if column not in own.columns:
-        raise SweepError(f"the satellite has no column {column!r} of numbers for the known spin", str(spin))
-    if np.any(low_edges[1:] != high_edges[:-1]) or np.any(high_edges <= low_edges):
-        raise SweepError(f"the bins of {lows[0]} and {high} do not follow one another", str(spin))
-    values = own.columns[column]
-    outside = ~((values >= low_edges[0]) & (values < high_edges[-1]))
-    if np.any(outside):
-        raise SweepError(f"{np.count_nonzero(outside)} matched sources have a {column} outside its bins", str(spin))
-    components = (table[f"omega_{axis}"] for axis in "xyz")
-    in_unit = [np.asarray(c, dtype=np.float64) * units.Unit(c.unit or "mas/yr").to("mas/yr") for c in components]
-    vectors = np.stack(in_unit, axis=1)
-    edges, used = tuple(low_edges[1:].tolist()), tuple(range(len(low_edges)))
-    block = SpinByBin(column=column, edges=edges, used=used)
-    return Unknowns((block,)), sign * vectors.ravel() * MAS
+    names = [name[:-4] for name in table.colnames if name.endswith("_min") and f"{name[:-4]}_max" in table.colnames]
+    axes = [f"omega_{axis}" for axis in "xyz"]
+    if len(names) != 1 or not set(axes) <= set(table.colnames):
+        raise SweepError(
+            f"a table of spins has one pair of columns NAME_min, NAME_max, and {', '.join(axes)}", str(spin)
+        )
+    table.sort(f"{names[0]}_min")
+    low, high = (np.asarray(table[f"{names[0]}_{end}"], dtype=np.float64) for end in ("min", "max"))
+    column = {"mag": "phot_g_mean_mag", "G": "phot_g_mean_mag"}.get(names[0], names[0])
+    if np.any(low[1:] != high[:-1]) or np.any(high <= low):
+        raise SweepError(f"the bins of {names[0]} do not follow one another", str(spin))
+    values = own.columns.get(column, np.full(len(own), np.nan))
+    if np.any(outside := ~((values >= low[0]) & (values < high[-1]))):
+        raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", str(spin))
+    factors = [(table[name].unit or Unit("mas/yr")).to("mas/yr") for name in axes]
+    vectors = [np.asarray(table[name], dtype=np.float64) * factor for name, factor in zip(axes, factors, strict=True)]
+    block = SpinByBin(column=column, edges=tuple(low[1:].tolist()), used=tuple(range(len(low))))
+    return Unknowns((block,)), sign * np.stack(vectors, axis=1).ravel() * MAS
 
 
 # ---- unknowns

@@ -105,10 +105,9 @@ def below(pid):
 
 
 def workers_below(pid):
-    """Return the processes below one that Dask's nannies started."""
-    of, family = parents(), sorted(below(pid))
-    servers = {child for child in family if "multiprocessing.forkserver" in command_of(child)}
-    return [child for child in family if "spawn_main" in command_of(child) or of.get(child) in servers]
+    """Return the worker processes of a run: copies of its process, and those that Dask's nannies started."""
+    own = command_of(pid)
+    return [child for child in sorted(below(pid)) if command_of(child) == own or "spawn_main" in command_of(child)]
 
 
 def listening(pids):

@@ -117,7 +117,7 @@ def test_units_are_written_as_people_do():
 
 def test_numbers_in_sentences():
     assert with_unit(0.0005411, 0.0000038, "mas / yr") == "0.5411 ± 0.0038 uas/yr"
-    assert with_unit(2.8e-9, 2.5e-11, "mas") == "(2.800 ± 0.025)e-06 uas"
+    assert with_unit(2.8e-9, 2.5e-11, "mas") == "0.000002800 ± 0.000000025 uas"
     assert with_unit(100.0) == "100"
     assert in_short(0.0005411, 0.0000038, "mas / yr") == "0.54 uas/yr"
     assert [

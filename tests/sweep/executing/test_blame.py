@@ -1,22 +1,26 @@
 """What is not the experiment's fault is tried again, and never written against a point."""
 
-from urllib.request import urlopen
-
 import pytest
 import xarray as xr
-from distributed import KilledWorker
+from distributed import KilledWorker, LocalCluster
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing import dask_driver
-from linksweep.sweep.executing.dask_driver import DaskWorkers
-from linksweep.sweep.executing.dask_worker import run_on_worker
-from linksweep.sweep.executing.pools import NO_LIMITS, POOLS, Resources
+from linksweep.sweep.executing.clusters import own_cluster
+from linksweep.sweep.executing.dask_driver import DaskDriver, run_on_worker
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import Silent, run_study
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.opening import existing_store
 from tests.tiers import slow
 
-THREADS = Resources(workers=2, pool="threads")
+
+@pytest.fixture(scope="module")
+def dask():
+    """Workers of Dask that are threads of this process, where functions can be replaced."""
+    options = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "protocol": "tcp://"}
+    with own_cluster(LocalCluster, options) as cluster:
+        yield Resources(scheduler=cluster.scheduler_address)
 
 
 class Sentences(Silent):
@@ -56,11 +60,11 @@ def failing(*arguments, **options):
     return run_on_worker(*arguments, **options)
 
 
-def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch):
+def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch, dask):
     monkeypatch.setattr(dask_driver, "run_on_worker", failing)
     monkeypatch.setitem(FAILURES_LEFT, 0, 4)
     sentences = Sentences()
-    dataset, failures = run_study(study, tmp_path / "s.zarr", THREADS, sentences)
+    dataset, failures = run_study(study, tmp_path / "s.zarr", dask, sentences)
     assert not failures
     xr.testing.assert_identical(dataset.drop_attrs(), whole)
     said = [text for text in sentences.said if "UnboundLocalError: cannot access local variable 'result'" in text]
@@ -68,14 +72,14 @@ def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch):
     assert "outside of the experiment" in said[0]
 
 
-def test_one_that_stays_stops_the_run_and_blames_no_point(study, whole, tmp_path, monkeypatch):
+def test_one_that_stays_stops_the_run_and_blames_no_point(study, whole, tmp_path, monkeypatch, dask):
     monkeypatch.setattr(dask_driver, "run_on_worker", failing)
     monkeypatch.setitem(FAILURES_LEFT, 0, 10**6)
     with pytest.raises(SweepError, match=r"failed 6 times outside of the experiment, last with UnboundLocalError"):
-        run_study(study, tmp_path / "s.zarr", THREADS)
+        run_study(study, tmp_path / "s.zarr", dask)
     assert not existing_store(tmp_path / "s.zarr", study).failures
     monkeypatch.undo()
-    dataset, failures = run_study(study, tmp_path / "s.zarr", THREADS)
+    dataset, failures = run_study(study, tmp_path / "s.zarr", dask)
     assert not failures
     xr.testing.assert_identical(dataset.drop_attrs(), whole)
 
@@ -90,8 +94,8 @@ def one_by_one(monkeypatch):
 @pytest.mark.parametrize(
     "fate", [UnboundLocalError("result"), slow(TimeoutError("of a stream")), slow(OSError("Too many open files"))]
 )
-def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monkeypatch, fate):
-    fetch, calls = DaskWorkers.result, []
+def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monkeypatch, fate, dask):
+    fetch, calls = DaskDriver._result, []
 
     def fetched(self, future):
         calls.append(future)
@@ -99,30 +103,21 @@ def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monke
             raise fate
         return fetch(self, future)
 
-    monkeypatch.setattr(DaskWorkers, "result", fetched)
-    dataset, failures = run_study(study, tmp_path / "s.zarr", THREADS)
+    monkeypatch.setattr(DaskDriver, "_result", fetched)
+    dataset, failures = run_study(study, tmp_path / "s.zarr", dask)
     assert not failures
     xr.testing.assert_identical(dataset.drop_attrs(), whole)
 
 
 @pytest.mark.usefixtures("one_by_one")
 @pytest.mark.slow
-def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch):
+def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch, dask):
     def fetched(self, future):
         raise KilledWorker("task", None, 0)
 
-    monkeypatch.setattr(DaskWorkers, "result", fetched)
+    monkeypatch.setattr(DaskDriver, "_result", fetched)
     sentences = Sentences()
     with pytest.raises(SweepError, match="die whatever they do; no point is blamed"):
-        run_study(study, tmp_path / "s.zarr", THREADS, sentences)
-    assert any("a worker died that had" in text for text in sentences.said)
+        run_study(study, tmp_path / "s.zarr", dask, sentences)
+    assert any("a worker died" in text for text in sentences.said)
     assert not existing_store(tmp_path / "s.zarr", study).failures
-
-
-@pytest.mark.parametrize("pool", ["threads", slow("processes")])
-def test_the_address_of_the_dashboard_opens(study, pool):
-    pytest.importorskip("bokeh")
-    with POOLS[pool].open(study.experiment_reference, 1, print, NO_LIMITS, True) as (place, _):
-        assert place.dashboard.startswith("http://127.0.0.1:")
-        with urlopen(place.dashboard) as page:
-            assert page.status == 200

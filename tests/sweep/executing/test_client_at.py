@@ -5,12 +5,11 @@ import threading
 from contextlib import closing, suppress
 
 import pytest
+from distributed import LocalCluster
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing import clusters
-from linksweep.sweep.executing.clusters import client_at, elsewhere, local_cluster
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing.clusters import client_at, own_cluster
 
 
 def test_a_port_that_says_nothing(monkeypatch):
@@ -39,7 +38,8 @@ def test_a_server_of_another_kind_that_speaks_first():
 
 
 def test_the_address_of_a_worker():
-    with local_cluster({"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}) as cluster:
+    options = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
+    with own_cluster(LocalCluster, options) as cluster:
         (worker,) = cluster.scheduler_info["workers"]
         with pytest.raises(SweepError, match=f"'{worker}' is the address of a Dask worker"), client_at(worker):
             pass
@@ -49,11 +49,3 @@ def test_the_address_of_a_worker():
 def test_what_is_no_address(address):
     with pytest.raises(SweepError, match=r"expected tcp://HOST:PORT"), client_at(address):
         pass
-
-
-def test_every_thread_of_a_scheduler_gets_one_of_the_first_points(coins):
-    options = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
-    with local_cluster(options) as cluster:
-        resources = Resources(scheduler=cluster.scheduler_address)
-        with elsewhere(study_from_dict(coins).experiment_reference, resources, print) as (place, _):
-            assert place.threads == 2

@@ -1,8 +1,19 @@
 """Clusters that a file describes."""
 
+import os
+import signal
+from urllib.request import urlopen
+
 import pytest
 import xarray as xr
+from distributed import LocalCluster
 
+from linksweep import SweepError
+from linksweep.sweep.executing import pools
+from linksweep.sweep.executing.clusters import own_cluster
+from linksweep.sweep.executing.dask_driver import TaskPlugin
+from linksweep.sweep.executing.pools import Resources
+from tests.sweep.outside import command_of, workers_below
 from tests.tiers import slow
 
 LOCAL = 'class = "distributed.LocalCluster"\n'
@@ -42,25 +53,26 @@ def test_a_study_runs_on_the_cluster_of_a_file(link_study, tmp_path, sweep, refe
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "class = missing: must be the import path"),
-        ("class = 1\nscale = 1\n", "class = 1: must be the import path"),
-        ('class = "LocalCluster"\nscale = 1\n', "class = 'LocalCluster': must be the import path"),
+        ("", "class = "),
+        ("class = 1\nscale = 1\n", "class = 1: "),
+        ('class = "LocalCluster"\nscale = 1\n', "class = 'LocalCluster': "),
         ('class = "no_such_package.Cluster"\nscale = 1\n', "No module named 'no_such_package'"),
         ('class = "distributed.NoCluster"\nscale = 1\n', "has no attribute 'NoCluster'"),
         ('class = "distributed.Client"\nscale = 1\n', "is no class of a Dask cluster"),
         ('class = "os.path.join"\nscale = 1\n', "is no class of a Dask cluster"),
         (LOCAL, "write either scale = WORKERS or adapt"),
         (LOCAL + "scale = 1\nadapt = { maximum = 2 }\n", "write either scale = WORKERS or adapt"),
-        (LOCAL + "scale = 0\n", "scale.n = 0: input should be greater than or equal to 1"),
-        (LOCAL + "scale = true\n", "scale = True: input should be"),
-        (LOCAL + "scale = { jobs = -1 }\n", "scale.jobs = -1: input should be greater"),
+        (LOCAL + "scale = 0\n", "scale.n = 0: "),
+        (LOCAL + "scale = true\n", "scale = True: "),
+        (LOCAL + "scale = { jobs = -1 }\n", "scale.jobs = -1: "),
         (LOCAL + "scale = { dwarfs = 7 }\n", "unexpected keyword argument 'dwarfs'"),
         (LOCAL + "adapt = { minimum = 1 }\n", "adapt: must say a maximum"),
-        (LOCAL + "adapt = { maximum = 0 }\n", "adapt.maximum = 0: input should be greater than or equal to 1"),
-        (LOCAL + "adapt = { minimum = 3, maximum = 2 }\n", "adapt: minimum = 3: must be at most maximum = 2"),
-        (LOCAL + "adapt = { maximum = 2, pace = 3 }\n", "unknown key adapt.pace; known are interval,"),
-        (LOCAL + "scale = 1\noptions = 3\n", "options = 3: input should be a valid dictionary"),
-        (LOCAL + "scale = 1\nscales = 1\n", "unknown key scales; did you mean 'scale'?"),
+        (LOCAL + "adapt = { maximum = 0 }\n", "maximum = 0"),
+        (LOCAL + "adapt = { minimum = 3, maximum = 2 }\n", "minimum = 3 must be at most maximum = 2"),
+        (LOCAL + 'adapt = { maximum = "2" }\n', "maximum = 2"),
+        (LOCAL + "adapt = { maximum = 2, pace = 3 }\n", "unknown key adapt.pace"),
+        (LOCAL + "scale = 1\noptions = 3\n", "options = 3: "),
+        (LOCAL + "scale = 1\nscales = 1\n", "unknown key scales"),
         (LOCAL + "scale = 1\n[options]\nn_wrokers = 1\n", "unexpected keyword argument 'n_wrokers'"),
         slow(LOCAL + 'scale = 1\n[options]\nhost = "1.2.3.4"\n', "distributed.LocalCluster: "),
         ("scale = = 1\n", "not valid TOML"),
@@ -102,3 +114,52 @@ def test_contradictions_are_refused(link_study, tmp_path, sweep_here, options):
     assert code == 2
     assert "Error: " in err
     assert not (tmp_path / "s.zarr").exists()
+
+
+def blocked_signals():
+    return signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_a_signal_to_all_processes_is_answered_by_the_client_alone():
+    """What workers run may use SIGTERM."""
+    options = {"n_workers": 1, "threads_per_worker": 1}
+    with own_cluster(LocalCluster, options) as cluster, cluster.get_client() as client:
+        client.register_plugin(TaskPlugin())
+        [blocked] = client.run(blocked_signals).values()
+        assert blocked & {signal.SIGINT, signal.SIGHUP, signal.SIGTERM} == {signal.SIGINT, signal.SIGHUP}
+
+
+class Interrupted(LocalCluster):
+    def __init__(self, *args, **options):
+        super().__init__(*args, **options)
+        os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_an_interrupted_start_leaves_no_process_in_a_session():
+    with pytest.raises(KeyboardInterrupt), own_cluster(Interrupted, {"n_workers": 1, "threads_per_worker": 1}):
+        pass
+    assert not [pid for pid in workers_below(os.getpid()) if "spawn_main" in command_of(pid)]
+
+
+@pytest.mark.slow
+def test_a_dashboard_of_local_workers_opens(link_study, tmp_path, start_sweep):
+    pytest.importorskip("bokeh")
+    run = ("run", link_study, "--set", "n_sim=20000", "-o", tmp_path / "s.zarr", "--workers", 1, "--dashboard")
+    process = start_sweep(*run)
+    [address] = [line.split()[-1] for line in iter(process.stderr.readline, "") if "dashboard" in line][:1]
+    with urlopen(address) as page:
+        assert page.status == 200
+    process.terminate()
+    process.communicate()
+
+
+@pytest.mark.parametrize("wished", [{"pool": "serial"}, {"pool": "threads"}, {"scheduler": "tcp://a:1"}])
+def test_a_dashboard_without_local_worker_processes_is_refused(wished):
+    with pytest.raises(SweepError, match="a dashboard is for local worker processes"):
+        Resources(**wished, dashboard=True)
+
+
+def test_one_without_bokeh_is_refused(monkeypatch):
+    monkeypatch.setattr(pools, "find_spec", lambda name: None)
+    with pytest.raises(SweepError, match=r"`pip install 'linksweep\[report\]'`"):
+        Resources(dashboard=True)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError, experiment
-from linksweep.sweep.executing.function_calls import dependence
+from linksweep.sweep.executing.worker import dependence
 from linksweep.sweep.functions.adapter import experiment_of
 from linksweep.sweep.planning.point_status import Status
 from tests.tiers import examples
@@ -37,13 +37,16 @@ def told(of_all, **declared):
         (lambda x: x - x.mean(), "is 2.375 in a call for 4 points, but 0.0 for"),
         (lambda x: np.arange(len(x)), "is 1 in a call for 4 points, but 0 for"),
         (lambda x: x == x.max(), "is False in a call for 4 points, but True for"),
-        (lambda x: np.where(x < x.max(), "less", "most"), "is another text in a call"),
+        (lambda x: np.where(x < x.max(), "less", "most"), "is 'less' in a call for 4 points, but 'most' for"),
         (
             lambda x: np.stack([x, x / np.abs(x).max()], axis=1),
-            "is 0.3333333333333333 in a call for 4 points, but 1.0 for",
+            "is [1.0, 0.3333333333333333] in a call for 4 points, but [1.0, 1.0] for",
         ),
-        (lambda x: np.broadcast_to(x, (len(x), len(x))).copy(), "is of the shape (4,) in a call"),
-        (lambda x: np.full((len(x), 2), len(x)), "is 4 in a call for 4 points, but 1 for"),
+        (
+            lambda x: np.broadcast_to(x, (len(x), len(x))).copy(),
+            "is [3.0, 1.0, -2.0, 0.5] in a call for 4 points, but [3.0] for",
+        ),
+        (lambda x: np.full((len(x), 2), len(x)), "is [4, 4] in a call for 4 points, but [1, 1] for"),
     ],
 )
 def test_what_depends_on_the_others_is_told_with_both_values(of_all, words):

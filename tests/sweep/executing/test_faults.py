@@ -225,20 +225,29 @@ def test_workers_do_not_outlive_their_client(link_study, tmp_path, start_sweep):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pool", ["processes", pytest.param("threads", marks=pytest.mark.slow)])
-def test_everything_listens_on_loopback_and_nothing_is_left(link_study, tmp_path, start_sweep, monkeypatch, pool):
+@pytest.mark.parametrize("pool", ["processes", "threads"])
+def test_a_local_run_listens_nowhere_and_leaves_nothing(link_study, tmp_path, start_sweep, monkeypatch, pool):
     store = tmp_path / "s.zarr"
     (tmp_path / "temporary").mkdir()
     monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
     process = start_sweep("run", link_study, "-o", store, *LONG, "--workers", 2, "--pool", pool, cwd=tmp_path)
     started_to_write(store, process)
     family = below(process.pid)
-    addresses = [address for address, _ in listening({process.pid, *family})]
-    assert addresses or pool == "threads"
-    assert set(addresses) <= {"0100007F"}
-    assert list((tmp_path / "temporary").iterdir())
+    assert not listening({process.pid, *family})
     _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     wait_until(lambda: not any(command_of(pid) for pid in family), "the end of all processes", 5)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["s.zarr", "small.toml", "temporary"]
     assert not list((tmp_path / "temporary").iterdir())
+
+
+@pytest.mark.slow
+def test_a_cluster_of_a_file_listens_on_loopback_only(link_study, tmp_path, start_sweep):
+    (tmp_path / "c.toml").write_text('class = "distributed.LocalCluster"\nscale = 2\n[options]\nn_workers = 0\n')
+    process = start_sweep("run", link_study, "-o", tmp_path / "s.zarr", *LONG, "--cluster", tmp_path / "c.toml")
+    started_to_write(tmp_path / "s.zarr", process)
+    family = below(process.pid)
+    addresses = [address for address, _ in listening({process.pid, *family})]
+    assert set(addresses) == {"0100007F"}
+    assert process.wait(PATIENCE_S) == 0
+    wait_until(lambda: not any(command_of(pid) for pid in family), "the end of all processes", 5)

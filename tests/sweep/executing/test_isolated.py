@@ -200,3 +200,35 @@ def test_what_it_prints_is_kept_apart_from_results(tmp_path):
     assert "error" in done.stderr
     assert "program" in done.stderr
     assert Path(tmp_path / "s.zarr").is_dir()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [("--workers", "1"), ("--cluster", "c.toml")], ids=["own", "Dask"])
+def test_no_process_of_a_run_imports_what_lies_in_the_present_folder(tmp_path, workers):
+    """The folder may be a stranger's; the command that is installed does not look there either."""
+    folder = tmp_path / "strangers"
+    folder.mkdir()
+    names = (
+        "sweep",
+        "linksweep",
+        "core",
+        "numpy",
+        "pickle",
+        "signal",
+        "selectors",
+        "psutil",
+        "tempfile",
+        "faulthandler",
+    )
+    for name in names:
+        (folder / f"{name}.py").write_text(f"open({str(tmp_path / 'marks')!r}, 'a').write(__name__ + ' ')\n")
+    (folder / "mine.py").write_text("import os\ndef f(x: float = 1.0):\n    return os._exit(3) if x == 2.0 else x\n")
+    command = "import sys; from linksweep.sweep.__main__ import main; sys.exit(main())"
+    run = ("run", "mine.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", *workers)
+    (folder / "c.toml").write_text('class = "distributed.LocalCluster"\nscale = 1\n[options]\nn_workers = 0\n')
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", command, *run], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1, done.stderr
+    assert "2 points done, 1 failed" in done.stderr
+    assert not (tmp_path / "marks").exists(), (tmp_path / "marks").read_text()

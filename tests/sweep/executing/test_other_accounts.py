@@ -12,14 +12,13 @@ import sys
 import tempfile
 
 import pytest
+from distributed import LocalCluster
 
-from linksweep.sweep.executing.clusters import local_cluster
+from linksweep.sweep.executing.clusters import own_cluster
 from linksweep.sweep.executing.executor import mapped
-from linksweep.sweep.executing.pools import NO_LIMITS, POOLS, Resources
-from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.executing.pools import Resources
 from tests.patience import PATIENCE_S
 from tests.sweep.outside import below, listening, unix_sockets, wait_until
-from tests.tiers import slow
 
 NOBODY = 65534
 
@@ -118,17 +117,12 @@ def what_others_get(folders=(), pid=None):
 
 def test_the_attempts_succeed_where_everybody_is_let_in():
     options = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
-    with local_cluster(options) as cluster, cluster.get_client() as client:
+    with own_cluster(LocalCluster, options) as cluster, cluster.get_client() as client:
         client.wait_for_workers(1, PATIENCE_S)
         ports, got = what_others_get()
     assert len(ports) >= 3
     assert sum(one.startswith("run at") and f"'result': {os.getuid()}" in one for one in got) >= 2, got
     assert any(one.startswith("client of") for one in got), got
-
-
-@pytest.fixture
-def study(coins):
-    return study_from_dict(coins)
 
 
 @pytest.fixture
@@ -141,20 +135,10 @@ def temporary(monkeypatch):
     shutil.rmtree(folder)
 
 
-@pytest.mark.parametrize("pool", ["processes", slow("threads")])
-def test_a_pool_lets_nobody_in(study, temporary, pool):
-    with POOLS[pool].open(study.experiment_reference, 2, print, NO_LIMITS, False):
-        ports, got = what_others_get([temporary])
-    assert ports
-    assert not got
-
-
-@pytest.mark.slow
-def test_pieces_of_tables_are_worked_on_where_nobody_else_gets_in(temporary):
+def test_worker_processes_let_nobody_in(temporary):
     with mapped("linksweep.core.experiment:link", Resources(workers=2), print) as run:
         assert list(run(pow, [(2, 3)])) == [8]
-        ports, got = what_others_get([temporary])
-    assert ports
+        _, got = what_others_get([temporary])
     assert not got
 
 
@@ -183,9 +167,9 @@ def test_a_cluster_of_a_file_runs_nothing_for_others(tmp_path, start_sweep, text
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("pool", ["processes", "threads"])
-def test_a_dashboard_runs_nothing_for_others(study, temporary, pool):
+def test_a_dashboard_runs_nothing_for_others(temporary):
     pytest.importorskip("bokeh")
-    with POOLS[pool].open(study.experiment_reference, 1, print, NO_LIMITS, True):
+    with mapped("linksweep.core.experiment:link", Resources(workers=1, dashboard=True), print) as run:
+        assert list(run(pow, [(2, 3)])) == [8]
         _, got = what_others_get([temporary])
     assert {one.split()[0] for one in got} == {"page"}

@@ -52,7 +52,7 @@ def test_no_option_is_dropped_for_another(options, said):
         ),
         (
             {"points": "t.csv", "settings": ["points.seed=4"]},
-            "points.seed (--set points.seed=4): does not go with file",
+            "points (--points t.csv): ranges, seed: does not go with file",
         ),
     ],
 )
