@@ -416,7 +416,7 @@ def in_readable_unit(comparison: Comparison) -> Comparison:
 
 def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
     """Return value, published number, difference (also in percent) and allowance, with significant digits only."""
-    published = f"{c.published:g}"
+    published = min(f"{c.published:g}", rounded(c.published, c.mc_error), key=len)  # no more digits than ours has
     if c.rounding > 0.0:  # half a unit of the last printed digit
         decimals = math.floor(math.log10(2.0 * c.rounding) + 1e-9)
         published = f"{c.published:.{min(300, max(0, -decimals))}f}"

@@ -32,7 +32,8 @@ def derived(
     for name, (values, unit, meaning) in columns.items():
         rank = {"headline": shown.index(name) + 1} if name in shown else {}
         attributes = described(unit, meaning) | rank
-        variables[name] = tuple(dims), np.reshape(values, shape), attributes
+        array = np.array(values, dtype=object if name == "conclusion" else float)
+        variables[name] = tuple(dims), array.reshape(shape), attributes
     return grid.assign(variables).assign_attrs(**about, notes=json.dumps(list(notes)))
 
 

@@ -26,23 +26,41 @@ from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
 
-LEVELLING_POINTS = 4
-"""The fewest points for the levelling law, which has three parameters."""
+LEVELLING_POINTS = 4  # the fewest for the levelling law, which has three parameters
+DEVIATION_ALLOWED = 3.0  # an exponent may deviate from the expected one by this many of its errors
+P_VALUE_ALLOWED = 1e-3  # a law is said not to hold if the probability of its chi2 is lower
+EXCLUDED = "excluded by the study"
+RATE_WANTED = 2.0  # a levelling off is significant if its rate is more than this many errors above 0
 
-DEVIATION_ALLOWED = 3.0
-"""An exponent may deviate from the expected one by this many of its errors."""
-
-P_VALUE_ALLOWED = 1e-3
-"""A law is said not to hold if the probability of its chi2 is lower than this."""
-
-RATE_WANTED = 2.0
-"""A levelling off is significant if its rate is more than this many errors above 0."""
-
+# Where a condition is met along a line: at no point, at all points, from or up to one crossing, between several.
+# Lines are left out if the study excludes them, or if their unit cannot be converted to that of the limit.
 MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
-"""Where a condition is met along a line: at no point, at all points, from or up to one crossing, between several.
-Lines are left out if the study excludes them, or if their unit cannot be converted to that of the limit.
-"""
 NEVER, ALWAYS, FROM, UP_TO, SEVERAL, LEFT_OUT = range(len(MET_WORDS))
+
+# What is derived from a line: whether its unit is that of the quantity, of the axis, or one over it, and its meaning.
+MEANINGS = {
+    "exponent": ("", "exponent of {variable} over {over}"),
+    "amplitude": ("quantity", "{variable} of the law at the pivot"),
+    "correlation": ("", "correlation of the errors of exponent and amplitude"),
+    "pivot": ("axis", "{over} of the amplitude"),
+    "plateau": ("quantity", "{variable} that the law tends to; NaN if it does not level off"),
+    "rate": ("per axis", "rate at which the square of {variable} levels off"),
+    "end_fall": ("per axis", "relative fall at the last {over}"),
+    "limit": ("axis", "{over} beyond which {variable} falls by less than wanted"),
+    "chi2": ("", "sum of squared residuals in units of their errors"),
+    "dof": ("", "degrees of freedom of chi2"),
+    "p_value": ("", "probability of a chi2 at least as large, if the law holds"),
+    "points": ("", "points of the fit"),
+    "expected": ("", "exponent expected"),
+    "deviation": ("", "exponent - expected, in errors of the exponent"),
+    "met": ("", "when the condition is met"),
+    "crossings": ("", "how often the limit is crossed"),
+    "first": ("axis", "{over} at the first crossing"),
+    "last": ("axis", "{over} at the last crossing"),
+    "nearest": ("quantity", "{variable} that is nearest to the limit, if that is never crossed"),
+    "nearest_at": ("axis", "{over} of the nearest"),
+    "conclusion": ("", "what is concluded"),
+}
 
 _COMPARE = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 _LIMIT = re.compile(
@@ -104,9 +122,18 @@ class Lines:
         return f" at {words}" if words else ""
 
     def dataset(
-        self, columns: Mapping[str, tuple[Any, str, str]], shown: Sequence[str], *notes: str, **about: Any
+        self, rows: Sequence[Mapping[str, Any]], shown: Sequence[str], notes: Sequence[str], **about: Any
     ) -> xr.Dataset:
-        """Return what is derived from the lines, given by values (lines,), unit and meaning."""
+        """Return what is derived from the lines, a row for each; what a row lacks is NaN."""
+        per = f"1 / ({self.over_unit})" if self.over_unit else ""
+        units = {"": "", "quantity": self.unit, "axis": self.over_unit, "per axis": per}
+        columns = {}
+        for name in max(rows, key=len):
+            unit, meaning = MEANINGS[name.removesuffix("_error")]
+            if name.endswith("_error"):
+                meaning = f"one-sigma error of {name.removesuffix('_error')}"
+            words = meaning.format(variable=self.variable, over=self.over)
+            columns[name] = [row.get(name, np.nan) for row in rows], units[unit], words
         about |= {"variable": self.variable, "over": self.over, "errors": self.errors}
         return derived(self.grid, self.dims, columns, shown, notes, **about)
 
@@ -245,25 +272,18 @@ def fit_power_law(
     made = lines(dataset, variable, over, covariance)
     if not_above := [x for line in made.lines for x in line.x if not x > 0.0]:
         raise SweepError(f"a power law needs {over} above 0; there is {min(not_above):g}")
-    columns = {
-        "exponent": ("", f"exponent of {variable} over {over}"),
-        "amplitude": (made.unit, f"{variable} of the law at the pivot"),
-        "correlation": ("", "correlation of the errors of exponent and amplitude"),
-        "pivot": (made.over_unit, f"{over} of the amplitude"),
-    }
     rows = _fitted(made, fits.power_law)
-    for row, line in zip(rows, made.lines, strict=True):
-        row["expected"] = _expected(dataset, made, line) if expected is None else expected
+    wanted = [_expected(dataset, made, line) if expected is None else expected for line in made.lines]
+    for row, exponent in zip(rows, wanted, strict=True):
         error = row.get("exponent_error", 0.0)
-        row["deviation"] = (row["exponent"] - row["expected"]) / error if error > 0.0 else math.nan
-        row["conclusion"] = ""
-        if math.isfinite(row["deviation"]):
-            row["conclusion"] = "as expected" if abs(row["deviation"]) <= DEVIATION_ALLOWED else "NOT as expected"
-    if any(math.isfinite(row["expected"]) for row in rows):
-        columns["expected"] = "", "exponent expected"
-        columns["deviation"] = "", "exponent - expected, in errors of the exponent"
+        apart = (row["exponent"] - exponent) / error if error > 0.0 else math.nan
+        if np.isfinite(wanted).any():
+            row |= {"expected": exponent, "deviation": apart}
+        within = "as expected" if abs(apart) <= DEVIATION_ALLOWED else "NOT as expected"
+        row["conclusion"] = EXCLUDED if not row["points"] else within if math.isfinite(apart) else ""
     shown = ["exponent", "expected", "deviation", "p_value", "points", "chi2", "dof", "amplitude", "pivot"]
-    return _of_fits(made, rows, columns, shown, f"{variable} = amplitude x ({over} / pivot)^exponent", law="power")
+    notes = _notes(f"{variable} = amplitude x ({over} / pivot)^exponent", made, rows)
+    return made.dataset(rows, [*shown, "conclusion"], notes, law="power")
 
 
 def fit_levelling(
@@ -299,19 +319,12 @@ def fit_levelling(
     if not 0.0 < fall < 1.0:
         raise SweepError(f"fall = {fall:g}: must be above 0 and below 1, a fraction")
     made = lines(dataset, variable, over, covariance, least=LEVELLING_POINTS)
-    per_step = f"1 / ({made.over_unit})" if made.over_unit else ""
-    columns = {
-        "plateau": (made.unit, f"{variable} that the law tends to; NaN if it does not level off"),
-        "limit": (made.over_unit, f"{over} beyond which {variable} falls by less than {100 * fall:g} % a unit"),
-        "end_fall": (per_step, f"relative fall at the last {over}"),
-        "rate": (per_step, "rate at which the square of the variable levels off"),
-    }
     rows = _fitted(made, lambda x, y, errors, samples: fits.levelling(x, y, errors, fall, samples))
     for row, line in zip(rows, made.lines, strict=True):
-        row["conclusion"] = _levelling_in_words(row, line.x[-1], made.over_unit) if len(line.x) else ""
+        row["conclusion"] = _levelling_in_words(row, line.x[-1], made.over_unit) if row["points"] else EXCLUDED
     formula = f"{variable}^2 = plateau^2 + c exp(-rate x {over}); errors are scaled where chi2 > dof"
-    shown = ["plateau", "p_value", "end_fall", "points", "chi2", "dof"]
-    return _of_fits(made, rows, columns, shown, formula, law="levelling", fall=fall)
+    shown = ["plateau", "p_value", "end_fall", "points", "chi2", "dof", "conclusion"]
+    return made.dataset(rows, shown, _notes(formula, made, rows), law="levelling", fall=fall)
 
 
 def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr.Dataset:
@@ -387,36 +400,10 @@ def _fitted(made: Lines, fit: Callable[..., fits.PowerLaw | fits.Levelling]) -> 
     return rows
 
 
-def _of_fits(
-    made: Lines,
-    rows: Sequence[Mapping[str, Any]],
-    columns: Mapping[str, tuple[str, str]],
-    shown: Sequence[str],
-    formula: str,
-    **about: Any,
-) -> xr.Dataset:
-    """Return the results of fits: the ``columns``, given with unit and meaning, their errors if they have any, how well
-    the law holds, and what is concluded.
-    """
-    every = dict[str, tuple[str, str]]()
-    for name, (unit, meaning) in columns.items():
-        every[name] = unit, meaning
-        if any(f"{name}_error" in row for row in rows):
-            every[f"{name}_error"] = unit, "its one-sigma error"
-    every |= {
-        "chi2": ("", "sum of squared residuals in units of their errors"),
-        "dof": ("", "degrees of freedom of chi2"),
-        "p_value": ("", "probability of a chi2 at least as large, if the law holds"),
-        "points": ("", "points of the fit"),
-    }
-    values = {name: [float(row.get(name, np.nan)) for row in rows] for name in every}
-    full: dict[str, tuple[Any, str, str]] = {name: (values[name], *each) for name, each in every.items()}
-    conclusions = [row["conclusion"] if row["points"] else "excluded by the study" for row in rows]
-    full["conclusion"] = np.array(conclusions, dtype=object), "", "what is concluded"
-    notes = [f"{formula}; errors: {made.errors}"]
-    if bad := sum(p < P_VALUE_ALLOWED for p in values["p_value"]):
-        notes.append(f"{bad} of {len(rows)} lines: the law does not hold within the errors, p < {P_VALUE_ALLOWED:g}")
-    return made.dataset(full, [*shown, "conclusion"], *notes, **about)
+def _notes(formula: str, made: Lines, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    bad = sum(row.get("p_value", math.nan) < P_VALUE_ALLOWED for row in rows)
+    more = f"{bad} of {len(rows)} lines: the law does not hold within the errors, p < {P_VALUE_ALLOWED:g}"
+    return [f"{formula}; errors: {made.errors}", *([more] if bad else [])]
 
 
 def _expected(dataset: xr.Dataset, made: Lines, line: Line) -> float:
@@ -547,23 +534,11 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
             refusals.append(error)
     if not thresholds:
         raise refusals[0]
-    rows = np.array([_cross(line, limit, thresholds.get(line.unit, np.nan), made.over_unit) for line in made.lines])
-    where = made.over_unit
-    columns = {
-        "met": ("", "when the condition is met"),
-        "crossings": ("", "how often the limit is crossed"),
-        "first": (where, f"{over} at the first crossing"),
-        "first_error": (where, "its one-sigma error"),
-        "last": (where, f"{over} at the last crossing"),
-        "last_error": (where, "its one-sigma error"),
-        "nearest": (made.unit, f"{limit.variable} that is nearest to the limit, if that is never crossed"),
-        "nearest_at": (where, f"{over} of the nearest"),
-    }
-    numbers = {n: (rows[:, i], *columns[n]) for i, n in enumerate(columns)}
-    conclusions = [_crossing_in_words(dict(zip(columns, row, strict=True)), where, made.unit) for row in rows.tolist()]
-    numbers["conclusion"] = np.array(conclusions, dtype=object), "", "what is concluded"
-    note = f"{limit} along {over}; errors: {made.errors}"
-    result = made.dataset(numbers, ["conclusion"], note, condition=str(limit))
+    rows = [_cross(line, limit, thresholds.get(line.unit, np.nan), made.over_unit) for line in made.lines]
+    for row in rows:
+        row["conclusion"] = _crossing_in_words(row, made.over_unit, made.unit)
+    notes = [f"{limit} along {over}; errors: {made.errors}"]
+    result = made.dataset(rows, ["conclusion"], notes, condition=str(limit))
     flags = {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
     result["met"] = result["met"].astype("int8").assign_attrs(result["met"].attrs | flags)
     return result
@@ -626,20 +601,22 @@ def interpolate(
     return result
 
 
-def _cross(line: Line, limit: Limit, threshold: float, over_unit: str) -> tuple[float, ...]:
-    """Return the numbers of one line in the order of the variables of `find`."""
-    nothing = (np.nan,) * 4
+def _cross(line: Line, limit: Limit, threshold: float, over_unit: str) -> dict[str, Any]:
+    """Return the numbers of one line, which are the variables of `find`."""
+    names = ("first", "first_error", "last", "last_error", "nearest", "nearest_at")
+    row: dict[str, Any] = {"met": LEFT_OUT, "crossings": 0} | dict.fromkeys(names, np.nan)
     if np.isnan(threshold) or not len(line.x):
-        return (LEFT_OUT, 0.0, *nothing, np.nan, np.nan)
+        return row
     met = limit.is_met(line.y, threshold)
-    flips = np.flatnonzero(met[1:] != met[:-1])
-    if not len(flips):
+    flips = np.flatnonzero(met[1:] != met[:-1]).tolist()
+    if not flips:
         low = limit.sign.startswith("<") != bool(met[0])
         nearest = int(np.argmin(line.y) if low else np.argmax(line.y))
-        return (float(met[0]), 0.0, *nothing, line.y[nearest], line.x[nearest])
-    state = SEVERAL if len(flips) > 1 else FROM if met[-1] else UP_TO
-    ends = [part for i in (flips[0], flips[-1]) for part in _crossing(line, int(i), threshold, over_unit)]
-    return (float(state), float(len(flips)), *ends, np.nan, np.nan)
+        return row | {"met": int(met[0]), "nearest": line.y[nearest], "nearest_at": line.x[nearest]}
+    row |= {"met": SEVERAL if len(flips) > 1 else FROM if met[-1] else UP_TO, "crossings": len(flips)}
+    for name, i in (("first", flips[0]), ("last", flips[-1])):
+        row[name], row[f"{name}_error"] = _crossing(line, i, threshold, over_unit)
+    return row
 
 
 def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[float, float]:
@@ -694,8 +671,8 @@ def _levelling_in_words(row: Mapping[str, float], last: float, unit: str) -> str
     return words if significant else f"{words}; the levelling off is not significant"
 
 
-def _crossing_in_words(row: Mapping[str, float], unit: str, value_unit: str) -> str:
-    met = int(row["met"])
+def _crossing_in_words(row: Mapping[str, Any], unit: str, value_unit: str) -> str:
+    met = row["met"]
     words = MET_WORDS[met]
     first, last = (f"{with_error(row[name], row[f'{name}_error'])} {unit}".rstrip() for name in ("first", "last"))
     if met in (FROM, UP_TO):

@@ -35,6 +35,7 @@ from linksweep.sweep.code.reach import (
     digest_of,
     distributions_at,
     distributions_of,
+    reach,
     version_of,
     without_package,
 )
@@ -415,17 +416,17 @@ def _reach(value: Any) -> Reach:
     if isinstance(value, Experiment):
         roots = {one.name: getattr(value, one.name) for one in fields(value) if one.name not in DESCRIBING}
         roots |= {f"define of {p.name}": p.define for p in value.parameters if p.define is not None}
-    reach = Reach(roots)
-    _places.update(reach.places)
-    for name, kind in reach.unnoticed.items():
+    reached = reach(roots)
+    _places.update(reached.places)
+    for name, kind in reached.unnoticed.items():
         if name not in _warned:
             _warned.add(name)
             log.warning("changes of %s, a %s, are not noticed", name, kind)
     folder = Path(getattr(sys.modules.get(value.__module__), "__file__", None) or "x").parent
     for name in getattr(getattr(value, ATTRIBUTE, None), "reads", ()):
         file = folder / name
-        reach.parts[f"file {name}"] = digest_of(file.read_bytes()) if file.is_file() else "not there"
-    return reach
+        reached.parts[f"file {name}"] = digest_of(file.read_bytes()) if file.is_file() else "not there"
+    return reached
 
 
 def file_of(reference: str) -> str:

@@ -125,6 +125,11 @@ def distributions_of(module: str | None) -> tuple[str, ...] | None:
     return distributions_at(file or next(iter(folders or ()), None), top)
 
 
+def reach(roots: Mapping[str, Any]) -> "Reach":
+    """Return all that some objects reach."""
+    return Reach(roots, Reach(roots).changes())
+
+
 class Reach:
     """All that some objects reach.
 
@@ -138,17 +143,9 @@ class Reach:
     changes, then all.
     """
 
-    def __init__(self, roots: Mapping[str, Any]) -> None:
-        self._changed: frozenset[str] = frozenset()
-        changes = self._walk(roots, running=True)
-        self._changed = frozenset(key for function, keys in changes if self._is_used(function) for key in keys)
-        self._walk(roots, running=False)
-
-    def _walk(self, roots: Mapping[str, Any], running: bool) -> list[tuple[FunctionType, set[str]]]:
-        """Follow all that the roots reach, or only what is ``running`` when they are called; return what each function
-        changes.
-        """
-        self._running = running
+    def __init__(self, roots: Mapping[str, Any], changed: frozenset[str] | None = None) -> None:
+        """Follow all but what is ``changed``; without that only what runs, to learn it from `changes`."""
+        self._changed, self._running = changed or frozenset(), changed is None
         self.parts: dict[str, str] = {}
         self.places: dict[str, str] = {}
         self.unnoticed: dict[str, str] = {}
@@ -162,24 +159,26 @@ class Reach:
         self._called: set[int] = set()
         self._attributes: set[str] = set()
         self._todo: list[Any] = []
-        changes: list[tuple[FunctionType, set[str]]] = []
+        self._changes: list[tuple[FunctionType, set[str]]] = []
         for name, value in roots.items():
             self._keep(f"value {name}", self._refer(name, value))
         for value in self._todo:  # which grows meanwhile
             if isinstance(value, type):
                 self._class(value)
             elif isinstance(value, FunctionType):
-                changes.append((value, self._function(value)))
+                self._function(value)
             else:  # a module that is taken as a whole
                 for name in [name for name in vars(value) if not name.startswith("__")]:
                     self._refer(*self._attribute(value, name))
-        return changes
 
-    def _is_used(self, function: FunctionType) -> bool:
-        """Return whether a function is called after what it belongs to was made, as far as names tell."""
-        name = function.__name__
-        by_name = name in self._attributes or name.startswith("__")
-        return id(function) in self._called or (by_name and name not in MAKING)
+    def changes(self) -> frozenset[str]:
+        """Return what functions change that are called after what they belong to was made, as far as names tell."""
+        changed: set[str] = set()
+        for function, keys in self._changes:
+            name = function.__name__
+            by_name = (name in self._attributes or name.startswith("__")) and name not in MAKING
+            changed |= keys if by_name or id(function) in self._called else set()
+        return frozenset(changed)
 
     def _follow(self, value: Any) -> None:
         if id(value) not in self._followed:
@@ -209,8 +208,8 @@ class Reach:
             self.places[f"value {without_package(label)}"] = f"{names['__file__']}, line {_lines(tree)[name]}"
         outer, self._value, self._is_changing = (self._value, self._is_changing), label, False
         text = self._form(value, {})
-        if not self._changed.isdisjoint([name, f".{name}"]):
-            self._is_changing, text = True, label_of(type(value))
+        if not self._changed.isdisjoint([name, f".{name}", label]):
+            self._is_changing, text = True, "changes"
         if self._is_changing and tree is not None:  # what is left out counts by the statements with which it begins
             begins = [one for one in tree.body if not isinstance(one, (*DEFINITIONS, ast.Import, ast.ImportFrom))]
             begins = [one for one in begins if any(getattr(node, "id", "") == name for node in ast.walk(one))]
@@ -279,12 +278,15 @@ class Reach:
         kept = [self._kept(value, one) if isinstance(one, dict) else one for one in states]
         return function, args, *kept, list(items or ()), list(pairs or ())
 
-    def _kept(self, value: Any, state: dict[Any, Any]) -> list[Any]:
-        """Return the attributes of an object that neither code changes nor are cached properties, in order."""
+    def _kept(self, value: Any, state: dict[Any, Any]) -> list[Any] | None:
+        """Return the attributes of an object that neither code changes nor are cached properties, in order; None if
+        there is none, as before anything was cached.
+        """
+        owners = ["", *map(label_of, type(value).__mro__)]
+        changed = {key for key in state if not self._changed.isdisjoint(f"{owner}.{key}" for owner in owners)}
+        self._is_changing |= bool(changed)
         cached = {key for key in state if isinstance(getattr(type(value), str(key), None), functools.cached_property)}
-        kept = [key for key in state if f".{key}" not in self._changed and key not in cached]
-        self._is_changing |= len(kept) + len(cached) < len(state)
-        return [(key, state[key]) for key in sorted(kept, key=str)]
+        return [(key, state[key]) for key in sorted(state.keys() - changed - cached - {"__doc__"}, key=str)] or None
 
     def _code(self, value: Any) -> str | None:  # noqa: PLR0911 (one for each kind)
         """Follow a function, class, module or wrapper, and return what stands for it; None for anything else."""
@@ -337,8 +339,8 @@ class Reach:
                 self._keep(f"module {module}", "".join(map(ast.unparse, acts)) + self._names(acts, names))
         return True
 
-    def _function(self, function: FunctionType) -> set[str]:
-        """Add a function; return what it changes while it runs."""
+    def _function(self, function: FunctionType) -> None:
+        """Add a function, and what it changes while it runs."""
         names, label, code = function.__globals__, label_of(function), function.__code__
         nodes = definitions_of(function)
         positional = code.co_varnames[: code.co_argcount]
@@ -346,21 +348,19 @@ class Reach:
         defaults |= function.__kwdefaults__ or {}
         text = "".join(self._refer(f"default {name} of {label}", value) for name, value in defaults.items())
         for name, value in vars(function).items():
-            if not name.startswith("__"):
+            if not name.startswith("__") and f".{name}" not in self._changed:
                 text += self._refer(f"{label}.{name}", value)
         if not nodes:
             text += "".join(self._refer(f"{name} of {label}", value) for name, value in _closure(function).items())
             if not function.__name__.startswith("__") and "__file__" not in names:  # else a library has made it
                 self.unnoticed[label] = "function without source"
-        changes: set[str] = set()
         for node in nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {code.co_firstlineno}"
             text += _text_of(node) + self._names([node], names, function)
             if not self._running:
                 text += self._names(getattr(node, "decorator_list", ()), names)
-            changes |= set(_changes(node, function))
+            self._changes.append((function, set(_changes(node, function))))
         self._keep(f"function {label}", text)
-        return changes
 
     def _class(self, cls: type) -> None:
         """Add the statements of a class, and all that it has now."""
@@ -567,22 +567,24 @@ def _effects(tree: ast.Module | None, calls: bool) -> list[ast.stmt]:
 
 
 def _changes(node: Function, function: FunctionType) -> Iterator[str]:
-    """Yield the names that a function changes while it runs, attributes as ``.name``: its own, and those of others."""
-    code = function.__code__
+    """Yield the names that a function changes while it runs: as they are, with the label of its class before them for
+    attributes of its own object, ``.name`` for those of others.
+    """
+    code, owner = function.__code__, label_of(function).rpartition(".")[0]
+    is_method = "." in function.__qualname__ and not owner.endswith("<locals>")
+    itself = code.co_varnames[:1] if is_method else ()
     names = _names_in(code) | set(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
     for one in ast.walk(node):
         changed: Any = None
         if isinstance(one, ast.Global | ast.Nonlocal):
             yield from one.names
-        elif isinstance(one, ast.Attribute) and not isinstance(one.ctx, ast.Load):
+        elif isinstance(one, ast.Attribute | ast.Subscript) and not isinstance(one.ctx, ast.Load):
             changed = one
-        elif isinstance(one, ast.Subscript) and not isinstance(one.ctx, ast.Load):
-            changed = one.value
         elif isinstance(one, ast.Call) and isinstance(one.func, ast.Attribute) and one.func.attr in CHANGING:
             changed = one.func.value
         while isinstance(changed, ast.Subscript):
             changed = changed.value
         if isinstance(changed, ast.Attribute):
-            yield f".{changed.attr}"
+            yield f"{owner if getattr(changed.value, 'id', '') in itself else ''}.{changed.attr}"
         elif isinstance(changed, ast.Name) and changed.id in names:
             yield changed.id

@@ -26,6 +26,11 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
     "closure": "def NAME_make(g):\n    return lambda x: g(x)\n\nNAME = NAME_make(lambda x: INNER(x))",
     "memory": "NAME_known = {}\n\ndef NAME(x):\n    if x not in NAME_known:\n        NAME_known[x] = INNER(x)\n    return NAME_known[x]",
     "counter": "class C_NAME:\n    def __init__(self):\n        self.calls = 0\n    def run(self, x):\n        self.calls += 1\n        return INNER(x)\n\nNAME = C_NAME().run",
+    "nonlocal": "def NAME_make():\n    n = 0\n    def inner(x):\n        nonlocal n\n        n += 1\n        return INNER(x)\n    return inner\n\nNAME = NAME_make()",
+    "default memory": "def NAME(x, known={}):\n    known[x] = INNER(x)\n    return known[x]",
+    "lazy": "import functools\n\nclass C_NAME:\n    def __init__(self):\n        self.first = None\n    @functools.cached_property\n    def zero(self):\n        return 0.0\n    def run(self, x):\n        if self.first is None:\n            self.first = [x]\n        return INNER(x) + self.zero\n\nNAME_object = C_NAME()\n\ndef NAME(x):\n    return NAME_object.run(x)",
+    "class decorator": "import functools\n\nclass D_NAME:\n    def __init__(self, g):\n        functools.update_wrapper(self, g)\n        self.g = g\n    def __call__(self, x):\n        return self.g(x) + INNER(x)\n\n@D_NAME\ndef NAME(x):\n    return 0.0",
+    "attribute of itself": "def NAME(x):\n    NAME.calls = getattr(NAME, 'calls', 0) + 1\n    return INNER(x)",
     "single dispatch": "import functools\n\n@functools.singledispatch\ndef NAME(x):\n    return INNER(x)",
 }
 
@@ -42,6 +47,7 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "closure": "def NAME_make(k):\n    def inner(x):\n        return x + k\n    return inner\n\nNAME = NAME_make(CONSTANT)",
     "decorator": "def NAME_scaled(k):\n    def deco(g):\n        def inner(x):\n            return g(x) + k\n        return inner\n    return deco\n\n@NAME_scaled(CONSTANT)\ndef NAME(x):\n    return x",
     "attribute": "def NAME(x):\n    return x + NAME.k\n\nNAME.k = CONSTANT",
+    "like a counter": "class A_NAME:\n    def __init__(self, k):\n        self.k = k\n\nclass C_NAME:\n    k = 0\n    def step(self):\n        self.k += 1\n\nNAME_object = A_NAME(CONSTANT)\n\ndef NAME(x):\n    C_NAME().step()\n    return x + NAME_object.k",
     "later": "class C_NAME:\n    k = 0.0\n\nC_NAME.k = CONSTANT\n\ndef NAME(x):\n    return x + C_NAME().k",
     "dataclass": "from dataclasses import dataclass, field\n\n@dataclass(frozen=True)\nclass C_NAME:\n    k: float = CONSTANT\n    names: frozenset = frozenset({'a', 'b', 'c', 'dd'})\n\ndef NAME(x):\n    return x + C_NAME().k",
     "enum": "from enum import Enum\n\nclass E_NAME(Enum):\n    K = CONSTANT\n\ndef NAME(x):\n    return x + E_NAME.K.value",

@@ -1,23 +1,70 @@
-"""Stores as a run opens them."""
+"""Stores as a run and its tests open them: what tests need from inside is imported here."""
 
 import json
 from pathlib import Path
 
 import numpy as np
+import xarray as xr
 
+import linksweep
+from linksweep.sweep.executing.pools import Resources
+from linksweep.sweep.planning.work_queue import Tuning
+from linksweep.sweep.running.run import run_study
 from linksweep.sweep.running.study_store import create_store, find_store, open_store
+from linksweep.sweep.stores import ledger, location
+from linksweep.sweep.stores.integrity import sealed, unsealed
 from linksweep.sweep.stores.ledger import path_of
-from linksweep.sweep.stores.store import OpenStore
+from linksweep.sweep.stores.location import Folder, Holder, holder, located, locked, short_name, store_named
+from linksweep.sweep.stores.store import OpenStore, check, chunk_checksums, open_dataset, repair
+from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.record import provenance
+
+__all__ = [
+    "Folder",
+    "Holder",
+    "check",
+    "holder",
+    "ledger",
+    "located",
+    "location",
+    "locked",
+    "open_dataset",
+    "repair",
+    "sealed",
+    "short_name",
+    "store_named",
+    "unsealed",
+]
+
+SERIAL = Resources(pool="serial")
+OFTEN = {"flush_every_s": -1.0, "most_blocks": 1}
+"""A run that writes its ledger after every block."""
+
+
+def run(document, store, tuning=None, **options):
+    """Return the results of a study, which is run in this process; ``tuning`` says how often it writes."""
+    if tuning is None and not options:
+        return linksweep.run(document, store, pool="serial")
+    more = {} if tuning is None else {"tuning": Tuning(**tuning)}
+    return run_study(study_from_dict(document), store, SERIAL, **more, **options)[0]
+
+
+def same(dataset, wanted):
+    """Refuse results that differ in a bit, or in what they say of a variable."""
+    xr.testing.assert_identical(dataset.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
 
 
 def existing_store(where, study):
-    """Return the store of a study, None where there is none."""
+    """Return the store of a study, or of a document of one, None where there is none."""
+    study = study_from_dict(study) if isinstance(study, dict) else study
     found = find_store(where, study)
     return None if found is None else open_store(found, study)
 
 
-def create_or_resume(where, study, attributes):
-    """Return the store of a study, made if there is none."""
+def create_or_resume(where, study, attributes=None):
+    """Return the store of a study, or of a document of one, made if there is none."""
+    study = study_from_dict(study) if isinstance(study, dict) else study
+    attributes = provenance(study) if attributes is None else attributes
     store = open_store(find_store(where, study) or create_store(where, study, attributes), study)
     store.keep_copy()
     return store
@@ -40,3 +87,23 @@ def rows_on_disk(store):
     except FileNotFoundError:
         return 0
     return sum(part["records"] for part in manifest["parts"])
+
+
+def files_of(store):
+    """Return the contents of all files of a store, in a folder or a bucket."""
+    location = located(store)
+    return location.get_all(location.keys())
+
+
+def in_use(store):
+    """Return the files that the root document means, and those of the ledger; the rest is of the writing before."""
+    opened = OpenStore(store)
+    described = {f"{name}/zarr.json" for name in opened.root["consolidated_metadata"]["metadata"]}
+    return {"zarr.json", *described, *chunk_checksums(opened.root), *opened.ledger().files}
+
+
+def forge(store, change, file="zarr.json"):
+    """Change the attributes of a document of a store in a folder, which gets a right checksum."""
+    document = json.loads((Path(store) / file).read_text())
+    change(document["attributes"])
+    (Path(store) / file).write_bytes(sealed(document, file))

@@ -3,21 +3,12 @@
 import os
 import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
-import xarray as xr
 
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.planning.work_queue import Tuning
-from linksweep.sweep.running.run import run_study
-from linksweep.sweep.stores.location import Folder
-from linksweep.sweep.stores.store import check, open_dataset, repair
-from linksweep.sweep.studies.reader import study_from_dict
-from tests.sweep.opening import existing_store
-
-SERIAL = Resources(pool="serial")
+import linksweep
+from linksweep import SweepError
+from tests.sweep.opening import OFTEN, Folder, check, existing_store, repair, run, same
 
 
 @pytest.fixture
@@ -45,24 +36,14 @@ def remount(folder, options):
     subprocess.run(["mount", "-o", f"remount,{options}", str(folder)], check=True)
 
 
-def same(dataset, wanted):
-    xr.testing.assert_identical(dataset.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
-
-
-@pytest.fixture
-def study(coins):
-    return study_from_dict(coins | {"sampling": {"n_sim": 8_000, "n_cat": 20, "seed": 7}})
-
-
-def test_a_full_disk_keeps_what_was_finished(mount, tmp_path, study, monkeypatch):
-    often = Tuning(most_blocks=1, flush_every_s=-1.0)
-    wanted, _ = run_study(study, tmp_path / "wanted.zarr", SERIAL)
+def test_a_full_disk_keeps_what_was_finished(mount, tmp_path, coins, monkeypatch):
+    document = coins | {"sampling": {"n_sim": 8_000, "n_cat": 20, "seed": 7}}
+    wanted = run(document, tmp_path / "wanted.zarr")
     disk = mount("-t", "tmpfs", "-o", "size=1m", "tmpfs")
     store = disk / "s.zarr"
     free = 300_000  # for the first writing of the dataset and some flushes of the ledger
     (disk / "ballast").write_bytes(bytes(2**20 - free))
-    flushes = []
-    put = Folder.put
+    flushes, put = [], Folder.put
 
     def fill(folder, key, content):
         flushes.append(key)
@@ -70,22 +51,20 @@ def test_a_full_disk_keeps_what_was_finished(mount, tmp_path, study, monkeypatch
             (disk / "more").write_bytes(bytes(shutil.disk_usage(disk).free))
         put(folder, key, content)
 
+    full = "cannot be written: No space left on device; what was finished before is kept"
     monkeypatch.setattr(Folder, "put", fill)
-    with pytest.raises(
-        SweepError, match="cannot be written: No space left on device; what was finished before is kept"
-    ):
-        run_study(study, store, SERIAL, tuning=often)
+    with pytest.raises(SweepError, match=full):
+        run(document, store, OFTEN)
     monkeypatch.setattr(Folder, "put", put)
     assert not list(disk.rglob("*.partial"))
-    held = len(existing_store(store, study).rows)
-    assert 0 < held < len(existing_store(tmp_path / "wanted.zarr", study).rows)
-    assert int((open_dataset(store)["status"] == 1).sum()) < 6  # readable, and says that it is incomplete
-    with pytest.raises(SweepError, match="cannot be written: No space left on device"):  # still full
-        run_study(study, store, SERIAL)
+    rows = len(existing_store(store, document).rows)
+    assert 0 < rows < len(existing_store(tmp_path / "wanted.zarr", document).rows)
+    assert int((linksweep.open(store)["status"] == 1).sum()) < 6  # readable, and says that it is incomplete
+    with pytest.raises(SweepError, match=full):
+        run(document, store)
     (disk / "more").unlink()
     (disk / "ballast").unlink()
-    dataset, _ = run_study(study, store, SERIAL)
-    same(dataset, wanted)
+    same(run(document, store), wanted)
     assert not check(store)
 
 
@@ -98,25 +77,17 @@ def test_a_full_disk_is_said_in_a_sentence(mount, link_study, sweep):
 
 
 @pytest.mark.slow
-def test_a_store_that_can_only_be_read(mount, study, link_study, sweep, tmp_path):
+def test_a_store_that_can_only_be_read(mount, link_study, sweep, tmp_path):
     disk = mount("-t", "tmpfs", "-o", "size=8m", "tmpfs")
     store = disk / "s.zarr"
     assert sweep("run", link_study, "-o", store, "--set", "n_sim=20")[0] == 0
     remount(disk, "ro")
-    for command in (
-        ("show", store),
-        ("status", store),
-        ("check", store),
-        ("plan", link_study, "-o", store),
-        ("plot", store, "-o", tmp_path / "p.png"),
-    ):
+    looks = [(command, store) for command in ("show", "status", "check")]
+    for command in (*looks, ("plan", link_study, "-o", store), ("plot", store, "-o", tmp_path / "p.png")):
         code, _, err = sweep(*command)
         assert code == 0, (command, err)
-    for command in (
-        ("run", link_study, "-o", store),
-        ("check", store, "--repair"),
-        ("run", link_study, "-o", disk / "new.zarr"),
-    ):
+    runs = [("run", link_study, "-o", place) for place in (store, disk / "new.zarr")]
+    for command in (*runs, ("check", store, "--repair")):
         code, out, err = sweep(*command)
         assert (code, out) == (2, ""), command
         assert "Read-only file system" in err or "is not a directory that can be written" in err
@@ -125,21 +96,21 @@ def test_a_store_that_can_only_be_read(mount, study, link_study, sweep, tmp_path
     assert sweep("run", link_study, "-o", store)[0] == 0
 
 
-def test_a_store_that_is_read_only_in_a_folder_that_is_not(mount, tmp_path, study, coins):
-    run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
+def test_a_store_that_is_read_only_in_a_folder_that_is_not(mount, tmp_path, coins):
+    run(coins, tmp_path / "s.zarr")
     outer = mount("-t", "tmpfs", "tmpfs")
-    (outer / "s.zarr").mkdir()
-    subprocess.run(["mount", "--bind", str(tmp_path / "s.zarr"), str(outer / "s.zarr")], check=True)
+    store = outer / "s.zarr"
+    store.mkdir()
+    subprocess.run(["mount", "--bind", str(tmp_path / "s.zarr"), str(store)], check=True)
     try:
-        subprocess.run(["mount", "-o", "remount,bind,ro", str(outer / "s.zarr")], check=True)
-        assert open_dataset(outer / "s.zarr").attrs["complete"] == 1
-        larger = study_from_dict(coins | {"axes": {**coins["axes"], "coins": [1, 5, 20, 30]}})
+        subprocess.run(["mount", "-o", "remount,bind,ro", str(store)], check=True)
+        assert linksweep.open(store).attrs["complete"] == 1
         with pytest.raises(SweepError, match="cannot be written: Read-only file system"):
-            run_study(larger, outer / "s.zarr", SERIAL)
+            run(coins | {"axes": {**coins["axes"], "coins": [1, 5, 20, 30]}}, store)
         assert not (outer / "s.zarr.lock").exists()
-        assert repair(outer / "s.zarr") == []
+        assert repair(store) == []
     finally:
-        subprocess.run(["umount", str(outer / "s.zarr")], check=True)
+        subprocess.run(["umount", str(store)], check=True)
 
 
 def test_a_folder_that_others_own(tmp_path, coins):
@@ -147,4 +118,4 @@ def test_a_folder_that_others_own(tmp_path, coins):
         pytest.skip("root may write everywhere")
     (tmp_path / "theirs").mkdir(mode=0o500)
     with pytest.raises(SweepError, match="is not a directory that can be written"):
-        run_study(study_from_dict(coins), Path(tmp_path / "theirs" / "s.zarr"), SERIAL)
+        run(coins, tmp_path / "theirs" / "s.zarr")

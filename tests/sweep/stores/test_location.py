@@ -1,12 +1,16 @@
-"""Folders and buckets: the same promises, kept by both."""
+"""Folders and buckets keep the same promises; what is no file in a store is refused; stores by their names."""
 
 import os
+import shutil
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.stores.location import Folder, located
+import linksweep
+from linksweep import SweepError
+from tests.sweep.opening import Folder, files_of, located, short_name, store_named
 
 
 def test_files_come_back_as_they_were_put(place):
@@ -21,9 +25,9 @@ def test_files_come_back_as_they_were_put(place):
     assert location.keys("a/") == ["a/b"]
     assert location.get_all(["c/7", "none"]) == {"c/7": b"\x07", "none": None}
     assert not location.is_free()
-    location.delete("a/b")
-    location.delete("a/b")
-    assert location.get("a/b") is None
+    for _ in range(2):
+        location.delete("a/b")
+        assert location.get("a/b") is None
 
 
 def test_the_place_around_a_store_is_beside_it(place):
@@ -35,38 +39,54 @@ def test_the_place_around_a_store_is_beside_it(place):
     assert str(located(str(location))) == str(location) == place
 
 
-def test_only_one_of_many_creates_a_file(place):
+def test_only_one_of_many_creates_or_swaps_a_file(place):
     location = located(place)
     with ThreadPoolExecutor(8) as pool:
         made = list(pool.map(lambda i: location.create("lock", bytes([i])), range(24)))
-    assert sum(made) == 1
-    assert location.get("lock") == bytes([made.index(True)])
-
-
-def test_only_one_of_many_swaps_a_file(place):
-    location = located(place)
-    for turn in range(5):
-        location.put("lock", b"stale")
-        with ThreadPoolExecutor(8) as pool:
+        assert sum(made) == 1
+        assert location.get("lock") == bytes([made.index(True)])
+        for turn in range(5):
+            location.put("lock", b"stale")
             swapped = list(pool.map(lambda i: location.swap("lock", b"stale", bytes([i])), range(24)))
-        assert sum(swapped) == 1, turn
-        assert location.get("lock") == bytes([swapped.index(True)])
+            assert sum(swapped) == 1, turn
+            assert location.get("lock") == bytes([swapped.index(True)])
     assert not location.swap("none", b"", b"new")
     assert location.get("none") is None
 
 
-def test_a_file_that_could_not_be_finished_leaves_the_old_one(tmp_path, monkeypatch):
-    folder = Folder(tmp_path / "s.zarr")
-    folder.put("a", b"old")
+def test_a_file_that_was_replaced_by_an_equal_one_is_not_swapped(tmp_path, monkeypatch):
+    """Who waited for the system's lock on a file that has gone since does not hold that of the new one."""
+    import fcntl
+
+    place, flock = Folder(tmp_path), fcntl.flock
+    place.put("lock", b"old")
+
+    def late(descriptor, operation):
+        (tmp_path / "other").write_bytes(b"old")
+        (tmp_path / "other").replace(tmp_path / "lock")
+        flock(descriptor, operation)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    assert not place.swap("lock", b"old", b"new")
+    assert place.get("lock") == b"old"
+    monkeypatch.undo()
+    assert place.swap("lock", b"old", b"new")
+
+
+def test_a_file_and_its_folder_are_on_the_disk_or_the_old_one_is(tmp_path, monkeypatch):
+    synchronised, fsync = [], os.fsync
+    monkeypatch.setattr(os, "fsync", lambda number: (synchronised.append(os.fstat(number).st_ino), fsync(number))[1])
+    Folder(tmp_path).put("a/b", b"old")
+    assert synchronised == [(tmp_path / "a" / "b").stat().st_ino, (tmp_path / "a").stat().st_ino]
 
     def full(descriptor):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match="No space left"):
-        folder.put("a", b"new")
-    assert folder.get("a") == b"old"
-    assert os.listdir(tmp_path / "s.zarr") == ["a"]
+        Folder(tmp_path).put("a/b", b"new")
+    assert Folder(tmp_path).get("a/b") == b"old"
+    assert os.listdir(tmp_path / "a") == ["b"]
 
 
 def test_a_file_system_without_links_has_exclusive_files_too(tmp_path, monkeypatch):
@@ -80,23 +100,137 @@ def test_a_file_system_without_links_has_exclusive_files_too(tmp_path, monkeypat
     assert folder.get("a") == b"one"
 
 
-def test_links_to_a_folder_are_the_same_place(tmp_path):
-    Folder(tmp_path / "s.zarr").put("zarr.json", b"{}")
-    (tmp_path / "elsewhere").mkdir()
-    link = tmp_path / "elsewhere" / "other"
-    link.symlink_to(tmp_path / "s.zarr")
-    assert (Folder(link).name, Folder(link).parent) == ("s.zarr", Folder(tmp_path))
-
-
 @pytest.mark.parametrize(
-    "address",
-    ["s3://", "s3://abc", "s3://abc/", "s3://a/x", "s3://ABC/x", "s3://abc/a//b", "s3://abc/../b", "s3:///abc/x"],
+    ("address", "words"),
+    [
+        *[(f"s3://{rest}", "s3://BUCKET/NAME") for rest in ("", "abc", "abc/", "a/x", "ABC/x", "abc/a//b", "abc/../b")],
+        ("s3:///abc/x", "s3://BUCKET/NAME"),
+        ("gs://abc/x", "gs:// is not known; a store is a path or s3://BUCKET/NAME"),
+    ],
 )
-def test_an_address_that_is_none_is_refused(address):
-    with pytest.raises(SweepError, match="s3://BUCKET/NAME"):
+def test_an_address_that_is_none_is_refused(address, words):
+    with pytest.raises(SweepError, match=words):
         located(address)
 
 
-def test_an_unknown_scheme_is_refused():
-    with pytest.raises(SweepError, match="gs:// is not known; a store is a path or s3://BUCKET/NAME"):
-        located("gs://abc/x")
+def test_a_store_has_the_name_of_its_study_unless_a_path_exists(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert str(store_named("quasars")) == "quasars"
+    (tmp_path / "results" / "quasars.zarr").mkdir(parents=True)
+    assert str(store_named("quasars")) == str(store_named("results/quasars.zarr")) == "results/quasars.zarr"
+    assert short_name(store_named("quasars")) == "quasars"
+    assert short_name(store_named("elsewhere/quasars.zarr")) == "elsewhere/quasars.zarr"
+    (tmp_path / "quasars").mkdir()
+    assert str(store_named("quasars")) == "quasars"
+    assert short_name(store_named("results/quasars.zarr")) == "results/quasars.zarr"
+
+
+def test_a_name_that_is_no_utf_8_ends_no_command_in_a_traceback(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "model.py").write_text("def model(x: float = 1.0):\n    return 2 * x\n")
+    store, page, merged = (os.fsdecode(name) for name in (b"s\xff.zarr", b"r\xff.html", b"m\xff.zarr"))
+    lines = [f"{name} STORE" for name in ("show", "status", "check", "report", "compare", "run --retry")]
+    lines += ["status STORE --json", "check STORE --repair", "plot STORE -o p.png", "fit STORE --over x"]
+    lines += ["reproduce STORE --at x=1", f"report STORE -o {page}", f"merge STORE STORE -o {merged}"]
+    for line in ["run model.py:model --axis x=1,2 -o STORE --pool serial", *lines]:
+        command = line.replace("STORE", store).split(" ")
+        done = subprocess.run([sys.executable, "-m", "linksweep", *command], capture_output=True, check=False)
+        assert done.returncode == 0 or line == "compare STORE", (line, done.stderr)
+        assert b"Traceback" not in done.stderr, (line, done.stderr)
+
+
+MODEL = "def model(x: float = 1.0, k: int = 1):\n    return {'y': x * k, 'name': f'{x:g}'}\n"
+COMMANDS = (
+    *("show", "status", "check", "check --repair", "report", "plot -o p.png", "compare", "run --retry"),
+    *("reproduce --at k=1", "find --where y>0 --over k", "fit --over k"),
+)
+
+
+@pytest.fixture
+def store(tmp_path):
+    (tmp_path / "model.py").write_text(MODEL)
+    linksweep.run(f"{tmp_path}/model.py:model", tmp_path / "s.zarr", axes={"k": [1, 2]}, pool="serial")
+    return tmp_path / "s.zarr"
+
+
+def enlarge(store):
+    return linksweep.run(f"{store.parent}/model.py:model", store, axes={"k": [1, 2, 4]}, pool="serial")
+
+
+def moved_out(store, name):
+    """Replace a file or a folder of a store by a link to it outside."""
+    outside = store.parent / "outside"
+    (store / name).rename(outside)
+    (store / name).symlink_to(outside)
+
+
+def dangling(store, name):
+    (store / name).symlink_to(store.parent / "new")
+
+
+def pipe(store, name):
+    (store / name).unlink(missing_ok=True)
+    os.mkfifo(store / name)
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        *[(moved_out, name) for name in ("blocks", "y", "zarr.json", "blocks/rows.3.0")],
+        *[(dangling, name) for name in ("anything", "y/9.9")],
+        *[(pipe, name) for name in ("zarr.json", "blocks/zarr.json")],
+    ],
+)
+def test_every_command_refuses_what_is_no_file_and_writes_nothing_through_it(store, tmp_path, sweep, make, name):
+    make(store, name)
+    before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
+    model = f"{tmp_path}/model.py:model"
+    lines = [[*command.split()[:1], store, *command.split()[1:]] for command in COMMANDS]
+    lines += [["run", model, "-o", store, "--axis", "k=1,2,4"], ["run", model, "-o", store, "--fresh"]]
+    for line in lines:
+        code, out, err = sweep(*line, cwd=tmp_path)
+        assert (code, out) == (2, ""), (line, out, err)
+        assert f"{name} is a " in err, line
+        assert "Traceback" not in err
+    assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
+
+
+def test_a_store_may_itself_be_a_link(store, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    link = tmp_path / "elsewhere" / "link.zarr"
+    link.symlink_to(store)
+    assert (Folder(link).name, Folder(link).parent) == ("s.zarr", Folder(tmp_path))  # one lock
+    assert enlarge(store).attrs["complete"] == 1
+    assert linksweep.open(link).sizes["k"] == 3
+
+
+def test_a_file_with_a_second_name_is_replaced_not_written_through(store, tmp_path):
+    for number, key in enumerate(files_of(store)):
+        os.link(store / key, tmp_path / f"{number}")
+    before = {p: p.read_bytes() for p in tmp_path.glob("*") if p.is_file()}
+    enlarge(store)
+    assert {p: p.read_bytes() for p in tmp_path.glob("*") if p.is_file()} == before
+
+
+def test_a_link_that_comes_during_a_run_is_not_followed(tmp_path):
+    place = Folder(tmp_path / "s.zarr")
+    place.put("blocks/a", b"1")
+    shutil.rmtree(tmp_path / "s.zarr" / "blocks")
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "s.zarr" / "blocks").symlink_to(tmp_path / "outside")
+    for change in (
+        lambda: place.put("blocks/a", b"2"),
+        lambda: place.delete("blocks/a"),
+        lambda: place.get("blocks/a"),
+    ):
+        with pytest.raises(OSError, match="blocks is a symbolic link"):
+            change()
+    assert list((tmp_path / "outside").iterdir()) == []
+
+
+def test_a_lock_that_is_a_link_is_named(store, tmp_path, sweep):
+    (tmp_path / "s.zarr.lock").symlink_to(tmp_path / "nowhere")
+    code, _, err = sweep("status", store)
+    assert (code, "s.zarr.lock is a symbolic link" in err) == (2, True)
+    with pytest.raises(SweepError, match=r"s\.zarr\.lock is a symbolic link"):
+        enlarge(store)

@@ -14,15 +14,15 @@ import pytest
 import xarray as xr
 import zarr
 
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.stores import location
-from linksweep.sweep.stores.location import Holder, holder, located, locked
+from linksweep import SweepError
 from tests.patience import PATIENCE_S
+from tests.sweep import opening
+from tests.sweep.opening import Holder, holder, located, locked
 from tests.tiers import slow
 
 HOLD = """
 import sys, time
-from linksweep.sweep.stores.location import locked
+from tests.sweep.opening import locked
 with locked(sys.argv[1]):
     print("held", flush=True)
     time.sleep(float(sys.argv[2]))
@@ -47,19 +47,29 @@ def hold():
         process.communicate()
 
 
+def put_lock(place, content):
+    location = located(place)
+    location.parent.put(f"{location.name}.lock", content)
+
+
 def held_by(place, **changes):
     """Leave a lock as a process of this host would that has ended, with changes."""
     with locked(place):
         mine = holder(place)
-    other = replace(mine, pid=2**22 + 1, token="other", **changes)  # above any process number of Linux
-    there = located(place)
-    there.parent.put(f"{there.name}.lock", json.dumps(asdict(other)).encode())
+    other = replace(mine, token="other", **{"pid": 2**22 + 1} | changes)  # above any process number of Linux
+    put_lock(place, json.dumps(asdict(other)).encode())
     return other
 
 
 def lock_file(place):
-    there = located(place)
-    return there.parent.get(f"{there.name}.lock")
+    location = located(place)
+    return location.parent.get(f"{location.name}.lock")
+
+
+def can_be_taken(place, **options):
+    with locked(place, **options):
+        assert holder(place).pid == os.getpid()
+    return lock_file(place) is None
 
 
 def test_it_is_beside_the_store_and_gone_afterwards(place):
@@ -88,32 +98,20 @@ def test_the_second_is_told_who_has_it(place, hold):
 def test_the_lock_of_a_killed_process_is_taken_over(place, hold):
     process = hold(place)
     process.kill()
-    process.wait()
-    assert lock_file(place) is not None
-    assert holder(place) is None
-    with locked(place):
-        assert holder(place).pid == os.getpid()
-    assert lock_file(place) is None
-
-
-def test_a_process_that_is_not_reaped_has_ended(place, hold):
-    process = hold(place)
-    process.kill()
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
     assert process.returncode is None  # still a zombie of ours
+    assert lock_file(place) is not None
     assert holder(place) is None
+    process.wait()
+    assert can_be_taken(place)
 
 
 def test_a_later_process_of_the_same_number_does_not_hold_it(place):
     with locked(place):
         mine = holder(place)
-    held_by(place)
-    there = located(place)
-    stale = replace(mine, started=str(int(mine.started) - 1), token="other")
-    there.parent.put(f"{there.name}.lock", json.dumps(asdict(stale)).encode())
+    held_by(place, pid=mine.pid, started=str(int(mine.started) - 1))
     assert holder(place) is None
-    with locked(place):
-        assert holder(place).pid == os.getpid()
+    assert can_be_taken(place)
 
 
 @pytest.mark.parametrize("change", [{"host": "elsewhere"}, {"boot": "another boot"}])
@@ -123,25 +121,22 @@ def test_a_lock_that_cannot_be_judged_is_broken_only_on_request(place, change):
     with pytest.raises(SweepError, match=r"cannot be told from here.*--break-lock"), locked(place):
         pass
     assert holder(place) == other
-    with locked(place, break_lock=True):
-        assert holder(place).pid == os.getpid()
+    assert can_be_taken(place, break_lock=True)
 
 
 @pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"host": 1}'])
 def test_a_damaged_lock_is_broken_only_on_request(place, content):
-    there = located(place)
-    there.parent.put(f"{there.name}.lock", content)
+    put_lock(place, content)
     with pytest.raises(SweepError, match=r"damaged.*--break-lock"), locked(place):
         pass
-    with locked(place, break_lock=True):
-        assert holder(place).pid == os.getpid()
+    assert can_be_taken(place, break_lock=True)
 
 
 def without_flock(monkeypatch, number=errno.ENOLCK):
     def refuse(*_):
         raise OSError(number, os.strerror(number))
 
-    monkeypatch.setattr(location.fcntl, "flock", refuse)
+    monkeypatch.setattr(opening.location.fcntl, "flock", refuse)
 
 
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
@@ -151,17 +146,15 @@ def test_without_locks_of_the_system_a_killed_run_is_resumed_too(tmp_path, hold,
     process = hold(place)
     process.kill()
     process.wait()
-    with locked(place):
-        assert holder(place).pid == os.getpid()
+    assert can_be_taken(place)
     held_by(place, host="elsewhere")
-    with locked(place, break_lock=True):
-        assert holder(place).pid == os.getpid()
+    assert can_be_taken(place, break_lock=True)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_process_that_was_killed_while_it_took_over_is_named(tmp_path, monkeypatch):
     without_flock(monkeypatch)
-    monkeypatch.setattr(location, "PAUSE_S", 0.0)
+    monkeypatch.setattr(opening.location, "PAUSE_S", 0.0)
     held_by(str(tmp_path / "s.zarr"))
     (tmp_path / "s.zarr.lock.taking").touch()
     with (
@@ -203,13 +196,12 @@ def test_of_many_that_find_a_stale_lock_one_gets_it(place, rounds, flock, monkey
 def test_a_holder_whose_lock_was_broken_leaves_that_of_the_next(place):
     with locked(place):
         other = Holder("elsewhere", "", 1, "", "2026-01-01", "other")
-        there = located(place)
-        there.parent.put(f"{there.name}.lock", json.dumps(asdict(other)).encode())
+        put_lock(place, json.dumps(asdict(other)).encode())
     assert holder(place) == other
 
 
 def test_a_system_without_proc_asks_for_the_process(tmp_path, monkeypatch):
-    monkeypatch.setattr(location, "_start_of", lambda pid: "")
+    monkeypatch.setattr(opening.location, "_start_of", lambda pid: "")
     place = tmp_path / "s.zarr"
     with locked(place):
         assert holder(place).pid == os.getpid()
@@ -238,12 +230,8 @@ def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, 
 
 
 def test_plain_readers_do_not_see_the_lock(tmp_path, coins):
-    from linksweep.sweep.executing.pools import Resources
-    from linksweep.sweep.running.run import run_study
-    from linksweep.sweep.studies.reader import study_from_dict
-
     store = tmp_path / "s.zarr"
-    run_study(study_from_dict(coins), store, Resources(pool="serial"))
+    opening.run(coins, store)
     with locked(store):
         names = {name for name, _ in zarr.open_group(store, mode="r").members()}
         assert "share" in names

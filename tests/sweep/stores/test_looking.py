@@ -1,24 +1,15 @@
 """Looking at a store runs nothing that it names; computing from a stranger's store asks first."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
-import click
 import pytest
 
-from linksweep.sweep.cli import main
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.reproduce import reproduce, study_of
-from linksweep.sweep.running.run import run_study
-from linksweep.sweep.running.status import status_report
-from linksweep.sweep.stores.integrity import sealed
-from linksweep.sweep.stores.location import Folder
-from linksweep.sweep.stores.store import open_dataset
-from linksweep.sweep.studies.reader import study_from_dict
+from tests.conftest import main
+from tests.sweep.opening import Folder, forge, run, sealed
 
-SERIAL = Resources(pool="serial")
 COINS = (Path(__file__).parents[1] / "coins.py").read_text()
 MARKING = 'from pathlib import Path\nPath({marker!r}).write_text("was here")\n'
 
@@ -70,11 +61,8 @@ def evil(tmp_path, coins):
     code = MARKING.format(marker=str(marker)) + COINS
     (place / "x.py").write_text(code)
     document = coins | {"experiment": f"{place / 'x.py'}:experiment", "sampling": {"n_sim": 100, "n_cat": 2}}
-    run_study(study_from_dict(document), store, SERIAL)
-    root = json.loads((store / "zarr.json").read_text())
-    stored = root["attributes"]["study_document"]
-    root["attributes"]["study_document"] = stored.replace(str(place), str(store))
-    (store / "zarr.json").write_bytes(sealed(root, "zarr.json"))
+    run(document, store)
+    forge(store, lambda told: told.update(study_document=told["study_document"].replace(str(place), str(store))))
     (store / "x.py").write_text(code)
     (store / "study.toml").write_text(STUDY)
     marker.unlink()
@@ -82,7 +70,6 @@ def evil(tmp_path, coins):
 
 
 def test_every_command_is_tried():
-    assert isinstance(main, click.Group)
     assert set(ARGUMENTS) == set(main.commands), "say above how a new command looks at a store"
 
 
@@ -114,61 +101,57 @@ def test_status_of_a_store_needs_only_the_store(evil, sweep):
     assert "note" not in report
 
 
-def test_a_store_from_elsewhere_asks_once(tmp_path, coins):
+def test_a_store_from_elsewhere_asks_once(tmp_path, coins, sweep):
     (tmp_path / "x.py").write_text(COINS)
-    document = coins | {"experiment": f"{tmp_path / 'x.py'}:experiment"}
-    run_study(study_from_dict(document), tmp_path / "s.zarr", SERIAL)
-    study_of(tmp_path / "s.zarr")  # written here: nothing to ask
-    shutil.copytree(tmp_path / "s.zarr", tmp_path / "copy.zarr")
-    with pytest.raises(SweepError, match=r"would run .*x.py, and the store was not written here: .* give --trust"):
-        study_of(tmp_path / "copy.zarr")
-    again = reproduce(tmp_path / "copy.zarr", "metal=tin,coins=5", trust=True)
-    assert again.differences == {}
-    run_study(study_of(tmp_path / "copy.zarr", trust=True), tmp_path / "copy.zarr", SERIAL, retry=True)
-    study_of(tmp_path / "copy.zarr")  # written here since
+    run(coins | {"experiment": f"{tmp_path / 'x.py'}:experiment"}, tmp_path / "s.zarr")
+    point, copy = ("--at", "metal=tin,coins=5"), tmp_path / "copy.zarr"
+    shutil.copytree(tmp_path / "s.zarr", copy)
+    assert sweep("reproduce", tmp_path / "s.zarr", *point)[0] == 0  # written here: nothing to ask
+    code, _, err = sweep("reproduce", copy, *point)
+    assert code == 2
+    assert re.search(r"would run .*x.py, and the store was not written here: .* give --trust", err)
+    assert sweep("reproduce", copy, *point, "--trust")[0] == 0
+    assert sweep("run", "--retry", copy, "--trust")[0] == 0
+    assert sweep("reproduce", copy, *point)[0] == 0  # written here since
 
 
-@pytest.mark.parametrize("who", ["host", "user"])
-def test_another_host_or_user_is_elsewhere(tmp_path, coins, monkeypatch, who):
-    run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
-    monkeypatch.setattr(
-        f"linksweep.sweep.stores.store.{'platform.node' if who == 'host' else 'getpass.getuser'}", lambda: "another"
-    )
-    with pytest.raises(SweepError, match=r"coins.py, and the store was not written here"):
-        study_of(tmp_path / "s.zarr")
+@pytest.mark.parametrize("who", ["platform.node", "getpass.getuser"])
+def test_another_host_or_user_is_elsewhere(tmp_path, coins, monkeypatch, sweep, who):
+    run(coins, tmp_path / "s.zarr")
+    monkeypatch.setattr(who, lambda: "another")
+    code, _, err = sweep("reproduce", tmp_path / "s.zarr", "--at", "metal=tin,coins=5")
+    assert (code, "coins.py, and the store was not written here" in err) == (2, True)
 
 
-def test_a_store_of_our_own_experiment_asks_nothing(tmp_path, store_of):
-    shutil.copytree(store_of("quasars"), tmp_path / "q.zarr")
-    assert study_of(tmp_path / "q.zarr").experiment.name == "link"
+def test_code_of_our_own_asks_nothing_but_functions_that_a_study_defines_do(tmp_path, store_of, sweep):
+    store = tmp_path / "q.zarr"
+    shutil.copytree(store_of("quasars"), store)
+    point = ("reproduce", store, "--at", "model=gaia,v_max=14")
+    assert sweep(*point)[0] == 0
+
+    def define(attributes):
+        document = json.loads(attributes["study_document"])
+        document["define"] = {"model": {"mine": {"sigma_pm": str(tmp_path / "m.py") + ":curve"}}}
+        attributes["study_document"] = json.dumps(document)
+
+    forge(store, define)
+    code, _, err = sweep(*point)
+    assert code == 2
+    assert re.search(r"would run .*m.py, and the store was not written here", err)
 
 
-def test_functions_that_a_study_defines_count_as_code(tmp_path, store_of):
-    shutil.copytree(store_of("quasars"), tmp_path / "q.zarr")
-    root = json.loads((tmp_path / "q.zarr" / "zarr.json").read_text())
-    document = json.loads(root["attributes"]["study_document"])
-    document["define"] = {"model": {"mine": {"sigma_pm": str(tmp_path / "m.py") + ":curve"}}}
-    root["attributes"]["study_document"] = json.dumps(document)
-    (tmp_path / "q.zarr" / "zarr.json").write_bytes(sealed(root, "zarr.json"))
-    with pytest.raises(SweepError, match=r"would run .*m.py, and the store was not written here"):
-        study_of(tmp_path / "q.zarr")
+def test_a_store_without_a_record_says_what_it_cannot(tmp_path, coins, sweep):
+    run(coins, tmp_path / "s.zarr")
+    forge(tmp_path / "s.zarr", lambda told: told.pop("experiment_record"))
+    code, _, err = sweep("status", tmp_path / "s.zarr")
+    assert (code, "has no record of its experiment" in err) == (2, True)
 
 
-def test_a_store_without_a_record_says_what_it_cannot(tmp_path, coins):
-    run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
-    root = json.loads((tmp_path / "s.zarr" / "zarr.json").read_text())
-    del root["attributes"]["experiment_record"]
-    (tmp_path / "s.zarr" / "zarr.json").write_bytes(sealed(root, "zarr.json"))
-    with pytest.raises(SweepError, match="has no record of its experiment"):
-        status_report(tmp_path / "s.zarr")
-
-
-@pytest.mark.parametrize("look", [status_report, open_dataset], ids=["status", "show"])
-def test_the_root_document_is_read_once(tmp_path, coins, monkeypatch, look):
-    run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL)
+def test_the_root_document_is_read_once(tmp_path, coins, monkeypatch, sweep):
+    run(coins, tmp_path / "s.zarr")
     get, reads = Folder.get, []
     monkeypatch.setattr(Folder, "get", lambda place, key: (reads.append(key), get(place, key))[1])
-    look(tmp_path / "s.zarr")
+    sweep("status", tmp_path / "s.zarr")
     assert reads.count("zarr.json") == 1
 
 
@@ -195,67 +178,42 @@ def _replaced(value, path, new):
     return copied
 
 
-ADDED = {  # keys that a study or a store may have, where a reference could be put
-    *("derive", "file", "define", "experiment", "catalogue", "published", "figure", "code", "function", "columns"),
-}
+ADDED = ("derive", "file", "define", "experiment", "catalogue", "published", "figure", "code", "function", "columns")
+"""Keys that a study or a store may have, where a reference could be put."""
+
 BESIDE = [  # where a study has references
     *[("points", "derive"), ("points", "file"), ("define", "metal", "mine", "curve"), ("published", "file")],
     *[("figure", "kind"), ("fixed", "metal"), ("axes", "metal"), ("sampling", "seed")],
 ]
-LOOKING = [
-    ["status", "STORE"],
-    ["show", "STORE"],
-    ["check", "STORE"],
-    ["plot", "STORE", "--kind", "sky"],
-    ["report", "STORE"],
-]
+LOOKING = ["status STORE", "show STORE", "check STORE", "plot STORE --kind sky", "report STORE"]
+INTERESTING = ("study", "experiment", "record", "point", "define", "claims", "conclusion", *ADDED)
 
 
 @pytest.mark.slow
-def test_no_field_of_any_document_is_a_way_to_run_code(evil, tmp_path, monkeypatch):
+def test_no_field_of_any_document_is_a_way_to_run_code(evil, tmp_path, monkeypatch, sweep):
     """A mark is put in every field of the documents of a store, and beside them, one after the other."""
-    from click.testing import CliRunner
-
     store, marker = evil
     (tmp_path / "evilmodule.py").write_text((store / "x.py").read_text())
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     documents = {file: json.loads((store / file).read_text()) for file in ("zarr.json", "blocks/zarr.json")}
-    interesting = (
-        "study",
-        "experiment",
-        "record",
-        "point",
-        "function",
-        "define",
-        "claims",
-        "conclusion",
-        "catalogue",
-        "code",
-    )
     places = [
         (file, path)
         for file, document in documents.items()
         for path in _fields(document)
-        if path and any(word in str(part) for part in path for word in interesting)
+        if path and any(word in str(part) for part in path for word in INTERESTING)
     ]
-    whole = ("attributes", "study_document", None)
-    added = [("zarr.json", (*whole, *inner)) for inner in BESIDE]
-    added += [
-        (file, (*path, key))
-        for file, path in places
-        for key in sorted(ADDED)
-        if path[-1] in ("study_document", None, "points")
-    ]
-    chosen = places + [one for one in added if len(one[1]) < 6]
-    for number, (file, path) in enumerate(chosen):
+    added = [("zarr.json", ("attributes", "study_document", None, *inner)) for inner in BESIDE]
+    ends = [(file, path) for file, path in places if path[-1] in ("study_document", None, "points")]
+    added += [(file, (*path, key)) for file, path in ends for key in ADDED]
+    for number, (file, path) in enumerate(places + [one for one in added if len(one[1]) < 6]):
         reference = (f"{store}/x.py:experiment", "evilmodule:experiment")[number % 2]
         try:
             forged = _replaced(documents[file], path, reference)
         except (KeyError, TypeError, IndexError, AttributeError, ValueError):
             continue  # nothing can be put there
         (store / file).write_bytes(sealed(forged, file))
-        for command in (LOOKING[number % len(LOOKING)], LOOKING[0]):
-            CliRunner().invoke(main, [a.replace("STORE", str(store)) for a in command])
-            assert not marker.exists(), (file, path, command)
+        for line in (LOOKING[number % len(LOOKING)], LOOKING[0]):
+            sweep(*line.replace("STORE", str(store)).split())
+            assert not marker.exists(), (file, path, line)
         (store / file).write_bytes(sealed(documents[file], file))

@@ -4,7 +4,6 @@ import random
 import socket
 import sys
 import threading
-import time
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -12,19 +11,12 @@ import pytest
 import xarray as xr
 from zarr.storage import ObjectStore
 
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.planning.work_queue import Tuning
-from linksweep.sweep.running.run import run_study
-from linksweep.sweep.stores import location as bucket_module
-from linksweep.sweep.stores.location import located
-from linksweep.sweep.stores.store import open_dataset
-from linksweep.sweep.studies.reader import study_from_dict
+import linksweep
+from linksweep import SweepError
 from tests.documents import run_commands
+from tests.sweep import opening
 from tests.sweep.conftest import make_bucket
-from tests.sweep.opening import existing_store
-
-SERIAL = Resources(pool="serial")
+from tests.sweep.opening import OFTEN, existing_store, located, run, same
 
 
 class Proxy:
@@ -111,25 +103,16 @@ def through(s3_endpoint, bucket, monkeypatch):
 
 
 @pytest.fixture
-def study(coins):
-    return study_from_dict(coins)
+def wanted(coins, tmp_path):
+    return run(coins, tmp_path / "wanted.zarr")
 
 
-@pytest.fixture
-def wanted(study, tmp_path):
-    dataset, _ = run_study(study, tmp_path / "wanted.zarr", SERIAL)
-    return dataset
-
-
-def same(dataset, wanted):
-    xr.testing.assert_identical(dataset.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
-
-
-def test_a_store_in_a_bucket_is_that_in_a_folder(bucket, study, wanted, tmp_path):
-    dataset, _ = run_study(study, f"{bucket}/results/s.zarr", SERIAL)
-    same(dataset, wanted)
-    same(open_dataset(f"{bucket}/results/s.zarr"), wanted)
-    names = located(f"{bucket}/results/s.zarr").keys()
+def test_a_store_in_a_bucket_is_that_in_a_folder(bucket, coins, wanted, tmp_path):
+    store = f"{bucket}/results/s.zarr"
+    same(run(coins, store), wanted)
+    same(linksweep.open(store), wanted)
+    same(xr.open_zarr(ObjectStore(located(store).objects, read_only=True)).load(), wanted)
+    names = located(store).keys()
     assert names == located(tmp_path / "wanted.zarr").keys()
     assert located(f"{bucket}/results").keys() == [f"s.zarr/{name}" for name in names]  # no lock is left
 
@@ -138,74 +121,49 @@ def test_a_store_in_a_bucket_is_that_in_a_folder(bucket, study, wanted, tmp_path
 def test_the_commands_of_the_document_run(bucket, s3_endpoint, sweep, tmp_path):
     make_bucket(s3_endpoint, "my-bucket")
     run_commands("stores.md", sweep, tmp_path)
-    same(open_dataset("s3://my-bucket/results/quasars.zarr"), open_dataset(tmp_path / "results" / "quasars.zarr"))
+    same(linksweep.open("s3://my-bucket/results/quasars.zarr"), linksweep.open(tmp_path / "results" / "quasars.zarr"))
 
 
-def test_plain_xarray_opens_it(bucket, study, wanted):
-    run_study(study, f"{bucket}/s.zarr", SERIAL)
-    objects = located(f"{bucket}/s.zarr").objects
-    same(xr.open_zarr(ObjectStore(objects, read_only=True)).load(), wanted)
+def test_it_is_resumed_and_extended(bucket, coins, wanted):
+    run(coins | {"axes": {"metal": ["tin"], "coins": [5, 20]}}, f"{bucket}/s.zarr")
+    before = existing_store(f"{bucket}/s.zarr", coins).rows
+    assert len(before) == 2 * 4
+    same(run(coins, f"{bucket}/s.zarr"), wanted)
+    assert set(before) < set(existing_store(f"{bucket}/s.zarr", coins).rows)
 
 
-def test_it_is_resumed_and_extended(bucket, coins, study, wanted):
-    smaller = study_from_dict(coins | {"axes": {"metal": ["tin"], "coins": [5, 20]}})
-    run_study(smaller, f"{bucket}/s.zarr", SERIAL)
-    held = existing_store(f"{bucket}/s.zarr", study).rows
-    assert len(held) == 2 * 4
-    dataset, _ = run_study(study, f"{bucket}/s.zarr", SERIAL)
-    same(dataset, wanted)
-    assert set(held) < set(existing_store(f"{bucket}/s.zarr", study).rows)
-
-
-def test_a_small_run_needs_few_requests(bucket, study, through):
+def test_a_small_run_needs_few_requests(bucket, coins, through):
     proxy = through()
-    run_study(study, f"{bucket}/s.zarr", SERIAL)
-    arrays = len(open_dataset(f"{bucket}/s.zarr").variables)
+    run(coins, f"{bucket}/s.zarr")
     before = len(proxy.requests)
+    arrays = len(linksweep.open(f"{bucket}/s.zarr").variables)
     assert before < 45 + 4 * arrays  # each array's chunk and document are written at the start and at the end
-    open_dataset(f"{bucket}/s.zarr")
     assert len(proxy.requests) - before <= 2 + arrays
     methods = {line.split()[0] for line in proxy.requests}
     assert methods == {"GET", "PUT", "POST"}  # POST: deletion of the lock
 
 
 @pytest.mark.parametrize("kind", ["reset", *(pytest.param(k, marks=pytest.mark.slow) for k in ("lost", "503"))])
-def test_requests_that_fail_are_repeated(bucket, study, wanted, through, kind):
+def test_requests_that_fail_are_repeated(bucket, coins, wanted, through, kind):
     chance = random.Random(11)
     proxy = through(lambda number: kind if chance.random() < 0.15 else None)
-    dataset, _ = run_study(study, f"{bucket}/s.zarr", SERIAL)
-    same(dataset, wanted)
+    same(run(coins, f"{bucket}/s.zarr"), wanted)
     assert proxy.faults > 5
     through()
-    same(open_dataset(f"{bucket}/s.zarr"), wanted)
+    same(linksweep.open(f"{bucket}/s.zarr"), wanted)
     assert located(bucket + "/x").parent.get("s.zarr.lock") is None
 
 
-def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, study, wanted, through, monkeypatch):
-    monkeypatch.setattr(bucket_module, "TIMEOUT", bucket_module.TIMEOUT / 10)
+def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, coins, wanted, through, monkeypatch):
+    monkeypatch.setattr(opening.location, "TIMEOUT", opening.location.TIMEOUT / 10)
     proxy = through(lambda number: "reset" if len(proxy.requests) > 60 else None)
     with pytest.raises(SweepError, match=r"cannot be (read|written): .* does not answer as it should"):
-        run_study(study, f"{bucket}/s.zarr", SERIAL, tuning=Tuning(most_blocks=1, flush_every_s=-1.0))
+        run(coins, f"{bucket}/s.zarr", OFTEN)
     through()
-    held = existing_store(f"{bucket}/s.zarr", study).rows
-    assert 0 < len(held) < 6 * 4
+    assert 0 < len(existing_store(f"{bucket}/s.zarr", coins).rows) < 6 * 4
     with pytest.raises(SweepError, match="is being written by process"):  # by us, who could not remove the lock
-        run_study(study, f"{bucket}/s.zarr", SERIAL)
-    dataset, _ = run_study(study, f"{bucket}/s.zarr", SERIAL, break_lock=True)
-    same(dataset, wanted)
-
-
-@pytest.mark.slow
-def test_two_runs_on_one_bucket(bucket, link_study, start_sweep, sweep):
-    store = f"{bucket}/s.zarr"
-    long = ("--set", "n_sim=20000", "--set", "n_cat=20", "--pool", "serial")
-    first = start_sweep("run", link_study, "-o", store, *long)
-    while located(store).get("zarr.json") is None:
-        assert first.poll() is None, "the first run has ended without writing anything"
-        time.sleep(0.05)
-    code, _, err = sweep("run", link_study, "-o", store, *long)
-    assert code == 2
-    assert f"{store}: is being written by process {first.pid} on " in err
+        run(coins, f"{bucket}/s.zarr")
+    same(run(coins, f"{bucket}/s.zarr", break_lock=True), wanted)
 
 
 @pytest.mark.slow
@@ -263,17 +221,15 @@ def test_obstore_is_an_extra(monkeypatch):
         located("s3://abc/x")
 
 
-def test_values_survive_the_journey(bucket, study):
+def test_values_survive_the_journey(bucket, coins):
     """Honest NaNs, infinities, strings beyond ASCII and numbers to the last bit."""
     store = f"{bucket}/s.zarr"
-    run_study(study, store, SERIAL)
-    opened = existing_store(store, study)
     values = np.array([np.nan, np.inf, -0.0, 5e-324, np.nextafter(1.0, 2.0)])
     dataset = xr.Dataset(
         {"status": ("x", np.ones(5, np.int8)), "value": ("x", values), "name": ("x", np.array(list("aäµ✓𝛚"), object))},
         attrs={"study_digest": ""},
     )
-    opened.write(dataset)
-    back = open_dataset(store)
+    opening.create_or_resume(store, coins).write(dataset)
+    back = opening.open_dataset(store)
     assert np.array_equal(back["value"].values.view("u8"), values.view("u8"))
     assert back["name"].values.tolist() == list("aäµ✓𝛚")

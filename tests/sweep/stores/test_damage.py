@@ -1,0 +1,615 @@
+"""Files of a store that are lost, cut, flipped, exchanged, forged or of an earlier writing, and runs that end at any
+moment: all of it is named, none is read as a value, and what is lost is computed again to the same bits.
+"""
+
+import itertools
+import json
+import random
+import shutil
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import linksweep
+from linksweep import SweepError
+from tests.sweep import opening
+from tests.sweep.opening import OFTEN, check, existing_store, files_of, in_use, located, parts_of, repair, run, same
+from tests.tiers import slow
+
+ROW = 48
+"""Bytes of a row of coins with its key."""
+
+SAMPLES = {
+    "title": "Samples",
+    "axes": {"n_obj": [20, 30]},
+    "fixed": {"catalogue": "quasars", "v_max": 15.0},
+    "sampling": {"n_sim": 600, "n_cat": 20, "seed": 5, "keep_samples": True},
+}
+MODEL = (
+    "def model(x: float = 1.0, k: int = 1):\n"
+    "    if k == 3:\n        raise ValueError('three')\n"
+    "    return {'y': x * k / 3, 'name': f'{x:g}'}\n"
+)
+
+
+def small_parts(monkeypatch, size=4 * ROW):
+    monkeypatch.setattr(opening.ledger, "PART_BYTES", size)
+
+
+def flip(content, at=None, bit=2):
+    at = len(content) // 2 if at is None else at
+    return content[:at] + bytes([content[at] ^ (1 << bit)]) + content[at + 1 :]
+
+
+def cut(content):
+    return content[: len(content) // 2]
+
+
+DAMAGE = {"a bit flipped": flip, "cut": cut, "lost": None}
+
+
+def named(report):
+    return {*report.identity, *report.ledger, *report.results}
+
+
+@pytest.fixture(params=["coins", slow("samples")])
+def whole(request, tmp_path, coins, monkeypatch):
+    """A study and a store of it, with several parts of the ledger, and a failure."""
+    small_parts(monkeypatch, 8 * ROW if request.param == "coins" else 2**19)
+    document = coins if request.param == "coins" else SAMPLES
+    run(document, tmp_path / "whole.zarr")
+    store = existing_store(tmp_path / "whole.zarr", document)
+    store.fail(b"another point ..", {"message": "it failed"})
+    store.flush()
+    return document, tmp_path / "whole.zarr"
+
+
+@pytest.mark.parametrize("change", DAMAGE.values(), ids=DAMAGE)
+@pytest.mark.parametrize("step", [47, slow(7), slow(1)], ids=["one file of 47", "one of seven", "every file"])
+def test_every_file_may_be_damaged(whole, tmp_path, change, step):
+    document, store = whole
+    wanted, used = linksweep.open(store), in_use(store)
+    assert not check(store)
+    files = sorted(files_of(store))
+    files = [file for file in files if document["title"] == "Coins" or file.startswith(("zarr.json", "blocks/"))]
+    assert sum(file.startswith("blocks/rows") for file in files) > 2
+    for file in files[list(DAMAGE.values()).index(change) :: step]:
+        copy, aside = tmp_path / "copy.zarr", tmp_path / "copy.zarr.damaged"
+        for old in (copy, aside):
+            shutil.rmtree(old, ignore_errors=True)
+        shutil.copytree(store, copy)
+        changed = None if change is None else change((store / file).read_bytes())
+        (copy / file).unlink() if change is None else (copy / file).write_bytes(changed)
+        report = check(copy)
+        assert named(report) == {file} & used, file
+        try:  # whoever reads it gets what was written or a message
+            xr.testing.assert_identical(linksweep.open(copy), wanted)
+        except SweepError:
+            assert named(report), file
+        if report.identity or report.ledger:
+            with pytest.raises(SweepError, match=r"damaged .*`sweep check .* --repair") as told:
+                run(document, copy)
+            assert any(file in problem for problem in told.value.problems), file
+            assert repair(copy)
+            assert change is None or (aside / file).read_bytes() == changed
+            after = check(copy)
+            assert not after.identity | after.ledger, file
+        for dataset in (run(document, copy), linksweep.open(copy), xr.open_zarr(copy).load()):
+            same(dataset, wanted)
+        assert not check(copy), file
+
+
+@pytest.mark.parametrize("turns", [2, slow(12)])
+@pytest.mark.parametrize("kind", ["coins", slow("samples")])
+def test_killed_before_any_writing_of_a_file_it_goes_on(kind, turns, tmp_path, coins, monkeypatch):
+    """A run that writes often ends before its n-th file, for n from the first to the last; what is there is whole."""
+    small_parts(monkeypatch, 2 * ROW)
+    document = coins if kind == "coins" else SAMPLES
+    written, last, write = [], [10**9], opening.Folder._write
+
+    def killed(*arguments, **options):
+        written.append(arguments)
+        if len(written) > last[0]:
+            raise SystemExit("killed")
+        return write(*arguments, **options)
+
+    monkeypatch.setattr(opening.Folder, "_write", killed)
+    wanted = run(document, tmp_path / "whole.zarr", tuning=OFTEN)
+    total = len(written)
+    assert total > 30
+    for number in range(1, total, 1 + total // turns):
+        store = tmp_path / f"{number}.zarr"
+        written.clear()
+        last[0] = number
+        with pytest.raises(SystemExit):
+            run(document, store, tuning=OFTEN)
+        last[0] = 10**9
+        assert not check(store).ledger, number
+        same(run(document, store, tuning=OFTEN), wanted)
+        assert not check(store), number
+
+
+class Killed(BaseException):
+    """The end of a process before an operation on a file."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["folder", "bucket"])
+def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, request, tmp_path, coins, monkeypatch):
+    often = {"flush_every_s": -1.0}
+    document = coins | {"axes": {"coins": [1, 5]}, "sampling": {"n_sim": 100, "n_cat": 20, "seed": 7}}
+    base = str(tmp_path) if where == "folder" else request.getfixturevalue("bucket")
+    kind = type(located(f"{base}/s.zarr"))
+    done, last = [], [10**9]
+
+    def counted(operation):
+        def counting(place, key, *arguments):
+            if not key.endswith(".lock"):
+                done.append(key)
+                if len(done) > last[0]:
+                    raise Killed
+            return operation(place, key, *arguments)
+
+        return counting
+
+    for name in ("put", "create", "swap", "delete"):
+        monkeypatch.setattr(kind, name, counted(getattr(kind, name)))
+    monkeypatch.setattr(kind, "put_all", lambda place, files: [place.put(*file) for file in files.items()])
+    wanted = run(document, f"{base}/whole.zarr", tuning=often)
+    total = len(done)
+    assert total > 20
+    said = set()
+    for number in range(0, total, 1 if where == "folder" else 3):
+        store = f"{base}/{number}.zarr"
+        done.clear()
+        last[0] = number
+        with pytest.raises(Killed):
+            run(document, store, tuning=often)
+        last[0] = 10**9
+        if located(store).get("zarr.json") is None:
+            with pytest.raises(SweepError, match="no store there"):
+                check(store)
+        else:
+            report = check(store)
+            assert not report, (number, report)
+            said.update(remark.split(":")[0] for remark in report.remarks)
+        same(run(document, store, tuning=often), wanted)
+        report = check(store)
+        assert not report
+        assert not report.remarks
+    assert {"is unfinished", "is incomplete"} & said
+
+
+@pytest.fixture
+def two_writings(tmp_path, coins, monkeypatch):
+    """A store of two writings, with several parts of its ledger: arrays have chunks under both of their names."""
+    small_parts(monkeypatch)
+    first = coins | {"axes": {"coins": [1, 5]}, "sampling": {"n_sim": 600, "n_cat": 20, "seed": 7}}
+    larger = first | {"axes": {"coins": [1, 5, 9]}}
+    run(first, tmp_path / "s.zarr")
+    run(larger, tmp_path / "s.zarr")
+    return larger, tmp_path / "s.zarr"
+
+
+def test_exchanged_parts_of_the_ledger_are_repaired_to_the_same_bits(two_writings):
+    document, store = two_writings
+    wanted, names = linksweep.open(store), parts_of(store)[:2]
+    one, other = (store / name for name in names)
+    contents = one.read_bytes(), other.read_bytes()
+    one.write_bytes(contents[1])
+    other.write_bytes(contents[0])
+    assert set(check(store).ledger) == set(names)
+    with pytest.raises(SweepError, match=f"{names[0]} is damaged"):
+        existing_store(store, document)
+    repair(store)
+    same(run(document, store), wanted)
+    assert not check(store)
+
+
+@pytest.mark.slow
+def test_any_two_files_exchanged_are_found_or_harmless(two_writings):
+    _, store = two_writings
+    wanted, used, files = linksweep.open(store), in_use(store), sorted(files_of(store).items())
+    found = exchanged = 0
+    for (one, content), (other, another) in itertools.combinations(files, 2):
+        if content == another:
+            continue
+        exchanged += 1
+        (store / one).write_bytes(another)
+        (store / other).write_bytes(content)
+        try:
+            is_found = bool(check(store))
+        except SweepError:
+            is_found = True
+        try:
+            xr.testing.assert_identical(linksweep.open(store), wanted)
+        except SweepError:
+            assert is_found, (one, other)
+        (store / one).write_bytes(content)
+        (store / other).write_bytes(another)
+        assert is_found or not {one, other} & used, (one, other)
+        found += is_found
+    assert found > 0.9 * exchanged
+
+
+@pytest.mark.slow
+def test_lost_rows_and_exchanged_samples_leave_those_of_other_blocks(tmp_path, monkeypatch):
+    small_parts(monkeypatch, 2**17)
+    store = tmp_path / "s.zarr"
+    run(SAMPLES, store)
+    before = existing_store(store, SAMPLES)
+    samples = {key: before.samples(key) for key in before.rows}
+    (store / parts_of(store)[0]).unlink()
+    repair(store)
+    second, third = parts_of(store, "samples")[-2:]
+    shutil.copy(store / third, store / second)
+    assert second in check(store).ledger
+    with pytest.raises(SweepError, match=f"{second} is damaged"):
+        existing_store(store, SAMPLES).verify()
+    repair(store)
+    after = existing_store(store, SAMPLES)
+    assert 0 < len(after.rows) < len(samples)
+    assert all(np.array_equal(after.samples(key), samples[key]) for key in after.rows)
+
+
+COPY_RUN = """
+import shutil, sys, json
+from tests.sweep.opening import OFTEN, run
+often = OFTEN | {"write_every_s": -1.0, "write_share": 1e9}
+print("ready", flush=True)
+while True:
+    for number in range(3):
+        run(json.loads(sys.argv[2]), f"{sys.argv[1]}/{number}.zarr", often)
+    for number in range(3):
+        shutil.rmtree(f"{sys.argv[1]}/{number}.zarr")
+"""
+
+
+@pytest.mark.slow
+def test_a_copy_made_during_a_run_is_whole_or_refused(tmp_path, coins):
+    """`cp -r` of a store that is written as often as possible: values are those of a finished run, or there is a
+    message; nothing is mixed.
+    """
+    document = coins | {"sampling": {"n_sim": 600, "n_cat": 20, "seed": 7}}
+    wanted = run(document, tmp_path / "whole.zarr")
+    finished = existing_store(tmp_path / "whole.zarr", document)
+    expected = {key: finished.read()[row].tobytes() for key, row in finished.rows.items()}
+    (tmp_path / "runs").mkdir()
+    command = [sys.executable, "-W", "ignore", "-c", COPY_RUN, str(tmp_path / "runs"), json.dumps(document)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout.readline() == "ready\n"
+        read = number = 0
+        while number < 100 or not read:  # on a busy machine it takes more until one is whole
+            number += 1
+            copy = tmp_path / "copy.zarr"
+            shutil.rmtree(copy, ignore_errors=True)
+            source = tmp_path / "runs" / f"{number % 3}.zarr"
+            subprocess.run(["cp", "-r", str(source), str(copy)], check=False, stderr=subprocess.DEVNULL)
+            with suppress(SweepError):
+                copied = existing_store(copy, document)
+                rows = {} if copied is None else copied.rows
+                assert all(expected[key] == copied.read()[row].tobytes() for key, row in rows.items())
+            with suppress(SweepError):
+                dataset = linksweep.open(copy)
+                done = dataset["status"].values == 1
+                assert np.array_equal(dataset["share"].values[done], wanted["share"].values[done])
+                assert np.isnan(dataset["share"].values[~done]).all()
+                read += 1
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(params=["function", slow("samples")])
+def history(request, place, tmp_path, monkeypatch):
+    """A study, its store, the files of that after each of three writings, and the results."""
+    small_parts(monkeypatch)
+    (tmp_path / "model.py").write_text(MODEL)
+    document = {"title": "Model", "experiment": f"{tmp_path}/model.py:model"}
+    axes = [{"k": [1, 2, 3], "x": [float(x) for x in range(1, n)]} for n in (3, 5, 6)]
+    if request.param == "samples":
+        sampling = {"n_sim": 200, "n_cat": 3, "seed": 5, "keep_samples": True}
+        document, axes = SAMPLES | {"sampling": sampling}, [{"n_obj": [20, 30, 40][:n]} for n in (1, 2, 3)]
+    writings = []
+    for given in axes:
+        document = document | {"axes": given}
+        run(document, place)
+        writings.append(files_of(place))
+    return document, place, writings, linksweep.open(place)
+
+
+def restored(store, files):
+    location = located(store)
+    for key in set(location.keys()) - set(files):
+        location.delete(key)
+    for key, content in files.items():
+        location.put(key, content)
+
+
+def damage(rng, files, earlier):
+    """Return files of which some are lost, cut, flipped, exchanged or of an earlier writing."""
+    changed = dict(files)
+    for key in rng.sample(sorted(files), rng.choice([1, 1, 2, 3, len(files) // 2])):
+        kind, content = rng.choice(["lost", "cut", "flipped", "exchanged", "earlier", "earlier"]), changed.get(key)
+        if kind == "lost" or content is None:
+            changed.pop(key, None)
+        elif kind == "cut":
+            changed[key] = content[: rng.randrange(len(content))]
+        elif kind == "flipped":
+            changed[key] = flip(content, rng.randrange(len(content)), rng.randrange(8))
+        elif kind == "exchanged":
+            other = rng.choice(sorted(changed))
+            changed[key], changed[other] = changed[other], content
+        elif (old := rng.choice(earlier).get(key)) is not None:
+            changed[key] = old
+        else:
+            del changed[key]
+    return changed
+
+
+def means_the_same(key, one, other):
+    """Whether files are equal, or describe the same array of results: that description is written again by each run."""
+    if one is None or one == other or not key.endswith("/zarr.json") or key.startswith("blocks/"):
+        return one == other
+    try:
+        documents = [opening.unsealed(content, key) for content in (one, other)]
+    except ValueError:
+        return False
+    for document in documents:
+        document["attributes"] = {k: v for k, v in document["attributes"].items() if k not in ("checksum", "revision")}
+    return documents[0] == documents[1]
+
+
+@pytest.mark.parametrize("trials", [12, slow(40)])
+def test_whatever_happens_to_its_files_is_named_and_mended(history, trials, sweep):
+    document, store, writings, wanted = history
+    files, used = writings[-1], in_use(store)
+    assert not check(store)
+    rng = random.Random(20)
+    for trial in range(trials):
+        changed = damage(rng, files, writings[:-1])
+        restored(store, changed)
+        differing = {key for key in files if not means_the_same(key, changed.get(key), files[key])}
+        copies = {key for key in differing if key == "blocks/zarr.json" or key.startswith("blocks/study")}
+        if "zarr.json" in differing and copies:  # nothing may say what the numbers mean
+            with suppress(SweepError):
+                check(store)
+            continue
+        report = check(store)
+        if "zarr.json" not in differing:
+            assert named(report) == differing & used, trial
+        elif changed.get("zarr.json") not in [writing["zarr.json"] for writing in writings]:
+            assert "zarr.json" in report.identity, trial
+        is_told(store, differing & used, wanted, sweep)
+        repair(store)
+        same(run(document, store), wanted)
+        same(linksweep.open(store), wanted)
+        assert not check(store), trial
+
+
+def is_told(store, differing, wanted, sweep):
+    """Those who read get what was written, of this or an earlier writing, or a message."""
+    problems = []
+    try:
+        found = linksweep.open(store)
+        for name in {"y", "name", "sigma_spin"} & set(wanted):
+            assert wanted[name].sel({axis: found[axis] for axis in found[name].dims}).identical(found[name])
+    except SweepError as error:
+        problems += error.problems
+    code, out, err = sweep("status", store, "--json")
+    if code:
+        problems.append(err)
+    else:
+        assert json.loads(out)["blocks in the ledger"] == len(opening.OpenStore(store).ledger().rows)
+        read = {f for f in differing if f.startswith("blocks/") and not f.startswith("blocks/samples")}
+        missing = {f for f in differing if located(store).get(f) is None and f.startswith("blocks/")}
+        assert "zarr.json" in differing or not read | missing
+    assert "zarr.json" in differing or all(any(file in told for file in differing) for told in problems)
+
+
+def test_an_earlier_writing_as_a_whole_is_that_writing(history, sweep):
+    document, store, writings, wanted = history
+    for files in writings[:-1]:
+        restored(store, files)
+        assert not check(store)
+        blocks = json.loads(sweep("status", store, "--json")[1])["blocks in the ledger"]
+        assert 0 < blocks < wanted.status.size * 3
+        same(run(document, store), wanted)
+
+
+def test_files_of_a_store_that_was_begun_anew_do_not_count(tmp_path):
+    """Also those with a higher number of writings than the present ones have."""
+    (tmp_path / "model.py").write_text(MODEL)
+    model, store = f"{tmp_path}/model.py:model", tmp_path / "s.zarr"
+    for last in (1, 2, 4):
+        linksweep.run(model, store, axes={"k": list(range(1, last + 1))}, pool="serial")
+    old = files_of(store)
+    linksweep.run(model, store, axes={"k": [2, 3]}, pool="serial", fresh=True)
+    new, used = files_of(store), in_use(store)
+    for key in used - {"zarr.json"}:
+        if old.get(key) not in (None, new[key]):
+            restored(store, new | {key: old[key]})
+            assert named(check(store)) == {key}
+
+
+def test_only_what_was_lost_is_computed_again(whole):
+    document, store = whole
+    rows = len(existing_store(store, document).rows)
+    (store / parts_of(store)[1]).write_bytes(b"")
+    repair(store)
+    assert len(existing_store(store, document).rows) == rows - 8
+
+
+@pytest.mark.parametrize("step", [137, slow(37)])
+def test_a_flipped_root_is_damaged_wherever_the_bit(place, coins, step):
+    """Never "not a store of linksweep", in a folder or a bucket, with a copy of the root or before there is one."""
+    opening.create_or_resume(place, coins).flush()
+    location = located(place)
+    root = location.get("zarr.json")
+    for copy in (True, False):
+        if not copy:
+            location.delete("blocks/zarr.json")
+        for at in range(0, len(root), step):
+            location.put("zarr.json", flip(root, at))
+            with pytest.raises(SweepError, match="damaged"):
+                linksweep.open(place)
+
+
+def test_every_bit_of_a_document_counts():
+    document = {"zarr_format": 3, "node_type": "group", "attributes": {"seed": 7, "axes": "v_max"}}
+    content = opening.sealed(document, "zarr.json")
+    assert opening.unsealed(content, "zarr.json")["attributes"]["seed"] == 7
+    for at, bit in itertools.product(range(len(content)), range(8)):
+        with pytest.raises(ValueError, match=r"."):
+            opening.unsealed(flip(content, at, bit), "zarr.json")
+    with pytest.raises(ValueError, match="does not match"):
+        opening.unsealed(content, "blocks/zarr.json")
+
+
+def test_a_store_whose_two_documents_are_damaged_says_what_to_do(whole):
+    document, store = whole
+    for file in ("zarr.json", "blocks/zarr.json"):  # which names the copy of the other
+        (store / file).write_bytes(cut((store / file).read_bytes()))
+    for action in (check, repair, linksweep.open, lambda store: run(document, store)):
+        with pytest.raises(SweepError, match=r"both damaged, .* bring one back"):
+            action(store)
+
+
+@pytest.mark.parametrize("action", [check, repair])
+def test_what_is_no_store_or_is_written_to_is_left_alone(tmp_path, coins, action):
+    with pytest.raises(SweepError, match="no store there"):
+        action(tmp_path / "none.zarr")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("mine")
+    with pytest.raises(SweepError, match="is not a store of linksweep"):
+        action(tmp_path / "mine")
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["mine", "notes.txt"]
+    opening.create_or_resume(tmp_path / "s.zarr", coins)
+    with opening.locked(tmp_path / "s.zarr"), pytest.raises(SweepError, match="is being written by process"):
+        action(tmp_path / "s.zarr")
+
+
+@pytest.mark.slow
+def test_a_store_in_a_bucket_is_repaired_too(bucket, coins):
+    store = f"{bucket}/s.zarr"
+    wanted = run(coins, store)
+    [name] = parts_of(store)
+    located(store).put(name, flip(located(store).get(name)))
+    assert set(check(store).ledger) == {name}
+    repair(store)
+    assert not check(store)
+    assert existing_store(store, coins).rows == {}
+    same(run(coins, store), wanted)
+
+
+def test_the_commands(tmp_path, link_study, sweep):
+    store = tmp_path / "s.zarr"
+    quick = ("run", link_study, "-o", store, "--set", "n_sim=20")
+    assert sweep(*quick)[0] == 0
+    for repairing in ((), ("--repair",)):
+        assert sweep("check", store, *repairing)[:2] == (0, "every file is as it was written\n")
+    [name] = parts_of(store)
+    (store / name).write_bytes(flip((store / name).read_bytes()))
+    code, out, err = sweep("check", store)
+    assert (code, f"{name}: " in out, "--repair` repairs" in err) == (1, True, True)
+    code, out, _ = sweep("check", store, "--json")
+    assert (code, set(json.loads(out)["ledger"])) == (1, {name})
+    code, _, err = sweep(*quick)
+    assert (code, f"{name} is damaged" in err, "--repair` repairs" in err) == (2, True, True)
+    code, out, err = sweep("check", store, "--repair")
+    assert (code, f"{name}: the next `sweep run` computes again" in out) == (0, True), err
+    assert sweep(*quick)[0] == 0
+    assert sweep("check", store)[0] == 0
+
+
+def test_a_store_of_the_first_moment_is_unfinished(tmp_path, coins, sweep):
+    opening.create_or_resume(tmp_path / "s.zarr", coins)
+    code, out, _ = sweep("check", tmp_path / "s.zarr")
+    assert (code, "is unfinished" in out) == (0, True)
+    for command in ("show", "status"):
+        code, out, err = sweep(command, tmp_path / "s.zarr")
+        assert "is unfinished" in out + err or "has no record" in err
+        assert "damaged;" not in err
+
+
+# Documents that were forged, with a right checksum.
+
+IN_TEXT = "<JSON>"
+"""A step from a text into the document that it holds."""
+
+
+def nested(depth):
+    return [nested(depth - 1)] if depth else []
+
+
+VALUES = [10**30, 2**62, 0, -1, 1e308, nested(500), "x", "[" * 5000, None, True, [], {}, [10**12], {"x": 1}]
+COMMANDS = [
+    *(["status", "S"], ["show", "S"], ["check", "S"], ["find", "S", "--where", "y > 1", "--over", "x"]),
+    *(["merge", "S", "other.zarr", "-o", "m.zarr"], ["plan", "model.py:model", "--axis", "x=1,2,5", "-o", "S"]),
+    *(["run", "model.py:model", "--axis", "x=1,2,3", "-o", "S"], ["check", "S", "--repair"]),
+]
+
+
+def places(document, at=()):
+    """Yield the way to every field of a document, also of documents in its texts; of lists to the first two items."""
+    if at and at != ("attributes", "checksum"):
+        yield at
+    if isinstance(document, str) and document[:1] in ("{", "["):
+        with suppress(ValueError, RecursionError):
+            yield from places(json.loads(document), (*at, IN_TEXT))
+    items = document.items() if isinstance(document, dict) else ()
+    items = enumerate(document[:2]) if isinstance(document, list) else items
+    for step, value in items:
+        yield from places(value, (*at, step))
+
+
+def replaced(document, at, value):
+    if not at:
+        return value
+    step, *rest = at
+    if step == IN_TEXT:
+        return json.dumps(replaced(json.loads(document), rest, value))
+    changed = document.copy()
+    changed[step] = replaced(document[step], rest, value)
+    return changed
+
+
+@pytest.mark.parametrize("trials", [10, slow(200)])
+def test_every_command_gives_a_sentence_about_a_forged_document(tmp_path, monkeypatch, sweep_here, trials):
+    monkeypatch.chdir(tmp_path)
+    Path("model.py").write_text(MODEL)
+    linksweep.run("model.py:model", "s.zarr", axes={"x": [1.0, 2.0], "k": [1, 2]}, pool="serial")
+    linksweep.run("model.py:model", "other.zarr", axes={"x": [7.0], "k": [1, 2]}, pool="serial")
+    store = Path("s.zarr")
+    files = [path.relative_to(store).as_posix() for path in store.rglob("zarr.json")]
+    rng = random.Random(4)
+    for trial in range(trials):
+        file = rng.choice(["zarr.json", rng.choice(files)])
+        document = json.loads((store / file).read_text())
+        at, value = rng.choice(list(places(document))), rng.choice(VALUES)
+        forged = replaced(document, at, value)
+        is_sealed = isinstance(forged.get("attributes"), dict)
+        content = opening.sealed(forged, file) if is_sealed else json.dumps(forged).encode()
+        for command in COMMANDS:
+            for old in ("S", "m.zarr"):
+                shutil.rmtree(old, ignore_errors=True)
+            shutil.copytree(store, "S")
+            (Path("S") / file).write_bytes(content)
+            more = ("--pool", "serial") if command[0] == "run" else ()
+            code, _, _ = sweep_here(*command, *more)  # raises what is no message
+            assert code in (0, 1, 2), (trial, command, file, at, repr(value)[:50])
+
+
+@pytest.mark.parametrize("field", ["title", "generation", "study_meaning", "manifest"])
+def test_the_field_is_named(tmp_path, field):
+    (tmp_path / "model.py").write_text(MODEL)
+    linksweep.run(f"{tmp_path}/model.py:model", tmp_path / "s.zarr", axes={"x": [1.0]}, pool="serial")
+    opening.forge(tmp_path / "s.zarr", lambda attributes: attributes.update({field: [1]}))
+    with pytest.raises(SweepError, match=rf"zarr\.json is damaged \(attributes\.{field}: "):
+        linksweep.open(tmp_path / "s.zarr")
