@@ -4,11 +4,11 @@ A new one is a subclass of `CatalogueKind` and its entry in `CATALOGUES`.
 """
 
 import itertools
-from collections.abc import Callable, Collection, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from types import MappingProxyType
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -52,11 +52,14 @@ class Catalogue:
 
     def some(self, rng: np.random.Generator, n_obj: int) -> "Catalogue":
         """Return ``n_obj`` objects at random, in their order; if there are no more, all of them without a draw."""
+        # no draw where all are taken: an n_obj of all of them gives what no n_obj gives, to the last bit
         if n_obj >= len(self):
             return self
+        # sorted, so that a catalogue in order of magnitude stays so, and a part of a file has the order of its rows
         chosen = np.sort(rng.choice(len(self), n_obj, replace=False))
         if self.ra.ndim == 1:
             return self.take(chosen)
+        # one draw for each catalogue: the k-th catalogue begins at row k N of the flattened one
         return self.flattened().take(chosen + len(self) * np.arange(len(self.ra))[:, None])
 
     def repeated(self, catalogues: int) -> "Catalogue":
@@ -193,7 +196,7 @@ class CatalogueKind:
 
     def nested_draw(self, point: Point) -> NestedDraw:
         """Return the draw of a point's catalogue, with what decides which family it belongs to."""
-        nested = self.is_nested(point)
+        nested = self.is_nested(point)  # then those of a brighter v_max are the beginning of the same draw
         decides = sorted({*self.uses(point), "catalogue", "n_obj"} - ({"v_max"} if nested else set()))
         family: Hashable = (nested, *((name, point[name]) for name in decides))
         return NestedDraw(family, self.size(point), partial(self.draw, point), self.draws_several)
@@ -258,7 +261,8 @@ class Synthetic(CatalogueKind):
         n_obj = self.size(point)
         ra, dec = _sky(point).positions(rng, n_obj)
         v_mag = rng.uniform(*self.magnitudes(point), n_obj)
-        uniform = rng.random(n_obj)  # also where all are the same, so that the next numbers are too
+        # drawn for constant moduli too, so that directions do not change with the distribution
+        uniform = rng.random(n_obj)
         modulus = {
             "uniform": 2.0 * uniform,
             "constant": np.ones(n_obj),
@@ -300,6 +304,7 @@ def quasar_count(v_max: float, completed: bool = False) -> int:
             f"the counts end at V = {V_MAX[-1]:g}"
         )
     log_count = np.log(COUNT)
+    # np.interp holds the first value below the table, where the counts go on with the first slope
     below = min(0.0, v_max - V_MAX[0]) * (log_count[1] - log_count[0]) / (V_MAX[1] - V_MAX[0])
     in_catalogue = np.exp(np.interp(v_max, V_MAX, log_count) + below)
     return round(float(in_catalogue / (completeness(v_max) if completed else 1.0)))
@@ -328,8 +333,9 @@ def quasars(
 
     def drawn(bright: float, faint: float, low: int, high: int) -> tuple[Array, Array, Array]:
         ra, dec = sky.positions(rng, high - low)
-        rank = high - (high - low) * rng.random(high - low)  # in (low, high]: never log 0
-        if low == 0:
+        # a rank for each object of the bin; in (low, high], so that its logarithm is never that of 0
+        rank = high - (high - low) * rng.random(high - low)
+        if low == 0:  # a law that is log-linear in the counts has no magnitudes below the first object
             return ra, dec, np.full_like(rank, faint)
         return ra, dec, bright + (faint - bright) * np.log(rank / low) / np.log(high / low)
 
@@ -403,6 +409,7 @@ def galaxies(
 
     ra, dec = sky.positions(rng, n_obj)
     bright = -np.inf if bright_limit_mag is None else bright_limit_mag
+    # by inversion, which takes one uniform number for each object whatever the limits: draws are comparable
     low, high = ndtr((np.array([bright, faint_limit_mag]) - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
     v_mag = GALAXY_MEAN_MAG + GALAXY_SCATTER_MAG * ndtri(low + (high - low) * (1.0 - rng.random(n_obj)))
     return Catalogue(ra, dec, np.zeros_like(ra), np.zeros_like(ra), v_mag)
@@ -517,24 +524,11 @@ GAIA_MARKS = frozenset({"source_id", "designation", "solution_id"})
 """A table with one of these columns is Gaia's, so its pmra is known to include cos(dec)."""
 
 
-class Table(Protocol):
-    """Columns by name; equal tables have equal columns."""
-
-    def __hash__(self) -> int: ...
-
-    def columns(self, columns: Mapping[str, str], units: Mapping[str, str], known: Collection[str]) -> Any:
-        """Return a reader of the columns in deg, mas and mas/yr, the platform's `Columns`; names and units are those of
-        some of the ``known`` quantities.
-        """
-
-    def label(self, row: int) -> str:
-        """Return what the table calls a row, counted from 0; empty where it has no column of names."""
-
-
 def catalogue_from_table(
-    table: Table, columns: Mapping[str, str], pmra_cos_dec: bool | None, units: Mapping[str, str] | None = None
+    table: Any, columns: Mapping[str, str], pmra_cos_dec: bool | None, units: Mapping[str, str] | None = None
 ) -> Catalogue:
-    """Return the objects of a table; ``columns`` maps a quantity of `QUANTITIES` to the table's name for it.
+    """Return the objects of a table (`linksweep.sweep.tables.file.TableFile`); ``columns`` maps a quantity of
+    `QUANTITIES` to the table's name for it.
 
     Positions are required; proper motions are zero where the table has none, magnitudes NaN.  Errors are read if
     both proper motions have them, or the position alone; a quantity without an error column counts as exact.  A side
@@ -551,7 +545,7 @@ def catalogue_from_table(
     moving = read.has("pmra") or read.has("pmdec")
     for quantity in OBSERVABLES if moving else OBSERVABLES[:2]:
         read.require(quantity)
-    read.finish()
+    read.finish()  # columns that are not there are all named before any is read
     ra, dec = read.quantity("ra"), read.quantity("dec")
     hint = "; are ra and dec swapped?" if np.all(np.abs(ra) <= 90.0) else ""
     read.check(np.abs(dec) >= 90.0, "a dec that is not between -90 and 90 deg, poles excluded,", dec, hint)
@@ -593,13 +587,10 @@ def _own_errors(read: Any, prefix: str, n_obj: int) -> OwnErrors | None:
         correlation[:, i, j] = correlation[:, j, i] = np.nan_to_num(read.quantity(prefix + name))
     if not pairs:
         return OwnErrors(sigma * MAS)
+    # a matrix that is singular to rounding has no Cholesky factor, from which noise is drawn
     impossible = np.linalg.eigvalsh(correlation)[:, 0] <= 1e-9
     read.check(impossible, "impossible correlations (not positive definite)")
     return OwnErrors(sigma * MAS, correlation)
-
-
-Names = tuple[tuple[str, str], ...]
-Key = tuple[Table, Names, Names, bool | None]
 
 
 class File(CatalogueKind):
@@ -645,19 +636,20 @@ class File(CatalogueKind):
         return _too_few(point, self.available(point), "objects of the file")
 
 
-def _key(point: Point) -> Key:
+def _key(point: Point) -> tuple[Any, ...]:
     return point["file"], point["columns"], point["units"], point["pmra_cos_dec"]
 
 
+# Each block of a study asks for the table again: reading and cutting it would take longer than the block.
 @lru_cache(maxsize=4)
-def _whole(key: Key) -> Catalogue:
+def _whole(key: tuple[Any, ...]) -> Catalogue:
     """Return all objects of a table, made once in a process; a table is identified by its content."""
     table, columns, units, pmra_cos_dec = key
     return catalogue_from_table(table, dict(columns), pmra_cos_dec, dict(units))
 
 
 @lru_cache(maxsize=4)
-def _between(key: Key, v_min: float | None, v_max: float | None) -> tuple[Catalogue, Indices]:
+def _between(key: tuple[Any, ...], v_min: float | None, v_max: float | None) -> tuple[Catalogue, Indices]:
     """Return the objects between two limits, and their rows."""
     whole = _whole(key)
     kept = np.full(len(whole), True)  # without a limit objects without a magnitude too

@@ -6,14 +6,22 @@ differs.
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from linksweep.core.catalogues import CATALOGUES, RANDOM_SKY, SIDES, File
-from linksweep.core.errors import ERROR_MODELS, error_model
+from linksweep.core.errors import ERROR_MODELS, ErrorModel
 from linksweep.core.frames import Array
 from linksweep.core.missions import CurveError, MissionUnavailableError
-from linksweep.core.scenario import catalogue_kind, catalogue_size, expected_errors, systematics, zonal_errors
+from linksweep.core.scenario import (
+    catalogue_kind,
+    catalogue_size,
+    error_models,
+    expected_errors,
+    systematics,
+    zonal_errors,
+)
 from linksweep.sweep.contract import Point
 
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
@@ -41,11 +49,12 @@ def check(point: Point) -> str | None:
     if problem := _catalogue_problem(point) or _systematics_problem(point):
         return problem
     try:
-        for side in SIDES:
-            if problem := error_model(point, side).problem(point, side, catalogue_kind(point)):
+        # before any error is computed: a curve may not reach these magnitudes
+        for side, model in zip(SIDES, models := error_models(point), strict=True):
+            if problem := model.problem(point, side, catalogue_kind(point)):
                 return problem
-        errors = expected_errors(point)
-        return _errors_problem(point, errors) or _projected_problem(point, errors)
+        errors = expected_errors(point, models)
+        return _errors_problem(point, errors) or _projected_problem(point, models, errors)
     except (MissionUnavailableError, CurveError) as error:
         return str(error)
 
@@ -83,13 +92,16 @@ def _errors_problem(point: Point, errors: Array) -> str | None:
 
     If only one kind of observable has errors, the other is not measured; if neither has, the data are error-free.
     """
-    each = np.hypot(*errors)
+    each = np.hypot(errors[0], errors[1])
     position, motion = each[:, :2], each[:, 2:]
+    if each.min() >= SMALLEST_ERROR and each.max() <= LARGEST_ERROR:
+        return None  # nearly always
+    # a kind without any error is not measured, so zeros count only beside other errors of their kind
     kinds = [kind for kind in (position, motion) if kind.any()]
     if not kinds:
         return None
     measured = np.concatenate(kinds, axis=1)
-    if not (measured > 0.0).all():
+    if not (measured > 0.0).all():  # also where an error is NaN
         row = 1 + int(np.argmin((measured > 0.0).all(axis=1)))
         return f"object {row} has an observable without any error, which cannot be weighed"
     for extreme, is_inside in ((np.min, measured.min() >= SMALLEST_ERROR), (np.max, measured.max() <= LARGEST_ERROR)):
@@ -101,7 +113,7 @@ def _errors_problem(point: Point, errors: Array) -> str | None:
     return None
 
 
-def _projected_problem(point: Point, errors: Array) -> str | None:
+def _projected_problem(point: Point, models: Sequence[ErrorModel], errors: Array) -> str | None:
     """Return why the errors cannot be projected: that needs a fixed design.  Near the limit only the drawn catalogue
     decides.
     """
@@ -111,10 +123,10 @@ def _projected_problem(point: Point, errors: Array) -> str | None:
     if zonal_errors(point) is not None:
         return f"{needs} errors that are independent from object to object, and zonal ones are not"
     objects = catalogue_kind(point).objects(point)
-    for side in SIDES:
+    for side, model in zip(SIDES, models, strict=True):
         if point[f"{side}_error_ratio"] != 1.0:
             return f"{needs} true errors that equal those in the weights: {side}_error_ratio = 1"
-        if objects is not None and error_model(point, side).correlation(objects) is not None:
+        if objects is not None and model.correlation(objects) is not None:
             return f"{needs} uncorrelated errors, and those of the {side} are correlated"
     if (largest := errors[0, :, :2].max()) <= LARGEST_PROJECTED_ERROR:
         return None
@@ -128,8 +140,9 @@ def warn(point: Point) -> list[str]:
     """Return sentences about magnitudes outside of a curve's range, about what is not measured, about positions of
     different epochs, and about objects that decide nearly alone.
     """
-    kind, errors = catalogue_kind(point), expected_errors(point)
-    sentences = [error_model(point, side).warning(point, kind) for side in SIDES]
+    kind, models = catalogue_kind(point), error_models(point)
+    errors = expected_errors(point, models)
+    sentences = [model.warning(point, kind) for model in models]
     sentences += [_not_measured(errors), _epochs(point), _heaviest(point, errors)]
     return [sentence for sentence in sentences if sentence is not None]
 
@@ -170,6 +183,7 @@ def _heaviest(point: Point, errors: Array) -> str | None:
     variance = np.square(errors).sum(axis=0).reshape(-1, 2, 2)  # (N, kinds, coordinates)
     measured = variance.any(axis=(0, 2))
     weight = np.divide(1.0, variance, out=np.zeros_like(variance), where=measured[:, None]).sum(axis=2)
+    # a kind that is not measured has no weight at all, and 0/tiny is a share of 0
     share = weight / np.maximum(weight.sum(axis=0), np.finfo(float).tiny)
     heaviest = int(np.argmax(share.max(axis=1)))
     position, motion = share[heaviest]
@@ -222,5 +236,6 @@ def _unused_by_errors(point: Point) -> dict[str, str]:
             for parameter in model.uses(side) if side in model.sides else ():
                 users.setdefault(parameter, []).append(f"{side}_errors = {name!r}")
     used = frozenset().union(*(ERROR_MODELS[point[f"{side}_errors"]].uses(side) for side in SIDES))
+    # a parameter of both sides, such as error_scale, is used where either side uses it
     clauses = {name: f"it is for {' or '.join(users[name])}" for name in sorted(users.keys() - used)}
     return clauses if used else clauses | {"weighting": "without errors all weights are equal"}

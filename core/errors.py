@@ -66,6 +66,7 @@ class ErrorModel:
 
     def without_floor(self, catalogue: Catalogue) -> Array:
         """Return the scaled errors of (ra*, dec, pmra, pmdec) of each object in rad and rad/yr; shape (N, 4)."""
+        # broadcast: a model may give one number for all objects
         position, motion = (np.broadcast_to(sigma, len(catalogue)) for sigma in self.at(catalogue.v_mag))
         return MAS * np.stack([position, position, motion, motion], axis=1)
 
@@ -87,6 +88,7 @@ class ErrorModel:
         if correlation is None or not any(self.floor):
             return correlation
         part, total = self.without_floor(catalogue), self.standard_errors(catalogue)
+        # the covariance D R D keeps its off-diagonal terms while D grows to the total
         share = np.divide(part, total, out=np.ones_like(part), where=total > 0.0)
         smaller = correlation * share[:, :, None] * share[:, None, :]
         smaller[:, range(4), range(4)] = 1.0
@@ -94,10 +96,17 @@ class ErrorModel:
 
     def at_limit(self, point: Point, catalogue: CatalogueKind) -> tuple[float, float]:
         """Return the errors (mas, mas/yr) of an object at the faint limit of a catalogue that is drawn."""
-        v_mag = catalogue.magnitudes(point)[1] if self.by_magnitude else math.nan
-        with np.errstate(all="ignore"):  # far beyond its range a curve is infinite, which is refused later
-            position, motion = self.at(np.array(v_mag))
+        position, motion = self.at_magnitude(catalogue.magnitudes(point)[1] if self.by_magnitude else math.nan)
         return math.hypot(position, self.floor[0]), math.hypot(motion, self.floor[1])
+
+    def at_magnitude(self, v_mag: float) -> tuple[float, float]:
+        """Return what `at` gives for one magnitude."""
+        position, motion = self.at(np.array(v_mag))
+        return float(position), float(motion)
+
+    def has_errors(self, objects: Catalogue | None) -> bool:
+        """Return whether there is any error of the objects that a catalogue lists, or of those that it draws (None)."""
+        return self.scale > 0.0 or any(self.floor)
 
     def problem(self, point: Point, side: str, catalogue: CatalogueKind) -> str | None:
         """Return why the objects of a catalogue cannot have these errors, or None."""
@@ -131,6 +140,10 @@ class NormalErrors(ErrorModel):
     def at(self, v_mag: Array) -> tuple[float, float]:
         """Return the sigmas, whatever the magnitude."""
         return self.scale * self.position_mas, self.scale * self.motion_mas_yr
+
+    def has_errors(self, objects: Catalogue | None) -> bool:
+        """Return whether a sigma, with its scale, or a floor is above zero."""
+        return self.scale * max(self.position_mas, self.motion_mas_yr) > 0.0 or any(self.floor)
 
 
 NO_ERRORS = NormalErrors(0.0, 0.0)
@@ -177,6 +190,11 @@ class MagnitudeErrors(ErrorModel):
             self.scale * self.mission.sigma_pos_mas(v_mag, self.mission_length_yr),
             self.scale * self.mission.sigma_pm_mas_yr(v_mag, self.mission_length_yr),
         )
+
+    def at_magnitude(self, v_mag: float) -> tuple[float, float]:
+        """Return the curve at one magnitude, computed once for all scales: a grid has a million points."""
+        position, motion = _at_magnitude(self.mission, self.mission_length_yr, v_mag)
+        return self.scale * position, self.scale * motion
 
     def problem(self, point: Point, side: str, catalogue: CatalogueKind) -> str | None:
         """Return a problem if magnitudes are missing or beyond the end of the curve; raises CurveError where a user's
@@ -226,6 +244,11 @@ class CatalogueErrors(ErrorModel):
         """Return the catalogue's own errors; shape (N, 4)."""
         return self.scale * self._listed(catalogue).sigma
 
+    def has_errors(self, objects: Catalogue | None) -> bool:
+        """Return whether an object has an error of its own that the scale leaves, or a floor."""
+        listed = None if objects is None else objects.own_errors(self.side)
+        return any(self.floor) or (listed is not None and self.scale > 0.0 and bool(np.any(listed.sigma)))
+
     def own_correlation(self, catalogue: Catalogue) -> Array | None:
         """Return the catalogue's own correlations; shape (N, 4, 4)."""
         return self._listed(catalogue).correlation
@@ -264,6 +287,15 @@ def error_model(point: Point, side: str) -> ErrorModel:
     return ERROR_MODELS[point[f"{side}_errors"]].from_point(point, side)
 
 
+@lru_cache(maxsize=2**16)
+def _at_magnitude(mission: Mission, length_yr: float | None, v_mag: float) -> tuple[float, float]:
+    model = MagnitudeErrors(mission, length_yr)
+    with np.errstate(all="ignore"):  # far beyond its range a curve is infinite, which is refused later
+        position, motion = model.at(np.array(v_mag))
+    return float(position), float(motion)
+
+
+# Cached: every point of a grid asks, and a user's function may take long.
 @lru_cache(maxsize=256)
 def _probe(model: Named, brightest: float, faintest: float) -> None:
     """Raise CurveError where the functions of a user's mission have no valid values between two magnitudes, or other

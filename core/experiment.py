@@ -7,7 +7,7 @@ import numpy as np
 from linksweep.core.checks import check, unused, warn
 from linksweep.core.frames import Array
 from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
-from linksweep.core.scenario import catalogue_size, expected_errors, scenario, zonal_errors
+from linksweep.core.scenario import catalogue_kind, catalogue_size, error_models, scenario, zonal_errors
 from linksweep.core.simulate import Streams, can_stack, simulate, simulate_stack
 from linksweep.core.unknowns import ALWAYS, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
 from linksweep.sweep.contract import Experiment, Point, small_sample_factor
@@ -53,6 +53,7 @@ def evaluate_catalogues(points: Sequence[Point], n_sim: int, streams: Sequence[S
     numbers.
     """
     physics = [scenario(point) for point in points]
+    # how many depends on the point alone, so that a block is the same whatever the machine
     together = max(1, STACK // (catalogue_size(points[0]) * n_sim))
     if len(physics) > 1 or together == 1 or not can_stack(physics[0], n_sim):
         return _rows([_rows(simulate(physics, n_sim, *pair)) for pair in streams])
@@ -78,7 +79,8 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     """
     each = n[:, None]
     bias = sums["error"] / each
-    undetermined = np.isnan(bias)
+    undetermined = np.isnan(bias)  # of what is not measured; its other sums are zero, which would read as perfect
+    # RMS about the truth, not about the mean: a bias is part of the error of a link
     second_moment = sums["error_products"] / each[..., None]
     variance = np.where(undetermined, np.nan, np.einsum("...ii->...i", second_moment))
     predicted = np.where(undetermined, np.nan, sums["predicted_variance"] / each)
@@ -125,7 +127,8 @@ def cost(point: Point) -> float:
 
     A zonal error is a sum over harmonics, of which `HARMONICS` cost as much as a normal.
     """
-    reference, satellite = (bool(errors.any()) for errors in expected_errors(point))
+    objects = catalogue_kind(point).objects(point)
+    reference, satellite = (model.has_errors(objects) for model in error_models(point))
     zonal = zonal_errors(point)
     if point["method"] == "projected":
         unknowns = len(link_unknowns(bool(point["solve_glide"])))
@@ -157,7 +160,7 @@ def _bias_error(sums: Mapping[str, Array], bias: Array, variance: Array, n: Arra
     """
     batches, each, catalogues = sums["batches"][:, None], n[:, None], n_cat[:, None]
     between = np.maximum(sums["batch_mean_squares"] / each - bias**2, 0.0)  # divided by n, like the next two
-    total = np.maximum(variance - bias**2, 0.0)
+    total = np.maximum(variance - bias**2, 0.0)  # rounding may leave it just below zero
     within = np.maximum(total - between, 0.0)
     factor = small_sample_factor(catalogues)
     with np.errstate(invalid="ignore", divide="ignore"):

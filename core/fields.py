@@ -64,6 +64,7 @@ def fill_toroidal(into: Mapping[int, Array], ra: Array, dec: Array) -> None:
     sin_dec, cos_dec = np.sin(dec), np.cos(dec)
     cosines, sines = _multiples(highest, ra)
     # P_lm/cos dec for the orders m = 1..l, of the degrees l - 1 and l
+    # divided by cos dec, so that the poles need no exception
     before, here = np.zeros((2, highest, len(ra)))
     here[0] = np.sqrt(3.0 / (8.0 * np.pi))
     raised = sin_dec * here
@@ -96,6 +97,7 @@ def _multiples(highest: int, ra: Array) -> tuple[Array, Array]:
     """Return 2 (-1)^m cos(m ra) and 2 (-1)^m sin(m ra) of the orders from 1; shape (highest, N)."""
     cosines, sines = np.empty((2, highest, len(ra)))
     turn_cos, turn_sin = -np.cos(ra), -np.sin(ra)
+    # by the addition theorem: sines and cosines of every order would take most of the time
     cosines[0], sines[0] = 2.0 * turn_cos, 2.0 * turn_sin
     for m in range(1, highest):
         cosines[m] = cosines[m - 1] * turn_cos - sines[m - 1] * turn_sin
@@ -191,7 +193,7 @@ def parse_pattern(text: str) -> Pattern:
             )
         if term in pattern:
             raise ValueError(f"{name} twice")
-        try:
+        try:  # NaN and infinity are numbers to float, and fail the next test
             pattern[term] = float(number) if equals else 1.0
         except ValueError:
             pattern[term] = np.nan
@@ -250,16 +252,30 @@ class Field:
     ra: Array
     dec: Array
 
-    def draw(self, rows: int, rng: np.random.Generator) -> "DrawnField":
-        """Return ``rows`` realisations; those of a wider kernel use the first normals of a narrower one."""
+    def draw(self, rows: int, rng: np.random.Generator) -> Array:
+        """Return the coefficients (2, 2 D, rows) of position and proper motion of some realisations, for an RMS of 1;
+        those of a wider kernel use the first normals of a narrower one.
+        """
         scatter = self.errors.scatter
         normals = rng.standard_normal((len(scatter), 2, 2, rows))  # degree by degree: toroidal, spheroidal
         scaled = (scatter[:, None, None, None] * normals).transpose(2, 0, 1, 3)
-        return DrawnField(self, np.ascontiguousarray(scaled).reshape(2, -1, rows))
+        return np.ascontiguousarray(scaled).reshape(2, -1, rows)
+
+    def values(self, coefficients: Array, part: slice) -> Array:
+        """Return the errors of the objects of a part in realisations that were drawn; shape (n, 4, rows)."""
+        rows = coefficients.shape[2]
+        values = np.zeros((len(self.ra[part]), 4, rows))
+        for few, basis in self.bases(part):
+            flat = basis.reshape(len(basis), -1).T
+            for k, observables, sigma in self.sizes():
+                drawn = (flat @ coefficients[k]).reshape(2, -1, rows)
+                values[few, observables] = sigma * drawn.transpose(1, 0, 2)
+        return values
 
     def bases(self, part: slice) -> Iterator[tuple[slice, Array]]:
         """Yield the harmonics of a part, a few objects at a time: their place in the part, and (2 D, 2, n)."""
         ra, dec = self.ra[part], self.dec[part]
+        # the harmonics of all objects at once would be gigabytes for narrow kernels
         step = max(1, BASIS // self.errors.coefficients)
         for start in range(0, len(ra), step):
             few = slice(start, min(start + step, len(ra)))
@@ -280,22 +296,3 @@ class Field:
             for k, observables, sigma in self.sizes():
                 leaks[k] += sigma * np.tensordot(basis, gain[few, observables], axes=((2, 1), (0, 1)))
         return np.asarray(np.square(scatter[:, None] * leaks).sum(axis=(0, 1)))
-
-
-@dataclass(frozen=True)
-class DrawnField:
-    """Realisations of a field: ``coefficients`` (2, 2 D, rows) of position and proper motion, for an RMS of 1."""
-
-    field: Field
-    coefficients: Array
-
-    def values(self, part: slice) -> Array:
-        """Return the errors of the objects of a part; shape (n, 4, rows)."""
-        rows = self.coefficients.shape[2]
-        values = np.zeros((len(self.field.ra[part]), 4, rows))
-        for few, basis in self.field.bases(part):
-            flat = basis.reshape(len(basis), -1).T
-            for k, observables, sigma in self.field.sizes():
-                drawn = (flat @ self.coefficients[k]).reshape(2, -1, rows)
-                values[few, observables] = sigma * drawn.transpose(1, 0, 2)
-        return values

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linksweep.core.fields import DrawnField
 from linksweep.core.frames import Array, product_sum, transposed_product
 from linksweep.core.link import LinkError, hold, inverse_and_condition, require_off_poles
 from linksweep.core.setup import Prefixes, Setup, SharedSums, origin, parts
@@ -52,14 +51,14 @@ class FixedDesign:
     gain_squares: Array  # the variance of g^T z, (..., K)
     condition_number: Array  # of A^T W A, (...)
 
-    def begin(self, rows: int, field: DrawnField | None, shared: SharedSums) -> Solved:
-        """Ask for the sums of ``rows`` realisations, whose zonal errors are drawn already (``field``)."""
+    def begin(self, rows: int, drawn: Array | None, shared: SharedSums) -> Solved:
+        """Ask for the sums of ``rows`` realisations, whose zonal errors are drawn already (``drawn``)."""
         setup, noise = self.setup, self.setup.satellite
         if not noise:
             return lambda: self.solved(np.zeros((*setup.stack, self.columns.shape[2], rows)), 0.0)
         ratio = noise.inflation if noise.is_drawn else 0.0
         measured, columns = setup.observables, setup.stacked(self.columns)
-        alone = noise.factor is not None or field is not None  # its errors are those of no other point
+        alone = noise.factor is not None or drawn is not None  # its errors are those of no other point
         latest: dict[int, Array] = {}  # those of the tile that both sums are asked for
 
         def errors(normals: Array, place: slice) -> Array:
@@ -67,8 +66,8 @@ class FixedDesign:
             if place.start not in latest:
                 latest.clear()
                 latest[place.start] = ratio * noise.standardised(normals, place.start)
-                if field is not None:
-                    latest[place.start] += field.values(place) / setup.sigma[place, :, None]
+                if noise.field is not None and drawn is not None:
+                    latest[place.start] += noise.field.values(drawn, place) / setup.sigma[place, :, None]
             return latest[place.start]
 
         def products(normals: Array, place: slice) -> Array:
@@ -81,6 +80,8 @@ class FixedDesign:
             part = (errors(normals, place) if alone else normals)[..., measured, :]
             return product_sum(part, part) if alone else ratio**2 * product_sum(part, part)
 
+        # nested catalogues of equal errors have columns that begin at the same place, and so share the first sum; the
+        # second needs no columns at all
         which = id(self) if alone else ratio
         asked = (
             shared.ask(("products", origin(columns), which), setup.n_obj, products),
@@ -93,7 +94,7 @@ class FixedDesign:
         sides = self.setup.reference, self.setup.satellite
         if not any(sides):
             return np.zeros_like(self.bias)
-        if all(side.as_weighed for side in sides):
+        if all(side.as_weighed for side in sides):  # then it was computed with the gain, without a pass over objects
             return self.gain_squares
         gain = self.columns[..., self.solving] @ self.inverse / self.setup.sigma[..., None]
         return np.asarray(sum(side.variance_through(gain) for side in sides))
@@ -133,6 +134,7 @@ def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> list[FixedDesign
         first = setups[group[0]]
         unknowns, optimal = len(first.truth), first.scenario.weighting == "inverse-variance"
         columns = [_columns(setups[k], 1 if optimal else 2, shared) for k in group]
+        # stacked: for one 6 x 6 matrix the calls take longer than the arithmetic
         products = np.stack([shared.products(setups[k].stacked(each)) for k, each in zip(group, columns, strict=True)])
         solving = slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
         matrices = _matrices(products, slice(0, unknowns), solving, first.fixed)
@@ -154,6 +156,7 @@ def _matrices(products: Array, design: slice, solving: slice, fixed: slice) -> t
         normal,
         inverse,
         bias,
+        # a^T r of the optimal weights is zero but for rounding, which chi2 would multiply
         np.zeros_like(bias) if solving == design else design_residual,
         np.maximum(0.0, products[..., -1, -1] - np.vecdot(bias, design_misclosure + design_residual)),
         np.einsum("...ki,...ij,...jk->...k", inverse, products[..., solving, solving], inverse),
@@ -186,7 +189,8 @@ def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
         if copies == 2:
             times_sigma = plain[:, :, :unknowns] * sigma[:, :, None]
             columns = np.concatenate([columns[:, :, :unknowns], times_sigma, columns[:, :, unknowns:]], axis=2)
-        columns[:, left_out] = 0.0
+        columns[:, left_out] = 0.0  # what is not measured has no weight
+        # nor has an unknown that stays at its truth: `hold` puts 1 on its diagonal
         for k in range(unknowns)[setup.fixed]:
             columns[:, :, k::unknowns][:, :, :copies] = 0.0
         return columns
@@ -214,6 +218,7 @@ class Projected:
             )
         self.design = design
         self.triangle = np.zeros((0, design.columns.shape[2]))
+        # R of a matrix from R of its parts: Q is never formed, so memory stays that of a part
         for part in parts(len(design.columns)):
             rows = design.columns[part, setup.observables].reshape(-1, design.columns.shape[2])
             self.triangle = np.asarray(np.linalg.qr(np.concatenate([self.triangle, rows]), mode="r"))

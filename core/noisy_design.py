@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from linksweep.core.fields import DrawnField
 from linksweep.core.fixed_design import Solved
 from linksweep.core.frames import Array, product_sum
 from linksweep.core.link import POLE_LIMIT, UnlikeError, hold, pole_error, solve_normal
@@ -68,6 +67,7 @@ class NormalSums:
         """Add objects with ``weights`` (..., m, 4, 1) and weighted differences ``weighted`` (..., m, 4, rows)."""
         self.total_weight += weights[..., 0].sum(axis=-2)
         products = self._products(seen)
+        # one matrix product for all four observables: their weights are the same in all realisations
         self.product_sums += np.swapaxes(weights[..., 0], -1, -2) @ products
         ra, dec, pmra, pmdec = (weighted[..., k, :] for k in (RA, DEC, PMRA, PMDEC))
         self._add_right(self.right[ORIENTATION], seen, ra, dec)
@@ -113,6 +113,7 @@ class NormalSums:
 
     def _squares(self, along_q: int, along_p: int) -> Array:
         """Return sum(w q q^T + w' p p^T), w and w' the weights of two observables; shape (3, 3, ..., rows)."""
+        # C^2 = 1 - S^2 and s^2 = 1 - c^2: with the sum of the weights, two products fewer
         ss, ss_cc, ss_cs, sc_c, sc_s = self.product_sums[2:7, ..., along_q, :]
         whole, other = (self.total_weight[..., [k]] for k in (along_q, along_p))
         cc_p, cs_p = self.product_sums[:2, ..., along_p, :]
@@ -201,6 +202,7 @@ class NoisyDesign:
         self.reference_sigma = reference_sigma[..., None]
         self.satellite_sigma = stacked(setup.satellite.sigma)[..., None]
         self.small = FARTHEST * reference_sigma[..., :2].max(axis=-1) < SMALL_ANGLE * self.cos_dec[..., 0]
+        # the two ways round differently, so a stack must go the same way as each of its catalogues alone
         if setup.stack and not self.small.all():
             raise UnlikeError("some of the catalogues have objects whose errors are no small angles")
         counted = setup.counted[:, None]
@@ -209,12 +211,13 @@ class NoisyDesign:
         # the weights of the solution, then those of chi2 where they differ
         self.weights = [np.ones_like(inverse_variance) * counted, inverse_variance] if equal else [inverse_variance]
 
-    def begin(self, rows: int, field: DrawnField | None, shared: SharedSums) -> Solved:
-        """Begin a chunk of ``rows`` realisations, whose zonal errors are drawn already (``field``)."""
+    def begin(self, rows: int, drawn: Array | None, shared: SharedSums) -> Solved:
+        """Begin a chunk of ``rows`` realisations, whose zonal errors are drawn already (``drawn``)."""
         setup = self.setup
-        self.field, self.squares = field, np.zeros(setup.stack)
+        self.drawn, self.squares = drawn, np.zeros(setup.stack)
         self.objects = min(max(1, ELEMENTS // rows), setup.n_obj)
         arrays = (*setup.stack, self.objects)
+        # of full size also where fewer objects are left, so that the same memory serves all parts
         self.errors = np.empty((3, *arrays, 4, rows))
         self.seen = np.empty((len(Seen._fields), *arrays, rows))
         self.scratch = np.empty((3, *arrays, rows))
@@ -236,6 +239,7 @@ class NoisyDesign:
         """Return estimate - truth of each realisation, (..., K, rows), and the sum of chi2, (...)."""
         normal, right = self.sums[0].equations()
         error = solve_normal(hold(normal, self.setup.fixed), right)
+        # chi2 has the weights of the errors, also where the solution has equal ones
         normal, right = self.sums[-1].equations()
         terms = error * (np.einsum("kl...,l...->k...", normal, error) - 2.0 * right)
         error, terms = (np.ascontiguousarray(np.moveaxis(array, 0, -2)) for array in (error, terms))
@@ -251,9 +255,10 @@ class NoisyDesign:
         if satellite is not None:
             noise = setup.satellite.standardised(satellite, start)
             misclosure -= np.multiply(noise, self.satellite_sigma[..., part, :, :], out=weighted)
-        if self.field is not None:
-            misclosure -= self.field.values(part)
+        if setup.satellite.field is not None and self.drawn is not None:
+            misclosure -= setup.satellite.field.values(self.drawn, part)
         seen = self._seen(part, shift)
+        # before the sums: they are then those of the error alone, however large the truth
         self._subtract_truth(seen, misclosure)
         for sums, all_weights in zip(self.sums, self.weights, strict=True):
             weights = all_weights[..., part, :, :]
@@ -277,7 +282,7 @@ class NoisyDesign:
             np.cos(ra, out=seen.c)
             np.sin(dec, out=seen.sin_dec)
             np.cos(dec, out=seen.cos_dec)
-        if seen.cos_dec.min() < POLE_LIMIT:
+        if seen.cos_dec.min() < POLE_LIMIT:  # negative beyond the pole, where dec is above 90 deg
             at = tuple(np.argwhere(seen.cos_dec < POLE_LIMIT)[0])
             item = part.start + int(at[-2])
             raise pole_error(item, float(self.dec[(*at[:-2], item, 0)] + d_dec[at]))
@@ -322,7 +327,7 @@ def _turn(sin: Array, cos: Array, angle: Array, scratch: Array, sin_out: Array, 
     small_sin, minus = scratch  # sin of the small angle, and its cos - 1
     np.multiply(angle, angle, out=small_sin)
     np.multiply(small_sin, 1.0 / 24.0, out=minus)
-    minus -= 0.5
+    minus -= 0.5  # cos x - 1 = x^2 (x^2/24 - 1/2), without the cancellation of cos x and 1
     minus *= small_sin
     small_sin *= -1.0 / 6.0
     small_sin += 1.0

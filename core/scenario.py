@@ -2,6 +2,7 @@
 before any catalogue is drawn.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -56,11 +57,12 @@ def scenario(point: Point) -> Scenario:
         *("reference_error_ratio", "satellite_error_ratio"),
     )
     glide = point["glide"]
+    reference_errors, satellite_errors = error_models(point)
     glide_rad = MICROARCSEC * (GALACTIC_GLIDE_UAS_YR * GALACTIC_AXES[0] if glide is None else np.array(glide))
     return Scenario(
         draw_catalogue=catalogue_kind(point).nested_draw(point),
-        reference_errors=error_model(point, "reference"),
-        satellite_errors=error_model(point, "satellite"),
+        reference_errors=reference_errors,
+        satellite_errors=satellite_errors,
         epsilon=_radians(point, "epsilon"),
         omega=_radians(point, "omega"),
         random_directions=point["directions"] == "random",
@@ -74,6 +76,7 @@ def scenario(point: Point) -> Scenario:
 def zonal_errors(point: Point) -> ZonalErrors | None:
     """Return the zonal errors of the satellite at a point, or None."""
     position, motion = point["zonal_pos"], point["zonal_pm"]
+    # before zonal_length is read, which does not matter then: the platform asks again only where what was read differs
     if not position and not motion:
         return None
     return ZonalErrors(position * MAS, motion * MAS, point["zonal_length"] * DEGREE)
@@ -105,13 +108,19 @@ def catalogue_size(point: Point) -> int:
     return catalogue_kind(point).size(point) if n_obj is None else int(n_obj)
 
 
-def expected_errors(point: Point) -> Array:
+def error_models(point: Point) -> list[ErrorModel]:
+    """Return the error models of the reference and the satellite at a point."""
+    return [error_model(point, side) for side in SIDES]
+
+
+def expected_errors(point: Point, models: Sequence[ErrorModel]) -> Array:
     """Return the errors (mas, mas/yr) of the reference and the satellite before a catalogue is drawn, shape (2, N, 4):
     those of the objects that it lists, or of a single one at the faint limit of a catalogue that follows a law.
     """
-    kind, models = catalogue_kind(point), [error_model(point, side) for side in SIDES]
+    kind = catalogue_kind(point)
     if (objects := kind.objects(point)) is None:
-        return np.array([[np.repeat(model.at_limit(point, kind), 2)] for model in models])
+        limits = [model.at_limit(point, kind) for model in models]
+        return np.array([[(position, position, motion, motion)] for position, motion in limits])
     with np.errstate(over="ignore"):  # far beyond its range a curve is infinite, which is refused later
         return np.stack([model.standard_errors(objects) for model in models]) / MAS
 
@@ -122,6 +131,7 @@ def _radians(point: Point, name: str) -> Vector:
     if size is not None:
         scaled = vector * MAS
         length = np.linalg.norm(scaled)
+        # a direction of zeros is taken as the x axis, so that a size alone is enough
         vector = scaled / length * size if length > 0.0 else np.array([size, 0.0, 0.0])
     x, y, z = (vector * MAS).tolist()
     return x, y, z

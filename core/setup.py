@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from linksweep.core.catalogues import Catalogue
-from linksweep.core.fields import DrawnField, Field
+from linksweep.core.fields import Field
 from linksweep.core.frames import Array, Stack, along, exact_differences, stored_differences
 from linksweep.core.link import OBSERVABLES, UnlikeError, combined_error, measured
 from linksweep.core.scenario import Scenario
@@ -92,6 +92,7 @@ class Prefixes:
         ``settings`` identify the computation; a row of the result may only depend on them and on that row of the
         arguments.
         """
+        # the largest catalogue comes first, so a later one is at most the beginning of a result that is there
         known, n_obj = self._known.setdefault(settings, []), len(objects[0])
         for larger, result in known:
             if n_obj <= len(result) and all(map(_begins, larger, objects)):
@@ -115,6 +116,7 @@ class Prefixes:
         """
         *stack, n_obj, _, number = columns.shape
         total = np.zeros((*stack, number, number))
+        # parts of fixed size: the sum of a catalogue rounds as that of a larger one that begins with it
         for part in parts(n_obj):
             rows = columns[..., part, :, :]
             place = origin(rows), rows.shape
@@ -153,7 +155,7 @@ class SharedSums:
         sizes = self._sizes.setdefault(what, [])
         if n_obj not in sizes:
             insort(sizes, n_obj)
-        if n_obj == sizes[-1]:
+        if n_obj == sizes[-1]:  # the term of a smaller catalogue would end too early for this one
             self._terms[what] = term
         return lambda: np.asarray(self._sums[what, n_obj])
 
@@ -162,7 +164,7 @@ class SharedSums:
         end = tile.start + tile.normals.shape[-3]
         for what, sizes in self._sizes.items():
             total, term = self._totals.get(what, 0.0), self._terms[what]
-            while sizes and sizes[0] < end:
+            while sizes and sizes[0] < end:  # catalogues that end inside the tile take what is there of it
                 n_obj = sizes.pop(0)
                 self._sums[what, n_obj] = total + term(tile.head(n_obj), slice(tile.start, n_obj))
             if sizes:
@@ -200,8 +202,8 @@ class Noise:
         """Whether all errors are independent and equal to those in the weights."""
         return self.factor is None and self.field is None and (self.inflation == 1.0 or not self.is_drawn)
 
-    def draw_field(self, rows: int, rng: np.random.Generator) -> DrawnField | None:
-        """Return ``rows`` realisations of the errors that objects share, or None."""
+    def draw_field(self, rows: int, rng: np.random.Generator) -> Array | None:
+        """Return what decides ``rows`` realisations of the errors that objects share, or None."""
         return None if self.field is None else self.field.draw(rows, rng)
 
     def standardised(self, normals: Array, start: int) -> Array:
@@ -210,7 +212,7 @@ class Noise:
 
     def variance_through(self, gain: Array) -> Array:
         """Return the variance of each unknown from these errors; ``gain`` (N, 4, K), result (K,)."""
-        scaled = self.sigma[..., None] * gain
+        scaled = self.sigma[..., None] * gain  # L^T D g: its square is g^T D R D g
         if self.factor is not None:
             scaled = np.swapaxes(self.factor, 1, 2) @ scaled
         variance = np.asarray(np.einsum("nik,nik->k", scaled, scaled))
@@ -272,7 +274,8 @@ def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Pr
     for side in (reference, satellite) if stack else ():
         if side.factor is not None:
             raise UnlikeError("the errors of an object are correlated")
-        if bool(np.any(side.stated)) != all(map(np.any, side.stated.reshape(*stack, -1))):
+        have_errors = np.any(side.stated.reshape(*stack, -1), axis=-1)
+        if np.any(have_errors) != np.all(have_errors):
             raise UnlikeError("some of the catalogues have no errors")
     if np.all(satellite.stated > 0.0):  # then the result of an object depends on no other one
         sigma = shared.once("combined errors", combined_error, reference.stated, satellite.stated)

@@ -43,7 +43,7 @@ def simulate(
 
     ``catalogue_rng`` decides the catalogue (step A) and the truth, ``rng`` the errors (steps C and D): all scenarios
     start from the same state of the first, and share the normals from streams spawned from the second (see
-    `linksweep.core.noise`).  These are drawn once, and the sums of a scenario do not depend, to the last bit, on the
+    `linksweep.core.setup`).  These are drawn once, and the sums of a scenario do not depend, to the last bit, on the
     other scenarios.  Memory does not grow with ``n_sim``, except for estimates that are kept.  Raises LinkError where a
     catalogue does not determine the link.
     """
@@ -82,15 +82,18 @@ def _simulate(
 ) -> list[Sums]:
     """Return the sums of each scenario, for a catalogue from one pair of streams or a stack from several pairs."""
     drawn, prefixes = _draws(scenarios, [catalogue_rng for _, catalogue_rng in streams], stack), Prefixes()
-    order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k][0]))  # the others may be its beginning
+    # the largest first: what is computed for it serves the catalogues that are its beginning
+    order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k][0]))
     setups = [prepare(scenarios[k], *drawn[k], prefixes, stack) for k in order]
     designs = dict(zip(order, fixed_designs(setups, prefixes), strict=True))
     points = [_Point(designs[k], n_sim, keep_estimates) for k in range(len(drawn))]
     noisy = [point.path for point in points if isinstance(point.path, NoisyDesign)]
     zonal = any(scenario.zonal is not None for scenario in scenarios)
+    # each side is drawn as far as its largest catalogue goes, and not at all where no point has errors on it
     satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
     for start in range(0, n_sim, ROWS):
         rows = min(ROWS, n_sim - start)
+        # a stream for each side, so that a side without errors does not change the normals of the other
         satellite_rngs, reference_rngs = zip(*(rng.spawn(2) for rng, _ in streams), strict=True)
         field_rng = satellite_rngs[0].spawn(1)[0] if zonal else satellite_rngs[0]  # which draws nothing
         shared = SharedSums()
@@ -143,6 +146,7 @@ class _Point:
 
     def add(self, error: Array, chi2: Array) -> None:
         """Add realisations: their estimate - truth (..., K, rows), and the sum of their chi2."""
+        # sums of estimate - truth, not of estimates: the truth may be a million times as large as its error
         self.error += error.sum(axis=-1)
         self.products += error @ error.swapaxes(-1, -2)
         self.chi2 += chi2
@@ -155,7 +159,7 @@ class _Point:
             raise LinkError("the solution is not finite")
         stack, n_sim, fixed = self.setup.stack, self.n_sim, self.setup.fixed
         error, products = self.error / MAS, self.products / MAS**2
-        error[..., fixed] = np.nan
+        error[..., fixed] = np.nan  # they stayed at the truth, which is no result
         variance, bias = self.variance[..., ALWAYS], (self.design.bias / MAS)[..., ALWAYS]
         means = np.stack([variance[..., part].sum(axis=-1) / 3 for part in (ORIENTATION, SPIN)], axis=-1)
         glide = squares = np.full((*stack, len(GLIDE_LABELS)), np.nan)
@@ -196,7 +200,7 @@ def _draws(
         whole = drawn.repeated(len(catalogue_rngs)) if drawn.ra.ndim == 1 else drawn
         return [(whole.flattened(), _truth(scenario, catalogue_rngs[0]))]
     (catalogue_rng,) = catalogue_rngs
-    (directions,) = catalogue_rng.spawn(1)
+    (directions,) = catalogue_rng.spawn(1)  # spawning leaves the state of the parent as it is
     largest: dict[Hashable, Catalogue] = {}
     for draw in sorted((scenario.draw_catalogue for scenario in scenarios), key=lambda draw: -draw.n_obj):
         if draw.family not in largest:

@@ -5,9 +5,11 @@ satellite.  A line like ``orientation,spin,glide,vsh_motion:3`` names blocks; a 
 `KNOWN`.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -78,7 +80,7 @@ class Orientation(Block):
         values = np.zeros((3, len(self.rows), *np.shape(objects.ra)))
         values[:, 0], values[:, 1] = q, -p
         if PMRA in self.rows:
-            require_off_poles(objects.dec, q[2])
+            require_off_poles(objects.dec, q[2])  # eta grows as 1/cos dec
             eta_x, eta_y = p[1] / q[2], -p[0] / q[2]
             values[0, 2], values[1, 2] = -objects.pmdec * eta_x, -objects.pmdec * eta_y
             values[0, 3], values[1, 3] = objects.pmra * eta_x, objects.pmra * eta_y
@@ -241,7 +243,7 @@ class Unknowns:
         if moved:  # a rate of a motion moves the coordinate of its position, of the same frame
             acting |= {row - PMRA + RA for block in self.blocks if block.rate for row in block.rows}
         rows = tuple(sorted(acting))
-        if len(self.blocks) == 1 and rows == self.blocks[0].rows:
+        if len(self.blocks) == 1 and rows == self.blocks[0].rows:  # no copy of what may be the largest array of a tie
             return rows, self.blocks[0].derivatives(objects)
         whole = np.zeros((len(self), len(rows), *np.shape(objects.ra)))
         start = 0
@@ -288,21 +290,16 @@ Bins = tuple[str, Sequence[float]]
 """A column and the edges of its bins."""
 
 
-@dataclass(frozen=True)
-class Asked:
-    """The request for a block: its name, the degrees after it, the names in the line, bins, columns and corrections."""
+class Asked(NamedTuple):
+    """A block of a line as it is written, its name, degrees and the names beside it; bins, columns and corrections."""
 
+    written: str
     name: str
     degrees: str
     beside: Sequence[str]
     bins: Bins | None
     columns: Mapping[str, Array]
     corrections: bool
-
-    @property
-    def written(self) -> str:
-        """The block as the line names it."""
-        return f"{self.name}:{self.degrees}" if self.degrees else self.name
 
 
 KNOWN: dict[str, Callable[[Asked], Block]] = {
@@ -339,14 +336,15 @@ def parse_unknowns(
     if not names:
         raise ValueError(f"no unknowns; known are {', '.join(KNOWN)}")
     plain = [name for name in names if name.partition(":")[0] not in missions]
-    blocks = list(_blocks(plain, bins, columns or {}, corrections))
+    blocks = _blocks(plain, bins, columns or {}, corrections)
     for number, mission in enumerate(missions, 1):
-        inside = [block for first, _, block in (name.partition(":") for name in names) if first == mission]
+        inside = [name.partition(":")[2] for name in names if name.partition(":")[0] == mission]
         for block in _blocks(inside, None, {}, corrections):
             labels = tuple(f"{mission}:{label}" for label in block.labels)
             rows = tuple(len(PARAMETERS) * number + row for row in block.rows)
-            name = f"{mission}:{block.name}"
-            blocks.append(OfMission(name=name, labels=labels, rows=rows, rate=block.rate, block=block))
+            blocks.append(
+                OfMission(name=f"{mission}:{block.name}", labels=labels, rows=rows, rate=block.rate, block=block)
+            )
     if bins is not None and not any(isinstance(block, SpinByBin) for block in blocks):
         raise ValueError("bins divide the spin, which is not among the unknowns")
     return Unknowns(tuple(blocks))
@@ -354,49 +352,40 @@ def parse_unknowns(
 
 def require_mission_name(name: str) -> None:
     """Raise ValueError for a name of a mission that cannot stand before unknowns."""
-    known = {one.partition(":")[0] for one in KNOWN}
+    known = {one.removesuffix(":L") for one in KNOWN}
     if not (name.isascii() and name.replace("-", "_").isidentifier()) or name in known:
         raise ValueError(
             f"mission {name!r}: a name is letters, digits, _ and -, no digit first, and none of the unknowns"
         )
 
 
-def _blocks(
-    names: Sequence[str], bins: Bins | None, columns: Mapping[str, Array], corrections: bool
-) -> Iterator[Block]:
-    """Yield the blocks of one frame."""
-    plain = [name.partition(":")[0] for name in names]
-    if repeated := sorted({name for name in plain if plain.count(name) > 1}):
-        raise ValueError(f"unknowns {', '.join(repeated)} twice")
-    for name in names:
-        kind, _, degrees = name.partition(":")
-        asked = Asked(kind, degrees, plain, bins, columns, corrections)
-        if f"{kind}:L" in KNOWN:
-            yield KNOWN[f"{kind}:L"](asked)
-        elif degrees:
-            with_degrees = " and ".join(known.removesuffix(":L") for known in KNOWN if known.endswith(":L"))
-            raise ValueError(f"unknowns {asked.written!r}: only {with_degrees} have a degree")
-        elif kind in KNOWN:
-            yield KNOWN[kind](asked)
-        else:
-            raise ValueError(f"unknowns {asked.written!r} are not known; known are {', '.join(KNOWN)}")
+def _blocks(names: Sequence[str], bins: Bins | None, columns: Mapping[str, Array], corrections: bool) -> list[Block]:
+    """Return the blocks of one frame."""
+    plain, blocks = [name.partition(":")[0] for name in names], []
+    if len(set(plain)) < len(plain):
+        raise ValueError(f"unknowns {max(plain, key=plain.count)} twice")
+    for written, name in zip(names, plain, strict=True):
+        degrees = written.partition(":")[2]
+        make = KNOWN.get(f"{name}:L") or (None if degrees else KNOWN.get(name))
+        if make is None:
+            raise ValueError(f"unknowns {written!r} are not known; known are {', '.join(KNOWN)}")
+        blocks.append(make(Asked(written, name, degrees, plain, bins, columns, corrections)))
+    return blocks
 
 
 def _harmonics(asked: Asked, rotation: str, glide: str, rows: tuple[int, ...]) -> Harmonics:
-    name = asked.written
-    low, dash, high = asked.degrees.partition("-")
-    try:
-        first, last = (int(low), int(high)) if dash else (1, int(low))
-    except ValueError:
-        raise ValueError(
-            f"unknowns {name!r}: give a degree or a range of them, like vsh_motion:3, vsh_motion:2-3"
-        ) from None
+    ends = re.fullmatch(r"(?:(\d+)-)?(\d+)", asked.degrees)
+    first, last = (int(ends[1] or 1), int(ends[2])) if ends else (0, 0)
     if not 1 <= first <= last <= HIGHEST_DEGREE:
-        raise ValueError(f"unknowns {name!r}: degrees are from 1 to {HIGHEST_DEGREE}, the lower one first")
+        raise ValueError(
+            f"unknowns {asked.written!r}: give a degree or a range of them, from 1 to {HIGHEST_DEGREE}, the lower one "
+            "first, like vsh_motion:3 or vsh_motion:2-3"
+        )
+    # one line may name both, but the same unknown twice would make the link rank deficient
     covered = {("t", 1): rotation in asked.beside, ("s", 1): glide in asked.beside}
     parts = tuple((k, d) for d in range(first, last + 1) for k in KINDS if not covered.get((k, d)))
     if not parts:
-        raise ValueError(f"unknowns {name!r}: {rotation} and {glide} are these already")
+        raise ValueError(f"unknowns {asked.written!r}: {rotation} and {glide} are these already")
     labels = tuple(f"{asked.name}_{term.label}" for kind, degree in parts for term in terms(kind, degree))
     return Harmonics(name=asked.name, labels=labels, rows=rows, rate=rows == MOTION, parts=parts)
 
@@ -411,5 +400,5 @@ def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Arra
     values = columns[column]
     if np.any(missing := ~np.isfinite(values)):
         raise ValueError(f"bins: {column} is missing in {np.count_nonzero(missing)} of {len(values)} matched sources")
-    used = np.unique(np.searchsorted(edges, values, side="right"))
+    used = np.unique(np.searchsorted(edges, values, side="right"))  # a bin without sources would have no weight
     return SpinByBin(column=column, edges=tuple(map(float, edges)), used=tuple(used.tolist()))

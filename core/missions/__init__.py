@@ -166,6 +166,7 @@ class Mission:
         sigma = curve(v_mag)
         if least > 0.0:
             sigma = np.where(v_mag < self.floor.brighter_than_mag, np.maximum(sigma, least), sigma)
+        # 1.0 ** exponent is exactly 1: the nominal length changes no bit
         ratio = 1.0 if length_yr is None else length_yr / self.nominal_length_yr
         return np.asarray(sigma * np.float64(ratio) ** exponent)
 
@@ -302,6 +303,7 @@ def mission_from_table(table: Mapping[str, Any], load: Callable[[str], Function]
     valid = read.range((brightest, limit))
     if read.problems or motions is None or positions is None:
         raise DefinitionError(read.problems)
+    # what decides the numbers and nothing else: with another name or unit of sigma, results are still found
     identity: dict[str, Any] = {
         "nominal_length_yr": length,
         "faint_limit_mag": limit if limit < np.inf else None,
@@ -365,7 +367,7 @@ class _Reader:
             for number, (one, following) in enumerate(itertools.pairwise(rows), 2):
                 if following[0] <= one[0]:
                     self.problem(key, f"row {number}: magnitude {following[0]:g} does not come after {one[0]:g}")
-            if len(raw) < 2:
+            if len(raw) < 2:  # one row would be a constant, which a slip of the pen must not make
                 self.problem(key, f"{len(rows)} row: a table needs at least two")
             if len(self.problems) == before:
                 magnitudes, sigmas = zip(*rows, strict=True)

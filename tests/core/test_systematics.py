@@ -93,7 +93,8 @@ def test_the_kernel_is_a_gaussian_where_it_is_narrow():
 
 def test_drawn_zonal_errors_have_that_covariance_and_are_normal():
     errors, catalogue, rows = ZonalErrors(2.0, 5.0, np.radians(40.0)), sky(10), 20_000
-    drawn = Field(errors, catalogue.ra, catalogue.dec).draw(rows, np.random.default_rng(4)).values(slice(2, 10))
+    field = Field(errors, catalogue.ra, catalogue.dec)
+    drawn = field.values(field.draw(rows, np.random.default_rng(4)), slice(2, 10))
     assert drawn.shape == (8, 4, rows)
     expected = field_covariance(errors, catalogue).reshape(2, 10, 2, 10)[:, 2:, :, 2:].reshape(16, 16)
     for part, sigma in ((slice(0, 2), 2.0), (slice(2, 4), 5.0)):
@@ -107,13 +108,11 @@ def test_drawn_zonal_errors_have_that_covariance_and_are_normal():
 
 
 def test_a_wider_kernel_uses_the_beginning_of_the_draws_of_a_narrower():
-    wide, narrow = (
-        Field(ZonalErrors(1.0, 1.0, np.radians(length)), *np.zeros((2, 1))).draw(3, np.random.default_rng(1))
-        for length in (100.0, 50.0)
-    )
-    shared = wide.coefficients.shape[1]
-    scatter = [np.repeat(d.field.errors.scatter, 2)[:shared, None] for d in (wide, narrow)]
-    np.testing.assert_allclose(wide.coefficients / scatter[0], narrow.coefficients[:, :shared] / scatter[1], rtol=1e-12)
+    errors = [ZonalErrors(1.0, 1.0, np.radians(length)) for length in (100.0, 50.0)]
+    wide, narrow = (Field(e, *np.zeros((2, 1))).draw(3, np.random.default_rng(1)) for e in errors)
+    n = wide.shape[1]
+    scatter = [np.repeat(e.scatter, 2)[:n, None] for e in errors]
+    np.testing.assert_allclose(wide / scatter[0], narrow[:, :n] / scatter[1], rtol=1e-12)
 
 
 @pytest.mark.parametrize("satellite_errors", ["normal", "none"])
