@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
+import linksweep
 from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
-from linksweep.sweep.stores.store import open_dataset
 from tests.sweep.user import write_experiment, write_study
 
 GOOD = {
@@ -242,7 +242,7 @@ def test_a_result_that_is_not_what_is_declared_fails_its_point_by_name(case, tmp
     assert code == 1
     assert "Traceback" not in err
     assert json.loads(out)
-    dataset = open_dataset(tmp_path / "s.zarr")
+    dataset = linksweep.open(tmp_path / "s.zarr")
     assert dataset["status"].values.tolist() == [2, 2, 2]
     assert np.isnan(dataset["mean"]).all()
     failures = json.loads(dataset.attrs["failures"])
@@ -259,7 +259,7 @@ def test_only_points_with_wrong_results_fail_among_many(tmp_path, sweep):
     code, _, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)
     assert code == 1
     assert "1 point failed: mean is infinite, at rate=3.0" in err
-    assert open_dataset(tmp_path / "s.zarr")["mean"].values[[0, 1, 3]].tolist() == [-0.125, -0.25, 0.25]
+    assert linksweep.open(tmp_path / "s.zarr")["mean"].values[[0, 1, 3]].tolist() == [-0.125, -0.25, 0.25]
 
 
 def test_nan_is_a_value_where_it_is_declared(tmp_path, sweep):
@@ -272,7 +272,7 @@ def test_nan_is_a_value_where_it_is_declared(tmp_path, sweep):
     write_study(tmp_path)
     code, _, _ = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)
     assert code == 0
-    assert open_dataset(tmp_path / "s.zarr")["status"].values.tolist() == [1, 1]
+    assert linksweep.open(tmp_path / "s.zarr")["status"].values.tolist() == [1, 1]
 
 
 def test_samples_are_held_to_what_is_declared(tmp_path, sweep):
