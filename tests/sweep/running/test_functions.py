@@ -96,7 +96,7 @@ def test_points_that_are_not_like_the_first_fail_by_name_and_the_rest_goes_on(tm
     failures = json.loads(ds.attrs["failures"])
     assert failures == {
         "k=2": "fickle: not as at the first point: 'z' is missing",
-        "k=3": "fickle: not as at the first point: 'z' has the type 'bool', expected 'int'",
+        "k=3": "fickle: not as at the first point: the type of 'z' is 'bool', expected 'number'",
         "k=4": "fickle returns nothing (None); it must return its results",
         "k=5": "fickle: y is NaN (declare Output(..., nan=True) where that is a value)",
     }
