@@ -18,10 +18,10 @@ import numpy as np
 
 from linksweep.sweep.contract import SweepError
 
+# The formats of a table, each known by its content; text and XML may be packed with gzip, bzip2 or xz.
 FORMATS = (
     "FITS, VOTable, ECSV, CSV, TSV or other delimited text, Parquet, MRT, or a CDS table with its ReadMe beside it"
 )
-"""The formats of a table, each known by its content; text and XML may be packed with gzip, bzip2 or xz."""
 
 READMES = ("ReadMe", "README", "readme", "ReadMe.txt", "README.txt", "readme.txt")
 
@@ -39,14 +39,14 @@ MISSING = (
     *("", "null", "NULL", "None", "none", "NaN", "nan", "NAN", "N/A", "n/a", "NA", "<NA>"),
     *("--", "---", "...", "\\N"),
 )
+# The most lines that comments, names, units and rules take.
 PREFACE_LINES = 100_000
-"""The most lines that comments, names, units and rules take."""
 
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _RULE = re.compile(r"[-=+]+")
 _CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
+# How tables spell units out; dates are numbers of days.
 _WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr"}
-"""How tables spell units out; dates are numbers of days."""
 _BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
 
 

@@ -25,28 +25,28 @@ from linksweep.sweep.tie.tables import UNITS
 if TYPE_CHECKING:
     import xarray as xr
 
+# The experiment whose code the workers must have.
 EXPERIMENT = "linksweep.sweep.tie.experiment:tie"
-"""The experiment whose code the workers must have."""
 
 ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
 RESAMPLES = 1000
 
+# The rows of larger tables are not included in a result.
 ROWS_KEPT = 100_000
-"""The rows of larger tables are not included in a result."""
 
+# If there are too many sources to keep the sums of each, so many are examined for a large share.
 HEAVIEST = 100
-"""If there are too many sources to keep the sums of each, so many are examined for a large share."""
 
+# Power of degree 1 of a rotation or a glide is this times the square of its length (Mignard & Klioner 2012).
 VECTOR_POWER = 8.0 * np.pi / 3.0
-"""Power of degree 1 of a rotation or a glide is this times the square of its length (Mignard & Klioner 2012)."""
 
+# The field whose degree 1 a block is.
 FIELD_OF = {
     "orientation": "position toroidal",
     "position_glide": "position spheroidal",
     "spin": "motion toroidal",
     "glide": "motion spheroidal",
 }
-"""The field whose degree 1 a block is."""
 
 
 @dataclass(frozen=True)
@@ -317,11 +317,11 @@ def tie(
     return result
 
 
+# The variables that label others, beside those that are called as their dimension.
 COORDINATES = (
     *("unit", "block", "ra", "dec", "row_source_index", "row_source", "row_kind", "row_table", "row_epoch"),
     *("observable_unit", "bin_low", "bin_high"),
 )
-"""The variables that label others, beside those that are called as their dimension."""
 
 
 def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dataset":

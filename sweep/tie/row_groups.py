@@ -22,11 +22,11 @@ from linksweep.sweep.tables.reader import is_parquet, read_row_group, row_groups
 from linksweep.sweep.tie import setup
 from linksweep.sweep.tie.tables import AstrometricTable, astrometric_table, columns_needed, digest_of
 
+# Smaller tables are solved as a whole.
 FROM_ROWS = 100_000
-"""Smaller tables are solved as a whole."""
 
+# At most so many notes on rows are shown.
 MOST_NOTES = 5
-"""At most so many notes on rows are shown."""
 
 
 def why_whole(satellite: str | Path, reference: str | Path, options: setup.Options) -> str | None:
@@ -79,8 +79,8 @@ class RowGroup:
         return rows
 
 
+# Return the SHA-256 of a file, which a process reads only once.
 digest_once = lru_cache(maxsize=8)(digest_of)
-"""Return the SHA-256 of a file, which a process reads only once."""
 
 
 def look_through(group: RowGroup, per_source: bool) -> tuple[Array, tuple[Array, Indices], Array | None, Sequence[str]]:
