@@ -29,19 +29,11 @@ FROM_ROWS = 100_000
 MOST_NOTES = 5
 
 
-def why_whole(satellite: str | Path, reference: str | Path, options: setup.Options) -> str | None:
-    """Return why tables are solved as a whole; None for those that are read by row groups: many quasars in Parquet,
-    without a reference.
-    """
+def are_enough(satellite: str | Path, reference: str | Path, options: setup.Options) -> bool:
+    """Return whether a table is read by row groups: many quasars in Parquet, of which no row needs a match."""
     path = Path(satellite)
-    if options.missions:
-        return f"rows of missions are matched with the whole of {path}"
-    if str(reference) != setup.ZERO_MOTION:
-        return f"rows of a reference are matched with the whole of {path}; only {setup.ZERO_MOTION} needs none"
-    if not path.is_file() or not is_parquet(path):
-        return f"{path} is no Parquet table (as Parquet it could be read by row groups)"
-    n = sum(row_groups(path)[0])
-    return None if n >= FROM_ROWS else f"{path} has {n:,} rows, and tables of fewer than {FROM_ROWS:,} are read at once"
+    alone = str(reference) == setup.ZERO_MOTION and not options.missions
+    return alone and path.is_file() and is_parquet(path) and sum(row_groups(path)[0]) >= FROM_ROWS
 
 
 @dataclass(frozen=True)
@@ -59,10 +51,7 @@ class RowGroup:
 
     def problem(self) -> Problem:
         """Return the problem of the rows; raises SweepError for wrong ones, with their numbers in the row group."""
-        return self.problem_of(self.read().astrometry)
-
-    def problem_of(self, own: Astrometry) -> Problem:
-        """Return the problem of some of the rows."""
+        own = self.read().astrometry
         known, source = setup.known_spin(self.options, own), np.arange(len(own))
         rows = setup.with_jitter(setup.zero_motion(len(own)), self.options.jitter_in(None))
         return Problem(own, rows, source, self.unknowns, self.epoch, self.options.weights, known)

@@ -9,8 +9,8 @@ from scipy.linalg import block_diag, lstsq
 from linksweep.core.frames import MAS
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry, differences
-from linksweep.core.tie.problem import Problem, eliminate, group_sums, source_counts, source_discrepancies, source_sums
-from linksweep.core.tie.solution import bootstrap, discrepancies, expected_discrepancies, solve
+from linksweep.core.tie.problem import Problem, group_sums, source_counts, source_discrepancies, source_sums
+from linksweep.core.tie.solution import discrepancies, expected_discrepancies, solve
 from linksweep.core.unknowns import parse_unknowns
 from tests.core.tie.made import noise, random_correlations, stars
 
@@ -61,31 +61,6 @@ def stacked(problem):
     return f, m, v, k
 
 
-def generalised(problem, covariance=None):
-    f, m, v, k = stacked(problem)
-    c = block_diag(*problem.satellite.covariance()) if covariance is None else covariance
-    whole = (v + m @ c @ m.T) / MAS**2
-    a, y = m @ k, f / MAS
-    inverse = np.linalg.inv(whole)
-    normal = a.T @ inverse @ a
-    x = np.linalg.solve(normal, a.T @ inverse @ y)
-    residual = y - a @ x
-    return x * MAS, np.linalg.inv(normal) * MAS**2, residual @ inverse @ residual
-
-
-def test_it_is_the_full_generalised_least_squares():
-    problem = mixed()
-    solution = solve(source_sums(problem))
-    x, covariance, squares = generalised(problem)
-    error = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(solution.estimate / error, x / error, rtol=1e-11, atol=1e-11)
-    np.testing.assert_allclose(
-        solution.covariance / np.outer(error, error), covariance / np.outer(error, error), atol=1e-12
-    )
-    assert solution.squares == pytest.approx(squares, rel=1e-11)
-    assert solution.dof == np.sum(problem.rows.present) - len(UNKNOWNS)
-
-
 def test_it_is_the_least_squares_with_five_parameters_a_source():
     problem = mixed()
     f, m, v, k = stacked(problem)
@@ -99,47 +74,6 @@ def test_it_is_the_least_squares_with_five_parameters_a_source():
     np.testing.assert_allclose(solution.estimate / MAS / error, found[: len(UNKNOWNS)] / error, atol=1e-10)
     residual = np.concatenate([left @ f / MAS, np.zeros(len(c))]) - design @ found
     assert solution.squares == pytest.approx(residual @ residual, rel=1e-10)
-
-
-def test_it_is_the_form_with_j():
-    problem = mixed()
-    found = differences(problem.satellite, problem.rows, problem.source)
-    free = ~problem.satellite.present.T
-    covariance = problem.satellite.covariance()
-    left = eliminate(found, problem.source, covariance, free)
-    for i in range(len(problem.satellite)):
-        j, g, yy = np.zeros((5, 5)), np.zeros(5), 0.0
-        for r in np.flatnonzero(problem.source == i):
-            here = found.present[r]
-            v = np.linalg.inv(found.covariance[r][np.ix_(here, here)])
-            m, f = found.partials[r][here], found.values[r][here]
-            j, g, yy = j + m.T @ v @ m, g + m.T @ v @ f, yy + f @ v @ f
-        a = np.eye(5) + j @ covariance[i]
-        w = np.linalg.solve(a, g)
-        scale = np.abs(left.normal[i]).max()
-        np.testing.assert_allclose(left.normal[i] / scale, np.linalg.solve(a, j) / scale, atol=1e-10)
-        np.testing.assert_allclose(left.right[i] / np.abs(w).max(), w / np.abs(w).max(), atol=1e-10)
-        assert left.squares[i] == pytest.approx(yy - g @ covariance[i] @ w, rel=1e-9)
-
-
-def test_neither_covariance_need_be_regular():
-    problem = mixed()
-    exact = replace(problem.satellite, errors=np.where(np.arange(5)[:, None] == 2, 0.0, problem.satellite.errors))
-    problem = replace(problem, satellite=exact)
-    solution = solve(source_sums(problem))
-    x, covariance, squares = generalised(problem)
-    np.testing.assert_allclose(solution.estimate, x, atol=1e-10 * np.sqrt(covariance.max()))
-    assert solution.squares == pytest.approx(squares, rel=1e-10)
-    motion = Astrometry(
-        np.where(np.arange(5)[:, None] >= 3, problem.satellite.values + 0.1 * MAS, np.nan),
-        np.where(np.arange(5)[:, None] >= 3, 0.0, np.full((5, 12), np.nan)),
-        np.full(12, np.nan),
-    )
-    spin = Problem(problem.satellite, motion, np.arange(12), parse_unknowns("spin"), 2016.0)
-    solution = solve(source_sums(spin))  # rows without errors: quasars that do not move
-    x, _, squares = generalised(spin)
-    np.testing.assert_allclose(solution.estimate, x, rtol=1e-10)
-    assert solution.squares == pytest.approx(squares, rel=1e-10)
 
 
 def test_what_the_satellite_lacks_is_free():
@@ -170,21 +104,6 @@ def test_what_the_satellite_lacks_is_free():
     assert moved.dof == solution.dof
 
 
-def test_a_position_at_another_epoch_says_nothing_of_a_source_without_motion():
-    satellite = stars(6)
-    values, errors = satellite.values.copy(), satellite.errors.copy()
-    values[2:] = errors[2:] = np.nan
-    satellite = replace(satellite, values=values, errors=errors)
-    later = replace(satellite, epoch=satellite.epoch + 5.0, correlations=None, radial_velocity=None)
-    problem = Problem(satellite, later, np.arange(6), parse_unknowns("orientation"), 2016.0)
-    with pytest.raises(LinkError, match="determines epsilon_x"):
-        solve(source_sums(problem), problem.unknowns.labels)
-    same = Problem(
-        satellite, replace(later, epoch=satellite.epoch), np.arange(6), parse_unknowns("orientation"), 2016.0
-    )
-    assert solve(source_sums(same)).dof == 12 - 3
-
-
 def test_differences_without_any_error_are_refused_by_name():
     satellite = stars(4)
     exact = replace(satellite, errors=np.zeros((5, 4)), correlations=None, names=np.array(["a", "b", "c", "d"]))
@@ -209,16 +128,6 @@ def test_groups_add_up_to_the_sources_in_blocks_of_any_size(monkeypatch):
     np.testing.assert_array_equal(source_counts(problem), sums.count)
     assert np.sum(squares) == pytest.approx(solution.squares, rel=1e-10)
     assert np.sum(expected_discrepancies(sums, solution)) == pytest.approx(solution.dof)
-
-
-def test_the_bootstrap_solves_resamples():
-    sums = source_sums(mixed(20))
-    covariance, estimates = bootstrap(sums, 50, np.random.default_rng(7))
-    times = np.random.default_rng(7).multinomial(20, np.full(20, 0.05), size=50)
-    again = solve(sums.taken(np.repeat(np.arange(20), times[3])))
-    np.testing.assert_allclose(estimates[3], again.estimate, rtol=1e-8)
-    good = estimates[np.isfinite(estimates[:, 0])]
-    np.testing.assert_allclose(covariance, np.cov(good.T), rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["motion", "position"])

@@ -1,7 +1,6 @@
 """Tables of every kind, what is missing in them, and what is wrong with them."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -371,11 +370,6 @@ def test_a_column_of_blank_correlations_is_as_none(tmp_path):
         read_table(gaia(tmp_path / "some.ecsv", made, ra_dec_corr=some))
 
 
-def test_no_built_in_table_of_that_name():
-    with pytest.raises(SweepError, match="no such file"):
-        read_table(Path("icrf9"))
-
-
 def test_proper_motions_in_seconds_of_time_a_year_and_ra_in_hours(tmp_path):
     made = stars(4)
     path = gaia(tmp_path / "g.ecsv", made)
@@ -423,44 +417,6 @@ def test_radial_velocities_that_no_star_has_count_as_missing(tmp_path):
     assert found.named_notes() == [
         "codes.ecsv: radial_velocity beyond 5000 km/s, which no star has, is not used: row 2, 3, 4"
     ]
-
-
-def test_names_are_the_same_however_they_are_stored(tmp_path):
-    made = stars(3)
-    for number, names in enumerate(([71, 72, 73], [71.0, 72.0, 73.0], ["71 ", " 72", "73"], [b"71", b"72", b"73"])):
-        path = gaia(tmp_path / f"{number}.parquet", made, hip=names)
-        assert read_table(path).names["hip"].tolist() == ["71", "72", "73"]
-    gapped = gaia(tmp_path / "gap.fits", made, hip=[71.0, np.nan, 73.0])
-    assert read_table(gapped).names["hip"].tolist() == ["71", "--", "73"]
-
-
-def test_values_without_errors_are_said(tmp_path):
-    path = gaia(tmp_path / "g.ecsv", stars(9))
-    table = Table.read(path)
-    table.remove_column("parallax_error")
-    table.write(tmp_path / "without.ecsv")
-    link = tie(path, tmp_path / "without.ecsv", by="source_id")
-    assert "without.ecsv: no errors of parallax, which counts as not measured" in link.attrs["notes"]
-
-
-def test_a_correlation_without_a_column_is_said_where_the_others_are_impossible(tmp_path):
-    made = stars(4)
-    path = gaia(tmp_path / "g.ecsv", made, ra_pmra_corr=[0.9] * 4, dec_pmra_corr=[0.9] * 4)
-    table = Table.read(path)
-    table.remove_column("ra_dec_corr")
-    table.write(path, overwrite=True)
-    with pytest.raises(SweepError, match=r"impossible .*; there is no column ra_dec_corr, which counts as 0: in row 1"):
-        read_table(path)
-
-
-@pytest.mark.parametrize(("name", "unit"), [("ra", "s"), ("dec", "arcsec")])
-def test_the_unit_of_an_error_beside_a_sexagesimal_angle_is_said(tmp_path, name, unit):
-    path = gaia(tmp_path / "g.ecsv", stars(3), **{name: ["12:00:00.0", "01:00:00.0", "03:00:00.0"]})
-    wanted = (
-        f"'{name}' is sexagesimal; '{name}_error' has no unit and is taken as mas; else say --unit {name}_error={unit}"
-    )
-    assert read_table(path).notes == [wanted]
-    assert not read_table(path, TableOptions(units={f"{name}_error": unit})).notes
 
 
 VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
@@ -545,32 +501,6 @@ def test_what_is_no_epoch_is_refused_with_its_row_and_once(tmp_path, epoch, mess
     assert len(refused.value.problems) == 1
 
 
-def test_several_sources_within_the_radius_are_said(tmp_path):
-    made = stars(6)
-    path = gaia(tmp_path / "rows.ecsv", made)
-    table, other = Table.read(path), Table.read(path)[1:3]
-    other["source_id"] += 1000
-    other["dec"] += 3.0 / 3600.0
-    vstack([table, other]).write(tmp_path / "sources.ecsv")
-    satellite, rows = read_table(tmp_path / "sources.ecsv"), read_table(path)
-    wide = match(satellite, rows, "position:5")
-    assert wide.source.tolist() == list(range(6))
-    assert wide.ambiguous.tolist() == [1, 2]
-    assert not len(match(satellite, rows, "position:1").ambiguous)
-    notes = tie(tmp_path / "sources.ecsv", path, "orientation", by="position:5").attrs["notes"]
-    assert "row 2, 3 of rows.ecsv: several sources are within the radius; the nearest is taken" in notes
-
-
-def test_far_rows_that_were_matched_by_position_have_no_name(tmp_path):
-    made = stars(6)
-    path = gaia(tmp_path / "rows.ecsv", made)
-    table = Table.read(path)
-    table["dec"] += 20.0 / 3600.0
-    table.write(tmp_path / "far.ecsv")
-    notes = tie(path, tmp_path / "far.ecsv", "orientation", by="position:60", accept_misfit=True).attrs["notes"]
-    assert any("up to 20 arcsec from their source" in note for note in notes)
-
-
 def test_rows_that_repeat_another_are_said(tmp_path):
     path = gaia(tmp_path / "rows.ecsv", stars(6))
     table = Table.read(path)
@@ -580,20 +510,6 @@ def test_rows_that_repeat_another_are_said(tmp_path):
     notes = tie(path, tmp_path / "twice.ecsv", "orientation", accept_misfit=True).attrs["notes"]
     repeated = [note for note in notes if "the same numbers" in note]
     assert repeated == ["row 7, 8 of twice.ecsv: the same numbers as another row of the source; all are used"]
-
-
-def test_no_name_in_both_tables_shows_names_that_are_none_of_the_missing(tmp_path):
-    made = stars(3)
-    a = gaia(tmp_path / "a.ecsv", made, name=["", "HR 1", "HR 2"])
-    b = gaia(tmp_path / "b.ecsv", made, name=["HIP 1", "", "HIP 2"], source_id=[7, 8, 9])
-    with pytest.raises(SweepError, match=r"a.ecsv has name like 'HR 1', .*b.ecsv has name like 'HIP 1'$"):
-        match(read_table(a), read_table(b), "name")
-
-
-def test_one_source_alone_can_be_matched_by_position(tmp_path):
-    path = gaia(tmp_path / "one.ecsv", stars(1))
-    found = match(read_table(path), read_table(path), "position")
-    np.testing.assert_array_equal(found.source, [0])
 
 
 def test_a_column_of_text_that_repeats_itself_holds_no_names(tmp_path):
@@ -619,3 +535,12 @@ def test_a_satellite_without_positions_is_refused(tmp_path):
         tie(tmp_path / "b.ecsv", path)
     with pytest.raises(SweepError, match=r"nothing in the tables determines .*rows: 6 three-parameter"):
         tie(path, tmp_path / "b.ecsv", "orientation")
+
+
+def test_names_are_the_same_however_they_are_stored(tmp_path):
+    made = stars(3)
+    for number, names in enumerate(([71, 72, 73], [71.0, 72.0, 73.0], ["71 ", " 72", "73"], [b"71", b"72", b"73"])):
+        path = gaia(tmp_path / f"{number}.parquet", made, hip=names)
+        assert read_table(path).names["hip"].tolist() == ["71", "72", "73"]
+    gapped = gaia(tmp_path / "gap.fits", made, hip=[71.0, np.nan, 73.0])
+    assert read_table(gapped).names["hip"].tolist() == ["71", "--", "73"]
