@@ -28,17 +28,8 @@ from weakref import WeakKeyDictionary
 
 from threadpoolctl import threadpool_info
 
-from linksweep.sweep.code.reach import (
-    PREFIX,
-    TREE,
-    Reach,
-    digest_of,
-    distributions_at,
-    distributions_of,
-    reach,
-    version_of,
-    without_package,
-)
+from linksweep.sweep.code import reach
+from linksweep.sweep.code.reach import Reach, digest_of, distributions_of, version_of
 from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.functions.adapter import ATTRIBUTE, experiment_of, is_plain_function, name_of
 
@@ -85,7 +76,7 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
                     self.contents[other] = (path.parent / other).read_bytes()
                     todo.append(other)
         self.digest = digest_of(repr(sorted(self.contents.items())))
-        self.package = PREFIX + digest_of(f"{path} {self.digest}")
+        self.package = reach.PREFIX + digest_of(f"{path} {self.digest}")
         self.files = {_dotted(file): file for file in self.contents}
 
     def module(self) -> ModuleType:
@@ -122,7 +113,7 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
                 raise ImportError("attempted relative import with no known parent package")
             elif isinstance(node, ast.ImportFrom) and not node.level and str(node.module).partition(".")[0] in local:
                 node.module = f"{self.package}.{node.module}"
-        vars(module)[TREE] = tree
+        vars(module)[reach.TREE] = tree
         exec(compile(tree, place, "exec", dont_inherit=True), vars(module))
 
     def _localised(self, alias: ast.alias, local: Collection[str]) -> list[ast.alias]:
@@ -208,7 +199,7 @@ class Live:
         self.value = pickle.loads(self.pickled)
 
 
-def _by_value(file: io.BytesIO, reach: Reach) -> pickle.Pickler:
+def _by_value(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
     """Return a pickler of functions as they are: with the attributes of modules that they take, without caches."""
     import cloudpickle
 
@@ -216,7 +207,7 @@ def _by_value(file: io.BytesIO, reach: Reach) -> pickle.Pickler:
         def reducer_override(self, value: Any) -> Any:
             if isinstance(value, ModuleType) and value.__name__ in cloudpickle.list_registry_pickle_by_value():
                 # cloudpickle fails where a function in a module refers to the module
-                taken = reach.taken.get(value.__name__, set()) & vars(value).keys()
+                taken = reached.taken.get(value.__name__, set()) & vars(value).keys()
                 return ModuleType, (value.__name__,), {name: vars(value)[name] for name in taken}
             if isinstance(value, cached_property):  # in Python 3.11 it holds a lock
                 return cached_property, (value.func,), {"attrname": value.attrname}
@@ -297,11 +288,7 @@ def load_experiment(
         return value
     if not is_plain_function(value):
         raise _is_no("an Experiment or a function", reference, value)
-    try:
-        return experiment_of(value)
-    except SweepError as error:
-        where = error.where if (reference, None) in _codes else reference.rpartition(":")[2]
-        raise SweepError(error.problems, where) from error
+    return experiment_of(value)
 
 
 def keep(function: Callable[..., Any] | Experiment) -> str:
@@ -416,7 +403,7 @@ def _reach(value: Any) -> Reach:
     if isinstance(value, Experiment):
         roots = {one.name: getattr(value, one.name) for one in fields(value) if one.name not in DESCRIBING}
         roots |= {f"define of {p.name}": p.define for p in value.parameters if p.define is not None}
-    reached = reach(roots)
+    reached = reach.reach_of(roots)
     _places.update(reached.places)
     for name, kind in reached.unnoticed.items():
         if name not in _warned:
@@ -467,7 +454,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
             raise
         raise SweepError(error.problems, f"{reference}, {error.where}") from error  # an error in a declaration
     except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
-        text = without_package(error.msg if isinstance(error, SyntaxError) else str(error))
+        text = reach.without_package(error.msg if isinstance(error, SyntaxError) else str(error))
         message = f"{type(error).__name__}{f': {text}' if text else ''}{_line_of(error)}"
         missing = f"{getattr(error, 'name', None) or place}."  # also of a relative import
         if isinstance(error, ImportError) and f"{place}.".startswith(missing):
@@ -507,7 +494,7 @@ def _line_of(error: BaseException) -> str:
     if isinstance(error, SyntaxError) and error.filename:
         return f" ({error.filename}, line {error.lineno})"
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).is_absolute()]
-    theirs = [frame for frame in frames if distributions_at(frame.filename, Path(frame.filename).stem) is None]
+    theirs = [frame for frame in frames if reach.distributions_at(frame.filename, Path(frame.filename).stem) is None]
     return f" ({theirs[-1].filename}, line {theirs[-1].lineno})" if theirs else ""
 
 

@@ -125,7 +125,7 @@ def distributions_of(module: str | None) -> tuple[str, ...] | None:
     return distributions_at(file or next(iter(folders or ()), None), top)
 
 
-def reach(roots: Mapping[str, Any]) -> "Reach":
+def reach_of(roots: Mapping[str, Any]) -> "Reach":
     """Return all that some objects reach."""
     return Reach(roots, Reach(roots).changes())
 

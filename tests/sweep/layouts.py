@@ -86,7 +86,8 @@ class Layout:
                 text = ENDS[kind].replace("CONSTANT", constant)
             else:
                 self.kinds.append(kind := chance.choice(sorted(LINKS)))
-                inner, inner_path = f"g{level}", chance.choice(PLACES) + f"m{level}.py"
+                places = [place for place in PLACES if place.startswith("../") or not path.startswith("../")]
+                inner, inner_path = f"g{level}", chance.choice(places) + f"m{level}.py"  # no circle of packages
                 statement, call = self._import(chance, path, inner_path, inner, at_top=kind != "inner import")
                 text = LINKS[kind].replace("INNER", call).replace("IMPORT", statement)
                 if kind != "inner import":
