@@ -72,7 +72,7 @@ def test_the_answer_adds_the_parts_of_an_error_and_counts_what_agrees_with_the_p
 
 def test_a_factor_counts_values_of_many_sizes():
     many = sentences(grid([[1e-9, 1e-6, 1e-3], [1e-8, 1e-4, 1.0]]))
-    assert "size by a factor of up to 100,000,000, kind by a factor of up to 1,000, all else being equal." in many
+    assert "size by a factor of up to 1e+08, kind by a factor of up to 1,000, all else being equal." in many
     assert "What changes it" not in sentences(grid([[0.0, 4.0, 2.0], [80.0, 20.0, 10.0]]))
 
 
