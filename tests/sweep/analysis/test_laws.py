@@ -216,8 +216,8 @@ def test_truth_values_and_integers_have_crossings_and_values_between():
 def test_what_has_no_numbers_says_what_it_has():
     dataset = grid(N).drop_vars("width").assign(name=(("model", "n"), np.full((2, 5), "a", dtype=object)))
     dataset["when"] = (("model", "n"), np.full((2, 5), np.datetime64("2020-01-01", "ns")))
-    for variable, told in [("name", "texts"), ("when", "times")]:
-        with pytest.raises(SweepError, match=f"{variable} has no numbers to draw or to fit, but {told}"):
+    for variable in ("name", "when"):
+        with pytest.raises(SweepError, match=f"{variable} has no numbers to draw or to fit"):
             find(dataset, f"{variable} < 3", over="n")
     with pytest.raises(SweepError, match="no quantity 'heads'; there are none"):
         find(dataset, "heads < 3", over="n")
