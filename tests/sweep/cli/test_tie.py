@@ -33,7 +33,7 @@ def test_a_link_is_printed_with_its_sign_and_stored(stored):
         assert found.attrs["sign"] == "reference-satellite"
         assert float(found.estimate[1]) == pytest.approx(-13.06, abs=0.01)
     code, _, err = run_sweep("tie", *LINK, "-o", folder / "tie.zarr")
-    assert (code, "nothing is overwritten" in err) == (2, True)
+    assert (code, "exists already" in err) == (2, True)
 
 
 def test_json_has_everything():
