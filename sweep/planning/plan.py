@@ -7,9 +7,9 @@ fastest sound bit generator of NumPy.
 
 import math
 import struct
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,29 +104,29 @@ class Survey:
     failed: int = 0
 
 
-@dataclass(frozen=True)
 class Plan:
     """How the points of a grid are cut into blocks.
 
     Invariant (a test checks this sentence): the blocks of a point tile its n_cat x n_sim realisations exactly once,
     and neither they nor their streams depend on anything but the seed, the point's own parameters, n_cat and n_sim.
+
+    ``blocks(cost, parts)`` are those of a point, of all or some parts; ``block_shape(cost)`` says how many realisations
+    of how many catalogues a whole block holds.  Both depend on the random numbers that a realisation takes alone, so
+    that more realisations or catalogues leave whole blocks as they are: only a last, partial one is computed again.
     """
 
-    grid: Grid
+    def __init__(self, grid: Grid) -> None:
+        """Take a grid; nothing is asked yet."""
+        experiment = grid.study.experiment
+        self.grid = grid
+        self.costs_nothing_special = not experiment.says_cost  # all points cost the same, and need not be looked at
+        self._cost = PointCache(experiment.cost, grid.study.axes)
+        self.blocks = lru_cache(MOST_CUTS)(self._blocks)
+        self.block_shape = cache(self._shape)
 
     def of(self, study: Study) -> "Plan":
         """Return the plan of the same points, for a study that knows more about their results."""
-        return Plan(replace(self.grid, study=study))
-
-    @cached_property
-    def blocks(self) -> Callable[..., Sequence[Block]]:
-        """The blocks of a point as a function of the random numbers that a realisation of it takes, and of the parts
-        (default: all) that they are of; points that cost the same are cut in the same way.
-
-        The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
-        they are; only a last, partial block is computed again.
-        """
-        return lru_cache(MOST_CUTS)(self._blocks)
+        return Plan(Grid(study, self.grid.warnings))
 
     def _blocks(self, cost: float, parts: range | None = None) -> Sequence[Block]:
         n_cat = self.grid.study.sampling.n_cat
@@ -164,11 +164,6 @@ class Plan:
             return sims * whole
         return min(FIRST_SIMS, sims) << (parts - 1) if parts else 0
 
-    @cached_property
-    def block_shape(self) -> Callable[[float], tuple[int, int]]:
-        """How many realisations of how many catalogues a whole block holds, as a function of the cost."""
-        return cache(self._shape)
-
     def _shape(self, cost: float) -> tuple[int, int]:
         if self.grid.study.sampling.common_random_numbers:
             return MAX_SIMS, 1  # whatever the cost: points that share a draw need the same blocks
@@ -179,11 +174,6 @@ class Plan:
         """Return the random numbers that one realisation of a point takes, at least 1."""
         return 1.0 if self.costs_nothing_special else max(1.0, self._cost(parameters))
 
-    @cached_property
-    def costs_nothing_special(self) -> bool:
-        """Whether all points cost the same, so that they need not be looked at."""
-        return not self.grid.study.experiment.says_cost
-
     def costs(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], float]] | None:
         """Return the axes on which the cost of a point depends, and the cost by their values; None for a long table."""
         grid = self.grid
@@ -193,10 +183,6 @@ class Plan:
             names = tuple(grid.study.axes)
             found = names, {tuple(p[n] for n in names): self._cost(p) for _, p in grid.parameters()}
         return found if found is not None and len(found[1]) <= MOST_COSTS else None
-
-    @cached_property
-    def _cost(self) -> PointCache[float]:
-        return PointCache(self.grid.study.experiment.cost, self.grid.study.axes)
 
     def work(self, points: tuple[GridPoint, ...], block: Block) -> Work:
         """Return the work of a block of points that share its random numbers."""
