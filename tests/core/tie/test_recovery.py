@@ -10,7 +10,7 @@ from astropy.coordinates import Distance, SkyCoord, get_body_barycentric
 from astropy.time import Time
 
 from linksweep.core.frames import MAS, position, triad
-from linksweep.core.tie.astrometry import Astrometry, parallax_factors, propagated
+from linksweep.core.tie.astrometry import Astrometry, joined, parallax_factors, propagated
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import solve
 from linksweep.core.unknowns import Rotation, Unknowns, parse_unknowns
@@ -87,8 +87,6 @@ def test_positions_of_single_epochs(years):
 
 def test_orientation_and_spin_from_positions_of_two_epochs():
     first, second = made("single", -6.0), made("single", 7.7)
-    from linksweep.core.tie.forecast import joined
-
     rows = joined(first.rows, second.rows)
     both = Problem(first.satellite, rows, np.tile(np.arange(30), 2), parse_unknowns("orientation,spin"), first.epoch)
     found = solve(source_sums(both)).estimate / MAS

@@ -9,8 +9,7 @@ import xarray as xr
 
 import linksweep
 from tests.conftest import run_sweep
-from tests.core.tie.test_missions import EPSILON, MAS, OMEGA, missions
-from tests.sweep.tie.test_tables import gaia
+from tests.core.tie.made import EPSILON, MAS, OMEGA, gaia, missions
 
 LINK = ("psrpi-de200", "timing-de200", "--unknowns", "orientation", "--clip", "discrepancy", "--errors", "jackknife")
 

@@ -15,12 +15,17 @@ from scipy.linalg import block_diag
 
 import linksweep
 from linksweep import SweepError
-from linksweep.core.frames import MAS
-from linksweep.core.tie.astrometry import joined
-from linksweep.core.unknowns import Objects, parse_unknowns
-from linksweep.sweep.tie.tables import TableOptions
-from tests.core.tie.made import noise, seen_by_satellite, stars
-from tests.sweep.tie.test_tables import gaia
+from tests.core.tie.made import (
+    MAS,
+    Objects,
+    TableOptions,
+    gaia,
+    joined,
+    noise,
+    parse_unknowns,
+    seen_by_satellite,
+    stars,
+)
 
 EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
 MEAN = TableOptions(positions="mean")

@@ -10,8 +10,8 @@ from click.testing import CliRunner
 from pyarrow import parquet
 
 from linksweep import SweepError, tie
-from linksweep.sweep.cli import main
 from linksweep.sweep.tie import row_groups
+from tests.core.tie.made import main
 from tests.sweep.outside import Outside
 from tests.tiers import slow
 

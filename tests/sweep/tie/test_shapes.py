@@ -3,15 +3,20 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
-from astropy.table import MaskedColumn, Table
+from astropy.table import Table
 
 from linksweep import tie
-from linksweep.core.frames import MAS
-from linksweep.core.tie.astrometry import Astrometry, parallax_factors, propagated
-from linksweep.core.unknowns import Objects, parse_unknowns
-from tests.core.tie.made import noise, seen_by_satellite, stars
-from tests.sweep.tie.test_tables import NAMES, gaia
+from tests.core.tie.made import (
+    MAS,
+    Astrometry,
+    Objects,
+    gaia,
+    noise,
+    parse_unknowns,
+    propagated,
+    seen_by_satellite,
+    stars,
+)
 
 EPSILON, OMEGA = np.array([0.8, -1.5, 0.6]), np.array([-0.12, 0.25, 0.07])
 """In mas and mas/yr, reference - satellite."""
@@ -29,64 +34,6 @@ def within(link, truth, sigmas=4.0):
     off = (link.estimate.values - truth) / link.error.values
     assert np.all(np.abs(off) < sigmas), off
     assert np.any(np.abs(off) > 0.05)
-
-
-def radio_stars(folder, outliers=()):
-    """Write a satellite and VLBI rows: five parameters, motions alone, and positions of two single epochs each."""
-    rng = np.random.default_rng(41)
-    truth = stars(42, 5, pm=80.0, parallax=12.0, epoch=2016.0)
-    seen = replace(truth, values=seen_by_satellite(truth, EPSILON * MAS, OMEGA * MAS))
-    gaia(folder / "gaia.fits", measured(rng, seen))
-    names = [str(10**17 + i) for i in range(42)]
-    columns = {name: [] for name in ("name", "ref_epoch", *NAMES, *(f"{name}_error" for name in NAMES))}
-
-    def row(i, epoch, values, errors, used):
-        columns["name"].append(names[i])
-        columns["ref_epoch"].append(epoch)
-        for k, name in enumerate(NAMES):
-            shown = values[k] / MAS if k > 1 else np.degrees(values[k])
-            columns[name].append(shown if k in used or k < 2 else np.nan)
-            columns[f"{name}_error"].append(errors[k] / MAS if k in used else np.nan)
-
-    for i in range(42):
-        one = truth.taken(np.array([i]))
-        for epoch in {0: (2009.3,), 1: (2005.0,), 2: (2019.2, 2021.7)}[i % 3]:
-            there = propagated(one.values, one.radial_velocity, one.epoch, np.array([epoch]))[:, 0]
-            errors = np.array([0.15, 0.2, 0.1, 0.05, 0.05]) * MAS * rng.uniform(0.5, 2.0)
-            if i % 3 == 2:  # seen from the Earth
-                factors = parallax_factors(there[:1], there[1:2], np.array([epoch]))[:, 0]
-                there[:2] += factors * there[2] / np.array([np.cos(there[1]), 1.0])
-            step = errors * rng.normal(size=5)
-            if i in outliers:
-                step += np.array([8.0, -8.0, 0.0, 1.5, 1.5]) * MAS
-            step[0] /= np.cos(there[1])
-            row(i, epoch, there + step, errors, {0: range(5), 1: (3, 4), 2: (0, 1)}[i % 3])
-    table = Table({name: np.array(values) for name, values in columns.items()})
-    for name in table.colnames[2:]:
-        table[name] = MaskedColumn(table[name], mask=np.isnan(table[name]))
-    table.write(folder / "vlbi.ecsv")
-    return folder / "gaia.fits", folder / "vlbi.ecsv", names
-
-
-def test_radio_stars_with_rows_of_three_kinds(tmp_path):
-    satellite, reference, _ = radio_stars(tmp_path)
-    link = tie(satellite, reference, "orientation,spin", errors="formal")
-    assert set(link.row_kind.values.tolist()) == {"five-parameter", "motion", "single epoch"}
-    assert int(link.dof) == 14 * 5 + 14 * 2 + 14 * 4 - 6
-    assert float(link.chi2) == pytest.approx(float(link.dof), abs=4.0 * np.sqrt(2.0 * float(link.dof)))
-    within(link, [*EPSILON, *OMEGA])
-
-
-def test_the_clip_of_radio_stars_drops_binaries_and_keeps_its_trajectory(tmp_path):
-    satellite, reference, names = radio_stars(tmp_path, outliers=(3, 7, 20))
-    wrong = tie(satellite, reference, "orientation,spin")
-    assert float(wrong.chi2) > 5.0 * float(wrong.dof)
-    link = tie(satellite, reference, "orientation,spin", clip="discrepancy", errors="jackknife")
-    dropped = link.source.values[link.weight_factor.values == 0.0].tolist()
-    assert sorted(dropped) == sorted(names[i] for i in (3, 7, 20))
-    assert int(link.step_chosen) == 3
-    assert link.step_dropped.values[1:4].tolist() != link.step_dropped.values[4:7].tolist()
-    within(link, [*EPSILON, *OMEGA])
 
 
 def quasars(folder, n=2500):

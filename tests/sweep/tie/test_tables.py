@@ -9,31 +9,22 @@ from astropy.table import MaskedColumn, Table, vstack
 from astropy.time import Time
 
 from linksweep import SweepError, tie
-from linksweep.core.frames import ARCSEC, DEGREE, MAS
-from linksweep.core.tie.astrometry import PAIRS, kinds, propagated
+from linksweep.core.tie.astrometry import kinds
 from linksweep.sweep.tie.setup import match
 from linksweep.sweep.tie.tables import TableOptions, read_table
 from linksweep.sweep.tie.tables import hipparcos_correlations as correlations
-from tests.core.tie.made import random_correlations, stars
-
-NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
-
-
-def gaia(path, made, **changes):
-    table = Table({"source_id": np.arange(len(made)) + 10**17})
-    for i, name in enumerate(NAMES):
-        unit = DEGREE if i < 2 else MAS
-        table[name] = made.values[i] / unit
-        table[f"{name}_error"] = made.errors[i] / MAS
-    for row, (i, j) in zip(made.correlations, PAIRS, strict=True):
-        table[f"{NAMES[i]}_{NAMES[j]}_corr"] = row
-    table["ref_epoch"] = made.epoch
-    table["radial_velocity"] = made.radial_velocity
-    table["phot_g_mean_mag"] = np.linspace(4.0, 12.0, len(made))
-    for name, column in changes.items():
-        table[name] = column
-    table.write(path, overwrite=True)
-    return path
+from tests.core.tie.made import (
+    ARCSEC,
+    DEGREE,
+    MAS,
+    NAMES,
+    PAIRS,
+    gaia,
+    propagated,
+    random_correlations,
+    seen_by_satellite,
+    stars,
+)
 
 
 @pytest.mark.parametrize("ending", ["ecsv", "fits", "vot", "csv", "parquet"])
@@ -168,11 +159,7 @@ def test_columns_and_missing_epochs(tmp_path):
 def test_matching_by_name_and_by_position_with_proper_motion(tmp_path):
     made = stars(6, pm=3000.0)
     left = read_table(gaia(tmp_path / "a.ecsv", made))
-    from linksweep.core.tie.astrometry import propagated
-
     moved = propagated(made.values, made.radial_velocity, made.epoch, made.epoch - 20.0)
-    from dataclasses import replace
-
     order = np.array([4, 2, 0])
     other = replace(made, values=moved, epoch=made.epoch - 20.0).taken(order)
     right = read_table(gaia(tmp_path / "b.ecsv", other))
@@ -194,10 +181,6 @@ def test_a_name_twice_in_the_satellite_is_refused(tmp_path):
 
 def pair(tmp_path, n=25):
     made = stars(n)
-    from dataclasses import replace
-
-    from tests.core.tie.made import seen_by_satellite
-
     epsilon, omega = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
     seen = replace(made, values=seen_by_satellite(made, epsilon, omega))
     return gaia(tmp_path / "sat.ecsv", seen), gaia(tmp_path / "ref.ecsv", made), [0.4, -0.3, 0.9, -0.2, 0.1, 0.3]

@@ -1,0 +1,420 @@
+"""The solution against least squares of all parameters, also of two missions, and closed forms; clips and choices."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag, lstsq
+from scipy.stats import kstest
+
+from linksweep.core.fields import terms
+from linksweep.core.link import LinkError
+from linksweep.core.tie import problem as problems
+from linksweep.core.tie import solution as solutions
+from linksweep.core.tie.astrometry import Astrometry, differences, positive_definite
+from linksweep.core.tie.forecast import Goal, Simulation, choose, with_new_rows
+from linksweep.core.tie.problem import Problem, group_sums, source_sums
+from linksweep.core.tie.solution import clipped, parse_clip, solve, sources_of
+from linksweep.core.unknowns import parse_unknowns, require_mission_name
+from tests.core.tie.made import EPSILON, MAS, OMEGA, PAIRS, missions, noise, propagated, random_correlations, stars
+
+UNKNOWNS = parse_unknowns("orientation,spin,parallax")
+KINDS = {
+    "five": [0, 1, 2, 3, 4],
+    "three": [2, 3, 4],
+    "motion": [3, 4],
+    "position": [0, 1],
+    "four": [0, 1, 3, 4],
+}
+
+
+def mixed(n=12, seed=4, per_source=3):
+    """Return a satellite and rows of every kind at their own epochs, several of a source."""
+    rng = np.random.default_rng(seed)
+    satellite = stars(n, seed)
+    source = np.sort(np.concatenate([np.arange(n), rng.integers(0, n, n * (per_source - 1))]))
+    rows = len(source)
+    epoch = rng.uniform(1990.0, 2020.0, rows)
+    own = satellite.taken(source)
+    values = propagated(own.values, own.radial_velocity, own.epoch, epoch)
+    errors = rng.uniform(0.1, 1.0, (5, rows)) * MAS
+    kind = rng.integers(0, 6, rows)
+    for row in range(rows):
+        name = [*KINDS, "position"][kind[row]]
+        absent = np.setdiff1d(np.arange(5), KINDS[name])
+        values[absent, row] = errors[absent, row] = np.nan
+    table = Astrometry(values, errors, epoch, random_correlations(rng, rows), apparent=kind == 5)
+    table = replace(table, values=table.values + noise(rng, table))
+    return Problem(satellite, table, source, UNKNOWNS, 2012.0)
+
+
+def stacked(problem):
+    """Return f, M, V and K of all rows and sources as full matrices, rows that are absent left out."""
+    own = problem.satellite
+    found = differences(own, problem.rows, problem.source)
+    keep = found.present.ravel()
+    n = len(own)
+    partials = np.zeros((len(problem.rows), 5, n, 5))
+    partials[np.arange(len(problem.rows)), :, problem.source] = found.partials
+    f = found.values.ravel()[keep]
+    m = partials.reshape(-1, 5 * n)[keep]
+    v = block_diag(*found.covariance)[np.ix_(keep, keep)]
+    k = problem.unknowns.matrix(*problem.objects(own)).reshape(5 * n, -1)
+    return f, m, v, k
+
+
+def test_it_is_the_least_squares_with_five_parameters_a_source():
+    problem = mixed()
+    f, m, v, k = stacked(problem)
+    c = block_diag(*problem.satellite.covariance())
+    left = np.linalg.cholesky(np.linalg.inv(v / MAS**2)).T
+    prior = np.linalg.cholesky(np.linalg.inv(c / MAS**2)).T
+    design = np.block([[left @ m @ k, left @ m], [np.zeros((len(c), k.shape[1])), prior]])
+    found, *_ = lstsq(design, np.concatenate([left @ f / MAS, np.zeros(len(c))]))
+    solution = solve(source_sums(problem))
+    error = np.sqrt(np.diag(solution.covariance)) / MAS
+    np.testing.assert_allclose(solution.estimate / MAS / error, found[: len(UNKNOWNS)] / error, atol=1e-10)
+    residual = np.concatenate([left @ f / MAS, np.zeros(len(c))]) - design @ found
+    assert solution.squares == pytest.approx(residual @ residual, rel=1e-10)
+
+
+def test_what_the_satellite_lacks_is_free():
+    problem = mixed()
+    errors = problem.satellite.errors.copy()
+    values = problem.satellite.values.copy()
+    lacking = np.zeros((5, 12), dtype=bool)
+    lacking[2:, :4] = True
+    lacking[3:, 4:6] = True
+    errors[lacking] = values[lacking] = np.nan
+    lacks = replace(problem, satellite=replace(problem.satellite, errors=errors, values=values))
+    zeros = replace(problem.satellite, values=np.where(lacking, 0.0, values))
+    solution = solve(source_sums(lacks))
+    f, m, v, k = stacked(replace(problem, satellite=zeros))
+    known = np.where(lacking.T[:, :, None] | lacking.T[:, None, :], 0.0, zeros.covariance())
+    whole = (v + m @ block_diag(*known) @ m.T) / MAS**2
+    design = np.concatenate([m @ k, m[:, lacking.T.ravel()]], axis=1)  # what lacks is an unknown of its own
+    left = np.linalg.inv(np.linalg.cholesky(whole))
+    found, _, rank, _ = lstsq(left @ design, left @ f / MAS, lapack_driver="gelsd", cond=1e-10)
+    error = np.sqrt(np.diag(solution.covariance))
+    np.testing.assert_allclose(solution.estimate / error, found[: len(UNKNOWNS)] * MAS / error, atol=1e-8)
+    residual = left @ (f / MAS - design @ found)
+    assert solution.squares == pytest.approx(residual @ residual, rel=1e-9)
+    assert solution.dof == len(f) - rank
+    other = replace(lacks, satellite=replace(lacks.satellite, values=np.where(lacking, 5.0 * MAS, values)))
+    moved = solve(source_sums(other))  # with whatever value stands where there is no error
+    np.testing.assert_allclose(moved.estimate / error, solution.estimate / error, atol=2e-3)  # second order
+    assert moved.dof == solution.dof
+
+
+def test_differences_without_any_error_are_refused_by_name():
+    satellite = stars(4)
+    exact = replace(satellite, errors=np.zeros((5, 4)), correlations=None, names=np.array(["a", "b", "c", "d"]))
+    rows = replace(exact, names=None)
+    with pytest.raises(LinkError, match="source 'a'"):
+        source_sums(Problem(exact, rows, np.arange(4), UNKNOWNS, 2016.0))
+
+
+def test_groups_add_up_to_the_sources_in_blocks_of_any_size(monkeypatch):
+    problem = mixed()
+    sums = source_sums(problem)
+    group = np.arange(12) % 3
+    monkeypatch.setattr("linksweep.core.tie.problem.BLOCK", 2)
+    monkeypatch.setattr("linksweep.core.tie.problem.GATHERED", 5)
+    grouped = group_sums(problem, group, 3)
+    for one in range(3):
+        np.testing.assert_allclose(grouped.normal[one], sums.normal[group == one].sum(axis=0), rtol=1e-10)
+        np.testing.assert_allclose(grouped.right[one], sums.right[group == one].sum(axis=0), rtol=1e-9)
+    solution = solve(sums)
+    squares = problems.source_discrepancies(problem, solution.estimate)
+    np.testing.assert_allclose(squares, solutions.discrepancies(sums, solution.estimate), rtol=1e-8)
+    np.testing.assert_array_equal(problems.source_counts(problem), sums.count)
+    assert np.sum(squares) == pytest.approx(solution.squares, rel=1e-10)
+    assert np.sum(solutions.expected_discrepancies(sums, solution)) == pytest.approx(solution.dof)
+
+
+@pytest.mark.parametrize("kind", ["motion", "position"])
+def test_simple_rows_have_the_general_form(kind, monkeypatch):
+    satellite = stars(30)
+    errors = satellite.errors * 1.7
+    errors[: 3 if kind == "motion" else 0] = np.nan
+    errors[5 if kind == "motion" else 2 :] = np.nan
+    rng = np.random.default_rng(6)
+    values = np.where(np.isfinite(errors), satellite.values + rng.normal(0.0, MAS, (5, 30)), np.nan)
+    rows = Astrometry(values, errors, satellite.epoch, random_correlations(rng, 30))
+    unknowns = parse_unknowns("spin,glide" if kind == "motion" else "vsh_position:2")
+    problem = Problem(satellite, rows, np.arange(30), unknowns, 2016.0)
+    fast = source_sums(problem)
+    calls = []
+
+    def never(*arguments):
+        calls.append(arguments)
+
+    monkeypatch.setattr("linksweep.core.tie.problem.eliminate_simple", never)
+    general = source_sums(problem)
+    assert calls
+    for name in ("normal", "right", "squares", "count"):
+        a, b = getattr(fast, name), getattr(general, name)
+        np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11 * np.abs(b).max())
+
+
+# ---- two missions, each in a frame of its own
+
+
+def all_parameters(problem):
+    """Return the unknowns, their covariance and chi2 by least squares of all three tables, whose unknowns are also the
+    five parameters of every star in the reference's frame: no table is before another.
+    """
+    own, rows, n = problem.satellite, problem.rows, len(problem.satellite)
+    found = differences(own, rows, problem.source)
+    single = parse_unknowns("orientation,spin").matrix(*problem.objects(own))  # of each star; (n, 5, 6)
+    size = 5 * n + 12
+    design, right, weight = [], [], []
+    for i in range(n):
+        line = np.zeros((5, size))
+        line[:, 5 * i : 5 * i + 5] = np.eye(5)
+        line[:, 5 * n : 5 * n + 6] = -single[i]  # a mission sees the star minus what its frame adds
+        design.append(line)
+        right.append(np.zeros(5))
+        weight.append(own.covariance()[i])
+    for r, i in enumerate(problem.source):
+        line = np.zeros((5, size))
+        line[:, 5 * i : 5 * i + 5] = found.partials[r]
+        if rows.frame[r]:
+            line[:, 5 * n + 6 :] = -found.partials[r] @ single[i]
+        design.append(line)
+        right.append(found.values[r])
+        weight.append(found.covariance[r])
+    half = np.linalg.inv(np.linalg.cholesky(block_diag(*weight) / MAS**2))
+    a, y = half @ np.concatenate(design), half @ np.concatenate(right) / MAS
+    x, *_ = lstsq(a, y)
+    residual = y - a @ x
+    return x[5 * n :] * MAS, np.linalg.inv(a.T @ a)[5 * n :, 5 * n :] * MAS**2, residual @ residual
+
+
+def agree(solution, x, covariance, digits=1e-9):
+    error = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(solution.estimate / error, x / error, atol=digits)
+    np.testing.assert_allclose(
+        solution.covariance / np.outer(error, error), covariance / np.outer(error, error), atol=digits
+    )
+
+
+def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star():
+    problem = missions()
+    solution = solve(source_sums(problem))
+    x, covariance, squares = all_parameters(problem)
+    agree(solution, x, covariance)
+    assert solution.squares == pytest.approx(squares, rel=1e-9)
+    assert solution.dof == 5 * len(problem.rows) - 12
+
+
+@pytest.mark.slow
+def test_draws_scatter_about_the_frames():
+    problem = missions(n=8)
+    truth = np.concatenate([EPSILON[0], OMEGA[0], EPSILON[1], OMEGA[1]])
+    simulation = Simulation(problem, truth)
+    solution = solve(simulation.normals)
+    x = np.array(
+        [solution.inverse @ d.sums.right.sum(axis=0) for d in simulation.draws(3000, np.random.default_rng(1))]
+    )
+    scaled = (x - truth) / np.sqrt(np.diag(solution.covariance))
+    assert np.all(np.abs(scaled.mean(axis=0)) < 4.5 / np.sqrt(3000))
+    np.testing.assert_allclose(scaled.std(axis=0), 1.0, atol=4.5 / np.sqrt(6000))
+
+
+@pytest.mark.parametrize("name", ["spin", "2mass", "", "a b", "vsh_motion"])
+def test_a_mission_has_a_name_of_its_own(name):
+    with pytest.raises(ValueError, match="mission"):
+        require_mission_name(name)
+
+
+# ---- closed forms, clips and choices
+
+
+def quasars(n, sigma=0.3, unknowns="spin", seed=1, where="motion"):
+    """Return positions or motions of quasars on a uniform grid of the sky, all with one error."""
+    golden = np.arange(n) + 0.5
+    ra, dec = (golden * np.pi * (1.0 + np.sqrt(5.0))) % (2.0 * np.pi), np.arcsin(1.0 - 2.0 * golden / n)
+    values, errors = np.zeros((5, n)), np.full((5, n), np.nan)
+    rng = np.random.default_rng(seed)
+    used = slice(3, 5) if where == "motion" else slice(0, 2)
+    errors[used] = sigma * MAS
+    values[:2] = ra, dec
+    satellite = values.copy()
+    rows = np.where(np.isfinite(errors), values, np.nan)
+    step = rng.normal(0.0, sigma * MAS, (2, n))
+    rows[used] += step / np.array([np.cos(dec), np.ones(n)]) if where == "position" else step
+    exact = np.zeros((5, n))
+    nan = np.full(n, np.nan)
+    return Problem(
+        Astrometry(satellite, exact, nan), Astrometry(rows, errors, nan), np.arange(n), parse_unknowns(unknowns), 2016.0
+    )
+
+
+def test_the_error_of_a_spin_from_a_uniform_sky():
+    solution = solve(source_sums(quasars(4000)))
+    np.testing.assert_allclose(np.diag(solution.covariance), 3.0 * (0.3 * MAS) ** 2 / (2.0 * 4000), rtol=1e-3)
+
+
+def test_the_errors_of_vector_harmonics_from_a_uniform_sky():
+    unknowns = parse_unknowns("vsh_motion:3")
+    solution = solve(source_sums(quasars(4000, unknowns="vsh_motion:3")))
+    whole = 4.0 * np.pi * (0.3 * MAS) ** 2 / 4000
+    orders = np.array([term.order for part in unknowns.blocks[0].parts for term in terms(*part)])
+    np.testing.assert_allclose(np.diag(solution.covariance), np.where(orders == 0, whole, 0.5 * whole), rtol=5e-3)
+
+
+@pytest.mark.slow
+def test_the_closed_loop():
+    """Rows of every kind drawn as their covariances say: mean, scatter, Q and coverage are what the solution says."""
+    rng = np.random.default_rng(11)
+    problem = mixed(10)
+    sums = source_sums(problem)
+    solution = solve(sums)
+    found, squares = [], []
+    exact = replace(problem.rows, values=_model(problem))
+    for _ in range(300):
+        drawn = replace(
+            problem,
+            satellite=_with_noise(rng, problem.satellite),
+            rows=_with_noise(rng, exact),
+        )
+        one = solve(source_sums(drawn))
+        found.append(one.estimate)
+        squares.append(one.squares)
+    error = np.sqrt(np.diag(solution.covariance))
+    pulls = np.array(found) / error
+    assert np.abs(pulls.mean(axis=0)).max() < 4.5 / np.sqrt(300)
+    np.testing.assert_allclose(np.cov(pulls.T), solution.covariance / np.outer(error, error), atol=0.3)
+    assert np.mean(squares) == pytest.approx(solution.dof, abs=4.5 * np.sqrt(2.0 * solution.dof / 300))
+    assert np.mean(np.abs(pulls) < 1.0) == pytest.approx(0.683, abs=0.05)
+
+
+def _with_noise(rng, table):
+    step = noise(rng, table)
+    step[0] /= np.cos(np.nan_to_num(table.values[1]))  # the error is that of alpha*
+    return replace(table, values=table.values + step)
+
+
+def _model(problem):
+    found = differences(problem.satellite, problem.rows, problem.source)
+    values = problem.rows.values - found.values.T
+    values[0] = problem.rows.values[0] - found.values[:, 0] / np.cos(problem.rows.values[1])
+    return values
+
+
+def test_the_normalised_separation_is_rayleigh():
+    satellite = stars(3000, 5)
+    rng = np.random.default_rng(5)
+    errors = np.full((5, 3000), np.nan)
+    errors[:2] = 0.4 * MAS
+    rows = Astrometry(satellite.values, errors, satellite.epoch, random_correlations(rng, 3000))
+    step = noise(rng, rows) + noise(rng, satellite)
+    step[0] /= np.cos(satellite.values[1])
+    rows = replace(rows, values=rows.values + step)
+    normalised, plain = solutions.separation(
+        Problem(satellite, rows, np.arange(3000), parse_unknowns("orientation"), 2016.0)
+    )
+    assert kstest(normalised, "rayleigh").pvalue > 1e-3
+    assert np.median(normalised) == pytest.approx(solutions.MEDIAN_RAYLEIGH, rel=0.05)
+    assert np.all(plain > 0.0)
+
+
+def with_outliers(offset=0.0, outliers=(3, 17, 40), n=80):
+    problem = quasars(n, unknowns="orientation", where="position", sigma=0.1)
+    unknowns = replace(problem, unknowns=parse_unknowns("orientation", corrections=False))
+    values = problem.rows.values.copy()
+    for size, i in enumerate(outliers, 1):
+        values[1, i] += 2.0 * size * MAS
+    k = unknowns.unknowns.matrix(*problem.objects(problem.satellite)) @ np.array([offset, -offset, 0.5 * offset]) * MAS
+    values[0] += k[:, 0] / np.cos(problem.satellite.values[1])
+    values[1] += k[:, 1]
+    return replace(unknowns, rows=replace(problem.rows, values=values))
+
+
+@pytest.mark.parametrize("clip", ["rayleigh", "median:5", "discrepancy", "discrepancy:3"])
+def test_a_clip_drops_the_outliers(clip):
+    problem = with_outliers()
+    found = clipped(parse_clip(clip), sources_of(problem))
+    dropped = set(np.flatnonzero(found.factors == 0.0))
+    assert dropped >= {3, 17, 40}
+    assert len(dropped) <= (5 if clip == "rayleigh" else 3)  # that clip drops one good source on average
+    assert found.solution.squares / found.solution.dof < 1.5
+    assert not found.notes
+
+
+def test_a_clip_before_the_fit_of_frames_far_apart_is_said():
+    problem = with_outliers(offset=1.0)
+    found = clipped(parse_clip("rayleigh"), sources_of(problem))
+    assert "frames differ by more than the errors" in found.notes[0]
+    after = clipped(parse_clip("median:5"), sources_of(problem))
+    np.testing.assert_allclose(after.solution.estimate / MAS, [1.0, -1.0, 0.5], atol=0.1)
+    assert set(np.flatnonzero(after.factors == 0.0)) == {3, 17, 40}
+
+
+@pytest.mark.parametrize("text", ["sigma", "median", "median:0", "none:3", "huber:x", "discrepancy:1.5", "rayleigh:2"])
+def test_an_unknown_clip_is_refused(text):
+    with pytest.raises(ValueError, match="clip"):
+        parse_clip(text)
+
+
+def test_sky_cells_follow_their_definition():
+    rng = np.random.default_rng(33)
+    ra, dec = rng.uniform(-10.0, 20.0, 20_000), np.arcsin(rng.uniform(-1.0, 1.0, 20_000))
+    ra[:5] = 0.0, 2.0 * np.pi, np.nextafter(2.0 * np.pi, 0.0), -1e-20, 4.0 * np.pi
+    dec[:4] = 0.5 * np.pi, -0.5 * np.pi, 0.0, -0.0
+    for divisions in (1, 2, 6, 7):
+        band = np.minimum(((np.sin(dec) + 1.0) * 0.5 * divisions).astype(int), divisions - 1)
+        step = ((ra % (2.0 * np.pi)) * (divisions / np.pi)).astype(int) % (2 * divisions)
+        np.testing.assert_array_equal(solutions.sky_cells(ra, dec, divisions), 2 * divisions * band + step)
+
+
+def test_leaving_out_what_determines_an_unknown_is_found_among_many():
+    """One singular matrix among regular ones: only its solution is missing."""
+    sums = source_sums(mixed(30))
+    normal, right = sums.normal.sum(axis=0), sums.right.sum(axis=0)
+    alone = sums.taken(np.arange(3))
+    alone.normal[1], alone.right[1] = normal, right
+    found = solutions.leave_one_out(alone, normal, right)
+    assert np.isnan(found).all(axis=1).tolist() == [False, True, False]
+    np.testing.assert_array_equal(found[[0, 2]], solutions.leave_one_out(sums.taken(np.array([0, 2])), normal, right))
+
+
+def forecast_sums(n=9, years=4.0):
+    satellite = stars(n, 8, pm=50.0)
+    rows = replace(satellite, correlations=None, epoch=satellite.epoch - 15.0)
+    problem = Problem(satellite, rows, np.arange(n), parse_unknowns("orientation,spin"), 2016.0)
+    return source_sums(problem), source_sums(with_new_rows(problem, [2016.0 + years], 0.05 * MAS)), problem
+
+
+def choose_exhaustively(now, new, number, goal):
+    """The best set of so many sources, all sets tried."""
+    gain, total = new.normal - now.normal, now.normal.sum(axis=0)
+    return min(combinations(range(len(gain)), number), key=lambda one: goal.value(total + gain[list(one)].sum(axis=0)))
+
+
+@pytest.mark.parametrize("criterion", ["A", "D"])
+@pytest.mark.parametrize("blocks", [(), ("spin",)])
+def test_the_best_choice_is_found(criterion, blocks):
+    now, new, problem = forecast_sums()
+    goal = Goal(problem.unknowns, blocks, criterion)
+    (greedy, _), best = choose(now, new, 1, goal), choose_exhaustively(now, new, 1, goal)
+    assert greedy == list(best)  # one at a time is exact
+    (_, normals), best = choose(now, new, 3, goal), choose_exhaustively(now, new, 3, goal)
+    gain = (new.normal - now.normal)[list(best)].sum(axis=0)
+    value = goal.value(normals[-1])
+    assert goal.value(now.normal.sum(axis=0) + gain) - 1e-9 * abs(value) <= value < goal.value(now.normal.sum(axis=0))
+    if criterion == "A":
+        assert value < 1.05 * goal.value(now.normal.sum(axis=0) + gain)
+
+
+def test_impossible_correlations_are_those_with_a_negative_eigenvalue():
+    rng = np.random.default_rng(31)
+    correlations = random_correlations(rng, 400) * rng.uniform(0.5, 2.0, 400)
+    matrix = np.tile(np.eye(5), (400, 1, 1))
+    for row, (i, j) in zip(correlations, PAIRS, strict=True):
+        matrix[:, i, j] = matrix[:, j, i] = row
+    expected = np.linalg.eigvalsh(matrix)[:, 0] > 0.0
+    assert 50 < expected.sum() < 350
+    np.testing.assert_array_equal(positive_definite(correlations), expected)
