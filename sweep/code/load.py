@@ -33,25 +33,24 @@ from linksweep.sweep.code.reach import Reach, digest_of, distributions_of, versi
 from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.functions.adapter import ATTRIBUTE, experiment_of, is_plain_function, name_of
 
+# Our package, never looked for beside a user's file.
 OURS = "linksweep"
-"""Our package, never looked for beside a user's file."""
 
+# Stands in place of a module in the reference of a function that only this session has.
 SESSION = "session"
-"""Stands in place of a module in the reference of a function that only this session has."""
 
 DECIDING = ("linksweep", "numpy", "scipy")
 OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
 SUFFIXES = (".py", *importlib.machinery.EXTENSION_SUFFIXES)
 DIGEST = re.compile("[0-9a-f]{24}")
+# Fields of an experiment that its code does not depend on, or that count by themselves.
 DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
-"""Fields of an experiment that its code does not depend on, or that count by themselves."""
 
 log = logging.getLogger("linksweep")
 
+# Code by its path or reference and its digest, also what another process has sent: the file may be missing here, or be
+# another. Without a digest: as this process has it now.
 _codes: dict[tuple[str, str | None], "LocalFiles | Live"] = {}
-"""Code by its path or reference and its digest, also what another process has sent: the file may be missing here, or be
-another.  Without a digest: as this process has it now.
-"""
 
 _places: dict[str, str] = {}
 _warned: set[str] = set()
@@ -69,8 +68,10 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def __init__(self, path: Path) -> None:
         """Read the files; raises OSError where the first cannot be read."""
         self.path, self.contents = str(path), {path.name: path.read_bytes()}
+        # All that could be imported is read now, also by statements inside of functions: a file that changes during a
+        # run must not mix its versions, and workers may not have it at all.
         todo = [path.name]
-        for file in todo:  # which grows meanwhile
+        for file in todo:
             for other in _imported(path.parent, file, self.contents[file]):
                 if other not in self.contents:
                     self.contents[other] = (path.parent / other).read_bytes()
@@ -104,7 +105,8 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         """Execute a module of the package."""
         name, place = module.__name__.partition(".")[2], str(module.__file__)
         tree = ast.parse(self.contents[self.files[name]], place)
-        itself = {name} if "/" not in self.files[name] else set()  # random.py may import Python's module random
+        # A file random.py may import Python's module random, as it does where it is run as a script.
+        itself = {name} if "/" not in self.files[name] else set()
         local = {known.partition(".")[0] for known in self.files} - itself
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
@@ -123,7 +125,7 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         whole, place = f"{self.package}.{alias.name}", {"lineno": alias.lineno, "col_offset": alias.col_offset}
         if alias.asname or not below:
             return [ast.alias(whole, alias.asname or top, **place)]
-        # import a.b loads a.b and binds a
+        # "import a.b" loads a.b and binds a.
         return [ast.alias(whole, "_", **place), ast.alias(f"{self.package}.{top}", top, **place)]
 
 
@@ -171,7 +173,8 @@ class Live:
         mine = [one for name, one in self.reach.modules.items() if name not in registered and name != "__main__"]
         file = io.BytesIO()
         try:
-            for module in mine:  # workers may not have them, or not as they are in this session
+            # By value, since workers may not have these modules, or not as they are in this session.
+            for module in mine:
                 cloudpickle.register_pickle_by_value(module)
             _by_value(file, self.reach).dump(self.value)
         except Exception as error:  # whatever keeps an object from being pickled
@@ -193,7 +196,8 @@ class Live:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore the state, and the function from its bytes."""
         vars(self).update(state)
-        sys.path += [path for path in state["paths"] if path not in sys.path]  # what it imports when it is called
+        # Where this session finds what the function imports when it is called.
+        sys.path += [path for path in state["paths"] if path not in sys.path]
         for name in state["acting"]:
             importlib.import_module(name)
         self.value = pickle.loads(self.pickled)
@@ -206,10 +210,11 @@ def _by_value(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
         def reducer_override(self, value: Any) -> Any:
             if isinstance(value, ModuleType) and value.__name__ in cloudpickle.list_registry_pickle_by_value():
-                # cloudpickle fails where a function in a module refers to the module
+                # cloudpickle fails where a function in a module refers to the module.
                 taken = reached.taken.get(value.__name__, set()) & vars(value).keys()
                 return ModuleType, (value.__name__,), {name: vars(value)[name] for name in taken}
-            if isinstance(value, cached_property):  # in Python 3.11 it holds a lock
+            # In Python 3.11 a cached property holds a lock, which has no pickle.
+            if isinstance(value, cached_property):
                 return cached_property, (value.func,), {"attrname": value.attrname}
             if isinstance(value, WeakKeyDictionary):
                 return WeakKeyDictionary, ()

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+# Bytes in a `ledger_key`.
 KEY_BYTES = 32
-"""Bytes in a `ledger_key`."""
 
+# Bytes of the digest of a point, with which a key begins.
 DIGEST_BYTES = 16
-"""Bytes of the digest of a point, with which a key begins."""
 
 
 class Block(NamedTuple):

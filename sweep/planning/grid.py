@@ -21,14 +21,14 @@ from linksweep.sweep.tables.file import as_json
 T = TypeVar("T")
 
 MAX_POINTS = 10_000_000
+# The most reasons, repeated points and different warnings that are listed.
 MAX_PROBLEMS = 20
-"""The most reasons, repeated points and different warnings that are listed."""
 
+# The most answers that are kept of a function of a point.
 MAX_KEPT = 100_000
-"""The most answers that are kept of a function of a point."""
 
+# How many points have their places in memory at a time.
 AT_ONCE = 2**16
-"""How many points have their places in memory at a time."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,48 +19,46 @@ from linksweep.sweep.contract.block import Block
 from linksweep.sweep.planning.grid import Grid, GridPoint, PointCache
 from linksweep.sweep.studies.study import Study
 
+# The most random numbers in a block of several catalogues, and in a task that returns samples: about 0.2 s of work,
+# against 2 ms that Dask spends on a task.
 TARGET = 2**24
-"""The most random numbers in a block of several catalogues, and in a task that returns samples: about 0.2 s of work,
-against 2 ms that Dask spends on a task."""
 
+# What one evaluation costs besides its random numbers, counted in random numbers.
 OVERHEAD = 20_000
-"""What one evaluation costs besides its random numbers, counted in random numbers."""
 
+# Points that share one draw in one piece of work: enough to make the draw cheap, few enough to fit in memory.
 MOST_SHARING = 64
-"""Points that share one draw in one piece of work: enough to make the draw cheap, few enough to fit in memory."""
 
+# The least share of its cost that a point takes if it uses the random numbers of another: its part of the linear
+# algebra. With errors of both catalogues it takes nearly all of it.
 SHARED = 0.05
-"""The least share of its cost that a point takes if it uses the random numbers of another: its part of the linear
-algebra.  With errors of both catalogues it takes nearly all of it.
-"""
 
 MAX_BLOCKS = 10_000_000
 
+# For how many different costs of points the blocks are kept in memory.
 MOST_CUTS = 1000
-"""For how many different costs of points the blocks are kept in memory."""
 
+# The most entries in a table of the costs of points that is put into a store.
 MOST_COSTS = 10_000
-"""The most entries in a table of the costs of points that is put into a store."""
 
 MAX_SIMS = 512
 FIRST_SIMS = 64
 MAX_CATALOGUES = 16
 
+# The most random numbers in a block of one catalogue: setting up a catalogue costs as much as some tens of its
+# realisations, so a block has more than that, but an interruption should lose no more than a few seconds of work.
 LARGEST_BLOCK = 2**28
-"""The most random numbers in a block of one catalogue: setting up a catalogue costs as much as some tens of its
-realisations, so a block has more than that, but an interruption should lose no more than a few seconds of work."""
 
 
+# A point that is not precise enough gets at most this many times its realisations before it is checked again.
 LARGEST_STEP = 16
-"""A point that is not precise enough gets at most this many times its realisations before it is checked again."""
 
+# A precision counts as reached if it is still reached with this many times the realisations: errors are estimates too,
+# and the first that is small enough is often one that is too small by chance.
 CONFIRMED = 1.25
-"""A precision counts as reached if it is still reached with this many times the realisations: errors are estimates too,
-and the first that is small enough is often one that is too small by chance.
-"""
 
+# Realisations from which an error that is still not known no longer counts, as where all realisations are alike.
 KNOWN_BY = 4096
-"""Realisations from which an error that is still not known no longer counts, as where all realisations are alike."""
 
 
 class Work(NamedTuple):
@@ -90,8 +88,8 @@ class PlanSize:
 
 
 NOTHING = PlanSize(0, 0, 0, 0.0)
+# The cost of a realisation and what is left of each of the points that share random numbers, by what they share.
 Groups = dict[tuple[Value, ...], list[tuple[float, PlanSize]]]
-"""The cost of a realisation and what is left of each of the points that share random numbers, by what they share."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +117,8 @@ class Plan:
         """Take a grid; nothing is asked yet."""
         experiment = grid.study.experiment
         self.grid = grid
-        self.costs_nothing_special = not experiment.says_cost  # all points cost the same, and need not be looked at
+        # All points cost the same, and need not be looked at.
+        self.costs_nothing_special = not experiment.says_cost
         self._cost = PointCache(experiment.cost, grid.study.axes)
         self.blocks = lru_cache(MOST_CUTS)(self._blocks)
         self.block_shape = cache(self._shape)
@@ -166,7 +165,8 @@ class Plan:
 
     def _shape(self, cost: float) -> tuple[int, int]:
         if self.grid.study.sampling.common_random_numbers:
-            return MAX_SIMS, 1  # whatever the cost: points that share a draw need the same blocks
+            # Whatever the cost: points that share a draw need the same blocks.
+            return MAX_SIMS, 1
         sims = _power_of_two(LARGEST_BLOCK / cost, MAX_SIMS)
         return sims, _power_of_two(TARGET / (cost * sims + OVERHEAD), MAX_CATALOGUES)
 
