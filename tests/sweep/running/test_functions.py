@@ -382,7 +382,7 @@ def test_a_file_that_works_again_is_retried_in_the_store_that_knew_nothing(tmp_p
     command = ("run", "f.py:f", "--axis", "k=1,2,3", "-o", "s.zarr")
     code, _, err = sweep(*command, cwd=tmp_path)
     assert code == 1
-    assert "3 points failed: 3 x FileNotFoundError" in err
+    assert "3 points failed: 3 like FileNotFoundError" in err
     assert sweep(*command, cwd=tmp_path)[0] == 1
     (tmp_path / "ok").write_text("1234")
     code, _, err = sweep("run", "--retry", "s.zarr", cwd=tmp_path)
