@@ -89,7 +89,6 @@ class Children:
         self._number = number
 
     def __enter__(self) -> "Children":
-        self._children = self._started(self._number)  # before this process has threads, whose locks a fork would keep
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
@@ -138,6 +137,8 @@ class Children:
 
         def begin(place: int) -> None:
             if place not in under_way and (new := following()) is not None:
+                if not self._children:  # as late as there is work, and all together: new processes import for a while
+                    self._children = self._started(self._number)
                 if self._children[place].channel.closed:  # of a call that was given up
                     [self._children[place]] = self._started(1)
                 under_way[place] = new[0], _Trial(new[1])

@@ -22,8 +22,7 @@ from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.running.code import CodeRecord, as_json, records_of
 from linksweep.sweep.running.reproduce import study_of
-from linksweep.sweep.running.study_store import create_store, differences, find_store, open_store, replace_store
-from linksweep.sweep.running.writer import Writer
+from linksweep.sweep.running.writer import Writer, create_store, differences, find_store, open_store, replace_store
 from linksweep.sweep.stores.ledger import Ledger, Record
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
 from linksweep.sweep.stores.store import CODE, OpenStore, Store, is_new

@@ -16,8 +16,15 @@ from linksweep.sweep.planning.plan import Plan, Survey, Work
 from linksweep.sweep.planning.work_queue import TUNED, Tuning
 from linksweep.sweep.running.code import check_code, record_code
 from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
-from linksweep.sweep.running.study_store import check_points, create_store, find_store, open_store, replace_store
-from linksweep.sweep.running.writer import Taken, Writer
+from linksweep.sweep.running.writer import (
+    Taken,
+    Writer,
+    check_points,
+    create_store,
+    find_store,
+    open_store,
+    replace_store,
+)
 from linksweep.sweep.stores.location import Where, locked, writing
 from linksweep.sweep.stores.store import Store
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded

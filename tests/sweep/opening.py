@@ -11,7 +11,7 @@ from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.formatting import harmless
 from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.running.study_store import create_store, find_store, open_store
+from linksweep.sweep.running.writer import create_store, find_store, open_store
 from linksweep.sweep.stores import ledger, location
 from linksweep.sweep.stores.integrity import sealed, unsealed
 from linksweep.sweep.stores.ledger import path_of

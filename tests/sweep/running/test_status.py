@@ -187,9 +187,7 @@ def test_all_failed_points_are_counted_and_a_terminal_names_the_first(sweep, tmp
     code, _, err = sweep(
         "run", "f.py:f", "--axis", "a=1:1501:1", "-o", "s.zarr", "-q", "--pool", "serial", cwd=tmp_path
     )
-    reasons = (
-        "1,500 points failed: 750 like ValueError: even, for example at a=2; 750 like ValueError: odd, for example at a=3"
-    )
+    reasons = "1,500 points failed: 750 like ValueError: even, for example at a=2; 750 like ValueError: odd, for"
     assert code == 1
     assert reasons in " ".join(err.split())
     code, out, _ = sweep("status", "s.zarr", "--json", cwd=tmp_path)
