@@ -1,23 +1,20 @@
 """The solution against least squares of all parameters, also of two missions, and closed forms; clips and choices."""
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
 from scipy.linalg import block_diag, lstsq
-from scipy.stats import kstest
 
 from linksweep.core.fields import terms
 from linksweep.core.link import LinkError
 from linksweep.core.tie import problem as problems
 from linksweep.core.tie import solution as solutions
 from linksweep.core.tie.astrometry import Astrometry, differences, positive_definite
-from linksweep.core.tie.forecast import Goal, Simulation, choose, with_new_rows
 from linksweep.core.tie.problem import Problem, group_sums, source_sums
 from linksweep.core.tie.solution import clipped, parse_clip, solve, sources_of
 from linksweep.core.unknowns import parse_unknowns, require_mission_name
-from tests.core.tie.made import EPSILON, MAS, OMEGA, PAIRS, missions, noise, propagated, random_correlations, stars
+from tests.core.tie.made import MAS, PAIRS, missions, noise, propagated, random_correlations, stars
 
 UNKNOWNS = parse_unknowns("orientation,spin,parallax")
 KINDS = {
@@ -209,20 +206,6 @@ def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star
     assert solution.dof == 5 * len(problem.rows) - 12
 
 
-@pytest.mark.slow
-def test_draws_scatter_about_the_frames():
-    problem = missions(n=8)
-    truth = np.concatenate([EPSILON[0], OMEGA[0], EPSILON[1], OMEGA[1]])
-    simulation = Simulation(problem, truth)
-    solution = solve(simulation.normals)
-    x = np.array(
-        [solution.inverse @ d.sums.right.sum(axis=0) for d in simulation.draws(3000, np.random.default_rng(1))]
-    )
-    scaled = (x - truth) / np.sqrt(np.diag(solution.covariance))
-    assert np.all(np.abs(scaled.mean(axis=0)) < 4.5 / np.sqrt(3000))
-    np.testing.assert_allclose(scaled.std(axis=0), 1.0, atol=4.5 / np.sqrt(6000))
-
-
 @pytest.mark.parametrize("name", ["spin", "2mass", "", "a b", "vsh_motion"])
 def test_a_mission_has_a_name_of_its_own(name):
     with pytest.raises(ValueError, match="mission"):
@@ -263,62 +246,6 @@ def test_the_errors_of_vector_harmonics_from_a_uniform_sky():
     whole = 4.0 * np.pi * (0.3 * MAS) ** 2 / 4000
     orders = np.array([term.order for part in unknowns.blocks[0].parts for term in terms(*part)])
     np.testing.assert_allclose(np.diag(solution.covariance), np.where(orders == 0, whole, 0.5 * whole), rtol=5e-3)
-
-
-@pytest.mark.slow
-def test_the_closed_loop():
-    """Rows of every kind drawn as their covariances say: mean, scatter, Q and coverage are what the solution says."""
-    rng = np.random.default_rng(11)
-    problem = mixed(10)
-    sums = source_sums(problem)
-    solution = solve(sums)
-    found, squares = [], []
-    exact = replace(problem.rows, values=_model(problem))
-    for _ in range(300):
-        drawn = replace(
-            problem,
-            satellite=_with_noise(rng, problem.satellite),
-            rows=_with_noise(rng, exact),
-        )
-        one = solve(source_sums(drawn))
-        found.append(one.estimate)
-        squares.append(one.squares)
-    error = np.sqrt(np.diag(solution.covariance))
-    pulls = np.array(found) / error
-    assert np.abs(pulls.mean(axis=0)).max() < 4.5 / np.sqrt(300)
-    np.testing.assert_allclose(np.cov(pulls.T), solution.covariance / np.outer(error, error), atol=0.3)
-    assert np.mean(squares) == pytest.approx(solution.dof, abs=4.5 * np.sqrt(2.0 * solution.dof / 300))
-    assert np.mean(np.abs(pulls) < 1.0) == pytest.approx(0.683, abs=0.05)
-
-
-def _with_noise(rng, table):
-    step = noise(rng, table)
-    step[0] /= np.cos(np.nan_to_num(table.values[1]))  # the error is that of alpha*
-    return replace(table, values=table.values + step)
-
-
-def _model(problem):
-    found = differences(problem.satellite, problem.rows, problem.source)
-    values = problem.rows.values - found.values.T
-    values[0] = problem.rows.values[0] - found.values[:, 0] / np.cos(problem.rows.values[1])
-    return values
-
-
-def test_the_normalised_separation_is_rayleigh():
-    satellite = stars(3000, 5)
-    rng = np.random.default_rng(5)
-    errors = np.full((5, 3000), np.nan)
-    errors[:2] = 0.4 * MAS
-    rows = Astrometry(satellite.values, errors, satellite.epoch, random_correlations(rng, 3000))
-    step = noise(rng, rows) + noise(rng, satellite)
-    step[0] /= np.cos(satellite.values[1])
-    rows = replace(rows, values=rows.values + step)
-    normalised, plain = solutions.separation(
-        Problem(satellite, rows, np.arange(3000), parse_unknowns("orientation"), 2016.0)
-    )
-    assert kstest(normalised, "rayleigh").pvalue > 1e-3
-    assert np.median(normalised) == pytest.approx(solutions.MEDIAN_RAYLEIGH, rel=0.05)
-    assert np.all(plain > 0.0)
 
 
 def with_outliers(offset=0.0, outliers=(3, 17, 40), n=80):
@@ -379,34 +306,6 @@ def test_leaving_out_what_determines_an_unknown_is_found_among_many():
     found = solutions.leave_one_out(alone, normal, right)
     assert np.isnan(found).all(axis=1).tolist() == [False, True, False]
     np.testing.assert_array_equal(found[[0, 2]], solutions.leave_one_out(sums.taken(np.array([0, 2])), normal, right))
-
-
-def forecast_sums(n=9, years=4.0):
-    satellite = stars(n, 8, pm=50.0)
-    rows = replace(satellite, correlations=None, epoch=satellite.epoch - 15.0)
-    problem = Problem(satellite, rows, np.arange(n), parse_unknowns("orientation,spin"), 2016.0)
-    return source_sums(problem), source_sums(with_new_rows(problem, [2016.0 + years], 0.05 * MAS)), problem
-
-
-def choose_exhaustively(now, new, number, goal):
-    """The best set of so many sources, all sets tried."""
-    gain, total = new.normal - now.normal, now.normal.sum(axis=0)
-    return min(combinations(range(len(gain)), number), key=lambda one: goal.value(total + gain[list(one)].sum(axis=0)))
-
-
-@pytest.mark.parametrize("criterion", ["A", "D"])
-@pytest.mark.parametrize("blocks", [(), ("spin",)])
-def test_the_best_choice_is_found(criterion, blocks):
-    now, new, problem = forecast_sums()
-    goal = Goal(problem.unknowns, blocks, criterion)
-    (greedy, _), best = choose(now, new, 1, goal), choose_exhaustively(now, new, 1, goal)
-    assert greedy == list(best)  # one at a time is exact
-    (_, normals), best = choose(now, new, 3, goal), choose_exhaustively(now, new, 3, goal)
-    gain = (new.normal - now.normal)[list(best)].sum(axis=0)
-    value = goal.value(normals[-1])
-    assert goal.value(now.normal.sum(axis=0) + gain) - 1e-9 * abs(value) <= value < goal.value(now.normal.sum(axis=0))
-    if criterion == "A":
-        assert value < 1.05 * goal.value(now.normal.sum(axis=0) + gain)
 
 
 def test_impossible_correlations_are_those_with_a_negative_eigenvalue():

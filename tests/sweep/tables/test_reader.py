@@ -80,7 +80,7 @@ def written(folder: Path, name: str, content: str | bytes) -> Path:
         ("\ufeffra, dec, id\n10.5, 20, 1\n200, -3, 2\n", ["ra", "dec", "id"]),
         ("# ra dec id\n 10.5  20  1\n200.0  -3  2\n", ["ra", "dec", "id"]),
         ("ra dec id\n10.5 20 1\n# a comment\n200 -3 2", ["ra", "dec", "id"]),
-        ("ra,dec,id\ndeg,deg,\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
+        ("ra,dec,id\ndegrees,deg,\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
         ("ra [deg],dec (deg),id\n10.5,20,1\n200,-3,2\n", ["ra [deg]", "dec (deg)", "id"]),
         ('"ra","dec","id"\n"10.5","20","1"\n"200","-3","2"\n', ["ra", "dec", "id"]),
     ],
@@ -209,21 +209,3 @@ def test_two_tables_in_one_fits_file(tmp_path):
         read_table(tmp_path / "two.fits")
     fits.HDUList([units[0], fits.ImageHDU(np.zeros((2, 2))), units[2]]).writeto(tmp_path / "one.fits")
     assert read_table(tmp_path / "one.fits")["ra"].tolist() == [2.0]
-
-
-def test_decimal_commas_between_tabs(tmp_path):
-    table = read_table(written(tmp_path, "t.tsv", "ra\tdec\n10,5\t-3,25\n11\t0\n"))
-    assert table["ra"].tolist() == [10.5, 11.0]
-    assert table["dec"].tolist() == [-3.25, 0.0]
-
-
-@pytest.mark.parametrize(
-    ("word", "unit"), [("degrees", "deg"), ("hours", "h"), ("radians", "rad"), ("MJD", "d"), ("years", "yr")]
-)
-@pytest.mark.parametrize("text", ["x,y\n{0},mag\n1.0,2.0\n", "x [{0}],y [mag]\n1.0,2.0\n"])
-def test_units_that_are_spelt_out(word, unit, text, tmp_path):
-    """They were taken for a unit that astropy does not know, and columns of positions with them refused."""
-    (tmp_path / "t.csv").write_text(text.format(word))
-    table = read_table(tmp_path / "t.csv")
-    column = next(name for name in table.colnames if name.startswith("x"))
-    assert table[column].unit == u.Unit(unit)

@@ -152,27 +152,6 @@ def test_the_epoch_is_the_median_of_all_row_groups(tmp_path, by_groups, monkeypa
     assert tie(path, "zero-motion", "spin").attrs["epoch"] == np.median(epochs)
 
 
-@pytest.mark.parametrize("clip", ["none", "median:5", "huber:1.5"])
-def test_a_share_is_that_of_the_weight_in_the_solution(tmp_path, by_groups, monkeypatch, clip):
-    """Heavy quasars that a clip drops, or gives less weight, hold less or nothing of it; with the percentages of the
-    table that is solved whole.
-    """
-    error = np.full(3000, 0.3)
-    error[[100, 2345]] = 0.003
-    rows = np.arange(1, 3001)  # by which sources of row groups are named
-    path = quasars(tmp_path / "quasars.parquet", source_id=rows, pmra_error=error, pmdec_error=error)
-
-    def shares(link):
-        return [note for note in link.attrs["notes"] if "of the weight" in note]
-
-    by_group = shares(tie(path, "zero-motion", "spin", clip=clip))
-    monkeypatch.setattr(row_groups, "FROM_ROWS", 10**6)
-    whole = tie(path, "zero-motion", "spin", clip=clip)
-    assert by_group == shares(whole)
-    assert any("2346 (" in note for note in by_group) == (clip == "none")
-    np.testing.assert_allclose(whole.share.sum(), 1.0)
-
-
 def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
     dec = np.zeros(3000)
     dec[1500] = 95.0
