@@ -327,7 +327,9 @@ class Reach:
             self._is_users("numpy")
             return f"function {value.__name__}"
         with suppress(Exception):  # whatever a user's __getattr__ raises
-            if callable(value) and distributions_of(type(value).__module__) is not None:
+            # Of a library, such as a cache; a method has the attributes of its function, but also an object.
+            is_library = distributions_of(type(value).__module__) is not None
+            if callable(value) and is_library and not isinstance(value, MethodType):
                 return f"wrapped {self._form(value.__wrapped__, {})}"
         return None
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, Experiment, Rows, check_finite
+from linksweep.sweep.contract import Array, Experiment, Rows
 from linksweep.sweep.contract.block import Block, BlockRows, ledger_key
-from linksweep.sweep.contract.reducer import converted
+from linksweep.sweep.contract.reducer import check_finite, converted
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
 from linksweep.sweep.planning.plan import NOTHING, Groups, Plan, PlanSize, Survey, Work, cost_together, wanted_parts
 from linksweep.sweep.planning.point_status import Status
