@@ -23,8 +23,7 @@ from linksweep.sweep.analysis.answer import ERRORS_ALLOWED
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import is_truth, meaning_beside, prefixed, units_of, written
 from linksweep.sweep.plots import KINDS, style
-from linksweep.sweep.plots.caption import caption, description
-from linksweep.sweep.plots.figure import all_figures, draw_figure
+from linksweep.sweep.plots.figure import all_figures, caption, description, draw_figure
 from linksweep.sweep.plots.points import sampled
 from linksweep.sweep.studies.study import POINT
 
@@ -201,7 +200,7 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
     ``first`` are the quantities that come first; each has flat lists in C order of its own dimensions, None where a
     value is missing.
     """
-    dataset = style.with_scales(dataset, list(map(str, dataset.variables)))
+    dataset = style.with_scales(dataset)
     views: list[dict[str, Any]] = []
     left_out, used = [], 0
     for name in dict.fromkeys([*first, *quantity.quantities(dataset)]):
