@@ -168,7 +168,7 @@ def test_a_logarithm_needs_numbers_above_zero(tmp_path):
         "figure.log.0: sky_contrast = 0.0: a logarithmic axis has only numbers above zero",
         "figure.log.1: 'n_obi' is neither a parameter nor an output; did you mean 'n_obj'?",
     ]
-    with pytest.raises(SweepError, match="figure.*'n_obj' is in log"):
+    with pytest.raises(SweepError, match=r"figure.*'n_obj' is in log"):
         linksweep.run({"title": "a", "figure": {"log": ["n_obj"], "linear": ["n_obj"]}}, tmp_path / "a.zarr")
 
 
