@@ -267,7 +267,8 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[_Cause]:
 
     for words, hides, change in _corrections(problem, part.table):
         trial = _applied(problem, part, change)
-        if explains(found := _ratio(trial)) and (not hides or _typical(trial)):
+        # errors that are too small are so for all sources
+        if explains(found := _ratio(trial)) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
             yield _Cause(words.format(part.words), found, hides)
     shift, found = _shift(problem, part)
     if explains(found):
@@ -376,23 +377,17 @@ def _applied(problem: Problem, part: _Part, change: Change) -> Problem | None:
     return replace(problem, satellite=merged) if of_satellite else replace(problem, rows=merged)
 
 
-def _ratio(problem: Problem | None) -> float:
-    """Return chi2 over its expectation; infinite where there is no solution."""
+def _ratio(problem: Problem | None, typical: bool = False) -> float:
+    """Return chi2 over its expectation, or that of the typical source; infinite where there is no solution."""
     if problem is None:
         return np.inf
+    sums = source_sums(problem)
     try:
-        scale = solve(source_sums(problem)).scale
+        solution = solve(sums)
     except LinkError:
         return np.inf
-    return scale**2 if np.isfinite(scale) else np.inf
-
-
-def _typical(problem: Problem | None) -> bool:
-    """Return whether the typical source has the chi2 that is expected: errors that are too small are so for all."""
-    if problem is None:
-        return False
-    sums = source_sums(problem)
-    return bool(0.1 < np.median(_each(sums, solve(sums))[sums.count > 0]) < GOOD)
+    found = np.median(_each(sums, solution)[sums.count > 0]) if typical else solution.scale**2
+    return float(found) if np.isfinite(found) else np.inf
 
 
 def _each(sums: NormalSums, solution: Solution) -> Array:

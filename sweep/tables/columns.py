@@ -228,14 +228,10 @@ class Columns:
         """Return whether a column of numbers is in units of time or hour angle, and so does not include cos(dec)."""
         from astropy.units import hourangle
 
-        name = str(self.name(quantity))
-        unit = self.unit(quantity) if self.kind(name) in "fiu" else None
-        if unit is None:
-            return False
-        return hourangle in getattr(unit, "bases", ()) or any(
-            _factor(unit, wanted, False) is None and _factor(unit, wanted, True) is not None
-            for wanted in ("deg", "deg / yr")
-        )
+        unit, wanted = self.unit(quantity) if self.kind(str(self.name(quantity))) in "fiu" else None, unit_of(quantity)
+        if unit is None or hourangle in getattr(unit, "bases", ()):
+            return unit is not None
+        return _factor(unit, wanted, False) is None and _factor(unit, wanted, True) is not None
 
     def numbers(self, name: str) -> Array:
         """Return a column by its own name as float64 without its unit, NaN where it is missing."""
