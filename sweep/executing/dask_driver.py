@@ -28,24 +28,24 @@ from linksweep.sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_se
 
 PLUGIN = "linksweep"
 
+# Seconds between two looks at the number of workers.
 LOOK_EVERY_S = 1.0
-"""Seconds between two looks at the number of workers."""
 
+# Seconds without workers before the user is told: a worker that died is replaced sooner.
 PATIENCE_S = 3.0
-"""Seconds without workers before the user is told: a worker that died is replaced sooner."""
 
+# Attempts to bring the workers what they need while some of them leave, or a task that fails outside of the experiment
+# to an end, with a pause after each.
 MAX_ATTEMPTS = 6
-"""Attempts to bring the workers what they need while some of them leave, or a task that fails outside of the
-experiment to an end, with a pause after each."""
 
 PAUSE_S = 0.25
 
+# Most tasks that are sent in one message, and most results that are fetched in one: with a message for each, the round
+# trip to a worker limited a run to 60 tasks a second.
 MOST_SENT, MOST_FETCHED = 32, 256
-"""Most tasks that are sent in one message, and most results that are fetched in one: with a message for each, the round
-trip to a worker limited a run to 60 tasks a second."""
 
+# How often a block may be with a worker that dies: in a task, in a child process, and in one of its own.
 MAX_LOSSES = 3
-"""How often a block may be with a worker that dies: in a task, in a child process, and in one of its own."""
 
 KEPT = "what was finished is kept, the same command goes on from there"
 

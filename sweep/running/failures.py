@@ -10,14 +10,14 @@ from linksweep.sweep.formatting import counted, harmless
 from linksweep.sweep.planning.grid import GridPoint, describe
 from linksweep.sweep.studies.study import Study
 
+# Most reasons of failed points that are named.
 NAMED = 5
-"""Most reasons of failed points that are named."""
 
+# Characters of a reason in a line.
 LONGEST_REASON = 200
-"""Characters of a reason in a line."""
 
+# A run ends where so many first points all fail for the same reason; a percentage is that of at least so many.
 FIRST = 20
-"""A run ends where so many first points all fail for the same reason; a percentage is that of at least so many."""
 
 NUMBER = re.compile(r"0x[0-9a-f]+|[-+]?(?:\d[\d_,]*\.?\d*|\.\d+)(?:e[-+]?\d+)?", re.IGNORECASE)
 

@@ -27,26 +27,26 @@ from linksweep.sweep.running.failures import FailureCount, failed_before, failed
 from linksweep.sweep.running.writer import Taken
 from linksweep.sweep.studies.study import Study
 
+# Messages to the user and to the log file, with a debug message for each point.
 SENTENCES = logging.getLogger("linksweep")
-"""Messages to the user and to the log file, with a debug message for each point."""
 
+# Messages to the log file alone, such as the traceback of each point that fails.
 RECORD = logging.getLogger("linksweep.record")
-"""Messages to the log file alone, such as the traceback of each point that fails."""
 
+# The time between two lines grows with the time that the run has taken, between these bounds.
 LINE_FIRST_S, LINE_LAST_S, LINE_SHARE = 5.0, 600.0, 0.1
-"""The time between two lines grows with the time that the run has taken, between these bounds."""
 
+# The least time between two updates of the line in a notebook.
 NOTEBOOK_S = 0.5
-"""The least time between two updates of the line in a notebook."""
 
+# Most of the slowest points that are named.
 SLOWEST = 3
-"""Most of the slowest points that are named."""
 
+# A point is slow if it takes more than so many times the median of all points, and more than so many seconds.
 MUCH_SLOWER, WORTH_SAYING_S = 3.0, 1.0
-"""A point is slow if it takes more than so many times the median of all points, and more than so many seconds."""
 
+# Most warnings that are named.
 NAMED = 5
-"""Most warnings that are named."""
 
 
 class Eta:

@@ -31,8 +31,8 @@ from linksweep.sweep.studies.study import POINT, Study
 
 MOST_NAMED = 10
 
+# Points that differ and are computed twice more, each time in a process of their own, to find the cause.
 MOST_EXPLAINED = 3
-"""Points that differ and are computed twice more, each time in a process of their own, to find the cause."""
 
 RANDOM = (
     "another result each time it is computed: it draws random numbers that are not those of its argument rng, or reads "

@@ -34,11 +34,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+# What follows why a run was ended.
 GOES_ON = (
     "what was done is kept; the same command goes on from there, and `sweep run --retry` tries failed points again; "
     '--max-failures 100% (in Python max_failures="100%") goes on whatever fails'
 )
-"""What follows why a run was ended."""
 
 
 class Progress(Protocol):
@@ -168,9 +168,8 @@ class Session:
         most_blocks = writer.pending.most_blocks
         with self._kept(writer):
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
-            results = of_study(self.study, execute, self.accumulator.is_missing)(
-                writer.pending.take
-            )  # workers begin while this process writes
+            run = of_study(self.study, execute, self.accumulator.is_missing)
+            results = run(writer.pending.take)  # workers begin while this process writes
             if pending.blocks:
                 writer.write()  # so that there is a labelled, if empty, dataset from the start
             with writer:

@@ -23,11 +23,11 @@ from linksweep.sweep.stores.store import BLOCKS, UNFINISHED, OpenStore, is_new
 from linksweep.sweep.studies.record import recorded_study
 from linksweep.sweep.studies.study import Study
 
+# Most lines for one axis in a text.
 MOST_LINES = 15
-"""Most lines for one axis in a text."""
 
+# Attributes of a store that its status shows. Not ``finished``, which is the time of the last writing.
 PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git_commit", "versions")
-"""Attributes of a store that its status shows.  Not ``finished``, which is the time of the last writing."""
 
 
 def status_report(store: Where) -> dict[str, Any]:
@@ -133,8 +133,8 @@ def _normals_per_second() -> float:
     return 4 * buffer.size / (time.perf_counter() - begun)
 
 
+# How far a study is at each value along a dimension: ``at`` has the values by axis, the others are counts.
 AxisRows = list[dict[str, Any]]
-"""How far a study is at each value along a dimension: ``at`` has the values by axis, the others are counts."""
 
 
 def by_axis(
