@@ -98,9 +98,7 @@ def test_without_a_conclusion_the_range_answers(dataset_of):
     dataset = dataset_of("sqrt-n")
     del dataset.attrs["conclusion"]
     (sentence,) = answer_in_short(dataset)
-    assert sentence.startswith(
-        "sigma_spin (RMS error of the spin, over its components): Over 7 points it goes from"
-    )
+    assert sentence.startswith("sigma_spin (RMS error of the spin, over its components): Over 7 points it goes from")
     dataset.attrs["conclusion"] = "{"
     with pytest.raises(SweepError, match="the attribute 'conclusion' cannot be read"):
         answer_in_short(dataset)
