@@ -235,11 +235,8 @@ def plot(
         >>> figure.savefig("more.svg")
     """
     from linksweep.sweep.plots.figure import draw_figure
-    from linksweep.sweep.plots.style import ShownFigure
 
-    figure = draw_figure(dataset, kind, variables, over, log, linear)
-    figure.__class__ = ShownFigure
-    return figure
+    return draw_figure(dataset, kind, variables, over, log, linear)
 
 
 def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], given: dict[str, Any]) -> Study:

@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
+# Seconds after which an interrupt that the main thread is not handling must have been dropped.
 LOST_S = 0.2
-"""Seconds after which an interrupt that the main thread is not handling must have been dropped."""
 
 
 def how_ended(name: str) -> str:

@@ -124,19 +124,20 @@ APART = {
 """What makes a command of a test a process of its own."""
 
 
+def run_sweep(*arguments, cwd=None):
+    """Run `sweep` in this process; return (exit code, stdout, stderr)."""
+    with chdir(cwd or Path.cwd()), warnings.catch_warnings(record=True):
+        warnings.filterwarnings("default", module="linksweep_local_")  # of experiments in files
+        done = CliRunner().invoke(main, [str(argument) for argument in arguments], prog_name="sweep")
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done.exit_code, done.stdout, done.stderr
+
+
 @pytest.fixture
 def sweep_here():
     """A function that runs `sweep` in this process and returns (exit code, stdout, stderr)."""
-
-    def sweep_here(*arguments, cwd=None):
-        with chdir(cwd or Path.cwd()), warnings.catch_warnings(record=True):
-            warnings.filterwarnings("default", module="linksweep_local_")  # of experiments in files
-            done = CliRunner().invoke(main, [str(argument) for argument in arguments], prog_name="sweep")
-        if done.exception is not None and not isinstance(done.exception, SystemExit):
-            raise done.exception
-        return done.exit_code, done.stdout, done.stderr
-
-    return sweep_here
+    return run_sweep
 
 
 @pytest.fixture

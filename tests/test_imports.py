@@ -142,7 +142,8 @@ def test_imports_point_down(name):
             assert is_in(name, KNOWS_THE_CONTRACT), f"{name} imports {other}"
             assert is_in(other, ["linksweep.sweep.contract"]), f"{name} imports {other}"
         if is_in(name, ["linksweep.core"]) and top not in ("core", "sweep"):
-            assert top in CORE_MAY_USE, f"{name} imports {other}"
+            script = name == "linksweep.core.missions.calibrate"  # which nobody imports
+            assert top in CORE_MAY_USE or (script and top == "pandas"), f"{name} imports {other}"
         if is_in(name, ["linksweep.sweep"]) and top == "core":
             assert is_in(name, KNOWS_THE_CORE), f"{name} imports {other}"
         if is_in(name, ["linksweep.sweep.search"]) and top == "sweep" and not is_in(other, ["linksweep.sweep.search"]):

@@ -9,7 +9,8 @@ import pytest
 import xarray as xr
 
 from linksweep.core.experiment import link
-from linksweep.core.missions.calibrate import IN_CODE, draw_skies, spin_variance
+from linksweep.core.missions import CALIBRATED
+from linksweep.core.missions.calibrate import draw_skies, spin_variance
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import load_study
@@ -64,7 +65,9 @@ def test_the_worst_cell_of_table_2_is_the_constants_and_the_luck_of_the_seed(tmp
     """
     published = 0.047
     skies = (draw_skies("radio-stars", 8000, seed=11 + k) for k in range(5))
-    variance = np.concatenate([spin_variance(some, IN_CODE["amex"], reference_error_scale=0.5)[0] for some in skies])
+    variance = np.concatenate(
+        [spin_variance(some, CALIBRATED["amex"].curve, reference_error_scale=0.5)[0] for some in skies]
+    )
     closed = np.sqrt(variance.mean())
     closed_error = variance.std() / (2.0 * closed * np.sqrt(len(variance)))
     assert closed_error < 0.002 * closed

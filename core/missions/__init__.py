@@ -175,6 +175,36 @@ AMEX_PM = Exponentials(((0.139, 0.215, 9.0), (14.2, 0.973, 15.0)))
 GAIA_PM = Exponentials(((0.01496, 0.443, 15.0),))
 """The curves that were fitted to the tables of Metz & Geffert 2004: docs/calibration.md."""
 
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A fitted curve, and the covariance of the logarithms of its constants, amplitude and slope of each term."""
+
+    curve: Exponentials
+    log_covariance: tuple[tuple[float, ...], ...]
+
+    def relative_error(self, v_mag: Array) -> Array:
+        """Return the one-sigma error of the curve at magnitudes (N,) as a share of its value."""
+        terms = [(a * np.exp(slope * (v_mag - pivot)), slope * (v_mag - pivot)) for a, slope, pivot in self.curve.terms]
+        gradient = np.stack([row for term, power in terms for row in (term, term * power)]) / self.curve(v_mag)
+        return np.asarray(np.sqrt(np.einsum("iv,ij,jv->v", gradient, np.array(self.log_covariance), gradient)))
+
+
+# The covariances are those of the free fits, whose constants are within their errors of those above.
+CALIBRATED: Mapping[str, Calibrated] = {
+    "amex": Calibrated(
+        AMEX_PM,
+        (
+            (0.0608, 0.0566, 0.0029, 0.0168),
+            (0.0566, 0.0530, 0.0023, 0.0155),
+            (0.0029, 0.0023, 0.0037, 0.0028),
+            (0.0168, 0.0155, 0.0028, 0.0059),
+        ),
+    ),
+    "gaia": Calibrated(GAIA_PM, ((1.14e-4, -4.70e-5), (-4.70e-5, 4.12e-4))),
+}
+"""The calibrated curves by mission; `linksweep.core.missions.calibrate` gives these numbers."""
+
 _GAIA_2001_MAG = tuple(float(g) for g in range(10, 22))
 _GAIA_2001_POS_UAS = (3, 3, 3, 4, 6, 9, 15, 23, 39, 70, 140, 440)
 _GAIA_2001_PM_UAS = (3, 3, 3, 4, 5, 8, 13, 20, 34, 60, 120, 380)

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from linksweep.core.frames import ARCSEC, Array, Flags, Indices, triad
 
+# The two parameters of each correlation, in the order of the Gaia archive.
 PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))
-"""The two parameters of each correlation, in the order of the Gaia archive."""
 
 J2000 = 2451545.0
 DAYS_PER_YEAR = 365.25
@@ -113,11 +113,11 @@ def positive_definite(correlations: Array) -> Flags:
     return good
 
 
+# Names of the kinds of rows by what is present: 1 for a position, 2 for a parallax and 4 for a motion.
 KINDS = (
     *("nothing", "position", "parallax", "position and parallax"),
     *("motion", "position and motion", "three-parameter", "five-parameter"),
 )
-"""Names of the kinds of rows by what is present: 1 for a position, 2 for a parallax and 4 for a motion."""
 
 
 def kinds(rows: Astrometry) -> NDArray[np.str_]:

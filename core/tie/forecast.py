@@ -26,6 +26,9 @@ class Release(NamedTuple):
     months: float
 
 
+# Sources: Gaia Collaboration 2016 (DR1), 2018 (DR2, 2014.56 to 2016.39), 2021 (EDR3 to 2017.41); ESA's pages of the
+# data releases for DR4 (66 months, J2017.5) and DR5 (to the end of observations in January 2025; its epoch is not
+# announced, here the middle).
 RELEASES = {
     "dr1": Release(2015.0, 14.0),
     "dr2": Release(2015.5, 22.0),
@@ -33,13 +36,9 @@ RELEASES = {
     "dr4": Release(2017.5, 66.0),
     "dr5": Release(2020.0, 126.0),
 }
-"""Sources: Gaia Collaboration 2016 (DR1), 2018 (DR2, 2014.56 to 2016.39), 2021 (EDR3 to 2017.41); ESA's pages of the
-data releases for DR4 (66 months, J2017.5) and DR5 (to the end of observations in January 2025; its epoch is not
-announced, here the middle).
-"""
 
+# Epochs that differ by less (years) are the same: some are written as whole days.
 SAME_EPOCH = 0.01
-"""Epochs that differ by less (years) are the same: some are written as whole days."""
 
 
 def release_of(epochs: Array, new: str, named: str | None = None) -> str:
@@ -163,8 +162,8 @@ def _regularised(normal: Array) -> float:
 
 # ---- tables drawn with their errors
 
+# Sources, counted over all draws that are made together: the random numbers depend on it.
 DRAWN_AT_ONCE = 8192
-"""Sources, counted over all draws that are made together: the random numbers depend on it."""
 
 
 @dataclass

@@ -20,46 +20,45 @@ from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, source_sums
 from linksweep.core.tie.solution import Solution, discrepancies, solve
 
+# chi2 over its expectation above and below which it is said first, and above which a link is not given unasked. Radio
+# stars, many of which are binaries, have 7.
 EXCESS, DEFICIT, ABSURD = 30.0, 0.5, 1000.0
-"""chi2 over its expectation above and below which it is said first, and above which a link is not given unasked.
-Radio stars, many of which are binaries, have 7."""
 
+# Probability below which chi2 is not that of correct errors; small tables scatter.
 CHANCE = 1e-6
-"""Probability below which chi2 is not that of correct errors; small tables scatter."""
 
+# chi2 over its expectation above which corrections are tried, and at which no further ones are.
 GOOD = 3.0
-"""chi2 over its expectation above which corrections are tried, and at which no further ones are."""
 
+# Of more sources, or with larger normal equations, only some sources are examined.
 MOST_SOURCES, MOST_NUMBERS = 2000, 10_000_000
-"""Of more sources, or with larger normal equations, only some sources are examined."""
 
+# Factors by which numbers are too small, with the mistake in their units.
 SMALLER = {
     1e3: "arcsec taken for mas (or mas for uas)",
     3.6e6: "deg taken for mas",
     15.0: "time taken for an angle: 1 s is 15 arcsec",
     1.5e4: "seconds of time taken for mas",
 }
-"""Factors by which numbers are too small, with the mistake in their units."""
 LARGER = {
     1e-3: "uas taken for mas (or mas for arcsec)",
     1.0 / 3.6e6: "mas taken for deg",
     1.0 / 15.0: "an angle taken for time: 1 s is 15 arcsec",
     1.0 / 1.5e4: "mas taken for seconds of time",
 }
+# No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr).
 LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0}
-"""No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr)."""
 
+# Shifts of epochs (years) from which the best is looked for.
 STARTS = (0.0, *(sign * years for years in (2.0, 5.0, 10.0, 20.0, 50.0, 100.0) for sign in (1.0, -1.0)))
-"""Shifts of epochs (years) from which the best is looked for."""
 
 Rows = tuple[int, ...]
+# Errors below it are hardly right, mas or mas/yr.
 SMALLEST = 0.005
-"""Errors below it are hardly right, mas or mas/yr."""
 
+# The smallest and the largest median error of a table, mas or mas/yr: pulsar timing reaches 1 uas, meridian circles had
+# some arcsec.
 PLAUSIBLE = 2e-4, 1e4
-"""The smallest and the largest median error of a table, mas or mas/yr: pulsar timing reaches 1 uas, meridian circles
-had some arcsec.
-"""
 
 GROUPS: dict[str, Rows] = {"positions": (0, 1), "parallaxes": (2,), "proper motions": (3, 4)}
 NOT_POSITIONS: dict[str, Rows] = {"parallaxes": (2,), "proper motions": (3, 4), "pmra": (3,), "pmdec": (4,)}
@@ -268,7 +267,8 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[_Cause]:
 
     for words, hides, change in _corrections(problem, part.table):
         trial = _applied(problem, part, change)
-        if explains(found := _ratio(trial)) and (not hides or _typical(trial)):
+        # errors that are too small are so for all sources
+        if explains(found := _ratio(trial)) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
             yield _Cause(words.format(part.words), found, hides)
     shift, found = _shift(problem, part)
     if explains(found):
@@ -377,23 +377,17 @@ def _applied(problem: Problem, part: _Part, change: Change) -> Problem | None:
     return replace(problem, satellite=merged) if of_satellite else replace(problem, rows=merged)
 
 
-def _ratio(problem: Problem | None) -> float:
-    """Return chi2 over its expectation; infinite where there is no solution."""
+def _ratio(problem: Problem | None, typical: bool = False) -> float:
+    """Return chi2 over its expectation, or that of the typical source; infinite where there is no solution."""
     if problem is None:
         return np.inf
+    sums = source_sums(problem)
     try:
-        scale = solve(source_sums(problem)).scale
+        solution = solve(sums)
     except LinkError:
         return np.inf
-    return scale**2 if np.isfinite(scale) else np.inf
-
-
-def _typical(problem: Problem | None) -> bool:
-    """Return whether the typical source has the chi2 that is expected: errors that are too small are so for all."""
-    if problem is None:
-        return False
-    sums = source_sums(problem)
-    return bool(0.1 < np.median(_each(sums, solve(sums))[sums.count > 0]) < GOOD)
+    found = np.median(_each(sums, solution)[sums.count > 0]) if typical else solution.scale**2
+    return float(found) if np.isfinite(found) else np.inf
 
 
 def _each(sums: NormalSums, solution: Solution) -> Array:

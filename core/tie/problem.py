@@ -25,17 +25,17 @@ from linksweep.core.unknowns import Objects, Unknowns
 
 Weights = Literal["covariance", "variance", "equal"]
 
+# Eigenvalue of a scaled 5 x 5 matrix below which a free parameter is not determined by the rows.
 UNDETERMINED = 1e-12
-"""Eigenvalue of a scaled 5 x 5 matrix below which a free parameter is not determined by the rows."""
 
+# Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache.
 BLOCK = 4096
-"""Sources whose derivatives are made at a time: a few hundred numbers each, which stay in the cache."""
 
+# Sources that are taken out of the tables at a time, which bounds the memory beyond that of the tables.
 GATHERED = 64 * BLOCK
-"""Sources that are taken out of the tables at a time, which bounds the memory beyond that of the tables."""
 
+# The smallest determinant of a scaled 2 x 2 matrix at which its root is taken.
 REGULAR = 1e-6
-"""The smallest determinant of a scaled 2 x 2 matrix at which its root is taken."""
 
 
 @dataclass(frozen=True)

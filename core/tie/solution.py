@@ -22,25 +22,25 @@ from linksweep.core.tie.astrometry import Differences, differences
 from linksweep.core.tie.problem import NormalSums, Problem
 from linksweep.core.unknowns import Unknowns
 
+# A source that holds a larger share of the weight of a block of unknowns is named.
 LARGE_SHARE = 0.1
-"""A source that holds a larger share of the weight of a block of unknowns is named."""
 
+# Divisions of the grid of cells of the sky, which has 72 cells.
 DIVISIONS = 6
-"""Divisions of the grid of cells of the sky, which has 72 cells."""
 
+# Largest size of the sums of single sources, in numbers (240 MB).
 KEPT_NUMBERS = 30_000_000
-"""Largest size of the sums of single sources, in numbers (240 MB)."""
 
+# Separation below which a source is a radio-optical counterpart. Source: Mignard et al. 2018, A&A 616, A14.
 SEPARATION_LIMIT = 10.0 * MAS
-"""Separation below which a source is a radio-optical counterpart.  Source: Mignard et al. 2018, A&A 616, A14."""
 
 MEDIAN_RAYLEIGH = np.sqrt(2.0 * np.log(2.0))
 ITERATIONS = 200
+# Steps of the clip `discrepancy` that are computed, or more if more sources are to be dropped.
 TRAJECTORY = 300
-"""Steps of the clip `discrepancy` that are computed, or more if more sources are to be dropped."""
 
+# Chance that the clip `discrepancy` drops any source of good data at its first step.
 SIGNIFICANCE = 0.01
-"""Chance that the clip `discrepancy` drops any source of good data at its first step."""
 
 
 @dataclass(frozen=True)
@@ -237,19 +237,7 @@ class KeptSources:
 
     def cell_sums(self, factors: Array | Flags) -> NormalSums:
         """Return the sums of cells of the sky, with the weight of each source times its factor."""
-        ra, dec = self.problem.satellite.values[:2]
-        cells = sky_cells(ra, dec, DIVISIONS)
-        member = (cells == np.unique(cells)[:, None]).astype(np.float64)
-        weighted, sums = member * factors, self.sums
-        best = sums.spread is None and np.all((factors == 0.0) | (factors == 1.0))
-        return NormalSums(
-            normal=np.tensordot(weighted, sums.normal, axes=1),
-            right=weighted @ sums.right,
-            squares=weighted @ sums.squares,
-            count=(member * (factors > 0.0)) @ sums.count,
-            expected=weighted @ sums.expected,
-            spread=None if best else np.tensordot(member * factors**2, sums.right_covariance, axes=1),
-        )
+        return _cell_sums(self.problem, factors)
 
 
 def computed(problem: Callable[[], Problem], function: Callable[..., Any], *arguments: Any) -> Any:

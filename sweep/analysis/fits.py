@@ -9,11 +9,9 @@ from numpy.linalg import LinAlgError
 
 from linksweep.sweep.contract import Array, small_sample_factor
 
+# A law is judged only if the errors that points do not share are this many times the neglected second order.
 FIRST_ORDER = 5.0
-"""A law is judged only if the errors that points do not share are this many times the neglected second order."""
-
-STARTS = (0.5, 2.0, 6.0)
-"""First guesses of the rate, times the range of the points; the best fit is kept."""
+STARTS = (0.5, 2.0, 6.0)  # first guesses of the rate, times the range of the points; the best fit is kept
 
 
 @dataclass(frozen=True)

@@ -89,10 +89,8 @@ def require_quantity(dataset: xr.Dataset, variable: str) -> None:
     """Raise SweepError unless a variable is one of the dataset's quantities."""
     if variable in (names := quantities(dataset)):
         return
-    if variable in dataset.data_vars and (kind := dataset[variable].dtype.kind) not in "biufc":
-        whole = kind == "O" and any(isinstance(value, int) for value in dataset[variable].values.flat)
-        what = "times" if kind in "Mm" else "integers beyond 2**53, which no float holds" if whole else "texts"
-        raise SweepError(f"{variable} has no numbers to draw or to fit, but {what}")
+    if variable in dataset.data_vars and dataset[variable].dtype.kind not in "biufc":
+        raise SweepError(f"{variable} has no numbers to draw or to fit")
     raise SweepError(f"no quantity {shown(variable)}{suggest(variable, names) if names else '; there are none'}")
 
 
@@ -187,11 +185,12 @@ def error_of_sum(
     errors = [error.drop_vars(along, errors="ignore") for error in known if error is not None]
     if not errors:
         return None
-    first, second = weights
-    differing = [d for d in one if one[d] != other[d]]
+    (first, second), differing = weights, [d for d in one if one[d] != other[d]]
     if not differing:
         return xr.DataArray(abs(first + second) * errors[0])
-    if len(differing) == 1 and (covariance := covariance_along(dataset, variable, differing[0])) is not None:
+    variance = xr.DataArray((first * errors[0]) ** 2 + (second * errors[1]) ** 2)
+    covariance = covariance_along(dataset, variable, differing[0]) if len(differing) == 1 else None
+    if covariance is not None:
         (dimension,) = differing
         pair = covariance.isel({d: one[d] for d in one if d != dimension}, drop=True)
         i, j = one[dimension], other[dimension]
@@ -199,10 +198,8 @@ def error_of_sum(
         variance = first**2 * part[i, i] + second**2 * part[j, j] + 2.0 * first * second * part[i, j]
         factor = float(small_sample_factor(samples_along(dataset, dimension, covariance)))
         variance = xr.DataArray(variance * factor).clip(min=0.0)
-    else:
-        variance = xr.DataArray((first * errors[0]) ** 2 + (second * errors[1]) ** 2)
-        if shares_random_numbers(dataset, differing):
-            variance = xr.full_like(variance, np.nan)
+    elif shares_random_numbers(dataset, differing):
+        variance = xr.full_like(variance, np.nan)
     return xr.DataArray(variance**0.5)
 
 
@@ -259,18 +256,14 @@ def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
     elif over in varied:
         others = ", ".join(name for name in varied if name != over)
         raise SweepError(f"the points differ in {others} too, so that {over} is no axis of {variable}")
-    if over is None:
-        if not axes:
-            raise SweepError(f"{variable} has no axis with several numbers")
-        dimensions = {dataset[axis].dims[0] for axis in axes}
-        if len(dimensions) > 1:
-            raise SweepError(f"name the axis; {variable} has {', '.join(axes)}")
-        return next(axis for axis in axes if axis in dimensions or len(axes) == 1)
-    if over not in axes:
-        raise SweepError(
-            f"{shown(over)} is no axis with several numbers of {variable}; there are {', '.join(axes) or 'none'}"
-        )
-    return over
+    listed_axes = ", ".join(axes) or "none"
+    if over is not None and over not in axes:
+        raise SweepError(f"{shown(over)} is no axis with several numbers of {variable}; there are {listed_axes}")
+    if over is None and not axes:
+        raise SweepError(f"{variable} has no axis with several numbers")
+    if over is None and len({dataset[axis].dims[0] for axis in axes}) > 1:
+        raise SweepError(f"name the axis; {variable} has {listed_axes}")
+    return over or next((axis for axis in axes if axis in dataset.dims), axes[0])
 
 
 def where_they_change(dataset: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
@@ -393,14 +386,8 @@ def require_done(dataset: xr.Dataset) -> None:
     """Raise SweepError unless all points of a dataset are done or excluded by the study."""
     counts = count_status(dataset["status"].values)
     if undone := unfinished_in_words(counts):
-        commands = {
-            Status.MISSING: "`sweep run` computes what is missing",
-            Status.FAILED: "`sweep run --retry` what failed",
-        }
-        help_ = ", ".join(words for code, words in commands.items() if counts[code])
-        raise SweepError(
-            f"is incomplete: {undone} of {sum(counts.values()):,} points here; {help_}; or choose other points"
-        )
+        total, commands = sum(counts.values()), "`sweep run` computes what is missing, `sweep run --retry` what failed"
+        raise SweepError(f"is incomplete: {undone} of {total:,} points here; {commands}; or choose other points")
 
 
 def exact(values: NDArray[Any]) -> NDArray[Any]:
@@ -438,7 +425,7 @@ def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
     """
     if "status" not in dataset:
         return dataset
-    names, changed, components = quantities(dataset), dict[str, xr.DataArray](), dict[str, Any]()
+    names, changed, label_unit = quantities(dataset), dict[str, xr.DataArray](), dict[str, Any]()
     labels = [str(n) for n in dataset.coords if str(n).endswith("_unit") and not dataset[n].dims]
     label = next((n for n in labels if n.removesuffix("_unit") in dataset.coords), "")
     declared = {error for name in names for error in errors_beside(dataset, name)}
@@ -449,19 +436,15 @@ def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
             continue  # a unit with brackets is that of products of two components
         chosen = prefixed(values, str(dataset[label].item()) if by_component else unit)
         if by_component:
-            chosen = components.setdefault(label, chosen)
-        if chosen.factor == 1.0:
-            continue
-        for other in (name, *errors_beside(dataset, name), *(f"{name}_{suffix}" for suffix in BESIDE)):
-            if other in dataset and units_of(dataset[other].attrs) == unit:
-                changed[other] = _scaled(dataset[other], chosen.factor, chosen.unit)
-        for axis in dataset.coords:
-            if (other := f"{name}_{COVARIANCE_SUFFIX}_{axis}") in dataset:
-                changed[other] = _scaled(dataset[other], chosen.factor**2, f"({chosen.unit})2")
-    units = {name: dataset[name].copy(data=chosen.unit) for name, chosen in components.items()}
+            chosen = label_unit.setdefault(label, chosen)
+        beside = [name, *errors_beside(dataset, name), *(f"{name}_{suffix}" for suffix in BESIDE)]
+        factors = {
+            n: (chosen.factor, chosen.unit) for n in beside if n in dataset and units_of(dataset[n].attrs) == unit
+        }
+        squares = (f"{name}_{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords)
+        factors |= {n: (chosen.factor**2, f"({chosen.unit})2") for n in squares if n in dataset}
+        for other, (factor, new) in factors.items() if chosen.factor != 1.0 else ():
+            array = dataset[other]
+            changed[other] = (array * factor).transpose(*array.dims).assign_attrs(array.attrs | {"units": new})
+    units = {name: dataset[name].copy(data=chosen.unit) for name, chosen in label_unit.items()}
     return dataset.assign(changed).assign_coords(units)
-
-
-def _scaled(array: xr.DataArray, factor: Any, unit: str) -> xr.DataArray:
-    scaled: xr.DataArray = (array * factor).transpose(*array.dims)
-    return scaled.assign_attrs(array.attrs | {"units": unit})

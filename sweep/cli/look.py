@@ -184,15 +184,12 @@ def plot(
     # Before a large store is read and drawn.
     styles.require_format(path)
     with styles.settings(width, style):
-        figure, dataset = drawn.figure()
-        styles.save(figure, path)
-    click.echo(f"wrote {path}", err=True)
-    if caption:
-        from linksweep.sweep.plots.caption import caption_and_description
+        from linksweep.sweep.plots.figure import caption_and_description
 
-        beside = path.with_suffix(".txt")
-        styles.save_text(caption_and_description(figure, dataset), beside)
-        click.echo(f"wrote {beside}", err=True)
+        figure, dataset = drawn.figure()
+        styles.save(figure, path, caption_and_description(figure, dataset) if caption else "")
+    for written in (path, path.with_suffix(".txt"))[: 1 + caption]:
+        click.echo(f"wrote {written}", err=True)
 
 
 def paper_studies(published: bool) -> "list[Study]":

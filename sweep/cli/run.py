@@ -362,8 +362,7 @@ def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> N
     sweep status results/quasars.zarr
     """
     from linksweep.sweep.running.failures import failed_points
-    from linksweep.sweep.running.progress import axis_table
-    from linksweep.sweep.running.status import status_report
+    from linksweep.sweep.running.status import axis_table, status_report
 
     report = status_report(store)
     if as_json:

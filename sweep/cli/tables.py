@@ -8,7 +8,6 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,6 +67,7 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     """
     from linksweep.sweep.code.load import load_experiment
     from linksweep.sweep.contract import SweepError, shown
+    from linksweep.sweep.stores.location import Folder
     from linksweep.sweep.studies.reader import GOOD_NAME
     from linksweep.sweep.studies.study import new_study
 
@@ -78,14 +78,11 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     path = Path(f"{name}.toml")
     text = new_study(name, experiment, load_experiment(experiment)).encode(errors="replace")
     try:
-        with path.open("xb") as file:
-            file.write(text)
-    except FileExistsError as error:
-        raise SweepError("exists already; take another name", str(path)) from error
+        is_made = Folder(Path()).create(path.name, text)
     except OSError as error:
-        with suppress(OSError):
-            path.unlink()
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+    if not is_made:
+        raise SweepError("exists already; take another name", str(path))
     click.echo(f"wrote {path}; edit it, then: sweep plan {path}", err=True)
 
 
@@ -269,13 +266,14 @@ class Target:
     def check(self) -> None:
         """Raise an error unless a store can be written and figures be drawn, before anything is computed."""
         from linksweep.sweep.contract import SweepError
+        from linksweep.sweep.result import require_free
 
         if self.output is not None and self.output.suffix != ".zarr":
             raise SweepError("a result is written to a store whose name ends in .zarr", str(self.output))
-        if self.output is not None and self.output.exists():
-            raise SweepError("is there already; nothing is overwritten", str(self.output))
-        if self.figures is not None and find_spec("matplotlib") is None:
-            raise click.UsageError("drawing needs matplotlib: pip install 'linksweep[plot]'")
+        if self.output is not None:
+            require_free(self.output)
+        if self.figures is not None:
+            group.drawing_styles()
 
     def put(self, result: "xr.Dataset", rejected: bool = False) -> None:
         """Print a result; write it and draw its figures unless it is ``rejected``."""

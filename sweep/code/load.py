@@ -28,39 +28,29 @@ from weakref import WeakKeyDictionary
 
 from threadpoolctl import threadpool_info
 
-from linksweep.sweep.code.reach import (
-    PREFIX,
-    TREE,
-    Reach,
-    digest_of,
-    distributions_at,
-    distributions_of,
-    reach,
-    version_of,
-    without_package,
-)
+from linksweep.sweep.code import reach
+from linksweep.sweep.code.reach import Reach, digest_of, distributions_of, version_of
 from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.functions.adapter import ATTRIBUTE, experiment_of, is_plain_function, name_of
 
+# Our package, never looked for beside a user's file.
 OURS = "linksweep"
-"""Our package, never looked for beside a user's file."""
 
+# Stands in place of a module in the reference of a function that only this session has.
 SESSION = "session"
-"""Stands in place of a module in the reference of a function that only this session has."""
 
 DECIDING = ("linksweep", "numpy", "scipy")
 OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
 SUFFIXES = (".py", *importlib.machinery.EXTENSION_SUFFIXES)
 DIGEST = re.compile("[0-9a-f]{24}")
+# Fields of an experiment that its code does not depend on, or that count by themselves.
 DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
-"""Fields of an experiment that its code does not depend on, or that count by themselves."""
 
 log = logging.getLogger("linksweep")
 
+# Code by its path or reference and its digest, also what another process has sent: the file may be missing here, or be
+# another. Without a digest: as this process has it now.
 _codes: dict[tuple[str, str | None], "LocalFiles | Live"] = {}
-"""Code by its path or reference and its digest, also what another process has sent: the file may be missing here, or be
-another.  Without a digest: as this process has it now.
-"""
 
 _places: dict[str, str] = {}
 _warned: set[str] = set()
@@ -78,14 +68,16 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def __init__(self, path: Path) -> None:
         """Read the files; raises OSError where the first cannot be read."""
         self.path, self.contents = str(path), {path.name: path.read_bytes()}
+        # All that could be imported is read now, also by statements inside of functions: a file that changes during a
+        # run must not mix its versions, and workers may not have it at all.
         todo = [path.name]
-        for file in todo:  # which grows meanwhile
+        for file in todo:
             for other in _imported(path.parent, file, self.contents[file]):
                 if other not in self.contents:
                     self.contents[other] = (path.parent / other).read_bytes()
                     todo.append(other)
         self.digest = digest_of(repr(sorted(self.contents.items())))
-        self.package = PREFIX + digest_of(f"{path} {self.digest}")
+        self.package = reach.PREFIX + digest_of(f"{path} {self.digest}")
         self.files = {_dotted(file): file for file in self.contents}
 
     def module(self) -> ModuleType:
@@ -113,7 +105,8 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         """Execute a module of the package."""
         name, place = module.__name__.partition(".")[2], str(module.__file__)
         tree = ast.parse(self.contents[self.files[name]], place)
-        itself = {name} if "/" not in self.files[name] else set()  # random.py may import Python's module random
+        # A file random.py may import Python's module random, as it does where it is run as a script.
+        itself = {name} if "/" not in self.files[name] else set()
         local = {known.partition(".")[0] for known in self.files} - itself
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
@@ -122,7 +115,7 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
                 raise ImportError("attempted relative import with no known parent package")
             elif isinstance(node, ast.ImportFrom) and not node.level and str(node.module).partition(".")[0] in local:
                 node.module = f"{self.package}.{node.module}"
-        vars(module)[TREE] = tree
+        vars(module)[reach.TREE] = tree
         exec(compile(tree, place, "exec", dont_inherit=True), vars(module))
 
     def _localised(self, alias: ast.alias, local: Collection[str]) -> list[ast.alias]:
@@ -132,7 +125,7 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         whole, place = f"{self.package}.{alias.name}", {"lineno": alias.lineno, "col_offset": alias.col_offset}
         if alias.asname or not below:
             return [ast.alias(whole, alias.asname or top, **place)]
-        # import a.b loads a.b and binds a
+        # "import a.b" loads a.b and binds a.
         return [ast.alias(whole, "_", **place), ast.alias(f"{self.package}.{top}", top, **place)]
 
 
@@ -180,7 +173,8 @@ class Live:
         mine = [one for name, one in self.reach.modules.items() if name not in registered and name != "__main__"]
         file = io.BytesIO()
         try:
-            for module in mine:  # workers may not have them, or not as they are in this session
+            # By value, since workers may not have these modules, or not as they are in this session.
+            for module in mine:
                 cloudpickle.register_pickle_by_value(module)
             _by_value(file, self.reach).dump(self.value)
         except Exception as error:  # whatever keeps an object from being pickled
@@ -202,23 +196,25 @@ class Live:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore the state, and the function from its bytes."""
         vars(self).update(state)
-        sys.path += [path for path in state["paths"] if path not in sys.path]  # what it imports when it is called
+        # Where this session finds what the function imports when it is called.
+        sys.path += [path for path in state["paths"] if path not in sys.path]
         for name in state["acting"]:
             importlib.import_module(name)
         self.value = pickle.loads(self.pickled)
 
 
-def _by_value(file: io.BytesIO, reach: Reach) -> pickle.Pickler:
+def _by_value(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
     """Return a pickler of functions as they are: with the attributes of modules that they take, without caches."""
     import cloudpickle
 
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
         def reducer_override(self, value: Any) -> Any:
             if isinstance(value, ModuleType) and value.__name__ in cloudpickle.list_registry_pickle_by_value():
-                # cloudpickle fails where a function in a module refers to the module
-                taken = reach.taken.get(value.__name__, set()) & vars(value).keys()
+                # cloudpickle fails where a function in a module refers to the module.
+                taken = reached.taken.get(value.__name__, set()) & vars(value).keys()
                 return ModuleType, (value.__name__,), {name: vars(value)[name] for name in taken}
-            if isinstance(value, cached_property):  # in Python 3.11 it holds a lock
+            # In Python 3.11 a cached property holds a lock, which has no pickle.
+            if isinstance(value, cached_property):
                 return cached_property, (value.func,), {"attrname": value.attrname}
             if isinstance(value, WeakKeyDictionary):
                 return WeakKeyDictionary, ()
@@ -297,11 +293,7 @@ def load_experiment(
         return value
     if not is_plain_function(value):
         raise _is_no("an Experiment or a function", reference, value)
-    try:
-        return experiment_of(value)
-    except SweepError as error:
-        where = error.where if (reference, None) in _codes else reference.rpartition(":")[2]
-        raise SweepError(error.problems, where) from error
+    return experiment_of(value)
 
 
 def keep(function: Callable[..., Any] | Experiment) -> str:
@@ -416,7 +408,7 @@ def _reach(value: Any) -> Reach:
     if isinstance(value, Experiment):
         roots = {one.name: getattr(value, one.name) for one in fields(value) if one.name not in DESCRIBING}
         roots |= {f"define of {p.name}": p.define for p in value.parameters if p.define is not None}
-    reached = reach(roots)
+    reached = reach.reach_of(roots)
     _places.update(reached.places)
     for name, kind in reached.unnoticed.items():
         if name not in _warned:
@@ -467,7 +459,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
             raise
         raise SweepError(error.problems, f"{reference}, {error.where}") from error  # an error in a declaration
     except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
-        text = without_package(error.msg if isinstance(error, SyntaxError) else str(error))
+        text = reach.without_package(error.msg if isinstance(error, SyntaxError) else str(error))
         message = f"{type(error).__name__}{f': {text}' if text else ''}{_line_of(error)}"
         missing = f"{getattr(error, 'name', None) or place}."  # also of a relative import
         if isinstance(error, ImportError) and f"{place}.".startswith(missing):
@@ -507,7 +499,7 @@ def _line_of(error: BaseException) -> str:
     if isinstance(error, SyntaxError) and error.filename:
         return f" ({error.filename}, line {error.lineno})"
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).is_absolute()]
-    theirs = [frame for frame in frames if distributions_at(frame.filename, Path(frame.filename).stem) is None]
+    theirs = [frame for frame in frames if reach.distributions_at(frame.filename, Path(frame.filename).stem) is None]
     return f" ({theirs[-1].filename}, line {theirs[-1].lineno})" if theirs else ""
 
 

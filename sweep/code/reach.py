@@ -33,28 +33,28 @@ import numpy as np
 
 from linksweep.sweep.contract import SweepError
 
+# Begins the names of the packages that the modules beside a user's file are in.
 PREFIX = "linksweep_local_"
-"""Begins the names of the packages that the modules beside a user's file are in."""
 
+# The name in such a module under which its syntax tree is kept, as it was executed.
 TREE = "__linksweep_tree__"
-"""The name in such a module under which its syntax tree is kept, as it was executed."""
 
+# Characters of a value that a store records as it is; of a longer one it records a digest.
 LONGEST = 40
-"""Characters of a value that a store records as it is; of a longer one it records a digest."""
 
+# Objects of a value that are followed: about a second.
 MOST_OBJECTS = 500_000
-"""Objects of a value that are followed: about a second."""
 
 PLAIN = (bool, int, float, complex, str, bytes)
 RANDOM = (np.random.Generator, np.random.RandomState, random.Random)
+# Methods that make an object: what they set is how it begins, not a change.
 MAKING = ("__init__", "__new__", "__post_init__", "__init_subclass__", "__set_name__")
-"""Methods that make an object: what they set is how it begins, not a change."""
 
+# Methods that change their object.
 CHANGING = {
     *("append", "add", "extend", "update", "insert", "setdefault", "pop", "popitem", "clear"),
     *("discard", "remove", "sort", "reverse", "write", "put", "acquire"),
 }
-"""Methods that change their object."""
 
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 DESCRIPTORS = (staticmethod, classmethod, property, functools.cached_property, functools.partialmethod)
@@ -101,7 +101,7 @@ def distributions_at(file: str | None, top: str) -> tuple[str, ...] | None:
         return () if top in sys.stdlib_module_names else None
     if Path(file).is_relative_to(_OURS):
         return ()
-    # what pip has unpacked has a folder *.dist-info beside it, wherever that is; an editable install has it elsewhere
+    # What pip has unpacked has a folder *.dist-info beside it, wherever that is; an editable install has it elsewhere
     path = Path(file).resolve()
     folder = next((around.parent for around in (path, *path.parents) if around.stem == top), path.parent)
     if any(folder.glob("*.dist-info")):
@@ -125,7 +125,7 @@ def distributions_of(module: str | None) -> tuple[str, ...] | None:
     return distributions_at(file or next(iter(folders or ()), None), top)
 
 
-def reach(roots: Mapping[str, Any]) -> "Reach":
+def reach_of(roots: Mapping[str, Any]) -> "Reach":
     """Return all that some objects reach."""
     return Reach(roots, Reach(roots).changes())
 
@@ -152,8 +152,10 @@ class Reach:
         self.modules: dict[str, ModuleType] = {}
         self.taken: dict[str, set[str]] = {}
         self.acting: list[str] = []
-        self._value, self._is_changing = "", False  # whose form is made, and whether any of it is left out
-        self._followed: dict[int, Any] = {}  # with the objects, so that no other gets the same id
+        # Whose form is made, and whether any of it is left out.
+        self._value, self._is_changing = "", False
+        # The objects are kept beside their ids, so that no other object gets the same id meanwhile.
+        self._followed: dict[int, Any] = {}
         self._values: dict[tuple[str, int], Any] = {}
         self._wrappers: dict[int, tuple[Any, str]] = {}
         self._called: set[int] = set()
@@ -188,8 +190,9 @@ class Reach:
     def _keep(self, label: str, text: str) -> None:
         text, label = without_package(text), without_package(label)
         short = text if len(text) <= LONGEST and text.isprintable() else digest_of(text)
+        # Closures of one function, or functions that a decorator has made, have one label.
         name, number = label, 1
-        while text and self.parts.setdefault(name, short) != short:  # closures of one function
+        while text and self.parts.setdefault(name, short) != short:
             number += 1
             name = f"{label} ({number})"
 
@@ -210,7 +213,8 @@ class Reach:
         text = self._form(value, {})
         if not self._changed.isdisjoint([name, f".{name}", label]):
             self._is_changing, text = True, "changes"
-        if self._is_changing and tree is not None:  # what is left out counts by the statements with which it begins
+        # What is left out counts by the statements with which it begins.  A notebook has no such tree.
+        if self._is_changing and tree is not None:
             begins = [one for one in tree.body if not isinstance(one, (*DEFINITIONS, ast.Import, ast.ImportFrom))]
             begins = [one for one in begins if any(getattr(node, "id", "") == name for node in ast.walk(one))]
             text += "".join(map(ast.unparse, begins)) + self._names(begins, names)
@@ -238,8 +242,10 @@ class Reach:
             return code
         if id(value) in known:
             return known[id(value)][1]
+        # Objects may refer to each other in a circle: inside it, one stands for itself by its number.
         known[id(value)] = value, f"object {len(known)}"
-        if isinstance(value, RANDOM):  # each number that is drawn changes it
+        # Each number that is drawn changes a generator; the seed is in the statement that begins it.
+        if isinstance(value, RANDOM):
             self._is_changing = True
             return label_of(kind)
         if kind is np.ndarray and value.dtype.kind not in "OV":
@@ -263,7 +269,8 @@ class Reach:
     def _pieces(self, value: Any) -> Sequence[Any]:
         """Return what makes an object, without what code changes; raises any exception where that is not known."""
         kind = type(value)
-        if isinstance(value, np.vectorize):  # its other attributes are caches
+        # Of the attributes of a vectorised function the others are caches.
+        if isinstance(value, np.vectorize):
             return value.pyfunc, value.otypes, value.signature
         if kind is MethodType:
             return value.__func__, value.__self__
@@ -303,7 +310,9 @@ class Reach:
             if self._is_users(value.__globals__.get("__name__")):
                 self._follow(value)
                 return f"function {label_of(value)}"
-            if id(value) not in self._wrappers:  # a wrapper that a library made may hold a function of the user's
+            # A wrapper that a library made may hold a function of the user's; other things that it holds, such as the
+            # cache of a single dispatch, change when it is called.
+            if id(value) not in self._wrappers:
                 self._wrappers[id(value)] = value, ""
                 outer, self._value = self._value, ""
                 inside = [*_closure(value).values(), *vars(value).values()]
@@ -318,7 +327,9 @@ class Reach:
             self._is_users("numpy")
             return f"function {value.__name__}"
         with suppress(Exception):  # whatever a user's __getattr__ raises
-            if callable(value) and distributions_of(type(value).__module__) is not None:
+            # Of a library, such as a cache; a method has the attributes of its function, but also an object.
+            is_library = distributions_of(type(value).__module__) is not None
+            if callable(value) and is_library and not isinstance(value, MethodType):
                 return f"wrapped {self._form(value.__wrapped__, {})}"
         return None
 
@@ -350,9 +361,10 @@ class Reach:
         for name, value in vars(function).items():
             if not name.startswith("__") and f".{name}" not in self._changed:
                 text += self._refer(f"{label}.{name}", value)
+        # Without source there are only the values that it holds; what dataclasses make is in their class already.
         if not nodes:
             text += "".join(self._refer(f"{name} of {label}", value) for name, value in _closure(function).items())
-            if not function.__name__.startswith("__") and "__file__" not in names:  # else a library has made it
+            if not function.__name__.startswith("__") and "__file__" not in names:
                 self.unnoticed[label] = "function without source"
         for node in nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {code.co_firstlineno}"
@@ -374,6 +386,7 @@ class Reach:
                     body = [one for one in node.body if not isinstance(one, DEFINITIONS)]
                     own = [*node.decorator_list, *body[ast.get_docstring(node) is not None :]]
                     text += f"{[ast.unparse(one) for one in own]}{'' if self._running else self._names(own, names)}"
+        # Methods count as functions, so that a message can name them; all else as it is now, also if it was set later.
         for name, value in vars(cls).items():
             attributes = ("__func__", "fget", "fset", "fdel", "func") if isinstance(value, DESCRIPTORS) else ()
             for inner in [getattr(value, one, None) for one in attributes] or [value]:
@@ -407,7 +420,7 @@ class Reach:
                     break
                 is_users = self._is_users(reference[1].__name__)
                 reference = self._attribute(reference[1], attribute)
-            # what a library has besides code, such as os.environ, is its own
+            # What a library has besides code, such as os.environ, is its own.
             stands = self._refer(*reference) if is_users else self._code(reference[1])
             bound.append(f"{name}{path} {stands or ''}")
         self._attributes.update(one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute))
@@ -473,7 +486,9 @@ def definitions_of(function: FunctionType) -> Sequence[Function]:
     code, names = function.__code__, function.__globals__
     if (tree := tree_of(code.co_filename, names)) is None:
         return ()
-    with suppress(OSError):  # a cell
+    # Only files that are younger than this process are compared: code objects of others may differ from those that
+    # are compiled here, as pytest and coverage change what they import.  A cell of a notebook has no file.
+    with suppress(OSError):
         is_younger = TREE not in names and os.stat(code.co_filename).st_mtime > _BEGAN
         if is_younger and code not in _codes(_source(code.co_filename, names), code.co_filename):
             why = "has changed since it was imported: import it again, or start a new session"

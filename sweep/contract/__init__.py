@@ -4,18 +4,15 @@ This package and NumPy are all that an experiment needs; the platform knows noth
 """
 
 from linksweep.sweep.contract.errors import FEW, DefinitionError, SweepError, shown, suggest
-from linksweep.sweep.contract.experiment import Evaluate, Experiment, GeneratorPair, Summarise
-from linksweep.sweep.contract.parameter import Define, Function, Kind, Named, Output, Parameter, Point, Value
+from linksweep.sweep.contract.experiment import Experiment, GeneratorPair
+from linksweep.sweep.contract.parameter import Function, Kind, Named, Output, Parameter, Point, Value
 from linksweep.sweep.contract.reducer import (
     FEWEST_SAMPLES,
     Array,
     NotFiniteError,
     Outcome,
-    Reducer,
     ResultError,
     Rows,
-    check_finite,
-    checked,
     small_sample_factor,
 )
 
@@ -23,9 +20,7 @@ __all__ = [
     "FEW",
     "FEWEST_SAMPLES",
     "Array",
-    "Define",
     "DefinitionError",
-    "Evaluate",
     "Experiment",
     "Function",
     "GeneratorPair",
@@ -36,14 +31,10 @@ __all__ = [
     "Output",
     "Parameter",
     "Point",
-    "Reducer",
     "ResultError",
     "Rows",
-    "Summarise",
     "SweepError",
     "Value",
-    "check_finite",
-    "checked",
     "shown",
     "small_sample_factor",
     "suggest",

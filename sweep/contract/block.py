@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+# Bytes in a `ledger_key`.
 KEY_BYTES = 32
-"""Bytes in a `ledger_key`."""
 
+# Bytes of the digest of a point, with which a key begins.
 DIGEST_BYTES = 16
-"""Bytes of the digest of a point, with which a key begins."""
 
 
 class Block(NamedTuple):
@@ -74,11 +74,10 @@ class BlockRows(Mapping[bytes, int]):
         return [whole[start : start + KEY_BYTES] for start in range(0, len(whole), KEY_BYTES)]
 
     def remove(self, keys: Iterable[bytes]) -> None:
-        """Make blocks count as missing."""
-        for key in list(keys):
-            row = self._numbers.pop(key)
-            self._keys[KEY_BYTES * row : KEY_BYTES * (row + 1)] = bytes(KEY_BYTES)
-        self._sorted = None
+        """Make blocks count as missing, also where earlier rows have their keys."""
+        gone = set(keys)
+        self._keys = bytearray().join(bytes(KEY_BYTES) if key in gone else key for key in self.keys_of_rows())
+        self._number = self._sorted = None
 
     def find(self, keys: Sequence[bytes]) -> NDArray[np.intp]:
         """Return the row of each key, -1 where there is none."""

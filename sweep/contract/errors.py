@@ -7,8 +7,8 @@ from typing import Any
 
 from linksweep.sweep.formatting import harmless
 
+# The most names that a message lists.
 FEW = 20
-"""The most names that a message lists."""
 
 
 class SweepError(Exception):

@@ -16,13 +16,14 @@ from linksweep.sweep.contract.parameter import Output, Parameter, Point, Value
 from linksweep.sweep.contract.reducer import Array, Outcome, Reducer, Rows, Sums, check_finite, checked
 from linksweep.sweep.contract.units import unit_problem
 
+# The generators of a block's realisations and of their catalogue.
 GeneratorPair = tuple[np.random.Generator, np.random.Generator]
-"""The generators of a block's realisations and of their catalogue."""
 
 
+# Endings that the platform adds to an output's name, for variables of its own.
 ADDED = ("_published", "_published_rounding")
-"""Endings that the platform adds to an output's name, for variables of its own."""
 
+# The functions of an experiment, and what they are called with.
 CALLS = {
     "evaluate": ("points", "n_sim", "rng", "catalogue_rng"),
     "samples": ("points", "n_sim", "rng", "catalogue_rng"),
@@ -31,7 +32,6 @@ CALLS = {
     "cost": ("point",),
     "unused": ("point",),
 }
-"""The functions of an experiment, and what they are called with."""
 
 
 class Evaluate(Protocol):

@@ -13,19 +13,19 @@ from linksweep.sweep.contract.units import unit_problem
 
 T = TypeVar("T")
 Value = Any  # of a parameter: bool, int, float, str, a tuple, a table file, or None
+# A point's parameters by name, every declared one with a value.
 Point = Mapping[str, Any]
-"""A point's parameters by name, every declared one with a value."""
 
+# Parameters must be smaller in size: beyond it arithmetic overflows.
 HUGE = 1e300
-"""Parameters must be smaller in size: beyond it arithmetic overflows."""
 
+# The largest value in an array of integers.
 LARGEST_INT = 2**63 - 1
-"""The largest value in an array of integers."""
 
 Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file"]
 
+# Names that the platform uses in every dataset or store.
 RESERVED = ("status", "n_sim_done", "sample", "code", "blocks", "failures", "realisations")
-"""Names that the platform uses in every dataset or store."""
 
 TAKEN = "the platform gives this name in every dataset; take another"
 GOOD_NAME = re.compile(r"[^\W\d][\w.-]{0,99}")

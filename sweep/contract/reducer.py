@@ -11,14 +11,14 @@ from numpy.typing import ArrayLike, NDArray
 from linksweep.sweep.contract.errors import shown, suggest
 
 Array = NDArray[np.float64]
+# What blocks left of points: a NumPy structured array of `Reducer.dtype`, one element for each.
 Rows = NDArray[np.void]
-"""What blocks left of points: a NumPy structured array of `Reducer.dtype`, one element for each."""
 
+# Fewest independent samples (catalogues, mostly) whose scatter gives an error: with fewer it is not known.
 FEWEST_SAMPLES = 5
-"""Fewest independent samples (catalogues, mostly) whose scatter gives an error: with fewer it is not known."""
 
+# Up to here a float holds every integer exactly.
 EXACT_INT = 2**53
-"""Up to here a float holds every integer exactly."""
 
 
 class ResultError(ValueError):

@@ -3,6 +3,7 @@
 import re
 from functools import lru_cache
 
+# Recognised without astropy, whose import takes longer than a command that needs nothing else from it.
 FAMILIAR = frozenset(
     [
         *("m", "cm", "mm", "km", "g", "kg", "s", "min", "h", "d", "yr"),
@@ -10,7 +11,6 @@ FAMILIAR = frozenset(
         *("rad", "deg", "arcmin", "arcsec", "mas", "uas", "mag", "pc", "kpc", "au", "eV"),
     ]
 )
-"""Recognised without astropy, whose import takes longer than a command that needs nothing else from it."""
 
 
 def unit_problem(text: object) -> str | None:

@@ -17,16 +17,7 @@ from dataclasses import replace
 from multiprocessing.connection import Connection, wait
 from typing import IO, Any
 
-from linksweep.sweep.code.load import (
-    Identity,
-    differences,
-    identity,
-    load_experiment,
-    new_process,
-    provide,
-    sendable,
-    source_digest,
-)
+from linksweep.sweep.code import load
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.executing.process import Deadlines, ignored
@@ -34,33 +25,33 @@ from linksweep.sweep.executing.task import AnyJob, Call, Failure, PointBlock, Ta
 from linksweep.sweep.executing.worker import ENOUGH_S, compute, run_units, takes_several
 from linksweep.sweep.interrupt import SIGNALS
 
+# How often a block may end its child, when it is known which block it was.
 TRIES = 2
-"""How often a block may end its child, when it is known which block it was."""
 
+# Share of the memory limit at which a child is ended, the same at which Dask's nanny ends a worker.
 MEMORY_SHARE = 0.95
-"""Share of the memory limit at which a child is ended, the same at which Dask's nanny ends a worker."""
 
+# Seconds between two looks at the children's memory.
 LOOK_EVERY_S = 0.05
-"""Seconds between two looks at the children's memory."""
 
+# Seconds of work whose results a child sends together.
 SEND_EVERY_S = 0.02
-"""Seconds of work whose results a child sends together."""
 
+# Bytes that are kept of the end of what a child wrote to standard error.
 LAST_WORDS = 4096
-"""Bytes that are kept of the end of what a child wrote to standard error."""
 
+# Seconds that children get to end by themselves: threads and files that an experiment leaves may keep them.
 END_S = 1.0
-"""Seconds that children get to end by themselves: threads and files that an experiment leaves may keep them."""
 
+# Libraries with threads or devices of their own, for which a fork of a process that used them may wait for ever.
 NOT_TO_BE_FORKED = ("jax", "torch", "tensorflow", "cupy")
-"""Libraries with threads or devices of their own, for which a fork of a process that used them may wait for ever."""
 
+# Freed memory that a child's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them back
+# to the system each time costs a fifth of the run.
 KEEP_BYTES = 2**28
-"""Freed memory that a child's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them back
-to the system each time costs a fifth of the run."""
 
+# Variables that libraries of linear algebra read as they are loaded.
 ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""Variables that libraries of linear algebra read as they are loaded."""
 
 
 class Children:
@@ -80,16 +71,15 @@ class Children:
         *,
         forked: bool = True,
         digest: str | None = None,
-        expected: Identity | None = None,
+        expected: load.Identity | None = None,
     ) -> None:
         self._reference, self._limits, self._expected = reference, limits, expected
-        self._digest = digest or source_digest(reference)
+        self._digest = digest or load.source_digest(reference)
         self._forked = forked and _may_be_forked()
         self._children: list[_Child] = []
         self._number = number
 
     def __enter__(self) -> "Children":
-        self._children = self._started(self._number)  # before this process has threads, whose locks a fork would keep
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
@@ -106,8 +96,8 @@ class Children:
             for _ in range(number):
                 started.append(_Child(self._forked))
             if not self._forked:
-                code = sendable(self._reference, self._digest), self._reference, self._digest
-                expected = self._expected or identity(self._reference, self._digest)
+                code = load.sendable(self._reference, self._digest), self._reference, self._digest
+                expected = self._expected or load.identity(self._reference, self._digest)
                 for child in started:  # all of them import at the same time
                     child.prepare(code, expected)
         except BaseException as error:
@@ -138,6 +128,8 @@ class Children:
 
         def begin(place: int) -> None:
             if place not in under_way and (new := following()) is not None:
+                if not self._children:  # as late as there is work, and all together: new processes import for a while
+                    self._children = self._started(self._number)
                 if self._children[place].channel.closed:  # of a call that was given up
                     [self._children[place]] = self._started(1)
                 under_way[place] = new[0], _Trial(new[1])
@@ -283,10 +275,10 @@ class _Child:
         else:
             start = f"from linksweep.sweep.executing.children import compute_anew; compute_anew({theirs.fileno()})"
             files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
-            self.process = new_process(start, **files, pass_fds=[theirs.fileno()])
+            self.process = load.new_process(start, **files, pass_fds=[theirs.fileno()])
         theirs.close()
 
-    def prepare(self, code: tuple[Any, str, str | None], expected: Identity) -> None:
+    def prepare(self, code: tuple[Any, str, str | None], expected: load.Identity) -> None:
         """Send a new process the code; raises SweepError where it cannot load that, and where it is not as expected."""
         try:
             self.channel.send(code)
@@ -296,7 +288,7 @@ class _Child:
             raise SweepError(f"a child process could not start (exit code {exit_code}): {words}") from error
         if isinstance(answer, SweepError):
             raise answer
-        if differ := differences(expected.deciding, answer.deciding):
+        if differ := load.differences(expected.deciding, answer.deciding):
             raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
 
     def memory(self) -> float:
@@ -373,9 +365,9 @@ def compute_anew(number: int) -> None:
     channel = Connection(number)
     sources, reference, digest = channel.recv()
     if sources is not None:
-        provide(sources)
+        load.provide(sources)
     try:
-        channel.send(identity(reference, digest))
+        channel.send(load.identity(reference, digest))
     except SweepError as error:
         channel.send(error)
         return
@@ -423,7 +415,7 @@ def _results(deadlines: Deadlines, task: Task | Call, careful: bool) -> Iterator
         return
     sent = time.monotonic()
     enough = sent + max(ENOUGH_S, task.enough_s)
-    experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
+    experiment = load.load_experiment(task.experiment_reference, digest=task.source_digest)
     split = careful and (experiment.vectorised or takes_several(experiment, task))
     tasks = [replace(task, units=(unit,)) for unit in task.units] if split else [task]
     ready: list[TaskResult] = []

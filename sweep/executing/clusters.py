@@ -34,21 +34,22 @@ from linksweep.sweep.interrupt import SIGNALS
 
 CONNECT_TIMEOUT_S = 10
 
+# An adaptive cluster has as many workers as the tasks in flight would keep busy for this time; tasks are short.
 ADAPT_WITHIN = "500ms"
-"""An adaptive cluster has as many workers as the tasks in flight would keep busy for this time; tasks are short."""
 
+# Seconds that workers get to finish when a run is stopped.
 PATIENCE_S = 0.5
-"""Seconds that workers get to finish when a run is stopped."""
 
+# Seconds that an interrupted run waits for what it has begun to start, so as to end it: usually less than one.
 UNDO_S = 5.0
-"""Seconds that an interrupted run waits for what it has begun to start, so as to end it: usually less than one."""
 
+# Seconds between two looks whether a cluster has lost workers.
 REPLACE_EVERY_S = 5
-"""Seconds between two looks whether a cluster has lost workers."""
 
+# Keeps modules of the present folder, which may be a stranger's, out of the processes of a cluster.
 SAFE_PATH = "PYTHONSAFEPATH"
-"""Keeps modules of the present folder, which may be a stranger's, out of the processes of a cluster."""
 
+# Environment of every worker; Python and libraries read it as they start, before Dask could set anything.
 ENVIRONMENT = {
     "MALLOC_TRIM_THRESHOLD_": str(KEEP_BYTES),
     "MALLOC_MMAP_THRESHOLD_": str(KEEP_BYTES),
@@ -57,7 +58,6 @@ ENVIRONMENT = {
     SAFE_PATH: "1",
     **dict.fromkeys(ONE_THREAD, "1"),
 }
-"""Environment of every worker; Python and libraries read it as they start, before Dask could set anything."""
 
 OWN_CLUSTER = {
     "distributed.admin.low-level-log-length": 10,  # messages kept in memory, with all that they carried
@@ -307,8 +307,8 @@ def _no_record(_record: logging.LogRecord) -> bool:
     return False
 
 
+# The arguments of the `adapt` of a cluster, which takes any other without a word and then does nothing.
 ADAPT = ("minimum", "maximum", "minimum_jobs", "maximum_jobs", "interval", "wait_count", "target_duration")
-"""The arguments of the `adapt` of a cluster, which takes any other without a word and then does nothing."""
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 

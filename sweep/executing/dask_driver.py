@@ -28,24 +28,24 @@ from linksweep.sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_se
 
 PLUGIN = "linksweep"
 
+# Seconds between two looks at the number of workers.
 LOOK_EVERY_S = 1.0
-"""Seconds between two looks at the number of workers."""
 
+# Seconds without workers before the user is told: a worker that died is replaced sooner.
 PATIENCE_S = 3.0
-"""Seconds without workers before the user is told: a worker that died is replaced sooner."""
 
+# Attempts to bring the workers what they need while some of them leave, or a task that fails outside of the experiment
+# to an end, with a pause after each.
 MAX_ATTEMPTS = 6
-"""Attempts to bring the workers what they need while some of them leave, or a task that fails outside of the
-experiment to an end; the pause after the first is `FIRST_PAUSE_S` long, each other of a task twice the one before."""
 
-FIRST_PAUSE_S = 0.25
+PAUSE_S = 0.25
 
+# Most tasks that are sent in one message, and most results that are fetched in one: with a message for each, the round
+# trip to a worker limited a run to 60 tasks a second.
 MOST_SENT, MOST_FETCHED = 32, 256
-"""Most tasks that are sent in one message, and most results that are fetched in one: with a message for each, the round
-trip to a worker limited a run to 60 tasks a second."""
 
+# How often a block may be with a worker that dies: in a task, in a child process, and in one of its own.
 MAX_LOSSES = 3
-"""How often a block may be with a worker that dies: in a task, in a child process, and in one of its own."""
 
 KEPT = "what was finished is kept, the same command goes on from there"
 
@@ -121,8 +121,7 @@ def run_on_worker(task: Task | Call, expected: Identity, guarded: bool, memory_l
 
 @dataclass
 class _Submission:
-    """A job on its way to a worker: how often it was with a worker that died, how often Dask failed with it, and the
-    time of the monotonic clock before which it is not sent.
+    """A job on its way to a worker: how often it was with a worker that died, and how often Dask failed with it.
 
     ``succeeded`` counts the tasks of the run that had succeeded when this job was last lost.
     """
@@ -130,7 +129,6 @@ class _Submission:
     job: Any
     losses: int = 0
     troubles: int = 0
-    not_before: float = 0.0
     succeeded: int = 0
 
 
@@ -186,7 +184,7 @@ class DaskDriver:
             except OSError:
                 if self.client.status != "running" or attempt == MAX_ATTEMPTS - 1:
                     raise
-                time.sleep(FIRST_PAUSE_S)
+                time.sleep(PAUSE_S)
 
     def _look(self) -> None:
         """Count the threads of the workers; raises SweepError where the connection is lost."""
@@ -224,8 +222,6 @@ class DaskDriver:
         self._in_flight: dict[Future[Any], _Submission] = {}
         self._ended: SimpleQueue[Future[Any]] = SimpleQueue()
         self._arrived: deque[tuple[Future[Any], Answer | None]] = deque()
-        self._retries: deque[_Submission] = deque()
-        self._troubles: set[str] = set()
         self._succeeded = 0
         self._send_what_is_new()
         return self._results()
@@ -238,25 +234,15 @@ class DaskDriver:
         while (room := min(self._room(), MOST_SENT)) and (jobs := self._take(room)):
             self._send([_Submission(job) for job in jobs])
 
-    def _send_again(self) -> None:
-        """Send what is to be tried again and is still wanted."""
-        now = time.monotonic()
-        for again in [one for one in self._retries if one.not_before <= now][: self._room()]:
-            self._retries.remove(again)
-            if job := again.job.wanted():
-                self._send([replace(again, job=job)])
-
     def _results(self) -> Iterator[tuple[Any, Any]]:
         """Yield each job with its result until there are no more."""
         while True:
-            self._send_again()
             if not self._arrived or self._room() >= self._threads:
                 self._send_what_is_new()
-            if not self._retries and not self._in_flight:
+            if not self._in_flight:
                 return
             if not self._arrived:
-                self._wait(FIRST_PAUSE_S if self._retries else LOOK_EVERY_S)
-            if not self._arrived:
+                self._wait()
                 continue
             future, fetched = self._arrived.popleft()
             one = self._in_flight.pop(future)
@@ -265,18 +251,23 @@ class DaskDriver:
             except SweepError:
                 raise
             except KilledWorker as error:
-                if parts := self._after_loss(one):
-                    self._retries.extend(parts)
-                else:
-                    yield one.job, one.job.failed(Failure("killed", f"its worker died {MAX_LOSSES} times: {error}"))
+                if one.losses + 1 < MAX_LOSSES:
+                    self._send(self._after_loss(one))
+                    continue
+                if one.succeeded == self._succeeded:  # that is no proof against a block
+                    words = f"the workers of {self._where} die whatever they do; no point is blamed for it, {KEPT}"
+                    raise SweepError(words) from error
+                yield one.job, one.job.failed(Failure("killed", f"its worker died {MAX_LOSSES} times: {error}"))
             except Exception as error:
-                self._retries.append(self._after_trouble(one, error))
+                self._send([self._after_trouble(one, error)])
             else:
                 self._succeeded += 1
                 yield one.job, answer.result
 
     def _send(self, submissions: Sequence[_Submission]) -> None:
         """Send jobs in one message; all of them were with a worker that died equally often."""
+        if not submissions:
+            return
         seconds = task_seconds(self._threads)
         enough_s = 2.0 * seconds if seconds > TASK_S else 0.0
         guarded = submissions[0].losses > 0
@@ -298,42 +289,35 @@ class DaskDriver:
         return self._limits.memory or min(filter(None, limits), default=None)
 
     def _after_loss(self, one: _Submission) -> list[_Submission]:
-        """Return what is to be tried after the death of a worker: the same work in a child process, then each block in
-        one of its own, then nothing.
-
-        Raises SweepError where workers die and nothing else succeeds: that is no proof against a block.
+        """Return what is to be tried after the death of a worker: the work that is still wanted in a child process, and
+        if that takes its worker with it, each block in one of its own.
         """
         losses = one.losses + 1
-        if losses < MAX_LOSSES:
-            self._say(f"a worker died; a child process of another one does its work again ({losses})")
-            jobs = [one.job] if losses == 1 else one.job.alone()
-            return [replace(one, job=job, losses=losses, succeeded=self._succeeded) for job in jobs]
-        if one.succeeded == self._succeeded:
-            raise SweepError(f"the workers of {self._where} die whatever they do; no point is blamed for it, {KEPT}")
-        return []
+        self._say(f"a worker died; a child process of another one does its work again ({losses})")
+        jobs = [one.job] if losses == 1 else one.job.alone()
+        some = [replace(one, job=job.wanted(), losses=losses, succeeded=self._succeeded) for job in jobs]
+        return [again for again in some if again.job]
 
     def _after_trouble(self, one: _Submission, error: Exception) -> _Submission:
         """Return what is to be tried after an error that is not the experiment's; raises SweepError after too many."""
-        troubles = one.troubles + 1
         what = f"{type(error).__name__}: {error}"
-        if troubles >= MAX_ATTEMPTS:
+        if one.troubles + 1 >= MAX_ATTEMPTS:
             raise SweepError(
-                f"a task on {self._where} failed {troubles} times outside of the experiment, last with {what}; "
+                f"a task on {self._where} failed {MAX_ATTEMPTS} times outside of the experiment, last with {what}; "
                 f"no point is blamed for it, {KEPT}"
             ) from error
-        if what not in self._troubles:
-            self._troubles.add(what)
-            self._say(f"warning: a task failed outside of the experiment ({what}); it is tried again")
-        return replace(one, troubles=troubles, not_before=time.monotonic() + FIRST_PAUSE_S * 2.0 ** (troubles - 1))
+        self._say(f"warning: a task failed outside of the experiment ({what}); it is tried again")
+        time.sleep(PAUSE_S)  # what ails Dask may pass
+        return replace(one, troubles=one.troubles + 1)
 
-    def _wait(self, timeout: float) -> None:
+    def _wait(self) -> None:
         """Wait for futures that end, and watch the workers meanwhile; fetch results in one message.  What fails so is
         fetched by itself later.
         """
         if time.monotonic() - self._looked > LOOK_EVERY_S:
             self._look()
         try:
-            futures = [self._ended.get(timeout=timeout)]
+            futures = [self._ended.get(timeout=LOOK_EVERY_S)]
         except Empty:
             return
         while len(futures) < MOST_FETCHED and not self._ended.empty():

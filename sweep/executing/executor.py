@@ -21,20 +21,20 @@ from linksweep.sweep.studies.study import Study
 
 Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]
 
+# Seconds of work that are worth the start of worker processes: each imports for itself what its first point needs.
 WORKERS_START_S = 0.3
-"""Seconds of work that are worth the start of worker processes: each imports for itself what its first point needs."""
 
+# Seconds of work that show how long the rest takes: a first call may take a hundred times as long as the others.
 JUDGED_S = 0.05
-"""Seconds of work that show how long the rest takes: a first call may take a hundred times as long as the others."""
 
+# Random numbers that take half a second to draw: a run of more is worth the start of workers, whatever it computes.
 CERTAINLY_LONG = 5e7
-"""Random numbers that take half a second to draw: a run of more is worth the start of workers, whatever it computes."""
 
+# Results that may wait in memory for one before them.
 MOST_WAITING = 16
-"""Results that may wait in memory for one before them."""
 
+# An executor of the work of one study.
 Run = Callable[[Callable[[int], list[list[Work]]]], Iterator[tuple[list[Work], TaskResult]]]
-"""An executor of the work of one study."""
 
 
 def choose_executor(study: Study, cost: float, resources: Resources, say: Say) -> Opened:

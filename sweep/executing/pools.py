@@ -3,10 +3,8 @@
 A new pool needs an entry in `POOLS` and a name in `PoolName`.
 """
 
-import gc
 import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -101,17 +99,3 @@ ANY_RESOURCES = Resources()
 def available_cores() -> int:
     """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextmanager
-def uncollected() -> Iterator[None]:
-    """Collect no garbage in this block: modules are none, and importing pandas and xarray takes a tenth less time where
-    Python does not search for it after every few hundred new objects.
-    """
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()

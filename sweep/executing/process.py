@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
+# Characters and different warnings of one block that are kept.
 MOST_PRINTED, MOST_WARNINGS = 10_000, 100
-"""Characters and different warnings of one block that are kept."""
 
+# Seconds between the exception and the end of the process: a block in compiled code does not see the exception.
 GRACE_S = 2.0
-"""Seconds between the exception and the end of the process: a block in compiled code does not see the exception."""
 
 
 @dataclass

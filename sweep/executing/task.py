@@ -18,8 +18,8 @@ from linksweep.sweep.executing.process import Captured
 from linksweep.sweep.planning.plan import Work
 from linksweep.sweep.studies.study import Study
 
+# Characters that are kept of what an experiment says when it fails.
 MAX_MESSAGE, MAX_TRACEBACK = 1_000, 20_000
-"""Characters that are kept of what an experiment says when it fails."""
 
 
 @dataclass(frozen=True)
@@ -175,8 +175,8 @@ class Batch:
         return failed(len(self), reason)
 
 
+# What an executor computes in one piece.
 AnyJob = TypeVar("AnyJob", Batch, Call)
-"""What an executor computes in one piece."""
 
 Say = Callable[[str], None]
 

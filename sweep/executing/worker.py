@@ -37,37 +37,37 @@ from linksweep.sweep.executing.task import (
 from linksweep.sweep.functions.results import differences, same_value
 from linksweep.sweep.planning.plan import generators_of
 
+# Seconds after which a task returns what it has, so that its results do not wait for those of slower points.
 ENOUGH_S = 2.0
-"""Seconds after which a task returns what it has, so that its results do not wait for those of slower points."""
 
+# Most catalogues in one call.
 MOST_CATALOGUES = 256
-"""Most catalogues in one call."""
 
+# A first call in a process that takes longer is slow by itself; a shorter one may be so for what it imports.
 IMPORTS_S = 30.0
-"""A first call in a process that takes longer is slow by itself; a shorter one may be so for what it imports."""
 
+# Points of a process's first call of a vectorised function for more than these that are also computed alone.
 CHECKED = 3
-"""Points of a process's first call of a vectorised function for more than these that are also computed alone."""
 
+# Seconds of a first call after which there is no second one.
 LONGEST_S = 1.0
-"""Seconds of a first call after which there is no second one."""
 
 WHAT_TO_DO = (
     "A function that draws random numbers takes them from its argument rng; one whose results need not be the same "
     "declares @experiment(deterministic=False)"
 )
 
+# The reference and the digest of an experiment.
 Who = tuple[str, str | None]
-"""The reference and the digest of an experiment."""
 
+# The experiments that were called in this process, by thread.
 _called: set[tuple[Who, int]] = set()
-"""The experiments that were called in this process, by thread."""
 
+# How points of vectorised functions depend on those beside them.
 _dependence: dict[Who, str] = {}
-"""How points of vectorised functions depend on those beside them."""
 
+# The functions that returned the same twice in this process.
 _agreed: set[Who] = set()
-"""The functions that returned the same twice in this process."""
 
 
 def compute(task: Task | Call, deadlines: Deadlines | None = None) -> Any:
@@ -133,7 +133,11 @@ def _run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
 
 
 def _one_by_one(
-    experiment: Experiment, task: Task, units: Sequence[PointBlock], deadlines: Deadlines, said: Captured
+    experiment: Experiment,
+    task: Task,
+    units: Sequence[PointBlock],
+    deadlines: Deadlines,
+    said: Captured,
 ) -> Iterator[TaskResult]:
     """Yield the result of each of these units of a task, with what was ``said`` meanwhile."""
     for unit in units:
@@ -154,7 +158,12 @@ def _one_by_one(
 
 
 def _try(
-    experiment: Experiment, rows: list[int], unit: PointBlock, task: Task, result: TaskResult, deadlines: Deadlines
+    experiment: Experiment,
+    rows: list[int],
+    unit: PointBlock,
+    task: Task,
+    result: TaskResult,
+    deadlines: Deadlines,
 ) -> bool:
     """Compute some points of a unit and fill in these rows of its result; return whether that succeeded."""
     pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)

@@ -14,17 +14,8 @@ from typing import Annotated, Any, Literal, TypeGuard, TypeVar, Union, cast, get
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Experiment, GeneratorPair, SweepError, shown
-from linksweep.sweep.contract.parameter import (
-    RESERVED,
-    TAKEN,
-    Kind,
-    Output,
-    Parameter,
-    Point,
-    packages_problems,
-    parameter_problems,
-)
+from linksweep.sweep.contract import Experiment, GeneratorPair, Kind, Output, Parameter, Point, SweepError, shown
+from linksweep.sweep.contract.parameter import name_problem, packages_problems, parameter_problems
 from linksweep.sweep.contract.reducer import Array, Outcome, Reducer, ResultError, Rows
 from linksweep.sweep.contract.units import unit_problem
 from linksweep.sweep.functions import results
@@ -155,14 +146,10 @@ def _read_signature(function: Callable[..., Any], problems: list[str]) -> "Funct
     """Return the experiment of a function that declares nothing; ``problems`` takes every reason why it cannot be."""
     name, whole = name_of(function), _wrapped(function)
     call = whole if inspect.isroutine(whole) else getattr(whole, "__call__", whole)  # noqa: B004
-    wrong_kinds = {
-        "a class": isinstance(whole, type),
-        "a NumPy ufunc": isinstance(whole, np.ufunc),
-        "async": inspect.iscoroutinefunction(call) or inspect.isasyncgenfunction(call),
-        "a generator": inspect.isgeneratorfunction(call),
-    }
     wrap = "wrap it in a function that takes its parameters by name and returns its results"
-    problems += [f"is {kind}; {wrap}" for kind, is_so in wrong_kinds.items() if is_so]
+    later = inspect.iscoroutinefunction, inspect.isasyncgenfunction, inspect.isgeneratorfunction
+    if isinstance(whole, type | np.ufunc) or any(returns_later(call) for returns_later in later):
+        problems.append(f"is a class, a NumPy ufunc, async or a generator; {wrap}")
     arguments: Mapping[str, inspect.Parameter] = {}
     try:
         arguments = {} if problems else inspect.signature(function, eval_str=True).parameters
@@ -211,7 +198,7 @@ def _parameter(argument: inspect.Parameter) -> Parameter | None:
         raise ValueError(f"parameter {name}: the type {wrong} is none of {ALLOWED}")
     if kind is None or (default is not None and type(default) not in KINDS):
         return None
-    if kind == "float" and type(default) is int:
+    if kind == "float" and type(default) is int:  # the digest of a point with 1 would differ from that with 1.0
         default = float(default)
     meaning = noted.meaning or (noted.name if noted.name != name else "") or name.replace("_", " ")
     choices = choices or noted.choices
@@ -227,7 +214,7 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
         kinds = {KINDS.get(type(choice)) for choice in choices}
     elif get_origin(annotation) in (Union, types.UnionType):
         parts = [_kind(part) for part in get_args(annotation) if part is not type(None)]
-        kinds = {kind for kind, _ in parts}
+        kinds = {kind for kind, _ in parts}  # without None: a study cannot write it, and leaves the parameter out
         if kinds == {"int", "float"}:
             return "float", ()
         choices = tuple(choice for _, some in parts for choice in some)
@@ -253,8 +240,8 @@ def _checked(function: Callable[..., Any], declaration: Declaration) -> "Functio
     problems: list[str] = []
     made = _read_signature(function, problems)
     for parameter in made.parameters:
-        texts = [*([TAKEN] if parameter.name in RESERVED else []), *parameter_problems(parameter)]
-        problems += [f"parameter {parameter.name!r}: {text}" for text in texts]
+        texts = [name_problem(parameter.name), *parameter_problems(parameter)]
+        problems += [f"parameter {parameter.name!r}: {text}" for text in texts if text]
     outputs = [one for one in declaration.outputs if isinstance(one, Output)]
     problems += [f"outputs: {shown(one)} is no Output" for one in declaration.outputs if not isinstance(one, Output)]
     problems += _problems_of_outputs(outputs, made)
@@ -421,12 +408,12 @@ class FunctionExperiment(Experiment):
         """
         call, declared = self.call, self.declared
         assert call is not None, "the record of an experiment computes nothing"
-        if self.vectorised:
+        if self.vectorised:  # the caller sends many points only to such functions
             columns = {name: np.array([point[name] for point in points]) for name in points[0]}
             return results.split_points(call(**columns), len(points), declared, "points")
         if not self.rng:
             return [results.flatten(call(**point), declared) for point in points]
-        rng, outcomes = next(iter(pairs))[0], []
+        rng, outcomes = next(iter(pairs))[0], []  # a function has no outer draw, so the second one is not used
         for point in points:
             if self.takes_n_sim:
                 together = call(**point, rng=rng, n_sim=n_sim)
@@ -525,7 +512,7 @@ def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
         return _made.__wrapped__(function)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=64)  # a worker asks for it with each task
 def _made(function: Callable[..., Any]) -> FunctionExperiment:
     return _checked(function, declaration_of(function))
 

@@ -6,7 +6,7 @@ import dataclasses
 import datetime
 import math
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple
@@ -111,40 +111,36 @@ def problems_of_names(layout: Layout, parameters: tuple[str, ...]) -> tuple[str,
     return tuple(problems)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=256)  # workers send equal layouts again and again, each time as a new object
 def differences(expected: Layout, other: Layout) -> tuple[str, ...]:
     """Return a phrase for each difference between results and those of the first point, none if they fit the layout.
 
     The order does not matter, and integers and floats are joined.
     """
-    wanted, there = ({field.name: field for field in layout.fields} for layout in (expected, other))
-    extra = [name for name in there if name not in wanted]
-    phrases = [f"{name!r} is missing{suggest(name, extra) if extra else ''}" for name in wanted if name not in there]
+    wanted, names = ([field.name for field in layout.fields] for layout in (expected, other))
+    extra = [name for name in names if name not in wanted]
+    phrases = [f"{name!r} is missing{suggest(name, extra) if extra else ''}" for name in wanted if name not in names]
     phrases += [f"{name!r} was not returned by the first point" for name in extra]
-    along: set[str] = set()
-    for name in wanted.keys() & there.keys():
-        one, two = wanted[name], there[name]
-        if not {one.type, two.type} <= NUMBERS:
-            phrases += _unlike(f"{name!r}", "type", one.type, two.type)
-        phrases += _unlike(f"{name!r}", "unit", one.unit, two.unit)
-        if not (unlike := _unlike(f"{name!r}", "dimensions", one.dims, two.dims)):
-            along.update(one.dims)
-        phrases += unlike
-    known, coordinates = ({c.name: c for c in layout.coordinates} for layout in (expected, other))
-    for dim in sorted(along):
-        before, now, what = known[dim], coordinates[dim], f"the coordinate {dim!r}"
-        unlike = _unlike(what, "length", len(before.values), len(now.values))
-        if not unlike:
-            unlike = _unlike(what, "type", before.type, now.type) + _unlike(what, "unit", before.unit, now.unit)
-        if not unlike and before != now:
-            i = next(i for i, value in enumerate(before.values) if value != now.values[i])
-            unlike = _unlike(f"{what}, at index {i},", "value", before.values[i], now.values[i])
-        phrases += unlike
-    return tuple(phrases)
+    before, now = _facts(expected), _facts(other)
+    phrases += [
+        f"{what} is {shown(now[what])}, expected {shown(value)}"
+        for what, value in before.items()
+        if what in now and now[what] != value
+    ]
+    return tuple(phrases[:5])
 
 
-def _unlike(what: str, quality: str, expected: Any, value: Any) -> list[str]:
-    return [] if value == expected else [f"{what} has the {quality} {shown(value)}, expected {shown(expected)}"]
+def _facts(layout: Layout) -> dict[str, Any]:
+    facts: dict[str, Any] = {}
+    for field in layout.fields:
+        kind = "number" if field.type in NUMBERS else field.type
+        qualities = {"dims": field.dims, "type": kind, "unit": field.unit}
+        facts |= {f"the {quality} of {field.name!r}": value for quality, value in qualities.items()}
+    for one in layout.coordinates:
+        facts |= {f"the length of {one.name!r}": len(one.values), f"the unit of the coordinate {one.name!r}": one.unit}
+        facts[f"the type of the coordinate {one.name!r}"] = one.type
+        facts |= {f"value {i} of the coordinate {one.name!r}": value for i, value in enumerate(one.values)}
+    return facts
 
 
 @lru_cache(maxsize=256)
@@ -188,6 +184,7 @@ class Value(NamedTuple):
 
 def coordinate_of(dim: str, values: Any, unit: str = "") -> Coordinate:
     """Return a coordinate from values, or from (values, unit); raises ResultError where they cannot be one."""
+    # (values, unit) and not two values: the second one is a text, and the first has several
     if isinstance(values, tuple) and len(values) == 2 and isinstance(values[1], str) and np.ndim(values[0]) == 1:
         values, unit = values
     try:
@@ -223,7 +220,7 @@ def value_of(value: Any) -> Value:
         coordinates = tuple(coordinate_of(dim, one.values, str(one.attrs.get("units", ""))) for dim, one in along)
         unit, meaning = (str(value.attrs.get(key, "")) for key in ("units", "long_name"))
         return Value(*_typed(value.values), dims, coordinates, unit, meaning)
-    if isinstance(value, np.ma.MaskedArray) or hasattr(value, "unmasked"):  # of NumPy or astropy
+    if isinstance(value, np.ma.MaskedArray) or hasattr(value, "unmasked"):  # of NumPy or astropy; never read as numbers
         if n := int(np.sum(value.mask)):
             raise ResultError(f"has {n} masked values; fill them, with NaN where the output declares nan=True")
         value = value.unmasked if hasattr(value, "unmasked") else value.data
@@ -408,16 +405,54 @@ def flatten(result: Any, declared: Declared) -> Outcome:
     # Names and types of scalars that have occurred take two microseconds, the way below sixty: points are millions.
     if (layout := declared.layouts.get(key)) is not None and all(map(_is_plain, scalars.values())):
         return Outcome(tuple(scalars.values()), None, layout)
+    row, layout = _read(result, declared)
+    if SCALARS.issuperset(kind for _, kind in key):
+        declared.layouts[key] = layout
+    return Outcome(tuple(array[()] for array in row), None, layout)
+
+
+def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Outcome]:
+    """Return the result of each of n points or realisations (``noun``) from arrays whose first axis counts them.
+
+    Raises ResultError as `flatten`, and for arrays of another length.
+    """
+    each = f"expected an array, one for each of {n} {noun}"
+
+    def column(value: Value) -> Value:
+        if value.dims is not None:
+            raise ResultError(f"is an xarray object, {each}")
+        if value.array.ndim == 0 and value.type in NUMBERS:  # perhaps a sum or a mean
+            raise ResultError(f"is one number, {each}")
+        array = np.broadcast_to(value.array, (n,)) if value.array.ndim == 0 else value.array
+        if len(array) != n:
+            raise ResultError(f"has {len(array)} values, {each}")
+        return value._replace(array=array)
+
+    columns, layout = _read(result, declared, column)
+    # scalars as those of Python, whose pickles are small
+    elements = [c.tolist() if c.ndim == 1 and c.dtype.kind != "M" else list(c) for c in columns]
+    return [Outcome(row, None, layout) for row in zip(*elements, strict=True)]
+
+
+def _read(
+    result: Any, declared: Declared, column: Callable[[Value], Value] | None = None
+) -> tuple[list[NDArray[Any]], Layout]:
+    """Return the arrays of a result, and its layout; with ``column``, which checks them, that of their elements."""
     named = declared.named(result)
     problems = [
         f"does not return the output {name!r}{suggest(name, [n for n in named if n not in declared.by_name])}"
         for name in declared.by_name
         if name not in named
     ]
-    values: dict[str, Value] = {}
-    for name, value in named.items():
+    arrays, values = list[NDArray[Any]](), dict[str, Value]()
+    for name, raw in named.items():
         try:
-            values[name] = _as_declared(name, value_of(value), declared)
+            value = value_of(raw)
+            if column is not None:
+                value = column(value)
+                arrays.append(value.array)
+                value = value._replace(array=np.asarray(value.array[0]))  # all have the layout of the first
+            values[name] = _as_declared(name, value, declared)
         except ResultError as error:
             problems.append(f"{name!r} {error}")
     if not problems:
@@ -429,42 +464,9 @@ def flatten(result: Any, declared: Declared) -> Outcome:
     layout = Layout(fields, tuple(coordinates[dim] for dim in used))
     if wrong := problems_of_names(layout, declared.parameters):
         raise declared.refused(wrong)
-    _check_finite({name: value.array for name, value in values.items()}, layout, declared)
-    if SCALARS.issuperset(kind for _, kind in key):
-        declared.layouts[key] = layout
-    return Outcome(tuple(value.array[()] for value in values.values()), None, layout)
-
-
-def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Outcome]:
-    """Return the result of each of n points or realisations (``noun``) from arrays whose first axis counts them.
-
-    Raises ResultError as `flatten`, and for arrays of another length.
-    """
-    columns: dict[str, NDArray[Any]] = {}
-    problems, each = [], f"expected an array, one for each of {n} {noun}"
-    for name, values in declared.named(result).items():
-        try:
-            value = value_of(values)
-            output = declared.by_name.get(name, Output(name))
-            if value.dims is not None:
-                raise ResultError(f"is an xarray object, {each}")
-            if value.unit and not same_unit(output.unit, value.unit):
-                raise ResultError(f"is in {value.unit}; declare that as the unit of its output")
-            if value.array.ndim == 0 and value.type in NUMBERS:  # perhaps a sum or a mean
-                raise ResultError(f"is one number, {each}")
-            array = np.broadcast_to(value.array, (n,)) if value.array.ndim == 0 else value.array
-            if len(array) != n:
-                raise ResultError(f"has {len(array)} values, {each}")
-            columns[name] = array
-        except ResultError as error:
-            problems.append(f"{name!r} {error}")
-    if problems:
-        raise declared.refused(problems)
-    layout = flatten({name: array[0] for name, array in columns.items()}, declared).layout
-    _check_finite(columns, layout, declared)
-    # scalars as those of Python, whose pickles are small
-    elements = [c.tolist() if c.ndim == 1 and c.dtype.kind != "M" else list(c) for c in columns.values()]
-    return [Outcome(row, None, layout) for row in zip(*elements, strict=True)]
+    arrays = arrays or [value.array for value in values.values()]
+    _check_finite(arrays, layout, declared)
+    return arrays, layout
 
 
 def _as_declared(name: str, value: Value, declared: Declared) -> Value:
@@ -485,7 +487,7 @@ def _as_declared(name: str, value: Value, declared: Declared) -> Value:
 def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[str, Coordinate], list[str]]:
     """Return the coordinate of each dimension: that which is declared or came with an output, or 0, 1, 2 ..."""
     known = dict(declared.coordinates)
-    problems: dict[str, None] = {}
+    problems: dict[str, None] = {}  # each once, in order: outputs share dimensions
     for name, value in values.items():
         for one in value.coordinates:
             before = known.setdefault(one.name, one)
@@ -501,10 +503,10 @@ def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[
     return known, list(problems)
 
 
-def _check_finite(arrays: Mapping[str, NDArray[Any]], layout: Layout, declared: Declared) -> None:
+def _check_finite(arrays: Sequence[NDArray[Any]], layout: Layout, declared: Declared) -> None:
     problems = []
-    for field in layout.fields:
-        array, output = arrays[field.name], declared.by_name.get(field.name)
+    for field, array in zip(layout.fields, arrays, strict=True):
+        output = declared.by_name.get(field.name)
         if output is not None and output.nan:
             continue
         if field.type == "float" and (problem := not_finite(field.name, array, is_one=array.ndim == 0)):

@@ -98,7 +98,7 @@ def merged(one: Array, n_one: float, other: Array, n_other: float) -> Array:
     (mean_a, m2_a, m3_a, m4_a, low_a, high_a), (mean_b, m2_b, m3_b, m4_b, low_b, high_b) = one, other
     shift = mean_b - mean_a
     a, b = n_one / n, n_other / n
-    mean = mean_a + shift * b
+    mean = mean_a + shift * b  # not the mean of sums: it stays exact far from zero
     m2 = m2_a + m2_b + shift**2 * n_one * b
     m3 = m3_a + m3_b + shift**3 * n_one * b * (a - b) + 3.0 * shift * (a * m2_b - b * m2_a)
     m4 = m4_a + m4_b + shift**4 * n_one * b * (a * a - a * b + b * b)
@@ -128,6 +128,7 @@ def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array,
         of_share = np.sqrt(likely * (1.0 - likely) / count)
         if name == "count":
             return np.round(mean * count), of_share * count
+        # m2 has its largest value, for this mean and these extremes, where nothing lies between them
         two_values = (m2 >= (1.0 - SAME) * count * (mean - low) * (high - mean)) | binary
         skewness = m3**2 / m2**3  # squared, over the number of realisations
         fewest = reducer.FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
@@ -151,6 +152,7 @@ def _relative(moments: Array, n: Array) -> Array:
     kurtosis = np.maximum(factor * ((count + 1.0) * (count * m4 / m2**2 - 3.0) + 6.0), -2.0)
     skewness = np.sqrt(m3**2 / m2**3 * count**2 * (count - 1.0)) / (count - 2.0)
     plain = (kurtosis + 2.0 + 2.0 / (count - 1.0)) / (4.0 * count)
+    # by simulation, so that samples in which the tails are missing do not look too precise
     enlarged = np.exp(np.clip((8.0 * kurtosis + 62.0 * skewness + 3.3 * kurtosis**2) / count, -0.5, 3.0))
     return np.sqrt(plain * enlarged)
 
@@ -175,7 +177,7 @@ def quantiles(levels: Sequence[float], realisations: Array) -> Array:
     The error is NaN for fewer realisations than `fewest_for`, and where values repeat between the limits.
     """
     n = len(realisations)
-    ordered = np.sort(realisations, axis=0)
+    ordered = np.sort(realisations, axis=0)  # once for all levels
     found = np.full((len(levels), 2, realisations.shape[1]), np.nan)
     for i, level in enumerate(levels):
         found[i, 0] = np.quantile(ordered, level, axis=0, method="hazen")
@@ -263,7 +265,7 @@ class Moments:
 
     def add(self, total: Rows, block: Rows) -> Rows:
         """Return the moments of two sets of realisations as one."""
-        if not total["n"].any():
+        if not total["n"].any():  # before the first block all is zero, which would be its least or largest value
             return block
         joined = block.copy()
         joined["n"] = total["n"] + block["n"]

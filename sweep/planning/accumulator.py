@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, Experiment, Rows, check_finite
+from linksweep.sweep.contract import Array, Experiment, Rows
 from linksweep.sweep.contract.block import Block, BlockRows, ledger_key
-from linksweep.sweep.contract.reducer import converted
+from linksweep.sweep.contract.reducer import check_finite, converted
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
 from linksweep.sweep.planning.plan import NOTHING, Groups, Plan, PlanSize, Survey, Work, cost_together, wanted_parts
 from linksweep.sweep.planning.point_status import Status
 
+# As integers: NumPy compares arrays with them ten times as fast as with members of an enumeration.
 MISSING, DONE = int(Status.MISSING), int(Status.DONE)
-"""As integers: NumPy compares arrays with them ten times as fast as with members of an enumeration."""
 
 
 @dataclass(slots=True)
@@ -68,6 +68,7 @@ class Accumulator:
         self.survey = replace(self._survey(held), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
 
     def _survey(self, rows: Rows) -> Survey:
+        # Three ways for the sake of time: a million points take seconds, one after the other minutes.
         if not self._rows and not self._failed:
             return self._survey_of_new_points()
         if self._whole is not None:
@@ -141,7 +142,8 @@ class Accumulator:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""
         held = left = NOTHING
         blocks = list(self._blocks(point))
-        for block in blocks:  # which grows where a precision needs more
+        # Adding the last block of a round may show that a precision needs more: the list grows meanwhile.
+        for block in blocks:
             key = ledger_key(point.digest, block)
             row = self._rows.get(key)
             size = PlanSize(0, 1, block.realisations, self.plan.work((point,), block).cost)
@@ -159,7 +161,8 @@ class Accumulator:
         if not self._is_wanted(point):
             return ()
         blocks = self._blocks(point)
-        if self._whole is not None or not self._rows:  # what the ledger holds is done, or there is nothing in it
+        # What the ledger holds is done, or there is nothing in it: no key needs to be made.
+        if self._whole is not None or not self._rows:
             return blocks
         return [b for b in blocks if ledger_key(point.digest, b) not in self._rows]
 
@@ -242,6 +245,7 @@ class Accumulator:
             results = study.experiment.reducer.finish(self.total[list(indices)], n, n_cat)
             check_finite(results, study.experiment.nan_outputs())
         except Exception as error:  # whatever a user's function raises
+            # All points are finished in one call; halves find those that are to blame with few calls.
             if len(indices) == 1:
                 return {indices[0]: error}
             half = len(indices) // 2

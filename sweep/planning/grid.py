@@ -4,8 +4,8 @@ import itertools
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property, partial
 from hashlib import blake2b
 from typing import Any, Generic, TypeVar
@@ -21,14 +21,14 @@ from linksweep.sweep.tables.file import as_json
 T = TypeVar("T")
 
 MAX_POINTS = 10_000_000
+# The most reasons, repeated points and different warnings that are listed.
 MAX_PROBLEMS = 20
-"""The most reasons, repeated points and different warnings that are listed."""
 
+# The most answers that are kept of a function of a point.
 MAX_KEPT = 100_000
-"""The most answers that are kept of a function of a point."""
 
+# How many points have their places in memory at a time.
 AT_ONCE = 2**16
-"""How many points have their places in memory at a time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,34 +41,29 @@ class GridPoint:
     stream: bytes
 
 
-@dataclass(frozen=True)
 class Grid:
     """The points of a study.  The dimension of a table of points comes first, then the axes in their order; zipped axes
     share the dimension of the first of them.  ``warnings`` are those of the experiment, if `make_grid` has asked it.
+
+    ``dimensions`` has the axes along each dimension, ``shape`` its length, ``rows`` the values at each place along it,
+    one for each of its axes; ``first_rows`` is for each row of a table of points the first row that is the same point,
+    None where no row repeats.
     """
 
-    study: Study
-    warnings: list[str] = field(default_factory=list, compare=False)
-
-    @cached_property
-    def dimensions(self) -> dict[str, tuple[str, ...]]:
-        """The axes along each dimension, by the dimension's name."""
-        return self.study.dimensions
-
-    @cached_property
-    def shape(self) -> tuple[int, ...]:
-        """Length of each dimension."""
-        return tuple(len(self.study.axes[axes[0]]) for axes in self.dimensions.values())
-
-    @cached_property
-    def first_rows(self) -> NDArray[np.intp] | None:
-        """For each row of a table of points the first row that is the same point; None where no row repeats."""
-        if self.study.points is None:
-            return None
-        rows = self.rows[POINT]
+    def __init__(self, study: Study, warnings: Sequence[str] = ()) -> None:
+        """Take the axes of a study; nothing is asked."""
+        self.study, self.warnings, self.dimensions = study, list(warnings), study.dimensions
+        self.shape = tuple(len(study.axes[axes[0]]) for axes in self.dimensions.values())
+        self.rows: dict[str, list[tuple[Value, ...]]] = {
+            name: list(zip(*(study.axes[axis] for axis in axes), strict=True)) for name, axes in self.dimensions.items()
+        }
         first: dict[tuple[Value, ...], int] = {}
-        found = np.array([first.setdefault(values, place) for place, values in enumerate(rows)])
-        return found if len(first) < len(rows) else None
+        places = [first.setdefault(values, place) for place, values in enumerate(self.rows.get(POINT, ()))]
+        self.first_rows = np.array(places) if len(first) < len(places) else None
+        self._fixed = study.experiment.defaults() | dict(study.fixed)
+        self._names = [axis for axes in self.dimensions.values() for axis in axes]
+        # parameters that do not change a point's random numbers
+        self._shared = frozenset(study.experiment.shared if study.sampling.common_random_numbers else ())
 
     def with_repeats(self, of_points: NDArray[Any]) -> NDArray[Any]:
         """Return an array over the points, (points, ...), in which repeated rows of a table have what the first has:
@@ -163,26 +158,6 @@ class Grid:
     def _places(self, indices: NDArray[np.intp]) -> list[list[int]]:
         """Return where along each dimension the points at ``indices`` are."""
         return [along.tolist() for along in np.unravel_index(indices, self.shape)] if self.shape else []
-
-    @cached_property
-    def _fixed(self) -> dict[str, Any]:
-        return self.study.experiment.defaults() | dict(self.study.fixed)
-
-    @cached_property
-    def _names(self) -> list[str]:
-        return [axis for axes in self.dimensions.values() for axis in axes]
-
-    @cached_property
-    def rows(self) -> dict[str, list[tuple[Value, ...]]]:
-        """The values at each place along each dimension, one for each of its axes."""
-        axes = self.study.axes
-        return {name: list(zip(*(axes[axis] for axis in own), strict=True)) for name, own in self.dimensions.items()}
-
-    @cached_property
-    def _shared(self) -> frozenset[str]:
-        """Parameters that do not change a point's random numbers."""
-        study = self.study
-        return frozenset(study.experiment.shared if study.sampling.common_random_numbers else ())
 
     def draw(self, parameters: Mapping[str, Any]) -> tuple[Value, ...]:
         """Return a key that is equal for two points of this grid exactly if they share their random numbers."""

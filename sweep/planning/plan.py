@@ -7,9 +7,9 @@ fastest sound bit generator of NumPy.
 
 import math
 import struct
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cache, cached_property, lru_cache
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,48 +19,46 @@ from linksweep.sweep.contract.block import Block
 from linksweep.sweep.planning.grid import Grid, GridPoint, PointCache
 from linksweep.sweep.studies.study import Study
 
+# The most random numbers in a block of several catalogues, and in a task that returns samples: about 0.2 s of work,
+# against 2 ms that Dask spends on a task.
 TARGET = 2**24
-"""The most random numbers in a block of several catalogues, and in a task that returns samples: about 0.2 s of work,
-against 2 ms that Dask spends on a task."""
 
+# What one evaluation costs besides its random numbers, counted in random numbers.
 OVERHEAD = 20_000
-"""What one evaluation costs besides its random numbers, counted in random numbers."""
 
+# Points that share one draw in one piece of work: enough to make the draw cheap, few enough to fit in memory.
 MOST_SHARING = 64
-"""Points that share one draw in one piece of work: enough to make the draw cheap, few enough to fit in memory."""
 
+# The least share of its cost that a point takes if it uses the random numbers of another: its part of the linear
+# algebra. With errors of both catalogues it takes nearly all of it.
 SHARED = 0.05
-"""The least share of its cost that a point takes if it uses the random numbers of another: its part of the linear
-algebra.  With errors of both catalogues it takes nearly all of it.
-"""
 
 MAX_BLOCKS = 10_000_000
 
+# For how many different costs of points the blocks are kept in memory.
 MOST_CUTS = 1000
-"""For how many different costs of points the blocks are kept in memory."""
 
+# The most entries in a table of the costs of points that is put into a store.
 MOST_COSTS = 10_000
-"""The most entries in a table of the costs of points that is put into a store."""
 
 MAX_SIMS = 512
 FIRST_SIMS = 64
 MAX_CATALOGUES = 16
 
+# The most random numbers in a block of one catalogue: setting up a catalogue costs as much as some tens of its
+# realisations, so a block has more than that, but an interruption should lose no more than a few seconds of work.
 LARGEST_BLOCK = 2**28
-"""The most random numbers in a block of one catalogue: setting up a catalogue costs as much as some tens of its
-realisations, so a block has more than that, but an interruption should lose no more than a few seconds of work."""
 
 
+# A point that is not precise enough gets at most this many times its realisations before it is checked again.
 LARGEST_STEP = 16
-"""A point that is not precise enough gets at most this many times its realisations before it is checked again."""
 
+# A precision counts as reached if it is still reached with this many times the realisations: errors are estimates too,
+# and the first that is small enough is often one that is too small by chance.
 CONFIRMED = 1.25
-"""A precision counts as reached if it is still reached with this many times the realisations: errors are estimates too,
-and the first that is small enough is often one that is too small by chance.
-"""
 
+# Realisations from which an error that is still not known no longer counts, as where all realisations are alike.
 KNOWN_BY = 4096
-"""Realisations from which an error that is still not known no longer counts, as where all realisations are alike."""
 
 
 class Work(NamedTuple):
@@ -90,8 +88,8 @@ class PlanSize:
 
 
 NOTHING = PlanSize(0, 0, 0, 0.0)
+# The cost of a realisation and what is left of each of the points that share random numbers, by what they share.
 Groups = dict[tuple[Value, ...], list[tuple[float, PlanSize]]]
-"""The cost of a realisation and what is left of each of the points that share random numbers, by what they share."""
 
 
 @dataclass(frozen=True)
@@ -104,29 +102,30 @@ class Survey:
     failed: int = 0
 
 
-@dataclass(frozen=True)
 class Plan:
     """How the points of a grid are cut into blocks.
 
     Invariant (a test checks this sentence): the blocks of a point tile its n_cat x n_sim realisations exactly once,
     and neither they nor their streams depend on anything but the seed, the point's own parameters, n_cat and n_sim.
+
+    ``blocks(cost, parts)`` are those of a point, of all or some parts; ``block_shape(cost)`` says how many realisations
+    of how many catalogues a whole block holds.  Both depend on the random numbers that a realisation takes alone, so
+    that more realisations or catalogues leave whole blocks as they are: only a last, partial one is computed again.
     """
 
-    grid: Grid
+    def __init__(self, grid: Grid) -> None:
+        """Take a grid; nothing is asked yet."""
+        experiment = grid.study.experiment
+        self.grid = grid
+        # All points cost the same, and need not be looked at.
+        self.costs_nothing_special = not experiment.says_cost
+        self._cost = PointCache(experiment.cost, grid.study.axes)
+        self.blocks = lru_cache(MOST_CUTS)(self._blocks)
+        self.block_shape = cache(self._shape)
 
     def of(self, study: Study) -> "Plan":
         """Return the plan of the same points, for a study that knows more about their results."""
-        return Plan(replace(self.grid, study=study))
-
-    @cached_property
-    def blocks(self) -> Callable[..., Sequence[Block]]:
-        """The blocks of a point as a function of the random numbers that a realisation of it takes, and of the parts
-        (default: all) that they are of; points that cost the same are cut in the same way.
-
-        The size of a block depends on the point alone, so that more realisations or catalogues leave whole blocks as
-        they are; only a last, partial block is computed again.
-        """
-        return lru_cache(MOST_CUTS)(self._blocks)
+        return Plan(Grid(study, self.grid.warnings))
 
     def _blocks(self, cost: float, parts: range | None = None) -> Sequence[Block]:
         n_cat = self.grid.study.sampling.n_cat
@@ -164,25 +163,16 @@ class Plan:
             return sims * whole
         return min(FIRST_SIMS, sims) << (parts - 1) if parts else 0
 
-    @cached_property
-    def block_shape(self) -> Callable[[float], tuple[int, int]]:
-        """How many realisations of how many catalogues a whole block holds, as a function of the cost."""
-        return cache(self._shape)
-
     def _shape(self, cost: float) -> tuple[int, int]:
         if self.grid.study.sampling.common_random_numbers:
-            return MAX_SIMS, 1  # whatever the cost: points that share a draw need the same blocks
+            # Whatever the cost: points that share a draw need the same blocks.
+            return MAX_SIMS, 1
         sims = _power_of_two(LARGEST_BLOCK / cost, MAX_SIMS)
         return sims, _power_of_two(TARGET / (cost * sims + OVERHEAD), MAX_CATALOGUES)
 
     def cost(self, parameters: dict[str, Any]) -> float:
         """Return the random numbers that one realisation of a point takes, at least 1."""
         return 1.0 if self.costs_nothing_special else max(1.0, self._cost(parameters))
-
-    @cached_property
-    def costs_nothing_special(self) -> bool:
-        """Whether all points cost the same, so that they need not be looked at."""
-        return not self.grid.study.experiment.says_cost
 
     def costs(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], float]] | None:
         """Return the axes on which the cost of a point depends, and the cost by their values; None for a long table."""
@@ -193,10 +183,6 @@ class Plan:
             names = tuple(grid.study.axes)
             found = names, {tuple(p[n] for n in names): self._cost(p) for _, p in grid.parameters()}
         return found if found is not None and len(found[1]) <= MOST_COSTS else None
-
-    @cached_property
-    def _cost(self) -> PointCache[float]:
-        return PointCache(self.grid.study.experiment.cost, self.grid.study.axes)
 
     def work(self, points: tuple[GridPoint, ...], block: Block) -> Work:
         """Return the work of a block of points that share its random numbers."""

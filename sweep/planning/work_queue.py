@@ -16,21 +16,21 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import GridPoint
 from linksweep.sweep.planning.plan import MOST_SHARING, TARGET, Plan, Work
 
+# Seconds of work that a task aims at.
 TASK_S = 1.0
-"""Seconds of work that a task aims at."""
 
+# Tasks that may end in a second: each takes schedulers and clients milliseconds, so more threads get longer tasks.
 TASKS_PER_S = 200.0
-"""Tasks that may end in a second: each takes schedulers and clients milliseconds, so more threads get longer tasks."""
 
+# Shorter tasks would cost more to hand over than they gain by spreading the work.
 SHORTEST_TASK_S = 0.05
-"""Shorter tasks would cost more to hand over than they gain by spreading the work."""
 
+# Weight of all earlier results in the measured speed when one more comes in: later points may be slower.
 KEPT = 0.7
-"""Weight of all earlier results in the measured speed when one more comes in: later points may be slower."""
 
 
+# Tasks at the executor for each thread: enough that none waits, few enough that no grid makes a large graph.
 TASKS_IN_FLIGHT = 4
-"""Tasks at the executor for each thread: enough that none waits, few enough that no grid makes a large graph."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class Tuning:
     long_write_points: int = 100_000
 
 
+# What runs use.
 TUNED = Tuning()
-"""What runs use."""
 
 
 def task_seconds(threads: float) -> float:
@@ -118,7 +118,8 @@ class Pending:
         self._tasks_out = max(0, self._tasks_out - 1)
         usual = works[int(cold) : done]
         if usual or not self._warm:
-            kept = KEPT if self._warm or not usual else 0.0  # what was cold tells nothing beside others
+            # A first call in a process may have imported for seconds: it tells nothing beside others.
+            kept = KEPT if self._warm or not usual else 0.0
             skipped = rows[0] if cold and usual else 0
             self._warm |= bool(usual)
             self._measured_cost = kept * self._measured_cost + sum(work.cost for work in usual or works[:done])

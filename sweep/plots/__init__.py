@@ -40,6 +40,7 @@ KINDS: Mapping[str, Mapping[str, Kind]] = {
         "curves": Kind("points:CURVES"),
     },
     "scaling": {"scaling": Kind("analyses:scaling_figure")},
+    "sensitivity": {"sensitivity": Kind("analyses:sensitivity_figure")},
     "catalogue": {"sky": Kind("sky:sky_figure"), "accuracy": Kind("sky:accuracy_figure")},
     "tie": {
         "solution": Kind("tie:solution_figure", "The unknowns with errors of several kinds"),

@@ -1,32 +1,42 @@
-"""The figure of a dataset: the kind that suits it or that is asked for, with its title."""
+"""The figure of a dataset: the kind that suits it or that is asked for, with its title, its caption, and a description
+for those who cannot see it.
+"""
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from linksweep.sweep.analysis.quantity import (
-    claims_of,
-    main_quantity,
-    numeric_axes,
-    require_quantity,
-    varied_parameters,
-)
+from linksweep.sweep import formatting
+from linksweep.sweep.analysis import answer, quantity
 from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
-from linksweep.sweep.plots import KINDS
-from linksweep.sweep.plots.analyses import sensitivity_figure
+from linksweep.sweep.plots import KINDS, grid, style
 from linksweep.sweep.plots.points import sampled
-from linksweep.sweep.plots.style import SCALE, entitle, fit_names, value_text, with_chosen_component, with_scales
 from linksweep.sweep.result import Result
 from linksweep.sweep.studies.study import POINT
 
 # A map is the default if two axes have at least this many points each, and it has at most so many panels; curves are
 # the default for points of a table or design if an axis has at least so many values.
 MAP_POINTS, MAP_PANELS, CURVE_POINTS = 5, 6, 8
+
+MOST_PANELS = 6  # that a description names
+MOST_RANGES = 3  # quantities or components whose ranges a caption gives
+
+# What no label of a figure explains.
+UNLABELLED = {
+    grid.ERROR_BAND: "Bands join the errors of the points.",
+    grid.PREDICTION_BAND: "Bands are the one-sigma errors of the predictions.",
+    grid.LAW_BAND: "Bands are the one-sigma errors of the fitted laws.",
+    grid.JOINED: "Thin lines join the points.",
+    style.MOVED: "Markers that cover each other are drawn a little to the left or right of them; lines are not.",
+}
 
 
 def draw_figure(
@@ -47,25 +57,20 @@ def draw_figure(
     """
     what = Result(dataset).kind
     if what == "grid":
-        return _study_figure(dataset, kind, variables, over, log, linear)
-    if log or linear:
-        raise SweepError("only figures of the results of a study have scales to choose")
-    if variables or over:
-        raise SweepError(f"a figure of a {what} has no variables and no axis to choose, only its kind")
-    if what == "sensitivity" and kind is None:
-        return sensitivity_figure(dataset)
-    kinds = KINDS.get(what, {})
-    if kind is None and not kinds:
+        return _study_figure(style.with_scales(dataset, log, linear), kind, list(variables), over)
+    if variables or over or log or linear:
+        raise SweepError(f"a figure of a {what} has no variables, axes and scales to choose, only its kind")
+    if not (kinds := KINDS.get(what, {})):
         raise SweepError(f"there is no figure of a {what}")
     # the first that is possible; if none is, the first says what is missing
     kind = kind or next(iter(all_figures(dataset)), next(iter(kinds)))
     if kind not in kinds:
-        raise SweepError(f"no kind {shown(kind)} of a {what}{suggest(kind, list(kinds)) if kinds else ''}")
+        raise SweepError(f"no kind {shown(kind)} of a {what}{suggest(kind, list(kinds))}")
     return _titled(dataset, what, kind)
 
 
 def all_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:
-    """Return all figures that a link or a forecast can have, by kind."""
+    """Return all figures that a result other than that of a study can have, by kind."""
     figures, what = {}, Result(dataset).kind
     for name in KINDS[what]:
         with suppress(SweepError):  # says what the dataset lacks
@@ -74,66 +79,59 @@ def all_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:
 
 
 def _titled(dataset: xr.Dataset, what: str, kind: str, titled: bool = True) -> Figure:
-    """Return a figure with its title: of measurements their own, of a link or a forecast its tables."""
+    """Return a figure with its title: of a link or a forecast its tables, of others their own."""
     about = dataset.attrs
+    title = str(about.get("title", ""))
+    if "satellite" in about:
+        title = f"{Path(about['satellite']).name} and {Path(about['reference']).name}"
+    if "sign" in about:
+        title += f"\n{about['sign'].replace('-', ' − ')}, epoch {about['epoch']:.2f}, clip {about['clip']}"
+    if what == "sensitivity":
+        title += f"\nsensitivity of {style.symbol(about['output'])}, by {about['sensitivity_method']}"
     figure: Figure = KINDS[what][kind].load()(dataset)
     figure.set_label(kind)  # for the caption
-    if titled and "satellite" in about:
-        title = f"{Path(about['satellite']).name} and {Path(about['reference']).name}"
-        if "sign" in about:
-            title += f"\n{about['sign'].replace('-', ' − ')}, epoch {about['epoch']:.2f}, clip {about['clip']}"
-        entitle(figure, title)
+    style.complete(figure, title.strip() if titled else "")
     return figure
 
 
 # Results of a study
 
 
-def possible_kinds(dataset: xr.Dataset, variable: str) -> list[str]:
-    """Return the kinds of figure that a quantity of the results of a study can have."""
-    return [name for name, kind in KINDS["grid"].items() if kind.load().possible(dataset, variable)]
-
-
-def _study_figure(
-    dataset: xr.Dataset,
-    kind: str | None,
-    variables: Sequence[str],
-    over: Sequence[str],
-    log: Sequence[str],
-    linear: Sequence[str],
-) -> Figure:
+def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], over: Sequence[str]) -> Figure:
     single = [d for d in dataset["status"].dims if dataset.sizes[d] == 1]
     one_point = len(single) == dataset["status"].ndim
     only_samples = one_point and not variables and not any(name in dataset.coords for name in over)
     if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
-        with_scales(dataset, (), log, linear)  # none can be chosen
-        return _draw(dataset, dataset.squeeze(single), "scatter", list(variables), over)
+        return _draw(dataset, dataset.squeeze(single), "scatter", variables, over)
     if (dataset["status"].values == Status.EXCLUDED).all():
         raise SweepError("every point is excluded by the study")
-    names = list(variables) or [main_quantity(dataset)]
+    names = variables or [quantity.main_quantity(dataset)]
     _require_values(dataset, names)
-    dataset = with_scales(dataset, [*names, *map(str, dataset.coords)], log, linear)
-    unused: list[Hashable] = [d for d in single if d not in over]
-    if len(unused) == dataset["status"].ndim:
-        unused = unused[1:]  # something has to be drawn along
-    part = with_chosen_component(dataset.squeeze(unused))
-    possible = possible_kinds(part, names[0])
+    unused = [d for d in single if d not in over]
+    # something has to be drawn along
+    part = style.with_chosen_component(dataset.squeeze(unused[len(unused) == dataset["status"].ndim :]))
+    possible = [name for name, one in KINDS["grid"].items() if one.load().possible(part, names[0])]
     chosen = kind or _suitable(part, names[0], over)
     if chosen not in possible:
         raise SweepError(f"no {chosen} of {names[0]} here; possible are {', '.join(possible) or 'none'}")
+    if chosen in ("law", "map", "pairs") and len(names) > 1:
+        raise SweepError(f"a figure of the kind {chosen} is of one variable, not of {', '.join(names)}")
     return _draw(dataset, part, chosen, names, over)
 
 
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
-    array, varied, numeric = dataset[variable], varied_parameters(dataset), numeric_axes(dataset, variable)
+    array, numeric = dataset[variable], quantity.numeric_axes(dataset, variable)
+    varied = quantity.varied_parameters(dataset)
     if POINT in array.dims and varied and all(name in varied for name in over):
         return "curves" if not over and any(dataset[name].size >= CURVE_POINTS for name in numeric) else "points"
     if POINT in array.dims and varied and len(over) == 1:
         return "curves"
     if len(over) == 2:
         return "map"
-    laws = {(claim.slope.variable, claim.slope.over) for claim in claims_of(dataset) if claim.slope is not None}
-    linear = any(dataset[name].attrs.get(SCALE) == "linear" for name in (variable, *numeric))
+    laws = {
+        (claim.slope.variable, claim.slope.over) for claim in quantity.claims_of(dataset) if claim.slope is not None
+    }
+    linear = any(dataset[name].attrs.get(style.SCALE) == "linear" for name in (variable, *numeric))
     if any((variable, axis) in laws for axis in numeric) and not over and not linear and array.ndim == 1:
         return "law"
     long = {dataset[a].dims[0] for a in numeric if dataset[a].size >= MAP_POINTS}
@@ -145,12 +143,11 @@ def _draw(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], 
     """Return a figure with the title of the study, the values that all points share, and whether points are missing."""
     figure: Figure = KINDS["grid"][kind].load().draw(part, variables, over)
     axes = [str(n) for n, c in part.coords.items() if not c.dims and not str(n).endswith("_unit")]
-    shared = ", ".join(value_text(part, name, part[name].item()) for name in axes)
+    shared = ", ".join(style.value_text(part, name, part[name].item()) for name in axes)
     status = part["status"].values
     missing = int(np.sum((status != Status.DONE) & (status != Status.EXCLUDED)))
     words = f"INCOMPLETE: {missing:,} of {status.size:,} points are not done" if missing else ""
-    entitle(figure, "\n".join(filter(None, (str(whole.attrs.get("title", "")), shared, words))))
-    fit_names(figure)
+    style.complete(figure, "\n".join(filter(None, (str(whole.attrs.get("title", "")), shared, words))))
     return figure
 
 
@@ -159,7 +156,7 @@ def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
     where none has a value.
     """
     for name in names:
-        require_quantity(dataset, name)
+        quantity.require_quantity(dataset, name)
         for dimension in dataset[name].dims:
             units = dataset.coords.get(f"{dimension}_unit")
             several = [] if units is None else list(dict.fromkeys(units.values.tolist()))
@@ -172,3 +169,100 @@ def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
         unfinished = unfinished_in_words(count_status(dataset["status"].values))
         why = f": of {dataset['status'].size:,} points {unfinished}" if unfinished else ""
         raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")
+
+
+# Captions
+
+
+def caption_and_description(figure: Figure, dataset: xr.Dataset) -> str:
+    """Return the text of a file beside a picture: its caption, and a description under a heading of its own."""
+    return f"{caption(figure, dataset, with_answer=True)}\n\nAlternative text: {description(figure, dataset)}\n"
+
+
+def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> str:
+    """Return the caption: the title, what the signs mean, and on request the answer of the study, or else the ranges
+    of what is drawn.
+    """
+    parts = [_title(figure, dataset), *_signs(figure, dataset)]
+    if with_answer and "status" in dataset:
+        sentences = answer.conclusion_in_words(dataset) or _ranges(figure, dataset)
+        parts += map(formatting.with_micro_signs, [*answer.completeness(dataset), *sentences])
+    return " ".join(filter(None, parts))
+
+
+def description(figure: Figure, dataset: xr.Dataset) -> str:
+    """Return what is seen: the panels, what each draws against what, and the range of values."""
+    bars = [axes.get_ylabel() for axes in figure.axes if axes.get_label() == "<colorbar>" and axes.get_ylabel()]
+    panels = style.panels_of(figure)
+    titles = [axes.get_title() for axes in panels if axes.get_title()]
+    signs = list(style.legend_entries(figure))
+    parts = [
+        f"{len(panels)} panels, " if len(panels) > 1 else "",
+        formatting.first_of(list(dict.fromkeys(map(_panel_in_words, panels))), MOST_PANELS, "; "),
+        f" ({formatting.first_of(titles, MOST_PANELS, '; ')})" if titles else "",
+        f", coloured by {' and '.join(bars)}" if bars else "",
+        ".",
+        f" Legend: {', '.join(signs)}." if len(signs) > 1 else "",
+    ]
+    ranges = map(formatting.with_micro_signs, _ranges(figure, dataset))
+    whole = " ".join([style.plain("".join(parts)), *ranges])
+    return whole[:1].upper() + whole[1:]
+
+
+def _title(figure: Figure, dataset: xr.Dataset) -> str:
+    """Return the title of results as a sentence, or what the kind of a figure of a link shows, and of which tables."""
+    title = str(dataset.attrs.get("title", ""))
+    if dataset.attrs.get("result") in KINDS:
+        kind = KINDS[dataset.attrs["result"]].get(str(figure.get_label()))
+        tables = figure.get_suptitle().replace("\n", "; ")
+        title = ": ".join(filter(None, (kind.caption if kind else title, tables)))
+    return title if not title or title.endswith((".", "?", "!")) else f"{title}."
+
+
+def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
+    """Return a sentence for each kind of sign in a figure that its labels do not explain."""
+    entries = style.legend_entries(figure)
+    labels = {artist.get_label() for axes in figure.axes for artist in axes.get_children()}
+    with_bars = [str(axes.get_label()) for axes in figure.axes if axes.get_label() in dataset and _has_error_bars(axes)]
+    sentences = []
+    if any(quantity.standard_error(dataset, name) is not None for name in with_bars):
+        sentences.append("Points are simulated, with one-sigma errors.")
+    declared = dict.fromkeys(bars[0] for name in with_bars if (bars := quantity.errors_beside(dataset, name)))
+    sentences += [f"Error bars are {name}." for name in declared]
+    if style.PREDICTED in entries:
+        dashes = isinstance(entries[style.PREDICTED], Line2D)
+        sentences.append(f"{'Dashes are predicted' if dashes else 'The prediction is'} in closed form.")
+    if style.PUBLISHED in entries:
+        sources = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
+        sentences.append("Open symbols are published" + (f": {'; '.join(sources)}." if sources else "."))
+    return sentences + [words for label, words in UNLABELLED.items() if label in labels]
+
+
+def _has_error_bars(axes: Axes) -> bool:
+    bars = [one for one in axes.containers if isinstance(one, ErrorbarContainer) and (one.has_xerr or one.has_yerr)]
+    return any(str(one.get_label()).lstrip("_") != style.PUBLISHED for one in bars)
+
+
+def _ranges(figure: Figure, dataset: xr.Dataset) -> list[str]:
+    """Return a sentence about the values of each quantity that a figure draws: the labels of its axes."""
+    if "status" not in dataset:
+        return []
+    sentences, variables = [], style.with_chosen_component(dataset).data_vars.items()
+    for drawn in dict.fromkeys(str(axes.get_label()) for axes in figure.axes if axes.get_label() in dataset):
+        alone = dataset.assign({name: array.assign_attrs(headline=name == drawn) for name, array in variables})
+        for one in answer.answers(alone):
+            meaning = f" ({one.meaning})" if one.meaning not in ("", one.name) else ""
+            sentences += [f"{one.name}{meaning}: {sentence}" for sentence in one.sentences[:1]]
+    return sentences[:MOST_RANGES]
+
+
+def _panel_in_words(axes: Axes) -> str:
+    what, over = _label(axes, "y"), _label(axes, "x")
+    return f"{what} against {over}" if what and over else what or over or "a picture"
+
+
+def _label(axes: Axes, which: str) -> str:
+    """Return the label of an axis, or that of the axes that share it and have one."""
+    siblings = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
+    labels = (getattr(one, f"get_{which}label")() for one in (axes, *siblings))
+    return style.plain(next(filter(None, labels), ""))

@@ -10,24 +10,19 @@ import xarray as xr
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from linksweep.core import missions
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, position
-from linksweep.core.missions import MISSIONS, CurveError, MissionUnavailableError, mission_of
-from linksweep.core.missions.calibrate import IN_CODE, Model, all_skies, fit, published_numbers
 from linksweep.core.scenario import scenario
 from linksweep.sweep.contract import Named, SweepError, shown, suggest
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import generators
-from linksweep.sweep.plots.style import BAND, COLOURS, entitle, finish, label, legend, logarithmic, new_figure
+from linksweep.sweep.plots import style
 from linksweep.sweep.running.reproduce import place_of, study_to_look_at
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.studies.study import Study
 from linksweep.sweep.tables.file import table_file
 
 MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
-LINES: tuple[Any, ...] = ("solid", "dashed", "dashdot", "dotted", (0, (6, 1, 1, 1, 1, 1)), (0, (3, 1)))
-
-# Catalogues for the errors of calibrated curves: a quarter of those of the calibration; errors are known to 10 %.
-CALIBRATION_CATALOGUES = 50
 
 
 # The sky
@@ -53,10 +48,10 @@ def prepare_sky(axes: Any, frame: SkyFrame = ICRS) -> None:
     axes.set_longitude_grid_ends(90.0)
     ticks = np.arange(-120.0, 121.0, 60.0)
     axes.set_xticks(ticks * DEGREE, [""] * len(ticks))
-    style: dict[str, Any] = {"fontsize": "x-small", "ha": "center", "va": "center", "zorder": 6}
-    style["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
+    look: dict[str, Any] = {"fontsize": "x-small", "ha": "center", "va": "center", "zorder": 6}
+    look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
     for tick in ticks:  # text of its own, because labels of an axis lie below all that is drawn
-        axes.text(tick * DEGREE, 0.04, f"{(frame.centre_deg - tick) % 360:.0f}°", **style)
+        axes.text(tick * DEGREE, 0.04, f"{(frame.centre_deg - tick) % 360:.0f}°", **look)
     latitudes = np.arange(-60.0, 61.0, 30.0)
     names = [f"{b:+.0f}°".replace("-", "\N{MINUS SIGN}") if b else "0°" for b in latitudes]
     axes.set_yticks(latitudes * DEGREE, names, fontsize="x-small")
@@ -72,19 +67,20 @@ def sky_figure(dataset: xr.Dataset) -> Figure:
     """Return an all-sky map of ``ra`` and ``dec`` (deg), coloured by the magnitude ``v_mag`` if there is one, with the
     Galactic plane and its centre.
     """
-    figure, (axes,) = new_figure(7.6, 4.9, subplot_kw={"projection": "mollweide"})
+    figure, (axes,) = style.new_figure(7.6, 4.9, subplot_kw={"projection": "mollweide"})
     prepare_sky(axes)
     ra, dec = (dataset[name].values.astype(float) for name in ("ra", "dec"))
-    size = float(np.clip(4000.0 / max(len(ra), 1), 1.5, 18.0))
-    style: dict[str, Any] = {"s": size, "linewidths": 0.0, "zorder": 3, "rasterized": len(ra) > 2000}
+    look: dict[str, Any] = {"linewidths": 0.0, "zorder": 3, "rasterized": len(ra) > 2000, "color": style.COLOURS[0]}
+    look["s"] = float(np.clip(4000.0 / max(len(ra), 1), 1.5, 18.0))
     if "v_mag" in dataset:
         values = dataset["v_mag"].values.astype(float)
         order = np.argsort(-values, kind="stable")  # bright objects, of small magnitude, on top and dark
-        points = axes.scatter(on_map(ra)[order], dec[order] * DEGREE, c=values[order], cmap="viridis", **style)
+        ra, dec = ra[order], dec[order]
+        look |= {"c": values[order], "cmap": "viridis", "color": None}
+    points = axes.scatter(on_map(ra), dec * DEGREE, **look)
+    if "v_mag" in dataset:
         bar: dict[str, Any] = {"orientation": "horizontal", "shrink": 0.5, "pad": 0.02, "aspect": 30}
-        figure.colorbar(points, ax=axes, label=label(dataset["v_mag"], "v_mag"), **bar)
-    else:
-        axes.scatter(on_map(ra), dec * DEGREE, color=COLOURS[0], **style)
+        figure.colorbar(points, ax=axes, label=style.label(dataset["v_mag"], "v_mag"), **bar)
     longitude = np.linspace(0.0, 2.0 * np.pi, 721)
     galactic = np.stack([np.cos(longitude), np.sin(longitude), np.zeros_like(longitude)])
     plane_ra, plane_dec = position(GALACTIC_AXES.T @ galactic)
@@ -95,7 +91,7 @@ def sky_figure(dataset: xr.Dataset) -> Figure:
     centre = {"color": "black", "markersize": 9.0, "markeredgewidth": 1.2, "zorder": 4}
     axes.plot(x[:1], plane_dec[:1], "+", label="Galactic centre", **centre)
     axes.legend(loc="lower right", bbox_to_anchor=(1.06, -0.06), frameon=False)
-    entitle(figure, str(dataset.attrs.get("title", "")))
+    style.complete(figure, str(dataset.attrs.get("title", "")))
     return figure
 
 
@@ -113,9 +109,8 @@ def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
     (point,) = Grid(replace(alone, claims=(), conclusion=None)).points()
     _, rng = generators(study.sampling.seed, point.stream, 0, 0)
     catalogue = scenario(parameters).draw_catalogue(rng)
-    where = ", ".join(part.strip() for text in at for part in text.split(","))
-    title = f"{study.title}: the {len(catalogue)} objects of one catalogue" + (f", {where}" if where else "")
-    sky = _sky(catalogue.ra / DEGREE, catalogue.dec / DEGREE, title)
+    title = f"{study.title}: the {len(catalogue)} objects of one catalogue"
+    sky = _sky(catalogue.ra / DEGREE, catalogue.dec / DEGREE, ", ".join([title, *at]))
     return sky.assign(v_mag=("object", catalogue.v_mag, MAGNITUDE))
 
 
@@ -141,20 +136,20 @@ def accuracy_figure(dataset: xr.Dataset) -> Figure:
     """Return ``sigma_pm`` beside ``sigma_pos`` (model, v) against the magnitude v, a line for each mission, with a band
     where its error is known.
     """
-    figure, grid = new_figure(8.4, 4.0, 1, 2, least=1.0, sharex=True)
+    figure, grid = style.new_figure(8.4, 4.0, 1, 2, least=1.0, sharex=True)
     v = dataset["v"].values
     for axes, variable in zip(grid, ("sigma_pm", "sigma_pos"), strict=True):
         for number, model in enumerate(dataset["model"].values.tolist()):
-            one = dataset.sel(model=model)
-            curve, error, colour = one[variable].values, one[f"{variable}_error"].values, COLOURS[number % len(COLOURS)]
-            axes.plot(v, curve, color=colour, linestyle=LINES[number % len(LINES)], linewidth=1.2, label=str(model))
+            one, look = dataset.sel(model=model), {"color": style.COLOURS[number % len(style.COLOURS)]}
+            curve, error = one[variable].values, one[f"{variable}_error"].values
+            line = style.LINES[number % len(style.LINES)]
+            axes.plot(v, curve, linestyle=line, linewidth=1.2, label=str(model), **look)
             if np.isfinite(error).any():
-                axes.fill_between(v, curve - error, curve + error, color=colour, **BAND)
-        logarithmic(axes, "y", dataset[variable].values)
-        axes.set(xlabel=label(dataset["v"], "v"), ylabel=label(dataset[variable], variable))
-        finish(axes)
-        legend(axes)
-    entitle(figure, str(dataset.attrs.get("title", "")))
+                axes.fill_between(v, curve - error, curve + error, **look, **style.BAND)
+        style.logarithmic(axes, "y", dataset[variable].values)
+        axes.set(xlabel=style.label(dataset["v"], "v"), ylabel=style.label(dataset[variable], variable))
+    style.legend(figure)
+    style.complete(figure, str(dataset.attrs.get("title", "")))
     return figure
 
 
@@ -168,33 +163,30 @@ def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
     """
     v = np.round(np.linspace(9.0, 21.0, 121), 6)
     rows: dict[str, tuple[Array, Array, Array]] = {}
-    for model in models or MISSIONS:
+    for model in models or missions.MISSIONS:
         name = str(model)
-        if isinstance(model, str) and name not in MISSIONS:
-            raise SweepError(f"no model {shown(name)}{suggest(name, list(MISSIONS))}")
+        if isinstance(model, str) and name not in missions.MISSIONS:
+            raise SweepError(f"no model {shown(name)}{suggest(name, list(missions.MISSIONS))}")
         try:
-            sigma_pos, sigma_pm = mission_of(model).sigmas_to_limit(v)
-        except (MissionUnavailableError, CurveError) as error:
+            sigma_pos, sigma_pm = missions.mission_of(model).sigmas_to_limit(v)
+        except (missions.MissionUnavailableError, missions.CurveError) as error:
             if models:
                 raise SweepError(str(error)) from error
             continue
-        relative = _relative_error(name, v) if isinstance(model, str) else np.full(v.shape, np.nan)
+        relative = np.full(v.shape, np.nan)
+        if isinstance(model, str) and name in missions.CALIBRATED:
+            relative = missions.CALIBRATED[name].relative_error(v)
         rows[name] = (sigma_pm, sigma_pos, relative)
     pm, pos, relative = (np.array(part) for part in zip(*rows.values(), strict=True))
-    meanings = {
-        "sigma_pm": (pm, "mas / yr", r"$\sigma_\mu$", "error of a proper motion, per coordinate"),
-        "sigma_pm_error": (pm * relative, "mas / yr", "", "its one-sigma error, of the calibration"),
-        "sigma_pos": (pos, "mas", r"$\sigma_\mathrm{pos}$", "error of a position, per coordinate"),
-        "sigma_pos_error": (pos * relative, "mas", "", "its one-sigma error, of the calibration"),
-    }
-    return xr.Dataset(
-        {
-            name: (("model", "v"), values, {"units": unit, "symbol": symbol, "long_name": meaning})
-            for name, (values, unit, symbol, meaning) in meanings.items()
-        },
-        {"model": np.array(list(rows), dtype=object), "v": ("v", v, MAGNITUDE)},
-        {"title": "Accuracy of one object in each mission"},
-    )
+    variables = {}
+    for name, values, unit, symbol in (
+        ("pm", pm, "mas / yr", r"$\sigma_\mu$"),
+        ("pos", pos, "mas", r"$\sigma_\mathrm{pos}$"),
+    ):
+        variables[f"sigma_{name}"] = (("model", "v"), values, {"units": unit, "symbol": symbol})
+        variables[f"sigma_{name}_error"] = (("model", "v"), values * relative, {"units": unit})
+    coordinates = {"model": np.array(list(rows), dtype=object), "v": ("v", v, MAGNITUDE)}
+    return xr.Dataset(variables, coordinates, {"title": "Accuracy of one object in each mission"})
 
 
 def models_of(study: Study, chosen: Sequence[str] = ()) -> list[str | Named]:
@@ -210,15 +202,3 @@ def models_of(study: Study, chosen: Sequence[str] = ()) -> list[str | Named]:
     if unknown := [name for name in chosen if name not in known]:
         raise SweepError(f"{shown(unknown[0])} is no mission of this study{suggest(unknown[0], known)}", study.source)
     return [model for model in models if not chosen or str(model) in chosen]
-
-
-def _relative_error(name: str, v: Array) -> Array:
-    """Return the relative error of a calibrated curve at magnitudes, from the covariance of its log constants."""
-    models: dict[str, Model] = {"amex": "amex", "gaia": "gaia"}
-    if (model := models.get(name)) is None:
-        return np.full(v.shape, np.nan)
-    found = fit(model, list(published_numbers(model).values()), all_skies(model, CALIBRATION_CATALOGUES))
-    curve = IN_CODE[model]
-    parts = [(a * np.exp(slope * (v - pivot)), slope * (v - pivot)) for a, slope, pivot in curve.terms]
-    gradient = np.stack([row for term, power in parts for row in (term, term * power)]) / curve(v)
-    return np.asarray(np.sqrt(np.einsum("iv,ij,jv->v", gradient, found.log_covariance, gradient)))

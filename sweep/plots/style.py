@@ -1,6 +1,4 @@
-"""How figures look: colours, letters and sizes, labels, scales with their ticks, legends, and files that are
-reproducible.
-"""
+"""How figures look: colours, sizes, labels, scales with their ticks, legends, and files that are reproducible."""
 
 import io
 import json
@@ -9,30 +7,30 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
+from matplotlib import ticker
 from matplotlib.axes import Axes
-from matplotlib.colorbar import Colorbar
-from matplotlib.colors import LogNorm
+from matplotlib.collections import QuadMesh
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
+from linksweep.sweep import formatting
 from linksweep.sweep.analysis.quantity import COVARIANCE_SUFFIX
 from linksweep.sweep.contract import Array, SweepError, shown, suggest
-from linksweep.sweep.formatting import LOGARITHMIC_UNITS, TRUTH, is_truth, units_of, written
-from linksweep.sweep.formatting import plain as number_in_words
 from linksweep.sweep.studies.study import FigureForm
 
 # Safe for the colour-blind.  Source: Okabe & Ito 2008.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")
 MARKERS = "osD^vP*X"
+LINES: tuple[Any, ...] = ("solid", "dashed", "dashdot", "dotted", (0, (6, 1, 1, 1, 1, 1)), (0, (3, 1)))
 BAND: Mapping[str, Any] = {"alpha": 0.22, "linewidth": 0.0}
+GUIDE: Mapping[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 3))}
+DASH: Mapping[str, Any] = {"linestyle": "none", "marker": "_", "markeredgewidth": 1.2}
 
 # Endings of pictures, with the metadata to leave out, because they would make two files of one picture differ.
 FORMATS = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
@@ -45,8 +43,10 @@ BASE, PAPER, TALK = (
 TALK_MM = 250.0  # the default width of a figure in the style of a talk
 
 # Sizes in letters, that is, in units of the font's size: the average width of a letter, the least width of a panel with
-# labels and ticks, that of a figure with a legend inside its panel, and the height of a line of a legend.
-LETTER_WIDTH, PANEL_WIDTH, INSIDE_WIDTH, LINE_HEIGHT = 0.58, 14.0, 25.0, 1.6
+# labels and ticks, and that of a figure with a legend inside its panel.
+LETTER_WIDTH, PANEL_WIDTH, INSIDE_WIDTH = 0.58, 14.0, 25.0
+MOST_INSIDE = 4  # a legend with more entries stands below its panel, where it covers nothing
+BESIDE_INCHES = 0.5  # what the labels and ticks of a panel take of its width and height
 
 _width: ContextVar[float | None] = ContextVar("width", default=None)
 
@@ -60,119 +60,16 @@ def settings(width: float | None = None, style: str | None = None) -> Iterator[N
     if width is None and style == "talk":
         width = TALK_MM
     wanted = BASE | (TALK if style == "talk" else PAPER if style or width else {})
-    ours = (mpl.rcParamsDefault, BASE, PAPER, TALK)
-    unchanged = [k for k in wanted if any(k in one and mpl.rcParams[k] == one[k] for one in ours)]
+    chosen = [key for key in wanted if mpl.rcParams[key] != mpl.rcParamsDefault[key]]  # by the user
     token = _width.set(None if width is None else width / 25.4)
     try:
-        with mpl.rc_context({key: wanted[key] for key in unchanged}):
+        with mpl.rc_context({key: wanted[key] for key in set(wanted) - set(chosen)}):
             yield
     finally:
         _width.reset(token)
 
 
-# Sizes
-
-
-def wanted_width() -> float | None:
-    """Return the width asked for in inches; None if each figure has its own."""
-    return _width.get()
-
-
-def in_letters(times: float) -> float:
-    """Return so many times the size of letters, in inches."""
-    return times * float(mpl.rcParams["font.size"]) / 72.0
-
-
-def most_columns(columns: int, least: float = PANEL_WIDTH) -> int:
-    """Return how many of the wanted columns of panels fit side by side, each at least so many letters wide."""
-    wanted = _width.get()
-    return columns if wanted is None else max(1, min(columns, int(wanted / in_letters(least))))
-
-
-def least_height() -> float:
-    """Return the least height of a panel in inches, for figures with a width that was asked for."""
-    return max(1.7, in_letters(PANEL_WIDTH))
-
-
-def is_narrow() -> bool:
-    """Return whether figures are too narrow for a legend in a panel."""
-    return (_width.get() or math.inf) < in_letters(INSIDE_WIDTH)
-
-
-def new_figure(
-    width: float, height: float, rows: int = 1, columns: int = 1, least: float = PANEL_WIDTH, **options: Any
-) -> tuple[Figure, list[Any]]:
-    """Return a figure and its panels, row by row.
-
-    It has the size in inches, or about the same shape in the width asked for; panels that would be less than ``least``
-    letters wide there continue in further rows.  ``options`` are those of `Figure.subplots`.
-    """
-    across, wanted = most_columns(columns, least), _width.get()
-    if wanted is not None:
-        shape = (height / rows) / (width / columns)
-        rows = -(-rows * columns // across)
-        panel = shape * wanted / across if across == columns else max(shape * wanted / across, least_height())
-        width, height = wanted, max(rows * panel, 0.7 * min(wanted, width))
-    figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, list(figure.subplots(rows, across, squeeze=False, **options).flat)
-
-
-def grow(figure: Figure, lines: int) -> None:
-    """Add the height of lines of text below the panels to a figure whose width was asked for: panels keep theirs."""
-    if _width.get() is not None:
-        figure.set_figheight(figure.get_figheight() + lines * in_letters(LINE_HEIGHT))
-
-
-def entitle(figure: Figure, title: str) -> None:
-    """Write the title of a figure, in lines that fit it."""
-    figure.suptitle(in_lines(title, figure.get_figwidth(), 20), fontsize="medium")
-
-
-def in_lines(text: str, inches: float, least: int = 12) -> str:
-    """Return a text in lines that are as long as a width allows, but of at least ``least`` letters."""
-    letters = max(int(inches / in_letters(LETTER_WIDTH)), least)
-    lines = []
-    for part in text.split("\n"):
-        line, *words = part.split(" ")
-        for word in words:
-            if _shown_letters(f"{line} {word}") > letters:
-                lines.append(line)
-                line = word
-            else:
-                line = f"{line} {word}"
-        lines.append(line)
-    return "\n".join(lines)
-
-
-def _shown_letters(text: str) -> int:
-    """Return about how many letters a text shows, without its mathematical markup."""
-    return len(re.sub(r"\\[a-z]+|[${}^_]", "", text)) + 1
-
-
-# Files
-
-
-def require_format(path: Path) -> None:
-    """Raise SweepError unless a path ends like one of `FORMATS`."""
-    if path.suffix.lower() not in FORMATS:
-        raise SweepError(f"cannot draw there: the name must end with {', '.join(FORMATS)}", str(path))
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, SVG or PDF, whichever ``path`` ends with, without a date; raises SweepError."""
-    require_format(path)
-    try:
-        figure.savefig(path, dpi=160, metadata=FORMATS[path.suffix.lower()])
-    except OSError as error:
-        raise SweepError(f"cannot draw there: {error.strerror or error}", str(path)) from error
-
-
-def save_text(text: str, path: Path) -> None:
-    """Write a text beside a picture; raises SweepError."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+# Figures, panels and files
 
 
 class ShownFigure(Figure):
@@ -187,13 +84,86 @@ class ShownFigure(Figure):
         return out.getvalue()
 
 
+def in_letters(times: float) -> float:
+    """Return so many times the size of letters, in inches."""
+    return times * float(mpl.rcParams["font.size"]) / 72.0
+
+
+def is_narrower_than(inches: float) -> bool:
+    """Return whether figures are to have a width that is less than so many inches."""
+    return (_width.get() or math.inf) < inches
+
+
+def most_columns(columns: int, least: float = PANEL_WIDTH) -> int:
+    """Return how many of the wanted columns of panels fit side by side, each at least so many letters wide."""
+    width = _width.get()
+    return columns if width is None else max(1, min(columns, int(width / in_letters(least))))
+
+
+def new_figure(
+    width: float, height: float, rows: int = 1, columns: int = 1, least: float = PANEL_WIDTH, **options: Any
+) -> tuple[Figure, list[Any]]:
+    """Return a figure and its panels, row by row.
+
+    It has the size in inches, or panels of about the same shape in the width asked for; panels that would be less than
+    ``least`` letters wide there continue in further rows.  ``options`` are those of `Figure.subplots`.
+    """
+    across, wanted = most_columns(columns, least), _width.get()
+    if wanted is not None:
+        shape = (height / rows) / (width / columns)
+        rows = -(-rows * columns // across)
+        # flat panels would have no room beside their labels, nor a single row beside title and legend
+        height = max(rows * max(shape * wanted / across, in_letters(16.0)), in_letters(22.0)) + in_letters(3.0)
+        width = wanted
+    figure = ShownFigure(figsize=(width, height), layout="constrained")
+    return figure, list(figure.subplots(rows, across, squeeze=False, **options).flat)
+
+
+def panel_size(axes: Axes) -> tuple[float, float]:
+    """Return about the width and height of a panel without its labels, in inches."""
+    grid, figure = axes.get_gridspec(), axes.get_figure()
+    width, height = figure.get_size_inches().tolist()  # type: ignore[union-attr]
+    return width / grid.ncols - BESIDE_INCHES, height / grid.nrows - BESIDE_INCHES  # type: ignore[union-attr]
+
+
+def in_lines(text: str, inches: float, least: int = 12) -> str:
+    """Return a text in lines that are as long as a width allows, but of at least ``least`` letters."""
+    letters = max(int(inches / in_letters(LETTER_WIDTH)), least)
+    lines: list[str] = []
+    for part in text.split("\n"):
+        lines.append("")
+        for word in part.split(" "):  # textwrap would count the letters of mathematical markup
+            line = f"{lines[-1]} {word}".lstrip()
+            if lines[-1] and len(plain(line)) >= letters:
+                lines.append(word)
+            else:
+                lines[-1] = line
+    return "\n".join(lines)
+
+
+def require_format(path: Path) -> None:
+    """Raise SweepError unless a path ends like one of `FORMATS`."""
+    if path.suffix.lower() not in FORMATS:
+        raise SweepError(f"cannot draw there: the name must end with {', '.join(FORMATS)}", str(path))
+
+
+def save(figure: Figure, path: Path, words: str = "") -> None:
+    """Write a figure as PNG, SVG or PDF, whichever ``path`` ends with, without a date, and beside it NAME.txt with
+    ``words`` if there are any; raises SweepError.
+    """
+    require_format(path)
+    try:
+        figure.savefig(path, dpi=160, metadata=FORMATS[path.suffix.lower()])
+        if words:
+            path.with_suffix(".txt").write_text(words, encoding="utf-8")
+    except OSError as error:
+        raise SweepError(f"cannot draw there: {error.strerror or error}", str(path)) from error
+
+
 # Labels
 
-GREEK = (
-    *("alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda", "mu", "nu", "xi"),
-    *("pi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"),
-)
-_NAME = re.compile(rf"({'|'.join(GREEK)}|[a-zA-Z])(\d*)(?:_(\w+))?")
+GREEK = "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|pi|rho|sigma|tau|phi|chi|psi|omega"
+_NAME = re.compile(rf"({GREEK}|[a-zA-Z])(\d*)(?:_(\w+))?")
 
 
 def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
@@ -205,34 +175,30 @@ def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
         return name.replace("_", " ")
     letter, digits, index = match.groups()
     power = digits if letter == "chi" else ""  # for all others the number is an index
-    index = "_".join(part for part in (digits.removeprefix(power), index) if part)
-    letter = rf"\{letter}" if letter in GREEK else letter
-    index = index and (index if len(index) == 1 else rf"\mathrm{{{index.replace('_', ',')}}}")
-    return f"${letter}{f'_{{{index}}}' if index else ''}{f'^{power}' if power else ''}$"
+    index = ",".join(part for part in (digits.removeprefix(power), *(index or "").split("_")) if part)
+    letter = rf"\{letter}" if len(letter) > 1 else letter
+    below = "" if not index else f"_{{{index}}}" if len(index) == 1 else rf"_{{\mathrm{{{index}}}}}"
+    return f"${letter}{below}{f'^{power}' if power else ''}$"
 
 
 def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:
     """Return the label of an axis: symbol and unit."""
-    unit = units_of(array.attrs) if unit is None else unit
-    return f"{symbol(name, array.attrs)} [{written(unit)}]" if unit else symbol(name, array.attrs)
+    unit = formatting.units_of(array.attrs) if unit is None else unit
+    return symbol(name, array.attrs) + (f" [{formatting.written(unit)}]" if unit else "")
 
 
 def axis_label(dataset: xr.Dataset, axis: str) -> str:
     """Return the label of an axis; axes zipped with it that have the same values stand beside it."""
-    dimension = dataset[axis].dims
-    names = [str(n) for n, c in dataset.coords.items() if c.dims == dimension and n != axis and c.dtype.kind in "if"]
-    same = [n for n in names if np.array_equal(dataset[n].values, dataset[axis].values)]
+    alike = [str(n) for n, c in dataset.coords.items() if c.dims == dataset[axis].dims and c.dtype.kind in "if"]
+    same = [n for n in alike if n != axis and np.array_equal(dataset[n].values, dataset[axis].values)]
     return " = ".join(label(dataset[n], n) for n in (axis, *same))
 
 
 def explained_label(array: xr.DataArray, name: str) -> str:
-    """Return the label of an axis with its name in words before the symbol that the experiment gives it, unless that
-    is the name.
-    """
-    words, declared = name.replace("_", " "), plain(str(array.attrs.get("symbol", "")))
-    return " ".join(
-        [*([words] if declared and declared.lower() not in (words.lower(), name.lower()) else []), label(array, name)]
-    )
+    """Return the label of an axis after its name in words, unless these are the symbol."""
+    words, declared = name.replace("_", " "), plain(str(array.attrs.get("symbol", ""))).lower()
+    beside = declared not in ("", words.lower(), name.lower())
+    return f"{words} {label(array, name)}" if beside else label(array, name)
 
 
 def quantity_label(dataset: xr.Dataset, variable: str) -> str:
@@ -251,8 +217,9 @@ def with_chosen_component(dataset: xr.Dataset) -> xr.Dataset:
     unit = str(dataset[f"{chosen[0]}_unit"].item()) if len(chosen) == 1 else ""
     changed = {}
     for name, array in dataset.data_vars.items():
-        units, is_product = units_of(array.attrs), f"_{COVARIANCE_SUFFIX}_" in str(name)
-        if "," in units and "(" not in units and not is_product:  # nor that of a product of two components
+        units = formatting.units_of(array.attrs)
+        # a product of two components has a unit of its own
+        if "," in units and "(" not in units and f"_{COVARIANCE_SUFFIX}_" not in str(name):
             changed[name] = array.assign_attrs(symbol=f"{symbol(str(name), array.attrs)}({inside})", units=unit)
     return dataset.assign(changed)
 
@@ -261,8 +228,8 @@ def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     """Return a value of an axis as a legend names it."""
     if isinstance(value, str):
         return symbol(value) if _NAME.fullmatch(value) and "_" in value else value
-    unit = written(units_of(dataset[axis].attrs))
-    return f"{symbol(axis, dataset[axis].attrs)} = {number_in_words(value)}" + (f" {unit}" if unit else "")
+    unit = formatting.written(formatting.units_of(dataset[axis].attrs))
+    return f"{symbol(axis, dataset[axis].attrs)} = {formatting.plain(value)} {unit}".rstrip()
 
 
 def plain(text: str) -> str:
@@ -285,14 +252,13 @@ SCALE = "scale"  # the attribute of a variable whose axis was chosen: "log" or "
 WIDE_RATIO, EVEN = 5.0, 0.01
 
 
-def with_scales(
-    dataset: xr.Dataset, drawn: Sequence[str], log: Sequence[str] = (), linear: Sequence[str] = ()
-) -> xr.Dataset:
-    """Return a dataset in which what is drawn has the scale that its study chose, or that is chosen here.
+def with_scales(dataset: xr.Dataset, log: Sequence[str] = (), linear: Sequence[str] = ()) -> xr.Dataset:
+    """Return a dataset in which variables have the scale that its study chose, or that is chosen here.
 
     Raises SweepError for a name that has no numbers here or is in both, and for a study whose choice cannot be read.
     """
-    known = [name for name in drawn if dataset[name].dtype.kind in "if" and not is_truth(dataset[name])]
+    numbers = {str(name): array for name, array in dataset.variables.items() if array.dtype.kind in "if"}
+    known = [name for name, array in numbers.items() if not formatting.is_truth(array)]
     if wrong := [name for name in (*log, *linear) if name not in known]:
         raise SweepError(f"{shown(wrong[0])} has no scale to choose{suggest(wrong[0], known) if known else ''}")
     if both := set(log) & set(linear):
@@ -321,7 +287,7 @@ def is_logarithmic(array: xr.DataArray) -> bool:
         raise SweepError(f"{array.name} = {known[0]:g}: a logarithmic axis has only numbers above zero")
     if SCALE in array.attrs:
         return bool(array.attrs[SCALE] == "log")
-    if known.size < 3 or known[0] <= 0.0 or units_of(array.attrs) in LOGARITHMIC_UNITS:
+    if known.size < 3 or known[0] <= 0.0 or formatting.units_of(array.attrs) in formatting.LOGARITHMIC_UNITS:
         return False
     of_ratios = _unevenness(np.log(known))
     return of_ratios < _unevenness(known) and (of_ratios < EVEN or bool(known[-1] > WIDE_RATIO * known[0]))
@@ -332,42 +298,53 @@ def _unevenness(places: Array) -> float:
     return float(np.abs((places - places[0]) / (places[-1] - places[0]) - np.linspace(0.0, 1.0, len(places))).max())
 
 
-def fit_scale(axes: Axes, which: str, array: xr.DataArray, few_ticks: bool = False) -> None:
-    """Make an axis logarithmic where its numbers need it, and name truth values; ``few_ticks`` is for small panels."""
-    if is_truth(array):
-        axes.set(**{f"{which}ticks": [0.0, 1.0], f"{which}ticklabels": TRUTH["flag_meanings"].split()})
+def fit_scale(axes: Axes, which: str, array: xr.DataArray) -> None:
+    """Make an axis logarithmic where its numbers need it, and name truth values."""
+    if formatting.is_truth(array):
+        names = formatting.TRUTH["flag_meanings"].split()
+        axes.set(**{f"{which}ticks": [0.0, 1.0], f"{which}ticklabels": names})
     elif is_logarithmic(array):
-        logarithmic(axes, which, array.values, few_ticks)
+        logarithmic(axes, which, array.values)
 
 
-def logarithmic(axes: Axes, which: str, values: Any, few_ticks: bool = False) -> None:
-    """Make an axis logarithmic: if it spans less than two decades, all of its ticks, such as 1, 2 and 5, have numbers;
-    with ``few_ticks`` there are at most four of these, and no more than five decades.
+def logarithmic(axes: Axes, which: str, values: Any) -> None:
+    """Make an axis logarithmic; if it spans less than two decades, all of its ticks, such as 1, 2 and 5, have numbers
+    as people write them.
     """
     axes.set(**{f"{which}scale": "log"})
     axis = axes.xaxis if which == "x" else axes.yaxis
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known) & (known > 0.0)]
     span = known.max() / known.min() if known.size else 0.0
-    if few_ticks and span >= 100.0:
-        axis.set_major_locator(LogLocator(numticks=5))
-        axis.set_minor_locator(NullLocator())
-    elif 0.0 < span < 100.0:
+    if 0.0 < span < 100.0:
         # below a factor of eight, ticks at 1, 2 and 5 of each decade are too few
-        many: tuple[float, ...] = (1.0, 2.0, 5.0) if span > 8.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
+        many = (1.0, 2.0, 5.0) if span > 8.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
         few = (1.0, 3.0) if span > 10.0 else (1.0, 2.0, 5.0)
-        axis.set_major_locator(LogLocator(subs=few if few_ticks else many))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: number_text(value) if value > 0.0 else ""))
-        axis.set_minor_formatter(NullFormatter())
+        is_small = axes.get_gridspec() is not None and min(panel_size(axes)) < in_letters(13.0)
+        axis.set_major_locator(ticker.LogLocator(subs=few if is_small else many))
+        axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: number_text(value) if value > 0.0 else ""))
+        axis.set_minor_formatter(ticker.NullFormatter())
+
+
+def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
+    """Put names at 0, 1, 2, ... of an axis: in lines that fit, or below it turned where no lines would."""
+    # a report makes figures smaller, not their letters; beside an axis there is an inch
+    room = 0.78 * panel_size(axes)[0] / len(names) if which == "x" else 1.1
+    broken, letter, look = [in_lines(name, room, 1) for name in names], in_letters(LETTER_WIDTH), dict[str, Any]()
+    if which == "x" and letter * max(len(line) for name in broken for line in name.split("\n")) > room:
+        broken, angle = list(names), 45.0 if room > in_letters(1.4) else 90.0
+        look = {"rotation": angle, "rotation_mode": "anchor", "ha": "right", "va": "center"}
+        figure, place = axes.get_figure(), axes.get_subplotspec()
+        if figure and place and place.is_last_row() and place.is_first_col():  # once, so that panels keep their height
+            high = letter * max(map(len, names)) * math.sin(math.radians(angle))
+            figure.set_figheight(figure.get_figheight() + high)  # type: ignore[union-attr]
+    getattr(axes, f"set_{which}ticks")(range(len(names)), broken, **look)
+    axes.set(**{f"{which}lim": (-0.5, len(names) - 0.5)})
 
 
 def add_bar(figure: Figure, drawn: Any, array: xr.DataArray, text: str, **options: Any) -> None:
     """Add the colour bar of an array to a figure."""
-    bar: Colorbar = figure.colorbar(drawn, label=text, **options)
-    if isinstance(bar.norm, LogNorm):
-        logarithmic(bar.ax, "y", [bar.norm.vmin, bar.norm.vmax])
-    elif is_truth(array):
-        bar.set_ticks([0.0, 1.0], labels=TRUTH["flag_meanings"].split())
+    fit_scale(figure.colorbar(drawn, label=text, **options).ax, "y", array)
 
 
 def number_text(value: float) -> str:
@@ -377,15 +354,14 @@ def number_text(value: float) -> str:
         >>> number_text(1000.0), number_text(-0.25), number_text(2e6)
         ('1000', '-0.25', '$2\\\\times10^{6}$')
     """
-    rounded = abs(float(f"{value:.3g}"))
-    power = int(np.floor(np.log10(rounded) + 1e-9)) if value else 0
-    if -4 <= power <= 4:
+    digits, _, power = f"{value:.2e}".partition("e")
+    if -4 <= int(power) <= 4:
         return f"{value:g}"
-    sign, digits = "-" if value < 0.0 else "", f"{rounded / 10.0**power:.3g}"
-    return rf"${sign}10^{{{power}}}$" if digits == "1" else rf"${sign}{digits}\times10^{{{power}}}$"
+    factor = {"1.00": "", "-1.00": "-"}.get(digits, rf"{float(digits):g}\times")
+    return f"${factor}10^{{{int(power)}}}$"
 
 
-# Axes and legends
+# Marks and legends
 
 SIMULATED, COMPUTED, PREDICTED, PUBLISHED = "simulated", "computed", "predicted", "published"  # simulated: with errors
 MOVED = "markers moved sideways, lines not"
@@ -401,75 +377,51 @@ def marks(number: int, size: float, **options: Any) -> dict[str, Any]:
     return {**series(number), "linestyle": "none", "markersize": size, **options}
 
 
-def finish(axes: Axes, grid: bool = True) -> None:
-    """Give axes the light grid and ticks that all pictures have."""
-    axes.tick_params(direction="in", which="both", top=True, right=True)
-    if grid:
-        axes.grid(alpha=0.25, linewidth=0.4)
-        axes.set_axisbelow(True)
+def panels_of(figure: Figure) -> list[Axes]:
+    """Return the panels that are shown, without colour bars."""
+    return [axes for axes in figure.axes if axes.get_visible() and axes.get_label() != "<colorbar>"]
 
 
-def legend(axes: Axes, **options: Any) -> None:
-    """Draw a legend if there is more than one thing to tell apart."""
-    entries = list(zip(*axes.get_legend_handles_labels(), strict=True))
-    if len(entries) > 1:  # points before lines: matplotlib alone would put all error bars last
-        entries.sort(key=lambda entry: not isinstance(entry[0], ErrorbarContainer))
-        options.setdefault("loc", "best")  # given explicitly, matplotlib does not warn if it is slow
-        axes.legend(*zip(*entries, strict=True), frameon=False, **options)
+def complete(figure: Figure, title: str) -> None:
+    """Write the title of a figure, in lines that fit it, and give its panels the light grid and ticks that all pictures
+    have, except for maps, whose colours it would cover.
+    """
+    for axes in panels_of(figure):
+        if axes.name == "rectilinear" and not any(isinstance(one, QuadMesh) for one in axes.collections):
+            axes.tick_params(direction="in", which="both", top=True, right=True)
+            axes.grid(alpha=0.25, linewidth=0.4)
+            axes.set_axisbelow(True)
+    figure.suptitle(in_lines(title, figure.get_figwidth(), 20), fontsize="medium")
 
 
 def legend_entries(figure: Figure) -> dict[str, Any]:
-    """Return what the legends of a figure explain: the first artist of each label."""
+    """Return what the legends of a figure explain: the first artist of each label, points before lines."""
     entries: dict[str, Any] = {}
     for axes in figure.axes:
         for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(text, handle)
-    return entries
+    return dict(sorted(entries.items(), key=lambda entry: not isinstance(entry[1], ErrorbarContainer)))
 
 
-def legend_below(figure: Figure) -> None:
-    """Draw one legend below all axes instead of one in each, where there is more than one thing to tell apart."""
-    entries = legend_entries(figure)
-    for axes in figure.axes:
-        if (inside := axes.get_legend()) is not None:
-            inside.remove()
-    if len(entries) > 1:
-        last = (PREDICTED, PUBLISHED, MOVED)  # these are the same for all series
-        order = sorted(entries, key=lambda text: last.index(text) if text in last else -1)
-        # an entry has 0.6 inches without its text, and 0.065 for each letter of 9 points
-        width = float(mpl.rcParams["font.size"]) / 9.0 * (0.6 + 0.065 * max(map(_shown_letters, order)))
-        columns = max(1, min(len(order), int(figure.get_figwidth() / width)))
-        handles = [entries[text] for text in order]
-        figure.legend(handles, order, loc="outside lower center", ncols=columns, frameon=False)
-        grow(figure, -(-len(order) // columns))
-
-
-def fit_names(figure: Figure) -> None:
-    """Break the names below the axes of a whole figure into lines where they would cover each other, or turn them if
-    that is not enough; then the panels keep their height.
+def legend(figure: Figure, below: bool = False, least: int = 2, **options: Any) -> None:
+    """Draw the legend of a figure if there are at least two things to tell apart, or ``least``: inside its only panel,
+    or ``below`` the panels where these are several or too narrow, or where it has many entries.
     """
-    figure.draw_without_rendering()
-    longest = 0.0
-    for axes in figure.axes:
-        if not isinstance(axes.xaxis.get_major_locator(), FixedLocator) or not _names_cover(axes):
-            continue
-        places, texts = axes.get_xticks(), axes.get_xticklabels()
-        names, line = [text.get_text() for text in texts], float(texts[0].get_fontsize()) * figure.dpi / 72.0
-        (left, _), (right, _) = axes.get_xaxis_transform().transform([(0.0, 0.0), (1.0, 0.0)])  # names are at 0, 1, 2
-        room = NAME_ROOM * (right - left)
-        axes.set_xticks(places, [in_lines(name, room / figure.dpi, 1) for name in names])
-        if _names_cover(axes):
-            degrees = 45.0 if line < room * math.sin(math.radians(45.0)) else 90.0
-            axes.set_xticks(places, names, rotation=degrees, rotation_mode="anchor", ha="right", va="center")
-            longest = max(longest, *(text.get_window_extent().height - line for text in axes.get_xticklabels()))
-    figure.set_figheight(figure.get_figheight() + longest / figure.dpi)
-
-
-# The share of the distance between two names that they may take: a report makes figures smaller, not their letters.
-NAME_ROOM = 0.78
-
-
-def _names_cover(axes: Axes) -> bool:
-    boxes = [text.get_window_extent() for text in axes.get_xticklabels() if text.get_visible() and text.get_text()]
-    gaps = ((a.width + b.width, b.x0 + b.x1 - a.x0 - a.x1) for a, b in pairwise(boxes))
-    return any(both > NAME_ROOM * apart for both, apart in gaps)
+    entries = legend_entries(figure)
+    if len(entries) < least:
+        return
+    panels = panels_of(figure)
+    below |= len(panels) > 1 or len(entries) > MOST_INSIDE or is_narrower_than(in_letters(INSIDE_WIDTH))
+    if not below:
+        # given explicitly, matplotlib does not warn if "best" is slow
+        panels[0].legend(entries.values(), entries, **{"loc": "best", "frameon": False, **options})
+        return
+    lines = [in_lines(text, figure.get_figwidth() - in_letters(5.0)) for text in entries]
+    width = in_letters(
+        4.5 + 0.46 * max(len(plain(line)) for text in lines for line in text.split("\n"))
+    )  # with its sign
+    columns = max(1, min(len(lines), int(figure.get_figwidth() / width)))
+    figure.legend(entries.values(), lines, loc="outside lower center", ncols=columns, frameon=False, **options)
+    if _width.get() is not None:  # then panels keep their height
+        rows = math.ceil("\n".join(lines).count("\n") / columns) + 1
+        figure.set_figheight(figure.get_figheight() + rows * in_letters(1.5))

@@ -52,8 +52,7 @@ def card(dataset: xr.Dataset) -> Card:
 def _picture(dataset: xr.Dataset) -> str:
     """Return the figure as an image that is part of the page; a sentence where there is none."""
     try:
-        from linksweep.sweep.plots.caption import description
-        from linksweep.sweep.plots.figure import draw_figure
+        from linksweep.sweep.plots.figure import description, draw_figure
         from linksweep.sweep.plots.style import settings
     except ImportError:
         return "<p><small>A figure needs Matplotlib: <code>pip install 'linksweep[plot]'</code></small></p>"

@@ -18,24 +18,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal
 from matplotlib.text import Text
 
+from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.answer import ERRORS_ALLOWED
-from linksweep.sweep.analysis.quantity import (
-    error_bar,
-    errors_beside,
-    own_dimensions,
-    places_along,
-    prediction_name,
-    quantities,
-    standard_error,
-    where_they_change,
-)
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import is_truth, meaning_beside, prefixed, units_of, written
-from linksweep.sweep.plots import KINDS
-from linksweep.sweep.plots.caption import caption, description
-from linksweep.sweep.plots.figure import all_figures, draw_figure
+from linksweep.sweep.plots import KINDS, style
+from linksweep.sweep.plots.figure import all_figures, caption, description, draw_figure
 from linksweep.sweep.plots.points import sampled
-from linksweep.sweep.plots.style import BAND, COLOURS, SCALE, is_logarithmic, settings, with_scales
 from linksweep.sweep.studies.study import POINT
 
 # Pictures are made for paper.  Those of one panel, at most so many inches wide, are scaled with letters of the same
@@ -77,12 +66,12 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     found = [drawn(dataset, SAMPLES, f"{number}-samples")] if alone and sampled(dataset) is not None else []
     varying = [name for name in variables if _varies(dataset[name])]
     if alone and not found and not varying:
-        others = {name: (prediction_name(dataset, name), f"{name}_published") for name in variables}
-        varying = [name for name in variables if any(_is_known(dataset.get(other)) for other in others[name])]
+        varying = [name for name in variables if {"predicted", "published"} & _parts(dataset, name).keys()]
     for i, name in enumerate(varying):
-        if errors := errors_beside(dataset, name):
-            part, components = where_they_change(dataset, [name, *errors]), own_dimensions(dataset, name)
-            for k, place in enumerate(places_along(part, components)):
+        if errors := quantity.errors_beside(dataset, name):
+            part = quantity.where_they_change(dataset, [name, *errors])
+            components = quantity.own_dimensions(dataset, name)
+            for k, place in enumerate(quantity.places_along(part, components)):
                 one = part.isel(place)
                 if _varies(one[name]):
                     words = ", ".join(str(one[d].item()) for d in components if d in one.coords)
@@ -135,10 +124,10 @@ def differences(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
     """Return a variable minus its prediction, in units of its one-sigma errors, as a dataset to draw; None where the
     variable has no errors or no prediction.
     """
-    error, predicted = standard_error(dataset, variable), dataset.get(prediction_name(dataset, variable))
-    if error is None or predicted is None or not _is_known(predicted):
+    parts, error = _parts(dataset, variable), quantity.standard_error(dataset, variable)
+    if error is None or "predicted" not in parts:
         return None
-    apart = ((dataset[variable] - predicted) / error.where(error > 0.0)).transpose(*dataset[variable].dims)
+    apart = ((dataset[variable] - parts["predicted"]) / error.where(error > 0.0)).transpose(*dataset[variable].dims)
     attributes = {"symbol": "(simulated − predicted)/error", "long_name": f"{variable}, minus predicted"}
     apart = apart.drop_attrs(deep=False).assign_attrs(attributes)
     kept = dataset[["status"]].assign_attrs(title=dataset.attrs.get("title", ""))
@@ -149,7 +138,7 @@ def _add_band(figure: Figure) -> None:
     """Mark zero, and the band in which a difference may be due to chance."""
     for axes in figure.axes:
         axes.axhline(0.0, color="black", linewidth=0.6)
-        axes.axhspan(-ERRORS_ALLOWED, ERRORS_ALLOWED, color=COLOURS[6], **BAND)
+        axes.axhspan(-ERRORS_ALLOWED, ERRORS_ALLOWED, color=style.COLOURS[6], **style.BAND)
 
 
 def _varies(array: xr.DataArray) -> bool:
@@ -164,7 +153,7 @@ def _is_known(array: xr.DataArray | None) -> bool:
 
 @contextmanager
 def _inside_a_page(salt: str) -> Iterator[None]:
-    with settings(), warnings.catch_warnings():
+    with style.settings(), warnings.catch_warnings():
         mpl.rcParams.update({"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"})
         warnings.filterwarnings("ignore", message="Glyph")  # text stays text: the reader's fonts show it
         yield
@@ -211,10 +200,10 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
     ``first`` are the quantities that come first; each has flat lists in C order of its own dimensions, None where a
     value is missing.
     """
-    dataset = with_scales(dataset, list(map(str, dataset.variables)))
+    dataset = style.with_scales(dataset)
     views: list[dict[str, Any]] = []
     left_out, used = [], 0
-    for name in dict.fromkeys([*first, *quantities(dataset)]):
+    for name in dict.fromkeys([*first, *quantity.quantities(dataset)]):
         if not np.isfinite(dataset[name].values).any():
             continue
         parts = _parts(dataset, name)
@@ -224,14 +213,15 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
             continue
         used += size
         views.append(_quantity(dataset, name, parts))
-    dims = list(dict.fromkeys(d for quantity in views for d in quantity["dims"]))
-    return {"quantities": views, "axes": [_axis(dataset, name) for name in _axes(dataset, dims)]}, used, left_out
+    dims = list(dict.fromkeys(d for view in views for d in view["dims"]))
+    return {"quantities": views, "axes": list(_axes(dataset, dims))}, used, left_out
 
 
 def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
     """Return a quantity and what belongs to it and is known, all with its own dimensions."""
     value = dataset[name]
-    others = {"error": error_bar(dataset, name), "predicted": dataset.get(prediction_name(dataset, name))}
+    others = {"error": quantity.error_bar(dataset, name)}
+    others["predicted"] = dataset.get(quantity.prediction_name(dataset, name))
     others |= {suffix: dataset.get(f"{name}_{suffix}") for suffix in ("published", "published_rounding")}
     known = {n: part for n, part in others.items() if part is not None and set(part.dims) <= set(value.dims)}
     parts = {n: part.broadcast_like(value).transpose(*value.dims) for n, part in known.items() if _is_known(part)}
@@ -243,11 +233,11 @@ def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) ->
     unit, factors, components = units_of(array.attrs), xr.DataArray(1.0), {}
     with_units = [str(d) for d in array.dims if f"{d}_unit" in dataset.coords]  # a unit for each component
     if "," in unit and len(with_units) == 1:
-        (dimension,) = with_units
-        units = map(str, dataset[f"{dimension}_unit"].values.tolist())
-        chosen = [prefixed(array.isel({dimension: i}).values, unit) for i, unit in enumerate(units)]
-        factors = xr.DataArray([one.factor for one in chosen], dims=dimension)
-        unit, components = "", {"unit_dim": dimension, "units": [written(one.unit) for one in chosen]}
+        (dim,) = with_units
+        units = map(str, dataset[f"{dim}_unit"].values.tolist())
+        chosen = [prefixed(array.isel({dim: i}).values, unit) for i, unit in enumerate(units)]
+        factors = xr.DataArray([one.factor for one in chosen], dims=dim)
+        unit, components = "", {"unit_dim": dim, "units": [written(one.unit) for one in chosen]}
     elif "," in unit:  # of each element of a matrix
         unit = ", ".join(dict.fromkeys(part.strip(" ()") for part in unit.split(",")))
     return {
@@ -256,34 +246,31 @@ def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) ->
         **components,
         "meaning": meaning_beside(name, array.attrs),
         "dims": list(map(str, array.dims)),
-        "scale": str(array.attrs.get(SCALE, "")),
+        "scale": str(array.attrs.get(style.SCALE, "")),
         "truth": is_truth(array),
         **{suffix: _numbers((part * factors).transpose(*part.dims)) for suffix, part in parts.items()},
     }
 
 
-def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> list[str]:
-    """Return the coordinates along dimensions, and the dimensions without one; those along points without order
-    come last, and only if they are numeric.
+def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Yield the coordinates along dimensions, and the dimensions without one; those along points without order come
+    last, and only if they are numeric.
     """
     names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and not str(n).endswith("_unit")]
     along = [n for d in dims for n in dict.fromkeys([d, *(m for m in names if dataset[m].dims == (d,))])]
-    unordered = [n for n in along if n != POINT and dataset[n].dims == (POINT,) and dataset[n].dtype.kind in "iuf"]
-    return [n for n in along if dataset[n].dims != (POINT,)] + unordered + [n for n in along if n == POINT]
-
-
-def _axis(dataset: xr.Dataset, name: str) -> dict[str, Any]:
-    array = dataset[name]  # a dimension without a coordinate gives 0, 1, 2, ...
-    numeric = array.dtype.kind in "iuf"
-    return {
-        "name": name,
-        "dim": str(array.dims[0]),
-        "unit": written(units_of(array.attrs)),
-        "numeric": numeric,
-        "ordered": array.dims[0] != POINT,
-        "logarithmic": numeric and is_logarithmic(array),
-        "values": _numbers(array) if numeric else list(map(str, array.values.tolist())),
-    }
+    for name in sorted(along, key=lambda n: (dataset[n].dims == (POINT,), n == POINT)):
+        array = dataset[name]  # a dimension without a coordinate gives 0, 1, 2, ...
+        numeric, ordered = array.dtype.kind in "iuf", array.dims[0] != POINT
+        if numeric or ordered or name == POINT:
+            yield {
+                "name": name,
+                "dim": str(array.dims[0]),
+                "unit": written(units_of(array.attrs)),
+                "numeric": numeric,
+                "ordered": ordered,
+                "logarithmic": numeric and style.is_logarithmic(array),
+                "values": _numbers(array) if numeric else list(map(str, array.values.tolist())),
+            }
 
 
 def _numbers(array: xr.DataArray) -> list[float | int | None]:

@@ -25,8 +25,8 @@ from linksweep.sweep.stores.location import Folder, Location
 from linksweep.sweep.stores.store import CODE, Store, was_written_here
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Study
 
+# The code of a point that is not done, and of one whose blocks were made by different codes.
 UNKNOWN, SEVERAL = 0, -1
-"""The code of a point that is not done, and of one whose blocks were made by different codes."""
 
 
 class CodeRecord(NamedTuple):

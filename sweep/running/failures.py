@@ -10,14 +10,14 @@ from linksweep.sweep.formatting import counted, harmless
 from linksweep.sweep.planning.grid import GridPoint, describe
 from linksweep.sweep.studies.study import Study
 
+# Most reasons of failed points that are named.
 NAMED = 5
-"""Most reasons of failed points that are named."""
 
+# Characters of a reason in a line.
 LONGEST_REASON = 200
-"""Characters of a reason in a line."""
 
+# A run ends where so many first points all fail for the same reason; a percentage is that of at least so many.
 FIRST = 20
-"""A run ends where so many first points all fail for the same reason; a percentage is that of at least so many."""
 
 NUMBER = re.compile(r"0x[0-9a-f]+|[-+]?(?:\d[\d_,]*\.?\d*|\.\d+)(?:e[-+]?\d+)?", re.IGNORECASE)
 
@@ -51,6 +51,36 @@ class MaxFailures:
         return f"{self.number:,}" if self.percent is None else f"{self.percent:g} %"
 
 
+class Reasons:
+    """Reasons why points failed, by what they have in common: of each the first place and message, and how many."""
+
+    def __init__(self) -> None:
+        self.points = 0
+        self.first: dict[str, tuple[str, str]] = {}
+        self._numbers: dict[str, int] = {}
+
+    def add(self, place: str, message: str) -> str:
+        """Count a point that failed; return what its reason has in common with others."""
+        kind = in_common(place, message)
+        self.first.setdefault(kind, (place, message))
+        self._numbers[kind] = self._numbers.get(kind, 0) + 1
+        self.points += 1
+        return kind
+
+    def __str__(self) -> str:
+        most = sorted(self.first, key=lambda kind: -self._numbers[kind])
+        words = [self._described(kind) for kind in most[:NAMED]]
+        return "; ".join([*words, *([f"{len(most) - NAMED:,} other reasons"] if len(most) > NAMED else [])])
+
+    def _described(self, kind: str) -> str:
+        (place, message), number = self.first[kind], self._numbers[kind]
+        return (
+            f"{short(message)}, at {place}"
+            if number == 1
+            else f"{number:,} like {short(message)}, for example at {place}"
+        )
+
+
 class FailureCount:
     """Counts the points of a run that have ended, and says when too many have failed.
 
@@ -64,7 +94,7 @@ class FailureCount:
         self._study, self.points, self._before, self._most = study, points, before, most
         self._failed_before = failed_before
         self._first: list[str] = []  # what the first points have in common with others, '' for one that is done
-        self._reasons = _Reasons()
+        self._reasons = Reasons()
         self.ended = 0
 
     def __str__(self) -> str:
@@ -92,7 +122,7 @@ class FailureCount:
     @property
     def reason(self) -> str:
         """The first reason, in short; '' where no point has failed in this run."""
-        return harmless(next((short(one.message) for one in self._reasons.of.values()), ""))
+        return harmless(next((short(message) for _, message in self._reasons.first.values()), ""))
 
     @property
     def most_at_once(self) -> int | None:
@@ -103,15 +133,16 @@ class FailureCount:
         return FIRST - len(self._first) or None
 
     def take(self, ended: Iterable[GridPoint], failed: Mapping[int, Failure]) -> list[str]:
-        """Count points that have ended; return a sentence for each reason that is new."""
+        """Count points that have ended; return a sentence for each of the first reasons."""
         new = []
         for point in ended:
             self.ended += 1
             kind = ""
             if (failure := failed.get(point.index)) is not None:
+                known = len(self._reasons.first)
                 place = describe(self._study, point.parameters)
                 kind = self._reasons.add(place, failure.message)
-                if self._reasons.of[kind].points == 1 and len(self._reasons.of) <= NAMED:
+                if known < len(self._reasons.first) <= NAMED:
                     new.append(f"failed at {place}: {short(failure.message)}")
             if len(self._first) < FIRST:
                 self._first.append(kind)
@@ -119,64 +150,27 @@ class FailureCount:
 
     def too_many(self) -> str:
         """Return why the run is to be ended, in words; '' where it goes on, or where nothing is left to do anyway."""
-        here, most, reasons = self.failed_here, self._most, self._reasons
+        here, most = self.failed_here, self._most
         if self._before + self.ended >= self.points or not here:
             return ""
         if most is None:
             alike = len(self._first) == FIRST and "" not in self._first and len(set(self._first)) == 1
-            return f"the first {FIRST} points all failed for the same reason: {reasons}" if alike else ""
+            return f"the first {FIRST} points all failed for the same reason: {self._reasons}" if alike else ""
         if most.percent is None:
             exceeded = here > (most.number or 0)
         else:
             exceeded = self.ended >= FIRST and 100.0 * here > most.percent * self.ended
         of_ended = f"{here:,} of the {counted(self.ended, 'point')} that ended failed, more than {most}"
-        return f"{of_ended}: {reasons}" if exceeded else ""
-
-
-@dataclass
-class _Reason:
-    """The first point that failed for a reason, how many there are, and whether all messages are ``equal``."""
-
-    place: str
-    message: str
-    points: int = 0
-    equal: bool = True
-
-    def __str__(self) -> str:
-        if self.points == 1:
-            return f"{short(self.message)}, at {self.place}"
-        return f"{self.points:,} {'x' if self.equal else 'like'} {short(self.message)}, for example at {self.place}"
-
-
-class _Reasons:
-    """Reasons by what they have in common."""
-
-    def __init__(self) -> None:
-        self.of: dict[str, _Reason] = {}
-        self.points = 0
-
-    def add(self, place: str, message: str) -> str:
-        """Count a point that failed; return what its reason has in common with others."""
-        reason = self.of.setdefault(kind := in_common(place, message), _Reason(place, message))
-        reason.points += 1
-        reason.equal &= reason.message == message
-        self.points += 1
-        return kind
-
-    def __str__(self) -> str:
-        reasons = [str(reason) for reason in sorted(self.of.values(), key=lambda one: -one.points)]
-        more = [f"{len(reasons) - NAMED:,} other reasons"] if len(reasons) > NAMED else []
-        return "; ".join([*reasons[:NAMED], *more])
+        return f"{of_ended}: {self._reasons}" if exceeded else ""
 
 
 def failed_points(failures: Mapping[str, str]) -> str:
-    """Return how many points failed and why, from messages by place: '3 points failed: 2 x KeyError: 'y', for example
-    at sky=clear; ValueError: no sun, at sky=dark'.
+    """Return how many points failed and why, from messages by place: '3 points failed: 2 like KeyError: 'y', for
+    example at sky=clear; ValueError: no sun, at sky=dark'.
 
-    Messages that differ only in numbers, or in a value of their point, are one reason: '9 like ValueError: no root for
-    0.1, for example at x=0.1'.
+    Messages that differ only in numbers, or in a value of their point, are one reason.
     """
-    reasons = _Reasons()
+    reasons = Reasons()
     for place, message in failures.items():
         reasons.add(place, message)
     return f"{counted(reasons.points, 'point')} failed: {reasons}"
@@ -203,5 +197,4 @@ def failed_before(points: int) -> str:
 def short(message: str) -> str:
     """Return the first line of a message, cut where it is long."""
     line = message.strip().partition("\n")[0]
-    more = len(line) - LONGEST_REASON
-    return f"{line[:LONGEST_REASON]} [and {counted(more, 'character')}]" if more > 0 else line
+    return line if len(line) <= LONGEST_REASON else f"{line[:LONGEST_REASON]} [...]"

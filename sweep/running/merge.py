@@ -22,8 +22,7 @@ from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.running.code import CodeRecord, as_json, records_of
 from linksweep.sweep.running.reproduce import study_of
-from linksweep.sweep.running.study_store import create_store, differences, find_store, open_store, replace_store
-from linksweep.sweep.running.writer import Writer
+from linksweep.sweep.running.writer import Writer, create_store, differences, find_store, open_store, replace_store
 from linksweep.sweep.stores.ledger import Ledger, Record
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
 from linksweep.sweep.stores.store import CODE, OpenStore, Store, is_new
@@ -31,15 +30,15 @@ from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.record import RECORD, Recorded, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import Study
 
+# The attribute of a store made of others: JSON of where their results come from.
 MERGED = "merged"
-"""The attribute of a store made of others: JSON of where their results come from."""
 
+# Attributes of a store that are kept in a store made of it.
 KEPT = ("study_name", "study_digest", "study_overrides", "started", "finished", "host", "versions", "git_commit")
-"""Attributes of a store that are kept in a store made of it."""
 
 ROWS_AT_ONCE = 10_000
+# The part of a block's key that is the digest of its point.
 DIGEST = slice(0, DIGEST_BYTES)
-"""The part of a block's key that is the digest of its point."""
 
 
 @dataclass(frozen=True)
@@ -185,8 +184,8 @@ class _Known(Recorded):
         return Code().function(reference, folder)
 
 
+# Sections of a study about its grid.
 _GRID = ("axes", "points", "grid", "exclude", "published", "claim")
-"""Sections of a study about its grid."""
 
 
 def _crossed(study: Study) -> dict[str, tuple[Value, ...]]:

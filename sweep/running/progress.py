@@ -5,80 +5,56 @@ import math
 import sys
 import time
 from array import array
-from bisect import bisect_right, insort
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from html import escape
-from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from linksweep.sweep import table_writer
 from linksweep.sweep.executing.task import TaskResult
 from linksweep.sweep.formatting import counted, harmless, in_words, per_second
 from linksweep.sweep.interrupt import how_ended
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
-from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.running.failures import FailureCount, failed_before, failed_points, short
 from linksweep.sweep.running.writer import Taken
 from linksweep.sweep.studies.study import Study
 
+# Messages to the user and to the log file, with a debug message for each point.
 SENTENCES = logging.getLogger("linksweep")
-"""Messages to the user and to the log file, with a debug message for each point."""
 
+# Messages to the log file alone, such as the traceback of each point that fails.
 RECORD = logging.getLogger("linksweep.record")
-"""Messages to the log file alone, such as the traceback of each point that fails."""
 
+# The time between two lines grows with the time that the run has taken, between these bounds.
 LINE_FIRST_S, LINE_LAST_S, LINE_SHARE = 5.0, 600.0, 0.1
-"""The time between two lines grows with the time that the run has taken, between these bounds."""
 
+# The least time between two updates of the line in a notebook.
 NOTEBOOK_S = 0.5
-"""The least time between two updates of the line in a notebook."""
 
+# Most of the slowest points that are named.
 SLOWEST = 3
-"""Most of the slowest points that are named."""
 
+# A point is slow if it takes more than so many times the median of all points, and more than so many seconds.
 MUCH_SLOWER, WORTH_SAYING_S = 3.0, 1.0
-"""A point is slow if it takes more than so many times the median of all points, and more than so many seconds."""
 
+# Most warnings that are named.
 NAMED = 5
-"""Most warnings that are named."""
-
-MOST_LINES = 15
-"""Most lines for one axis in a text."""
-
-OVERLAP = 0.25
-"""A task may seem to begin this fraction of its length before the last one on its worker ended: results come late."""
-
-SILENT = 5.0
-"""A worker without a result for so many times the longest task counts as gone."""
-
-
-@dataclass(order=True)
-class _Lane:
-    """One worker as its results show it: tasks that follow one another, ``busy`` seconds of work in all."""
-
-    end: float
-    begin: float
-    busy: float
 
 
 class Eta:
-    """Estimates the time left, with all times in seconds of one clock.
+    """Estimates the time left, with all times in seconds of one clock: the work that is left, by the seconds that a
+    unit of cost took so far, divided by how much was done at once in the last half of the run.
 
-    Which results can come from one worker is inferred from their times; there are at most ``workers`` workers if that
-    is known.  The time since a worker's last result counts as work under way.  A first call in a process may have
-    imported modules: it tells nothing of what is left.
+    There are at most ``workers`` workers if that is known.  A first call in a process may have imported modules: it
+    tells nothing of what is left.
 
     Example: two of ten tasks have come from one worker, which takes 3 s for each.
 
@@ -93,9 +69,9 @@ class Eta:
         """Start with the ``cost`` of all work that is known."""
         self._known = cost
         self._workers = math.inf if workers is None else max(1, workers)
-        self._done = self._cost = self._busy = self._longest = 0.0
-        self._tasks = 0
-        self._lanes: list[_Lane] = []  # sorted by their end
+        self._done = self._cost = self._busy = self._longest = self._recent_s = 0.0
+        self._recent: deque[tuple[float, float]] = deque()  # when tasks ended, and their seconds
+        self._begun = self._since = 0.0
 
     def extend(self, cost: float) -> None:
         """Add work that was not known before."""
@@ -105,34 +81,34 @@ class Eta:
         """Count a task's result that came ``now`` after ``seconds`` on its worker; ``cold`` of them for the first of
         its ``rows``, which may have imported modules.
         """
-        seconds = max(seconds, 1e-9)
         self._done += cost
         if not (usual := 1.0 - (1.0 / rows if cold else 0.0)):
-            return  # nor is its worker known to go on at once: the first write of a run imports too
+            return
+        seconds = max(seconds - cold, 1e-9)
+        if not self._recent:
+            self._begun = self._since = now - seconds
         self._cost += usual * cost
-        self._busy += max(seconds - cold, 1e-9)
-        self._tasks += 1
-        self._longest = max(self._longest, seconds - cold)
-        begin = now - seconds
-        # The task followed the last one that ended before it began; where no lane is free there is a new worker.
-        free = bisect_right(self._lanes, begin + OVERLAP * seconds, key=lambda lane: lane.end)
-        if free or len(self._lanes) >= self._workers:
-            lane = self._lanes.pop(max(0, free - 1))
-            lane = _Lane(now, lane.begin, lane.busy + seconds)
-        else:
-            lane = _Lane(now, begin, seconds)
-        insort(self._lanes, lane)
+        self._busy += seconds
+        self._longest = max(self._longest, seconds)
+        self._recent.append((now, seconds))
+        self._recent_s += seconds
+        # Workers come and go, so what is long past does not count; but tasks that end together must not look like more.
+        while self._recent[0][0] < now - max(0.5 * (now - self._begun), 3.0 * self._longest):
+            self._since, gone = self._recent.popleft()
+            self._recent_s -= gone
 
     def left(self, now: float) -> float | None:
         """Return the seconds left, never negative; None while nothing is known but the time of first calls."""
-        if not self._tasks:
+        if not self._recent:
             return None
-        lanes = [lane for lane in self._lanes if now - lane.end <= SILENT * self._longest] or self._lanes[-1:]
-        share = sum(lane.busy for lane in lanes) / sum(max(lane.end - lane.begin, lane.busy) for lane in lanes)
-        under_way = sum(min(max(now - lane.end, 0.0), self._longest) for lane in lanes) * share
-        needed = max(self._known - self._done, 0.0) * self._busy / max(self._cost, 1e-9)
-        at_once = min(float(len(lanes)), max(1.0, needed * self._tasks / self._busy))  # the last tasks leave some idle
-        return max(needed - under_way, needed / 2) / (at_once * share)
+        last = self._recent[-1][0]
+        elapsed = max(last - self._since, 1e-9)
+        half = min(
+            0.5 * self._recent_s / len(self._recent), 0.5 * elapsed
+        )  # a task, which all others are at on average
+        at_once = min((self._recent_s - half) / (elapsed - half), self._workers)
+        needed = max(self._known - self._done, 0.0) * self._busy / max(self._cost, 1e-9) / max(at_once, 1e-9)
+        return max(needed - max(now - last, 0.0), 0.5 * needed)
 
 
 class _Watch:
@@ -189,10 +165,10 @@ class TerminalProgress(_Watch):
         super().start(survey, where, workers)
         total, pending = survey.total, survey.pending
         self._work = pending.cost
-        done = self._count.done
-        kept = f", {done:,} of them in the store already" if done else ""
-        begun = total.points == pending.points and total.blocks > pending.blocks
-        kept += failed_before(survey.failed) + (", part of the realisations too" if begun else "")
+        kept = f", {self._count.done:,} of them in the store already" if self._count.done else ""
+        kept += failed_before(survey.failed)
+        if total.points == pending.points and total.blocks > pending.blocks:
+            kept += ", part of the realisations too"
         self.say(f"{counted(total.points, 'point')}{kept}; {self._counted(pending)} to do on {where}")
         if self._with_bar and pending.blocks:
             self._bar = Live(get_renderable=self._drawn, console=self._console, transient=True)
@@ -200,7 +176,6 @@ class TerminalProgress(_Watch):
 
     def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
         """Count what was done, and what more there is to do."""
-        assert self._begun is not None, "a run starts before it advances"
         for sentence in self._take(result, taken):
             SENTENCES.warning(sentence)
         self._work += taken.more.cost
@@ -216,10 +191,15 @@ class TerminalProgress(_Watch):
             self._first_warned = dict.fromkeys(said.warnings, place) | self._first_warned
             for line in said.printed.splitlines():
                 RECORD.info("%s: printed: %s", place, line)
-        if taken.failed or SENTENCES.isEnabledFor(logging.DEBUG):
-            self._say_points(taken)
+        for point in taken.ended if taken.failed or SENTENCES.isEnabledFor(logging.DEBUG) else ():
+            place = describe(self._study, point.parameters)
+            if (failure := taken.failed.get(point.index)) is None:
+                SENTENCES.debug("%s: done", place)
+                continue
+            SENTENCES.debug("%s: failed (%s)", place, failure.kind)
+            RECORD.error("%s: failed (%s): %s\n%s", place, failure.kind, failure.message, failure.traceback)
         now = time.monotonic()
-        if now - self._shown > min(max(LINE_FIRST_S, LINE_SHARE * (now - self._begun)), LINE_LAST_S):
+        if now - self._shown > min(max(LINE_FIRST_S, LINE_SHARE * self._elapsed()), LINE_LAST_S):
             self._shown = now
             (SENTENCES if self._bar is None else RECORD).info(self._line())
 
@@ -228,15 +208,6 @@ class TerminalProgress(_Watch):
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
-
-    def _say_points(self, taken: Taken) -> None:
-        for point in taken.ended:
-            place = describe(self._study, point.parameters)
-            if (failure := taken.failed.get(point.index)) is not None:
-                SENTENCES.debug("%s: failed (%s)", place, failure.kind)
-                RECORD.error("%s: failed (%s): %s\n%s", place, failure.kind, failure.message, failure.traceback)
-            else:
-                SENTENCES.debug("%s: done", place)
 
     def say(self, text: str) -> None:
         """Tell the user a sentence."""
@@ -247,10 +218,8 @@ class TerminalProgress(_Watch):
         self.written()
         done = "nothing was begun"
         if self._begun is not None:
-            failed = self._count.failed_here
-            kept = self._counted(self._done, failed)
-            done = f"{kept} of this run {'is' if kept.startswith('1 ') else 'are'} kept in {store}"
-            done += f", {counted(failed, 'point')} failed" if failed else ""
+            failed = f", {counted(self._count.failed_here, 'point')} failed" if self._count.failed_here else ""
+            done = f"kept in {store}: {self._counted(self._done, self._count.failed_here)} of this run{failed}"
         SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
 
     def finish(self, failures: Mapping[str, str], store: object, commands: Sequence[str] = ()) -> None:
@@ -258,7 +227,7 @@ class TerminalProgress(_Watch):
         self.written()
         if self._begun is not None:
             further = f"; next: {', '.join(commands)}" if commands and not failures else ""
-            for line in (*self.summary(time.monotonic() - self._begun), f"wrote {store}{further}"):
+            for line in (*self.summary(self._elapsed()), f"wrote {store}{further}"):
                 self.say(line)
             for text, n in self._warned.most_common(NAMED):
                 often = "once" if n == 1 else f"{n:,} times, first"
@@ -293,6 +262,10 @@ class TerminalProgress(_Watch):
             lines += [f"slowest: {'; '.join(slow)}"] if slow else []
         return lines
 
+    def _elapsed(self) -> float:
+        assert self._begun is not None, "a run starts before it is described"
+        return time.monotonic() - self._begun
+
     def _counted(self, size: PlanSize, failed: int = 0) -> str:
         return counted(size.points - failed, "point") if self._once else counted(size.realisations, "realisation")
 
@@ -302,10 +275,9 @@ class TerminalProgress(_Watch):
 
     def _line(self) -> str:
         """Return how far the run is: points, time left, speed.  What matters most comes first: a terminal cuts it."""
-        assert self._begun is not None, "a run starts before it is described"
         percent = 100.0 * self._done.cost / self._work if self._work > 0.0 and not self._once else None
         share = "" if percent is None else f" ({percent:.0f} % of the work)"
-        return ", ".join([f"{self._count}{share}", *self._left(), self._speed(time.monotonic() - self._begun)])
+        return ", ".join([f"{self._count}{share}", *self._left(), self._speed(self._elapsed())])
 
     def _drawn(self) -> Table:
         """Return the bar and its line, with what failed in red and the first reason as far as there is room."""
@@ -374,72 +346,3 @@ class NotebookProgress(_Watch):
             self._handle = display(line, display_id=True)
         else:
             self._handle.update(line)
-
-
-AxisRows = list[dict[str, Any]]
-"""How far a study is at each value along a dimension: ``at`` has the values by axis, the others are counts."""
-
-
-def by_axis(
-    axes: Mapping[str, Sequence[Mapping[str, Any]]],
-    status: NDArray[np.int8],
-    realisations: NDArray[np.int64],
-    wanted: int,
-) -> dict[str, AxisRows]:
-    """Return how far a study is at each value along each dimension: points done, failed and excluded, realisations.
-
-    ``axes`` has the values along each dimension, by axis; ``status`` and ``realisations`` done are shaped as the grid,
-    and ``wanted`` are the realisations of a point that is not done.
-    """
-    excluded, done = status == Status.EXCLUDED, status == Status.DONE
-    of_point = np.where(done, realisations, np.maximum(realisations, wanted))
-    counts = {
-        "points": ~excluded,
-        "done": done,
-        "failed": status == Status.FAILED,
-        "excluded": excluded,
-        "realisations_done": np.where(excluded, 0, realisations),
-        "realisations": np.where(excluded, 0, of_point),
-    }
-    rows = {}
-    for number, (dimension, places) in enumerate(axes.items()):
-        others = tuple(d for d in range(status.ndim) if d != number)
-        sums = {name: count.sum(axis=others).tolist() for name, count in counts.items()}
-        rows[dimension] = [{"at": at} | {name: sums[name][i] for name in counts} for i, at in enumerate(places)]
-    return rows
-
-
-def folded(rows: AxisRows, most: int = MOST_LINES) -> list[AxisRows]:
-    """Join neighbours, down to ``most`` groups: first those all finished or all untouched, then the shortest."""
-    groups = [[row] for row in rows]
-    if len(rows) > most:
-        groups = []
-        states = groupby(rows, key=lambda r: (r["done"] == r["points"], not (r["realisations_done"] or r["failed"])))
-        for state, alike in states:
-            groups += [list(alike)] if any(state) else [[row] for row in alike]
-    while len(groups) > most:
-        sizes = [len(a) + len(b) for a, b in pairwise(groups)]
-        at = sizes.index(min(sizes))
-        groups[at : at + 2] = [groups[at] + groups[at + 1]]
-    return groups
-
-
-def axis_table(dimension: AxisRows, units: Mapping[str, str]) -> table_writer.Table:
-    """Return how far a study is along a dimension as a table; columns that would be empty are left out."""
-    name = ", ".join(f"{axis} [{unit}]" if (unit := units.get(axis, "")) else axis for axis in dimension[0]["at"])
-    columns: dict[str, list[str]] = {name: [], "points done": [], "realisations": [], "failed": [], "excluded": []}
-    for group in folded(dimension):
-        total = {key: sum(row[key] for row in group) for key in group[0] if key != "at"}
-        first, last = (", ".join(map(str, row["at"].values())) for row in (group[0], group[-1]))
-        percent = 100 * total["realisations_done"] // total["realisations"] if total["realisations"] else 100
-        cells = (
-            first if len(group) == 1 else f"{first} ... {last} ({len(group):,} values)",
-            f"{total['done']:,}/{total['points']:,}",
-            f"{percent} %" if any(row["realisations"] != row["points"] for row in dimension) else "",
-            *(f"{total[key]:,}" if total[key] else "" for key in ("failed", "excluded")),
-        )
-        for column, cell in zip(columns.values(), cells, strict=True):
-            column.append(cell)
-    return table_writer.Table(
-        [table_writer.Column(heading, cells, left=heading == name) for heading, cells in columns.items() if any(cells)]
-    )

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.contract import ResultError, SweepError, Value, shown, suggest
+from linksweep.sweep.contract import ResultError, SweepError, shown, suggest
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.task import Task, TaskResult
 from linksweep.sweep.executing.worker import run_task
@@ -29,10 +29,10 @@ from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.record import as_recorded
 from linksweep.sweep.studies.study import POINT, Study
 
-MAX_NAMED = 10
+MOST_NAMED = 10
 
+# Points that differ and are computed twice more, each time in a process of their own, to find the cause.
 MOST_EXPLAINED = 3
-"""Points that differ and are computed twice more, each time in a process of their own, to find the cause."""
 
 RANDOM = (
     "another result each time it is computed: it draws random numbers that are not those of its argument rng, or reads "
@@ -73,8 +73,8 @@ def study_of(store: Where, *, trust: bool = False) -> Study:
 
 
 def _study_of(store: OpenStore, trust: bool) -> Study:
-    where = str(store.location)
-    return study_of_attributes(store.attributes, where, asking(store.location, store.attributes, trust))
+    code = asking(store.location, store.attributes, trust)
+    return study_of_attributes(store.attributes, str(store.location), code)
 
 
 def study_to_look_at(store: Where) -> Study:
@@ -111,7 +111,7 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     status = Status(int(stored["status"]))
     differences = None
     if status == Status.DONE:
-        pairs = _pairs(stored, result)
+        pairs = {name: (stored[name].values, result[name].values) for name in map(str, result) if name in stored}
         differences = {name: pair for name, pair in pairs.items() if not _equal(*pair)}
     other_code = differences_of_code(records_of(opened.attributes), study)
     return Reproduction(describe(study, place), result, status.word, differences, other_code)
@@ -126,37 +126,36 @@ def verify(study: Study, where: Where, number: int) -> Verified:
     """
     opened = OpenStore(where)
     study = as_recorded(study, opened.attributes)
+    tolerance = study.experiment.tolerance if study.experiment.vectorised else 0.0
     grid = Grid(study)
     dataset = opened.dataset().transpose(*grid.dimensions, ...)
     done = np.intersect1d(np.flatnonzero(dataset["status"].values == Status.DONE), grid.indices())
     chosen = heapq.nsmallest(number, grid.points(done), key=lambda point: point.digest)
 
-    def stored(point: GridPoint) -> xr.Dataset:
-        places = np.unravel_index(point.index, grid.shape) if grid.shape else ()
-        return dataset.isel(dict(zip(grid.dimensions, map(int, places), strict=True)))
-
     def computed(points: Sequence[GridPoint]) -> dict[int, xr.Dataset | str]:
         results: dict[int, xr.Dataset | str] = {}
-        with Children(study.experiment_reference, forked=False) as children:
+        with Children(study.experiment_reference, forked=False) as child:  # a fork has the state of this process
             for point in points:
-                result, failures = _alone(study, point.parameters, children.run)
+                result, failures = _alone(study, point.parameters, child.run)
                 results[point.index] = next(iter(failures.values()), result)
         return results
 
     differing: list[str] = []
     forward, backward = computed(chosen), computed(chosen[::-1])
     for point in chosen:
-        seen = [stored(point), forward[point.index], backward[point.index]]
-        if all(_same(study, seen[0], other) for other in seen[1:]):
+        places = np.unravel_index(point.index, grid.shape) if grid.shape else ()
+        stored = dataset.isel(dict(zip(grid.dimensions, map(int, places), strict=True)))
+        seen = forward[point.index], backward[point.index]
+        if all(_same(stored, other, tolerance) for other in seen):
             continue
         cause = "other results than in the store"
         if len(differing) < MOST_EXPLAINED:
             first, second = (computed([point])[point.index] for _ in range(2))
-            if not _same(study, first, second):
+            if not _same(first, second, tolerance):
                 cause = RANDOM
             else:
-                cause = STORED if all(_same(study, first, other) for other in seen[1:]) else STATE
-        failed = next((f"; computed again it fails: {one}" for one in seen[1:] if isinstance(one, str)), "")
+                cause = STORED if all(_same(first, other, tolerance) for other in seen) else STATE
+        failed = next((f"; computed again it fails: {one}" for one in seen if isinstance(one, str)), "")
         differing.append(f"{describe(study, point.parameters)} has {cause}{failed}")
     return Verified(len(chosen), differing)
 
@@ -184,25 +183,17 @@ def _raising(task: Task) -> TaskResult:
     return run_task(replace(task, caught=False, repeatable=False))
 
 
-def _pairs(one: xr.Dataset, other: xr.Dataset) -> dict[str, tuple[Any, Any]]:
-    """Return the values of each variable that both have."""
-    return {name: (one[name].values, other[name].values) for name in map(str, other) if name in one}
-
-
-def _equal(one: Any, other: Any) -> bool:
+def _equal(one: Any, other: Any, tolerance: float = 0.0) -> bool:
+    if tolerance and one.dtype.kind == "f" and one.shape == other.shape:
+        return np.allclose(one, other, rtol=tolerance, atol=0.0, equal_nan=True)
     return np.array_equal(one, other, equal_nan=one.dtype.kind in "fM")
 
 
-def _same(study: Study, one: xr.Dataset | str, other: xr.Dataset | str) -> bool:
-    """Return whether two results of a point are the same to the last bit, or to the tolerance of a vectorised one."""
+def _same(one: xr.Dataset | str, other: xr.Dataset | str, tolerance: float) -> bool:
+    """Return whether two results of a point, or its failures, are the same to the last bit, or to a tolerance."""
     if isinstance(one, str) or isinstance(other, str):
         return isinstance(one, str) and isinstance(other, str) and one == other
-    tolerance = study.experiment.tolerance if study.experiment.vectorised else 0.0
-    return all(
-        _equal(a, b)
-        or (a.dtype.kind == "f" and a.shape == b.shape and np.allclose(a, b, rtol=tolerance, atol=0.0, equal_nan=True))
-        for a, b in _pairs(one, other).values()
-    )
+    return all(_equal(one[name].values, other[name].values, tolerance) for name in other if name in one)
 
 
 def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
@@ -214,24 +205,20 @@ def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
             wanted |= _on_axis(study, name, text)
         except ValueError as error:
             problems.append(f"--at {error}")
-    grid = Grid(study)
-    fitting: dict[str, list[tuple[Value, ...]]] = {}
+    grid, unreadable = Grid(study), bool(problems)
+    parameters = study.experiment.defaults() | dict(study.fixed)
     for dimension, rows in grid.rows.items():
-        places = {k: wanted[name] for k, name in enumerate(grid.dimensions[dimension]) if name in wanted}
-        fitting[dimension] = [row for row in dict.fromkeys(rows) if all(row[k] == v for k, v in places.items())]
-    if not problems:
-        problems += [
-            f"--at: {dimension} needs a value, one of {_listed(study.axes.get(dimension) or range(len(rows)))}"
-            if rows
-            else f"--at {shown(at)}: no point has these values together"
-            for dimension, rows in fitting.items()
-            if len(rows) != 1
-        ]
+        named = [dict(zip(grid.dimensions[dimension], row, strict=True)) for row in dict.fromkeys(rows)]
+        fitting = [one for one in named if all(wanted.get(axis, value) == value for axis, value in one.items())]
+        if len(fitting) == 1:
+            parameters |= fitting[0]
+        elif not unreadable and fitting:
+            values = study.axes.get(dimension) or range(len(rows))
+            problems.append(f"--at: {dimension} needs a value, one of {first_of(list(values), MOST_NAMED)}")
+        elif not unreadable:
+            problems.append(f"--at {shown(at)}: no point has these values together")
     if problems:
         raise SweepError(problems, where)
-    parameters = study.experiment.defaults() | dict(study.fixed)
-    for dimension, axes in study.dimensions.items():
-        parameters |= dict(zip(axes, fitting[dimension][0], strict=True))
     if grid.excludes(parameters):
         raise SweepError(f"--at {shown(at)}: the study excludes this point", where)
     return parameters
@@ -245,13 +232,9 @@ def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
             raise ValueError(f"{POINT} = {shown(text)}: must be the number of a point, from 0 to {rows - 1}")
         return {axis: study.axes[axis][int(text)] for axis in study.points.names}
     if name not in study.axes:
-        hint = suggest(name, list(study.axes)) if study.axes else ""
-        raise ValueError(f"{name}: is not an axis{hint or f'; axes are {_listed(study.axes)}'}")
+        raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
     value = study.experiment.parameter(name).parse(parse_value(text))
     if value not in study.axes[name]:
-        raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {_listed(study.axes[name])}")
+        values = first_of(list(study.axes[name]), MOST_NAMED)
+        raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {values}")
     return {name: value}
-
-
-def _listed(values: Any) -> str:
-    return first_of(list(values), MAX_NAMED)

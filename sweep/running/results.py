@@ -209,8 +209,8 @@ def _same(value: object, text: str) -> bool:
     return float(str(value)) == float(text) if number else str(value) == text
 
 
+# Most elements of one covariance, which has one for every pair of points along an axis, and of its samples.
 LARGEST = 10**7
-"""Most elements of one covariance, which has one for every pair of points along an axis, and of its samples."""
 
 Variable = tuple[tuple[str, ...], Array, dict[str, Any]]
 

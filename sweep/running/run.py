@@ -16,8 +16,15 @@ from linksweep.sweep.planning.plan import Plan, Survey, Work
 from linksweep.sweep.planning.work_queue import TUNED, Tuning
 from linksweep.sweep.running.code import check_code, record_code
 from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
-from linksweep.sweep.running.study_store import check_points, create_store, find_store, open_store, replace_store
-from linksweep.sweep.running.writer import Taken, Writer
+from linksweep.sweep.running.writer import (
+    Taken,
+    Writer,
+    check_points,
+    create_store,
+    find_store,
+    open_store,
+    replace_store,
+)
 from linksweep.sweep.stores.location import Where, locked, writing
 from linksweep.sweep.stores.store import Store
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded
@@ -27,11 +34,11 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+# What follows why a run was ended.
 GOES_ON = (
     "what was done is kept; the same command goes on from there, and `sweep run --retry` tries failed points again; "
     '--max-failures 100% (in Python max_failures="100%") goes on whatever fails'
 )
-"""What follows why a run was ended."""
 
 
 class Progress(Protocol):
@@ -161,9 +168,8 @@ class Session:
         most_blocks = writer.pending.most_blocks
         with self._kept(writer):
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
-            results = of_study(self.study, execute, self.accumulator.is_missing)(
-                writer.pending.take
-            )  # workers begin while this process writes
+            run = of_study(self.study, execute, self.accumulator.is_missing)
+            results = run(writer.pending.take)  # workers begin while this process writes
             if pending.blocks:
                 writer.write()  # so that there is a labelled, if empty, dataset from the start
             with writer:

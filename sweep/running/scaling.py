@@ -22,8 +22,8 @@ from linksweep.sweep.studies.study import Study
 
 KINDS = ("strong", "weak")
 MAX_WORKERS = 4096
+# Variance of a median over that of a mean, of many normal numbers (of five: 1.43).
 MEDIAN_OVER_MEAN = np.pi / 2.0
-"""Variance of a median over that of a mean, of many normal numbers (of five: 1.43)."""
 Grown = Literal["n_sim", "n_cat"]
 
 

@@ -2,17 +2,20 @@
 
 import math
 import time
+from collections.abc import Mapping, Sequence
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from linksweep.sweep import table_writer
 from linksweep.sweep.contract import Named, SweepError
 from linksweep.sweep.executing.pools import available_cores
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import TARGET, Plan
 from linksweep.sweep.planning.point_status import Status, count_status
-from linksweep.sweep.running.progress import by_axis
 from linksweep.sweep.running.run import plan_study
 from linksweep.sweep.running.writer import failures_by_place
 from linksweep.sweep.stores.location import Where, holder
@@ -20,8 +23,11 @@ from linksweep.sweep.stores.store import BLOCKS, UNFINISHED, OpenStore, is_new
 from linksweep.sweep.studies.record import recorded_study
 from linksweep.sweep.studies.study import Study
 
+# Most lines for one axis in a text.
+MOST_LINES = 15
+
+# Attributes of a store that its status shows. Not ``finished``, which is the time of the last writing.
 PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git_commit", "versions")
-"""Attributes of a store that its status shows.  Not ``finished``, which is the time of the last writing."""
 
 
 def status_report(store: Where) -> dict[str, Any]:
@@ -125,3 +131,72 @@ def _normals_per_second() -> float:
     for _ in range(4):
         rng.standard_normal(out=buffer)
     return 4 * buffer.size / (time.perf_counter() - begun)
+
+
+# How far a study is at each value along a dimension: ``at`` has the values by axis, the others are counts.
+AxisRows = list[dict[str, Any]]
+
+
+def by_axis(
+    axes: Mapping[str, Sequence[Mapping[str, Any]]],
+    status: NDArray[np.int8],
+    realisations: NDArray[np.int64],
+    wanted: int,
+) -> dict[str, AxisRows]:
+    """Return how far a study is at each value along each dimension: points done, failed and excluded, realisations.
+
+    ``axes`` has the values along each dimension, by axis; ``status`` and ``realisations`` done are shaped as the grid,
+    and ``wanted`` are the realisations of a point that is not done.
+    """
+    excluded, done = status == Status.EXCLUDED, status == Status.DONE
+    of_point = np.where(done, realisations, np.maximum(realisations, wanted))
+    counts = {
+        "points": ~excluded,
+        "done": done,
+        "failed": status == Status.FAILED,
+        "excluded": excluded,
+        "realisations_done": np.where(excluded, 0, realisations),
+        "realisations": np.where(excluded, 0, of_point),
+    }
+    rows = {}
+    for number, (dimension, places) in enumerate(axes.items()):
+        others = tuple(d for d in range(status.ndim) if d != number)
+        sums = {name: count.sum(axis=others).tolist() for name, count in counts.items()}
+        rows[dimension] = [{"at": at} | {name: sums[name][i] for name in counts} for i, at in enumerate(places)]
+    return rows
+
+
+def folded(rows: AxisRows, most: int = MOST_LINES) -> list[AxisRows]:
+    """Join neighbours, down to ``most`` groups: first those all finished or all untouched, then the shortest."""
+    groups = [[row] for row in rows]
+    if len(rows) > most:
+        groups = []
+        states = groupby(rows, key=lambda r: (r["done"] == r["points"], not (r["realisations_done"] or r["failed"])))
+        for state, alike in states:
+            groups += [list(alike)] if any(state) else [[row] for row in alike]
+    while len(groups) > most:
+        sizes = [len(a) + len(b) for a, b in pairwise(groups)]
+        at = sizes.index(min(sizes))
+        groups[at : at + 2] = [groups[at] + groups[at + 1]]
+    return groups
+
+
+def axis_table(dimension: AxisRows, units: Mapping[str, str]) -> table_writer.Table:
+    """Return how far a study is along a dimension as a table; columns that would be empty are left out."""
+    name = ", ".join(f"{axis} [{unit}]" if (unit := units.get(axis, "")) else axis for axis in dimension[0]["at"])
+    columns: dict[str, list[str]] = {name: [], "points done": [], "realisations": [], "failed": [], "excluded": []}
+    for group in folded(dimension):
+        total = {key: sum(row[key] for row in group) for key in group[0] if key != "at"}
+        first, last = (", ".join(map(str, row["at"].values())) for row in (group[0], group[-1]))
+        percent = 100 * total["realisations_done"] // total["realisations"] if total["realisations"] else 100
+        cells = (
+            first if len(group) == 1 else f"{first} ... {last} ({len(group):,} values)",
+            f"{total['done']:,}/{total['points']:,}",
+            f"{percent} %" if any(row["realisations"] != row["points"] for row in dimension) else "",
+            *(f"{total[key]:,}" if total[key] else "" for key in ("failed", "excluded")),
+        )
+        for column, cell in zip(columns.values(), cells, strict=True):
+            column.append(cell)
+    return table_writer.Table(
+        [table_writer.Column(heading, cells, left=heading == name) for heading, cells in columns.items() if any(cells)]
+    )

@@ -98,9 +98,10 @@ class Ledger:
         self._rows: Rows | None = np.ascontiguousarray(records["row"])
         self.rows = BlockRows(records["key"].tobytes())
         self._new: list[Blocks] = []
+        self._unwritten = 0
         self._new_documents: set[str] = set()
         self._changed = False
-        self._recent: dict[str, Blocks] = {}
+        self._recent: dict[str, tuple[Blocks, NDArray[np.uint64]]] = {}
         # Left by a run that was killed.
         self._old = self._strangers()
 
@@ -141,10 +142,10 @@ class Ledger:
         # Samples have no index: the key of a block says how many realisations it has, and a lost row has the key zero.
         starts = [0, *accumulate(part.records for part in self.parts)]
         number = bisect_right(starts, self.rows[key]) - 1
-        records, samples = self._part(self.parts[number])
-        ends = np.cumsum(_counts(records))
+        _, samples = self._part(self.parts[number])
+        ends = self._recent[self.parts[number].rows.name][1]
         row = self.rows[key] - starts[number]
-        return np.asarray(samples[ends[row] - _counts(records[row : row + 1])[0] : ends[row]])
+        return np.asarray(samples[ends[row - 1] if row else 0 : ends[row]])
 
     def verify(self) -> None:
         """Add to ``damaged`` the samples that are not what was written; opening has checked the rest."""
@@ -162,7 +163,8 @@ class Ledger:
         self._new.append((records, np.concatenate([np.zeros((0, self.samples_width)), *samples])))
         self.rows.extend(keys)
         self._rows, self._changed = None, True
-        if sum(array.nbytes for blocks in self._new for array in blocks) > MOST_UNWRITTEN:
+        self._unwritten += sum(array.nbytes for array in self._new[-1])
+        if self._unwritten > MOST_UNWRITTEN:
             self.flush()
 
     def fail(self, digest: bytes, record: Record) -> None:
@@ -239,7 +241,7 @@ class Ledger:
         self._location.put(MANIFEST, content)
         # Only now do the new files count: after an error all of this is written again.
         self.manifest, self._contents, self.parts = manifest, (content,), parts
-        self._new, self._new_documents, self._changed = [], set(), False
+        self._new, self._unwritten, self._new_documents, self._changed = [], 0, set(), False
         self.tidy()
         # Kept until the next flush, for those who read the store meanwhile.
         self._old = before - set(self.files)
@@ -312,7 +314,7 @@ class Ledger:
     def _part(self, part: Part) -> Blocks:
         """Return the rows and samples of a part that was written."""
         if part.rows.name in self._recent:
-            return self._recent[part.rows.name]
+            return self._recent[part.rows.name][0]
         damaged: dict[str, str] = {}
         samples = np.zeros((0, self.samples_width))
         with reading(self._location), noting(damaged, path_of(part.rows)):
@@ -330,7 +332,8 @@ class Ledger:
     def _remember(self, part: Part, blocks: Blocks) -> None:
         while len(self._recent) >= RECENT:
             del self._recent[next(iter(self._recent))]
-        self._recent[part.rows.name] = blocks
+        # Where the samples of each row end: added up once, not for each block that is read.
+        self._recent[part.rows.name] = blocks, np.cumsum(_counts(blocks[0]))
 
 
 def path_of(file: File | None) -> str:

@@ -440,22 +440,17 @@ def located(where: Where) -> Location:
 
 
 @contextmanager
-def reading(location: Location) -> Iterator[None]:
+def reading(location: Location, failed: str = "cannot be read", more: str = "") -> Iterator[None]:
     """Turn an OSError into a SweepError that says that the store cannot be read."""
     try:
         yield
     except OSError as error:
-        raise SweepError(f"cannot be read: {error.strerror or error}", str(location)) from error
+        raise SweepError(f"{failed}: {error.strerror or error}{more}", str(location)) from error
 
 
-@contextmanager
-def writing(location: Location) -> Iterator[None]:
+def writing(location: Location) -> AbstractContextManager[None]:
     """Turn an OSError into a SweepError that says that the store cannot be written, and what is lost: nothing."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise SweepError(f"cannot be written: {reason}; what was finished before is kept", str(location)) from error
+    return reading(location, "cannot be written", "; what was finished before is kept")
 
 
 def default_store(name: str) -> Path:

@@ -310,13 +310,8 @@ def put_root(location: Location, attributes: Mapping[str, Any]) -> dict[str, Any
 
 def free_beside(location: Location) -> Location:
     """Return a free place beside a store, for what was computed for it."""
-    for number in itertools.count(1):
-        # Something else, or another store that was rescued, may have the name.
-        place = located(f"{location}.rescued{number if number > 1 else ''}")
-        with suppress(SweepError):
-            if find_root(place) is None:
-                return place
-    raise AssertionError
+    names = (f"{location}.rescued{number if number > 1 else ''}" for number in itertools.count(1))
+    return next(place for place in map(located, names) if place.is_free())
 
 
 def open_dataset(where: Where) -> "xr.Dataset":

@@ -70,6 +70,7 @@ def parsed(text: str, path: Path) -> dict[str, Any]:
     """Return the document of a TOML text; raises SweepError where it is not valid."""
     if path.suffix == ".py":
         raise SweepError(f"is Python, not a study; name a function in it, as {path}:NAME", str(path))
+    # of what may be a key: texts with many dots are none
     tokens = (token for token in re.findall(r"[^,=\[\]{}#\n]+", text) if token.count(".") > DEEPEST)
     try:
         if any(len(re.findall(r"[\w\"'-]\s*\.\s*(?=[\w\"'-])", token)) > DEEPEST for token in tokens):
@@ -171,7 +172,7 @@ class Options:
         if self.points is not None or self.design is not None:
             kept = ("seed", "ranges") if self.points is None else ()
             document["points"] = {key: points[key] for key in kept if key in points}
-        slots: dict[Place, str] = {}
+        slots: dict[Place, str] = {}  # of two options that set the same, one would be lost
         for flag, text in self.written:
             option = f"{flag} {text if text.isprintable() and len(text) <= 80 else shown(text)}"
             try:
@@ -188,6 +189,7 @@ class Options:
                     self.by_place.setdefault(("points",), option)
                 if place[0] in ("points", "fixed") or (place[0] == "axes" and place[1] not in axes_before):
                     document.pop("conclusion", None)
+                # an option decides whether a parameter is an axis or fixed, whatever the file says
                 if isinstance(elsewhere := document.get(other.get(str(place[0]), "")), dict):
                     elsewhere.pop(place[1], None)
                 _put(document, place, value)

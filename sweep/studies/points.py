@@ -83,11 +83,12 @@ class Values:
         values = []
         for number, raw in enumerate(raw_values, start=1):
             values.append(self.one(place, name, raw, f"row {number}: " if rows else ""))
-            if len(self.problems.sentences) >= before + 5:
+            if len(self.problems.sentences) >= before + 5:  # of a million values all may be wrong
                 self.problems.add(place, "... and perhaps more values like these")
                 return None
         if len(self.problems.sentences) > before:
             return None
+        # NumPy has no arrays of several types, and the kind "any" takes several
         kinds = {type(value) for value in values} if self.experiment.parameter(name).kind == "any" else set()
         if kinds == {int, float}:
             return tuple(float(value) for value in values)
@@ -190,6 +191,7 @@ class Range:
             return [self.values[i] if self.values else int(self.low) + i for i in steps]
         if self.log:
             first = math.log(self.low)
+            # an integer stands for the interval up to the next one, so the last one needs its own
             exponents = first + unit * (math.log(self.high + self.whole) - first)
             numbers = [float(f"{x:.12g}") for x in np.exp(exponents).tolist()]
         else:
@@ -230,7 +232,7 @@ def read_range(parameter: Parameter, spec: object) -> Range:
         ways = '[low, high], { low, high, spacing = "log" } or ' if is_number_ else ""
         raise ValueError(f"{shown(spec)}: {parameter.name} is {parameter.allowed()}; write {ways}{{ values = [...] }}")
     low, high = number_at("low", spec), number_at("high", spec)
-    parameter.parse(low)
+    parameter.parse(low)  # within the bounds of the parameter, so that all values between are
     parameter.parse(high)
     if not low < high:
         raise ValueError(f"low = {shown(low)} must be less than high = {shown(high)}")
@@ -474,6 +476,7 @@ def plain_points(points: Any) -> dict[str, Any]:
     if isinstance(points, str | PathLike):
         return {"file": str(points)}
     if isinstance(points, Mapping):
+        # a column may be called "file" or "design", but it is no text
         is_form = any(isinstance(points.get(key), str) for key in ("file", "design"))
         if is_form or isinstance(points.get("columns"), dict):
             return dict(plain(points, "points"))

@@ -14,19 +14,10 @@ from pydantic import BaseModel, ValidationError
 from linksweep.sweep.code.load import Code, absolute_reference, keep
 from linksweep.sweep.contract import DefinitionError, Experiment, Function, Named, SweepError, Value, shown, suggest
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
+from linksweep.sweep.studies import study as sections
 from linksweep.sweep.studies.document import Options, Place, Problems, find_study, parsed, read_text, reference_in
 from linksweep.sweep.studies.points import Columns, Values, plain, plain_points, read_points
-from linksweep.sweep.studies.study import (
-    DEFAULT_EXPERIMENT,
-    POINT,
-    Context,
-    Form,
-    PointTable,
-    Published,
-    PublishedForm,
-    Sampling,
-    Study,
-)
+from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Form, Sampling, Study
 from linksweep.sweep.tables.file import TableFile
 
 ONCE = Sampling(n_sim=1)
@@ -160,11 +151,14 @@ class _Reader:
         self.document, self.text, self.path, self.where = document, text, path, where
         self.folder, self.options, self.code = path.parent, options, code
         self.problems = Problems(where, text, options.by_place)
+        self.loaded: dict[str, str] = {}  # references to functions of definitions, as they work from any directory
 
     def study(self) -> Study:
         problems = self.problems
+        # Definitions before values, which may be defined; points before axes and what is fixed, which may repeat them;
+        # and last what is said of all these.
         form, experiment, is_whole = self._form_and_experiment()
-        experiment, definitions = self._defined(experiment, form.define)
+        experiment = self._defined(experiment, form.define)
         values = Values(experiment, self.folder, problems)
         points, origin, columns = self._points(values, form)
         crossed = {name: values.axis(name, spec) for name, spec in form.axes.items()}
@@ -180,9 +174,12 @@ class _Reader:
                     problems.add(("fixed", name), sentence)
         published = None if form.published is None else _read_published(form.published, values, axes)
         changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
+        # Claims about zipped axes need the groups before these are known to be right.
         groups = _read_form({"title": "", "grid": self.document.get("grid", {})}, Problems(self.where))
         zipped = groups.grid.zip if isinstance(groups, Form) else []
-        context = Context(experiment, crossed, zipped, frozenset({*axes, *fixed}), changed) if is_whole else None
+        context = (
+            sections.Context(experiment, crossed, zipped, frozenset({*axes, *fixed}), changed) if is_whole else None
+        )
         statements = {key: self.document[key] for key in STATEMENTS if key in self.document}
         checked = _read_form({"title": "", **statements}, problems, context)
         problems.report()
@@ -197,7 +194,7 @@ class _Reader:
             fixed=fixed,
             sampling=ONCE if experiment.deterministic else checked.sampling,
             zipped=tuple(map(tuple, checked.grid.zip)),
-            points=None if form.points is None else PointTable(tuple(points), origin),
+            points=None if form.points is None else sections.PointTable(tuple(points), origin),
             excluded=tuple(tuple(clause.values()) for clause in checked.exclude),
             published=published,
             source=self.where,
@@ -205,7 +202,7 @@ class _Reader:
             conclusion=checked.conclusion,
             text=self.text,
             overrides=tuple(f"{flag} {text}" for flag, text in self.options.written),
-            document=self._portable(form, fixed, columns, origin) | ({"define": definitions} if definitions else {}),
+            document=self._portable(form, fixed, columns, origin),
         )
 
     def _form_and_experiment(self) -> tuple[Form, Experiment, bool]:
@@ -214,7 +211,7 @@ class _Reader:
         """
         experiment, reasons = None, list[str]()
         reference = self.document.get("experiment", DEFAULT_EXPERIMENT)
-        if isinstance(reference, str):
+        if isinstance(reference, str):  # else the form says what is wrong
             try:
                 experiment = self.code.experiment(reference, self.folder)
             except SweepError as error:
@@ -246,7 +243,14 @@ class _Reader:
             paths = {name: value.path for name, value in fixed.items() if isinstance(value, TableFile)}
             document["fixed"] = document["fixed"] | paths
         if form.points is not None:
+            # the values and not the file or the function that gave them: a store is continued as it was begun
             document["points"] = {"columns": dict(columns), **({"origin": dict(origin)} if origin else {})}
+        for name, by_name in form.define.items():
+            for word, table in by_name.items():
+                absolute = {
+                    key: self.loaded.get(raw, raw) if isinstance(raw, str) else raw for key, raw in table.items()
+                }
+                document["define"] = document["define"] | {name: document["define"][name] | {word: absolute}}
         if form.published is not None:
             file = str((self.folder / form.published.file).resolve())
             document["published"] = document["published"] | {"file": file}
@@ -277,45 +281,30 @@ class _Reader:
                 points[name] = values.several(where, name, raw_values, rows=True)
         return points, origin, columns
 
-    def _defined(
-        self, experiment: Experiment, tables: Mapping[str, Mapping[str, Mapping[str, Any]]]
-    ) -> tuple[Experiment, dict[str, dict[str, dict[str, Any]]]]:
-        """Return the experiment with the values that the tables [define.PARAMETER.NAME] define, and these with
-        references that work from any directory.
-        """
-        known, portable = {one.name: one for one in experiment.parameters}, dict[str, dict[str, dict[str, Any]]]()
+    def _defined(self, experiment: Experiment, tables: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Experiment:
+        """Return the experiment with the values that the tables [define.PARAMETER.NAME] define."""
+        known = {one.name: one for one in experiment.parameters}
         for name, by_name in tables.items():
             with self.problems.at(("define", name, *list(by_name)[:1])):
                 parameter = experiment.parameter(name)
                 if parameter.define is None:
                     raise ValueError(f"{name} takes no values that a study defines, but {parameter.allowed()}")
-                defined = []
-                for word, table in by_name.items():
-                    place, paths = ("define", name, word), dict[str, str]()
+                for word in by_name:
                     if not GOOD_NAME.fullmatch(word):
                         rule = "a name begins with a letter and has at most 60 letters, digits and any of _ . + -"
-                        self.problems.add(place, rule)
+                        self.problems.add(("define", name, word), rule)
                     if word in parameter.choices:
-                        self.problems.add(place, f"{shown(word)} is there already; take another name")
-                    defined.append(self._named(parameter.define, place, table, paths))
-                    written = {key: paths.get(raw, raw) if isinstance(raw, str) else raw for key, raw in table.items()}
-                    portable.setdefault(name, {})[word] = written
+                        taken = f"{shown(word)} is there already; take another name"
+                        self.problems.add(("define", name, word), taken)
+                defined = [self._named(parameter.define, ("define", name, word), by_name[word]) for word in by_name]
                 known[name] = replace(parameter, defined=tuple(defined))
-        return replace(experiment, parameters=tuple(known.values())), portable
+        return replace(experiment, parameters=tuple(known.values()))
 
-    def _named(
-        self, define: Callable[..., Any], place: tuple[str, str, str], table: Mapping[str, Any], paths: dict[str, str]
-    ) -> Named:
-        """Return the value that a table defines; ``paths`` takes the references in it as they work anywhere."""
-
-        def load(reference: str) -> Function:
-            function = self.code.function(reference, self.folder)
-            paths[reference] = function.reference
-            return function
-
+    def _named(self, define: Callable[..., Any], place: tuple[str, str, str], table: Mapping[str, Any]) -> Named:
+        """Return the value that a table defines, with the functions that it names."""
         name = place[2]
         try:
-            value, identity = define(table, load)
+            value, identity = define(table, self._load)
             return Named(name, json.dumps(identity, sort_keys=True), value)
         except DefinitionError as error:
             for key, sentence in error.problems:
@@ -325,9 +314,14 @@ class _Reader:
             self.problems.add(place, f"the experiment cannot make anything of it: {said}")
         return Named(name, name, None)  # so that its name is known where it is used
 
+    def _load(self, reference: str) -> Function:
+        function = self.code.function(reference, self.folder)
+        self.loaded[reference] = function.reference
+        return function
+
 
 def _read_form(
-    document: Mapping[str, Any], problems: Problems, context: Context | None = None
+    document: Mapping[str, Any], problems: Problems, context: sections.Context | None = None
 ) -> Form | set[str | int]:
     """Return a document with its sections checked; or its broken sections, if any, when what is wrong is reported."""
     try:
@@ -359,7 +353,7 @@ def _known_keys(where: Place) -> list[str]:
     return list(table.model_fields)
 
 
-def _read_published(form: PublishedForm, values: Values, axes: Collection[str]) -> Published | None:
+def _read_published(form: sections.PublishedForm, values: Values, axes: Collection[str]) -> sections.Published | None:
     """Return the published numbers that a study names, from a CSV file in its folder."""
     problems, file, where = values.problems, shown(form.file), ("published", "file")
     try:
@@ -390,7 +384,7 @@ def _read_published(form: PublishedForm, values: Values, axes: Collection[str]) 
                 elif cell and isinstance(_read_cell(cell, "float"), str):
                     raise ValueError(f"{column} = {shown(cell)}: must be a number or empty")
     tolerance, reason = form.tolerance or 0.0, form.tolerance_reason or ""
-    return Published(form.source, tuple(row for _, row in rows), tolerance, reason)
+    return sections.Published(form.source, tuple(row for _, row in rows), tolerance, reason)
 
 
 def _read_cell(cell: str, kind: str) -> Any:

@@ -85,6 +85,7 @@ def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
     try:
         code = Recorded(_experiment(json.loads(attributes[RECORD])))
         document = json.loads(attributes["study_document"])
+        # what would load code, or be wrong where outputs are not known; results have attributes of their own for it
         for key in ("define", "published", "claim", "conclusion"):
             document.pop(key, None)
         return study_of_attributes({**attributes, "study_document": json.dumps(document)}, where, code)

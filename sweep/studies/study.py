@@ -82,6 +82,7 @@ def _each(check: Callable[[str, Any, Context], Any]) -> AfterValidator:
             try:
                 entries[name] = check(name, raw, context)
             except ValueError as error:
+                # A validator of the values of a table does not know their keys, so places are given here.
                 kind = PydanticCustomError("value_error", "{error}", {"error": str(error)})
                 errors.append(InitErrorDetails(type=kind, loc=(name,), input=raw))
         if errors:
@@ -436,6 +437,7 @@ class ConclusionValue(Derived, frozen=True):
         if context is None or self.choose is not None:
             return self
         fixed = {*self.where, *(name for place in quantity.places.values() for name in place), *context.changed}
+        # the exponent along an axis is one number for all of its values
         fixed |= {quantity.over} if isinstance(quantity, Slope) else set()
         for name, values in context.axes.items():
             if len(values or ()) > 1 and not fixed & {*context.partners(name)}:
@@ -775,6 +777,7 @@ def study_schema(experiment: Experiment) -> Schema:
         "ranges": _table({p.name: _ways(p, "low", "high") for p in swept}),
         "columns": _table({p.name: _array(_value(p), 0) for p in swept}),
     }
+    # conditions and values are told apart by what they are: that is left to `sweep plan`
     schema["properties"]["exclude"]["items"] = _table({p.name: _described(p) for p in parameters})
     dialect = "https://json-schema.org/draft/2020-12/schema"
     return {"$schema": dialect, **schema, "title": f"a study of the experiment {experiment.name}"}

@@ -17,6 +17,8 @@ from linksweep.sweep.tables.reader import MISSING
 
 Flags = NDArray[np.bool_]
 
+# Column names of quantities, best first, in any case. _RA and _DE are last because VizieR computes them for an epoch of
+# its own.
 NAMES: Mapping[str, tuple[str, ...]] = {
     "ra": ("ra", "RAdeg", "RArad", "ra_icrs", "_RA"),
     "dec": ("dec", "DEdeg", "DErad", "dec_icrs", "DE_ICRS", "_DE"),
@@ -31,37 +33,34 @@ NAMES: Mapping[str, tuple[str, ...]] = {
         *("hip", "tyc"),
     ),
 }
-"""Column names of quantities, best first, in any case.  _RA and _DE are last because VizieR computes them for an epoch
-of its own.
-"""
 
 ERROR_NAMES = ("{}_error", "{}_err", "e_{}", "sigma_{}", "{}_sigma")
 
 PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
 _AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
+# The ten correlations as the Gaia archive calls them, in its order, and as VizieR does.
 CORRELATIONS: Mapping[str, str] = {
     f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr": f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor"
     for i in range(5)
     for j in range(i + 1, 5)
 }
-"""The ten correlations as the Gaia archive calls them, in its order, and as VizieR does."""
 
 ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")
+# The smallest and the largest epoch that is allowed, Julian years.
 EPOCHS = (1700.0, 2300.0)
-"""The smallest and the largest epoch that is allowed, Julian years."""
 
 ROWS_NAMED = 5
+# A column of right ascensions without a unit, all within -24 to 24, may be in hours (or radians) as well.
 HOURS = 24.0
-"""A column of right ascensions without a unit, all within -24 to 24, may be in hours (or radians) as well."""
 
+# Epochs above the first are modified Julian dates, and those above the second Julian dates.
 MJD_FROM, JD_FROM, JD_OF_MJD = 15000.0, 2.3e6, 2400000.5
-"""Epochs above the first are modified Julian dates, and those above the second Julian dates."""
 
+# A table with these columns is of the Gaia archive, whose ra is in degrees.
 GAIA_MARKS = {"source_id", "ref_epoch"}
-"""A table with these columns is of the Gaia archive, whose ra is in degrees."""
 
+# Units of angles that are text, and whether these are hours.
 SEXAGESIMAL = {"deg": False, "d:m:s": False, "hourangle": True, "h": True, "h:m:s": True}
-"""Units of angles that are text, and whether these are hours."""
 
 _SIDES = ("reference_", "satellite_")
 _NAMED_TIME = re.compile(
@@ -229,14 +228,10 @@ class Columns:
         """Return whether a column of numbers is in units of time or hour angle, and so does not include cos(dec)."""
         from astropy.units import hourangle
 
-        name = str(self.name(quantity))
-        unit = self.unit(quantity) if self.kind(name) in "fiu" else None
-        if unit is None:
-            return False
-        return hourangle in getattr(unit, "bases", ()) or any(
-            _factor(unit, wanted, False) is None and _factor(unit, wanted, True) is not None
-            for wanted in ("deg", "deg / yr")
-        )
+        unit, wanted = self.unit(quantity) if self.kind(str(self.name(quantity))) in "fiu" else None, unit_of(quantity)
+        if unit is None or hourangle in getattr(unit, "bases", ()):
+            return unit is not None
+        return _factor(unit, wanted, False) is None and _factor(unit, wanted, True) is not None
 
     def numbers(self, name: str) -> Array:
         """Return a column by its own name as float64 without its unit, NaN where it is missing."""

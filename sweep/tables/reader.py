@@ -18,10 +18,10 @@ import numpy as np
 
 from linksweep.sweep.contract import SweepError
 
+# The formats of a table, each known by its content; text and XML may be packed with gzip, bzip2 or xz.
 FORMATS = (
     "FITS, VOTable, ECSV, CSV, TSV or other delimited text, Parquet, MRT, or a CDS table with its ReadMe beside it"
 )
-"""The formats of a table, each known by its content; text and XML may be packed with gzip, bzip2 or xz."""
 
 READMES = ("ReadMe", "README", "readme", "ReadMe.txt", "README.txt", "readme.txt")
 
@@ -39,14 +39,14 @@ MISSING = (
     *("", "null", "NULL", "None", "none", "NaN", "nan", "NAN", "N/A", "n/a", "NA", "<NA>"),
     *("--", "---", "...", "\\N"),
 )
+# The most lines that comments, names, units and rules take.
 PREFACE_LINES = 100_000
-"""The most lines that comments, names, units and rules take."""
 
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _RULE = re.compile(r"[-=+]+")
 _CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
+# How tables spell units out; dates are numbers of days.
 _WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr"}
-"""How tables spell units out; dates are numbers of days."""
 _BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
 
 
@@ -307,63 +307,47 @@ def _fields(line: str, delimiter: str) -> list[str]:
 
 def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
     """Return names and units of the columns, their delimiter, and the byte at which the first row begins."""
-    lines = _lines(content)
-    last_comment, header, start, end = "", "", 0, 0
-    for line, after in lines:
-        start, end = end, after
-        if line.startswith("#"):
-            last_comment = line.lstrip("#")
-        elif line.strip():
-            header = line
-            break
-    if not header.strip():
+    lines = [line.decode() for line in islice(io.BytesIO(content), PREFACE_LINES)]
+    at = next((k for k, line in enumerate(lines) if line.strip() and not line.startswith("#")), None)
+    if at is None:
         raise SweepError("has no rows")
+    header = lines[at]
     unquoted = re.sub(r'"[^"]*"', "", header)
     best = max(DELIMITERS, key=unquoted.count)
     delimiter = best if best in unquoted else " "
-    names = _fields(header, delimiter)
+    names, units, first = _fields(header, delimiter), None, at
     if any(map(_NUMBER.fullmatch, names)):  # this line is a row already
-        commented = next((f for d in (delimiter, " ") if len(f := _fields(last_comment, d)) == len(names)), None)
-        if commented is None or any(map(_NUMBER.fullmatch, commented)):
-            raise SweepError(
-                f"its first line, {header.strip()[:60]!r}, is not one of column names (a table of CDS needs its ReadMe "
-                "beside it)"
-            )
-        return commented, [_bracketed(name) for name in commented], delimiter, start
-    units, start = _units_and_rules(lines, end, delimiter, len(names))
-    names = [name or f"column {k}" for k, name in enumerate(names, start=1)]
-    return names, units or [_bracketed(name) for name in names], delimiter, start
+        comment = next((line.lstrip("#") for line in reversed(lines[:at]) if line.startswith("#")), "")
+        names = next((f for d in (delimiter, " ") if len(f := _fields(comment, d)) == len(names)), names)
+        if any(map(_NUMBER.fullmatch, names)):
+            said = f"its first line, {header.strip()[:60]!r}, is not one of column names"
+            raise SweepError(f"{said} (a table of CDS needs its ReadMe beside it)")
+    else:
+        units, rows = _units_and_rules(lines[at + 1 :], delimiter, len(names))
+        first = at + 1 + rows
+        names = [name or f"column {k}" for k, name in enumerate(names, start=1)]
+    return names, units or [_bracketed(name) for name in names], delimiter, len("".join(lines[:first]).encode())
 
 
-def _lines(content: bytes) -> Iterator[tuple[str, int]]:
-    """Yield the first lines of a text, and where each ends."""
-    end = 0
-    for line in islice(io.BytesIO(content), PREFACE_LINES):
-        end += len(line)
-        yield line.decode(), end
-
-
-def _units_and_rules(
-    lines: Iterator[tuple[str, int]], start: int, delimiter: str, n_columns: int
-) -> tuple[list[str] | None, int]:
-    """Return the units in the lines after the names, if there are any, and the byte at which the first row begins."""
-    units, above = None, None
-    for line, end in lines:
+def _units_and_rules(lines: Sequence[str], delimiter: str, n_columns: int) -> tuple[list[str] | None, int]:
+    """Return the units in the lines after the names, if there are any, and which line is the first row."""
+    units, above, first = None, None, 0
+    for k, line in enumerate(lines, 1):
         fields = _fields(line.lstrip("#"), delimiter)
         commented = line.startswith("#")
         if not line.strip() or (not commented and all(map(_RULE.fullmatch, line.split()))):
             if line.strip() and above:
                 units = above  # VizieR has them above the line of dashes
-            start = end
+            first = k
         elif units is None and len(fields) == n_columns and _are_units(fields):
-            units, start = fields, end
+            units, first = fields, k
         elif commented:
-            start = end
+            first = k
         elif above or len(fields) != n_columns or any(map(_NUMBER.fullmatch, fields)):
             break
         else:
             above = fields
-    return units, start
+    return units, first
 
 
 def _are_units(fields: Sequence[str]) -> bool:

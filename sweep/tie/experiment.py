@@ -13,29 +13,19 @@ from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import Clip, KeptSources, Solution, clipped, parse_clip, solve
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
 from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
+from linksweep.sweep.tie import setup
 from linksweep.sweep.tie.link import FIELD_OF, Link, solve_link, spectrum
-from linksweep.sweep.tie.setup import (
-    ALL,
-    DECLARED,
-    ZERO_MOTION,
-    Options,
-    Setup,
-    number,
-    one_of,
-    parse_bins,
-    set_up,
-    year,
-)
+from linksweep.sweep.tie.setup import DECLARED, Setup, number, one_of, year
 from linksweep.sweep.tie.tables import Positions, TableOptions
 
 # ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin
 
+# Stands for what a table itself has: its errors, or the release whose epoch it has.
 TABLE = "table"
-"""Stands for what a table itself has: its errors, or the release whose epoch it has."""
 
 _STORED = parse_unknowns("orientation,spin,position_glide,glide,parallax")
+# The unknowns of degree 1 and the zero point of parallaxes.
 COMPONENTS = _STORED.labels
-"""The unknowns of degree 1 and the zero point of parallaxes."""
 
 UNITS = _STORED.units
 ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
@@ -167,13 +157,13 @@ SAMPLE_OUTPUTS = (Output("drawn", "", "estimate of a draw, reference - satellite
 
 KINDS = ("formal", "scaled", "jackknife")
 N = len(COMPONENTS)
+# Outputs that no draw changes; their sums are these times the number of draws.
 FIXED: Mapping[str, tuple[int, ...]] = {
     **dict.fromkeys(("n_sources", "n_kept", "chi2_ratio", "largest_share", "n_drawn"), ()),
     **dict.fromkeys(("estimate", *(f"error_{kind}" for kind in KINDS)), (N,)),
     **dict.fromkeys(("power", "power_noise", "power_probability"), POWER_SHAPE),
     **dict.fromkeys(("spin_by_bin", "spin_by_bin_error"), BIN_SHAPE),
 }
-"""Outputs that no draw changes; their sums are these times the number of draws."""
 
 SUMS: Mapping[str, tuple[int, ...]] = {
     **FIXED,
@@ -219,12 +209,12 @@ def by_bins(unknowns: Unknowns, values: Array) -> Array:
 
 # ---- what a point stands for: tables as they are, their solution, and the tables to simulate
 
+# The parameters that decide which rows belong to which sources.
 DECIDING = (
     *("satellite", "reference", "zero_motion", "unknowns", "degree", "bins", "by", "epoch", "weights", "known_spin"),
     *("aberration", "positions", "zero_errors", "extragalactic", "satellite_columns", "reference_columns"),
     *("satellite_epoch", "reference_epoch", "position_jitter", "motion_jitter", "candidates"),
 )
-"""The parameters that decide which rows belong to which sources."""
 
 
 @dataclass(frozen=True)
@@ -254,14 +244,14 @@ def design_of(point: Point) -> Design:
 def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     point = dict(values)
     clip = parse_clip(point["clip"])
-    setup = _within(_set_up(tuple((name, point[name]) for name in DECIDING)), point)
-    problem = setup.problem
+    whole = _within(_set_up(tuple((name, point[name]) for name in DECIDING)), point)
+    problem = whole.problem
     if not point["correlations"]:
         own, rows = (replace(one, correlations=None) for one in (problem.satellite, problem.rows))
         problem = replace(problem, satellite=own, rows=rows)
-        setup = replace(setup, problem=problem)
+        whole = replace(whole, problem=problem)
     matched = np.unique(problem.source)
-    solved = solve_link(setup.only(matched), str(clip), ("scaled", "formal", "jackknife")) if len(matched) else None
+    solved = solve_link(whole.only(matched), str(clip), ("scaled", "formal", "jackknife")) if len(matched) else None
     notes = [] if solved is None else [*solved.notes]
     if (release := point["release"]) != TABLE:
         named = None if point["from_release"] == TABLE else point["from_release"]
@@ -295,28 +285,30 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
         )
         for side in ("satellite", "reference")
     )
-    options = Options(
+    options = setup.Options(
         **{name: point[name] for name in ("unknowns", "degree", "epoch", "weights", "known_spin", "aberration")},
-        bins=parse_bins(point["bins"]) if point["bins"] else None,
+        bins=setup.parse_bins(point["bins"]) if point["bins"] else None,
         by=point["by"] or None,
-        jitter={ALL: jitter} if any(jitter) else {},
+        jitter={setup.ALL: jitter} if any(jitter) else {},
         satellite_options=satellite_options,
         reference_options=reference_options,
     )
     everything = reference is None or point["candidates"] == "all"
-    setup = set_up(point["satellite"].path, reference.path if reference else ZERO_MOTION, options, everything)
+    whole = setup.set_up(
+        point["satellite"].path, reference.path if reference else setup.ZERO_MOTION, options, everything
+    )
     if reference is None and not zero_motion:
         none = np.zeros(0, dtype=np.int64)
-        setup = replace(setup, problem=replace(setup.problem, rows=setup.problem.rows.taken(none), source=none))
-    return setup
+        whole = replace(whole, problem=replace(whole.problem, rows=whole.problem.rows.taken(none), source=none))
+    return whole
 
 
-def _within(setup: Setup, point: Mapping[str, Any]) -> Setup:
+def _within(whole: Setup, point: Mapping[str, Any]) -> Setup:
     """Leave out the sources outside the limits of magnitude; if there is a limit, also those without a magnitude."""
     low, high, column = point["g_min"], point["g_max"], point["magnitude"]
     if low is None and high is None:
-        return setup
-    columns = setup.problem.satellite.columns
+        return whole
+    columns = whole.problem.satellite.columns
     if column not in columns:
         known = ", ".join(columns) or "none"
         raise SweepError(f"magnitude = {column!r}: the satellite has no such column of numbers; there are {known}")
@@ -324,7 +316,7 @@ def _within(setup: Setup, point: Mapping[str, Any]) -> Setup:
     kept = (magnitude >= (-np.inf if low is None else low)) & (magnitude <= (np.inf if high is None else high))
     if not np.any(kept):
         raise SweepError(f"no source has a {column} within the limits g_min and g_max")
-    return setup.only(np.flatnonzero(kept))
+    return whole.only(np.flatnonzero(kept))
 
 
 def _with_chosen(problem: Problem, point: Mapping[str, Any]) -> Problem:

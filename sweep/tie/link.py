@@ -18,35 +18,35 @@ from linksweep.core.unknowns import PARAMETERS, Harmonics, SpinByBin, Unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
-from linksweep.sweep.tie.row_groups import set_up_row_groups, why_whole
+from linksweep.sweep.tie import row_groups
 from linksweep.sweep.tie.setup import SIGNS, Options, Setup, set_up
 from linksweep.sweep.tie.tables import UNITS
 
 if TYPE_CHECKING:
     import xarray as xr
 
+# The experiment whose code the workers must have.
 EXPERIMENT = "linksweep.sweep.tie.experiment:tie"
-"""The experiment whose code the workers must have."""
 
 ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
 RESAMPLES = 1000
 
+# The rows of larger tables are not included in a result.
 ROWS_KEPT = 100_000
-"""The rows of larger tables are not included in a result."""
 
+# If there are too many sources to keep the sums of each, so many are examined for a large share.
 HEAVIEST = 100
-"""If there are too many sources to keep the sums of each, so many are examined for a large share."""
 
+# Power of degree 1 of a rotation or a glide is this times the square of its length (Mignard & Klioner 2012).
 VECTOR_POWER = 8.0 * np.pi / 3.0
-"""Power of degree 1 of a rotation or a glide is this times the square of its length (Mignard & Klioner 2012)."""
 
+# The field whose degree 1 a block is.
 FIELD_OF = {
     "orientation": "position toroidal",
     "position_glide": "position spheroidal",
     "spin": "motion toroidal",
     "glide": "motion spheroidal",
 }
-"""The field whose degree 1 a block is."""
 
 
 @dataclass(frozen=True)
@@ -300,16 +300,16 @@ def tie(
     on = resources or Resources(
         workers, None, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits
     )
-    if (why := why_whole(satellite, reference, asked)) is None:
+    if row_groups.are_enough(satellite, reference, asked):
         with mapped(EXPERIMENT, on, logging.getLogger("linksweep").warning) as run:
-            setup, sources = set_up_row_groups(satellite, asked, run, per_source)
+            setup, sources = row_groups.set_up_row_groups(satellite, asked, run, per_source)
             link = solve_link(setup, clip, names, resamples, seed, sources, per_source)
     elif on.none_requested:
         link = solve_link(set_up(satellite, reference, asked), clip, names, resamples, seed)
     else:
         raise SweepError(
-            f"workers are for tables that are read by row groups, and these are solved at once in this process: {why}; "
-            "leave --workers, --scheduler and the like out"
+            f"workers are for Parquet tables of {row_groups.FROM_ROWS:,} quasars or more, without a reference or "
+            "missions; these are solved as a whole in this process: leave --workers, --scheduler and the like out"
         )
     result = as_dataset(link, asked, per_source)
     if link.misfit.absurd and not accept_misfit:
@@ -317,11 +317,11 @@ def tie(
     return result
 
 
+# The variables that label others, beside those that are called as their dimension.
 COORDINATES = (
     *("unit", "block", "ra", "dec", "row_source_index", "row_source", "row_kind", "row_table", "row_epoch"),
     *("observable_unit", "bin_low", "bin_high"),
 )
-"""The variables that label others, beside those that are called as their dimension."""
 
 
 def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dataset":

@@ -22,26 +22,18 @@ from linksweep.sweep.tables.reader import is_parquet, read_row_group, row_groups
 from linksweep.sweep.tie import setup
 from linksweep.sweep.tie.tables import AstrometricTable, astrometric_table, columns_needed, digest_of
 
+# Smaller tables are solved as a whole.
 FROM_ROWS = 100_000
-"""Smaller tables are solved as a whole."""
 
+# At most so many notes on rows are shown.
 MOST_NOTES = 5
-"""At most so many notes on rows are shown."""
 
 
-def why_whole(satellite: str | Path, reference: str | Path, options: setup.Options) -> str | None:
-    """Return why tables are solved as a whole; None for those that are read by row groups: many quasars in Parquet,
-    without a reference.
-    """
+def are_enough(satellite: str | Path, reference: str | Path, options: setup.Options) -> bool:
+    """Return whether a table is read by row groups: many quasars in Parquet, of which no row needs a match."""
     path = Path(satellite)
-    if options.missions:
-        return f"rows of missions are matched with the whole of {path}"
-    if str(reference) != setup.ZERO_MOTION:
-        return f"rows of a reference are matched with the whole of {path}; only {setup.ZERO_MOTION} needs none"
-    if not path.is_file() or not is_parquet(path):
-        return f"{path} is no Parquet table (as Parquet it could be read by row groups)"
-    n = sum(row_groups(path)[0])
-    return None if n >= FROM_ROWS else f"{path} has {n:,} rows, and tables of fewer than {FROM_ROWS:,} are read at once"
+    alone = str(reference) == setup.ZERO_MOTION and not options.missions
+    return alone and path.is_file() and is_parquet(path) and sum(row_groups(path)[0]) >= FROM_ROWS
 
 
 @dataclass(frozen=True)
@@ -59,10 +51,7 @@ class RowGroup:
 
     def problem(self) -> Problem:
         """Return the problem of the rows; raises SweepError for wrong ones, with their numbers in the row group."""
-        return self.problem_of(self.read().astrometry)
-
-    def problem_of(self, own: Astrometry) -> Problem:
-        """Return the problem of some of the rows."""
+        own = self.read().astrometry
         known, source = setup.known_spin(self.options, own), np.arange(len(own))
         rows = setup.with_jitter(setup.zero_motion(len(own)), self.options.jitter_in(None))
         return Problem(own, rows, source, self.unknowns, self.epoch, self.options.weights, known)
@@ -79,8 +68,8 @@ class RowGroup:
         return rows
 
 
+# Return the SHA-256 of a file, which a process reads only once.
 digest_once = lru_cache(maxsize=8)(digest_of)
-"""Return the SHA-256 of a file, which a process reads only once."""
 
 
 def look_through(group: RowGroup, per_source: bool) -> tuple[Array, tuple[Array, Indices], Array | None, Sequence[str]]:

@@ -27,21 +27,21 @@ SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference"
 
 ICRF3_EPOCH = 2015.0
 
+# Stands for every kind of row that has no jitter of its own.
 ALL = "all"
-"""Stands for every kind of row that has no jitter of its own."""
 
+# Stands for a reference whose sources do not move: quasars, for which only the satellite's table is needed.
 ZERO_MOTION = "zero-motion"
-"""Stands for a reference whose sources do not move: quasars, for which only the satellite's table is needed."""
 
+# How rows without a table are matched.
 EVERY_SOURCE = "the satellite's sources"
-"""How rows without a table are matched."""
 
 DEFAULT_RADIUS_ARCSEC = 1.0
+# Separations from the source of the same name above which a row is noted, and is refused.
 FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
-"""Separations from the source of the same name above which a row is noted, and is refused."""
 
+# Rows of a source within two days may be the same measurement.
 SAME_EPOCH_YR = 0.005
-"""Rows of a source within two days may be the same measurement."""
 
 _NO_NAME = ("", "--", "nan")
 _NONE = np.zeros(0, dtype=np.int64)
@@ -65,6 +65,7 @@ def one_of(name: str, default: str, meaning: str, *choices: str) -> Parameter:
     return Parameter(name, "str", default, meaning, choices=tuple(dict.fromkeys((default, *choices))))
 
 
+# Options that a study sets too, or that have the same limits in every table.
 DECLARED = {
     parameter.name: parameter
     for parameter in (
@@ -76,7 +77,6 @@ DECLARED = {
         one_of("sign", "reference-satellite", "of all results", *SIGNS),
     )
 }
-"""Options that a study sets too, or that have the same limits in every table."""
 
 
 @dataclass(frozen=True)

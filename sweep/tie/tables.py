@@ -21,28 +21,28 @@ from linksweep.sweep.tables.reader import read_table as read_file
 Positions = Literal["single-epoch", "mean"]
 Zeros = Literal["error", "missing", "exact"]
 
+# Columns that name a source, in upper or lower case, best first; other columns of text come after them.
 SOURCE_NAMES = ("name", "star", "source", "source_id", "designation", "psr_name", "hip", "iers_name", "icrf_name")
-"""Columns that name a source, in upper or lower case, best first; other columns of text come after them."""
 
+# The quantities that ``columns`` and ``units`` may name.
 QUANTITIES = (
     *(*PARAMETERS, "ref_epoch", "radial_velocity"),
     *(*(f"{name}_error" for name in PARAMETERS), *CORRELATIONS, "name"),
 )
-"""The quantities that ``columns`` and ``units`` may name."""
 
 HIPPARCOS_EPOCH = 1991.25
 
+# No star is faster: larger radial velocities are redshifts, or stand for missing ones.
 FASTEST_KM_S = 5000.0
-"""No star is faster: larger radial velocities are redshifts, or stand for missing ones."""
 
+# Positions that are rounded by more than this fraction of their errors are too coarse.
 COARSE = 0.1
-"""Positions that are rounded by more than this fraction of their errors are too coarse."""
 
+# Errors after a mistake in their unit is corrected, mas or mas/yr.
 TYPICAL = (0.005, 300.0)
-"""Errors after a mistake in their unit is corrected, mas or mas/yr."""
 
+# Epochs of positions with errors below 10 mas.
 EARLIEST, LATEST = 1970.0, 2060.0
-"""Epochs of positions with errors below 10 mas."""
 
 UNITS = dict(zip(PARAMETERS, ("mas", "mas", "mas", "mas/yr", "mas/yr"), strict=True))
 

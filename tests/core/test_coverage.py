@@ -1,13 +1,13 @@
 """The errors of the link's results cover: over independent copies (value - truth) / error scatters by one."""
 
-import dataclasses
 import functools
 
 import numpy as np
 import pytest
 
 import linksweep
-from linksweep.core.missions.calibrate import IN_CODE, all_skies, constants_of, fit, published_model, published_numbers
+from linksweep.core.missions import CALIBRATED
+from linksweep.core.missions.calibrate import all_skies, constants_of, fit, published_model, published_numbers
 from tests.sweep.in_memory import results_of
 from tests.sweep.test_coverage import assert_covers
 
@@ -87,20 +87,15 @@ def test_the_error_at_which_a_precision_stops(tmp_path, precision):
 def test_the_errors_of_the_calibration(model):
     """Published numbers made from known constants with the errors that weigh them; chi2 above one only widens these."""
     copies, rng = 60, np.random.default_rng(7)
-    numbers, skies = list(published_numbers(model).values()), all_skies(model, n_cat=12)
-    sigma, _ = published_model(numbers, skies, IN_CODE[model], "inverse-variance")
-    truth = np.log(constants_of(IN_CODE[model]))
+    numbers, skies = published_numbers(model), all_skies(model, n_cat=12)
+    sigma, _ = published_model(numbers, skies, CALIBRATED[model].curve)
+    truth = np.log(constants_of(model))
     relative_error = fit(model, numbers, skies).relative_error
     pulls = []
     for _ in range(copies):
         made = sigma * np.exp(relative_error * rng.standard_normal(len(sigma)))
         # half a unit in the last digit of a number that scatters goes with it, so that its weight is that of the truth
-        printed = [
-            dataclasses.replace(
-                number, sigma_mas_yr=s, rounding_mas_yr=number.rounding_mas_yr * s / number.sigma_mas_yr
-            )
-            for number, s in zip(numbers, made.tolist(), strict=True)
-        ]
+        printed = numbers.assign(sigma=made, rounding=numbers["rounding"] * made / numbers["sigma"])
         found = fit(model, printed, skies)
         widened = np.sqrt(max(1.0, found.chi2 / found.dof))
         pulls.append((np.log(found.constants) - truth) / np.sqrt(np.diag(found.log_covariance)) * widened)

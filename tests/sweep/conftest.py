@@ -11,12 +11,8 @@ from uuid import uuid4
 import pytest
 import xarray as xr
 
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.run import run_study
-from linksweep.sweep.studies.reader import load_study
+import linksweep
 from tests.conftest import LINK_STUDY
-
-SERIAL = Resources(pool="serial")
 
 
 def free_port():
@@ -94,8 +90,8 @@ def reference(tmp_path_factory):
     """The results of the small study of the link, computed in this process."""
     folder = tmp_path_factory.mktemp("reference")
     (folder / "small.toml").write_text(LINK_STUDY)
-    _, failures = run_study(load_study(str(folder / "small.toml")), folder / "serial.zarr", SERIAL)
-    assert not failures
+    dataset = linksweep.run(folder / "small.toml", folder / "serial.zarr", pool="serial")
+    assert dataset.attrs["complete"]
     return xr.open_zarr(folder / "serial.zarr").load().drop_attrs()
 
 
@@ -111,7 +107,7 @@ def store_of(tmp_path_factory, worker_id):
         with (folder / name).open("w") as file:
             flock(file, LOCK_EX)
             if not path.exists():
-                run_study(load_study(name, **SHORT[name]), path, SERIAL)
+                linksweep.run(linksweep.load_study(name, **SHORT[name]), path, pool="serial")
         return path
 
     return run
@@ -120,6 +116,6 @@ def store_of(tmp_path_factory, worker_id):
 @pytest.fixture
 def dataset_of(store_of):
     """A function that returns the dataset of a built-in study, run with fewer realisations."""
-    from linksweep.sweep.stores.store import open_dataset
+    from tests.sweep.opening import open_dataset
 
     return lambda name: open_dataset(store_of(name))

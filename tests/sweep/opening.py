@@ -8,9 +8,10 @@ import xarray as xr
 
 import linksweep
 from linksweep.sweep.executing.pools import Resources
+from linksweep.sweep.formatting import harmless
 from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.running.study_store import create_store, find_store, open_store
+from linksweep.sweep.running.writer import create_store, find_store, open_store
 from linksweep.sweep.stores import ledger, location
 from linksweep.sweep.stores.integrity import sealed, unsealed
 from linksweep.sweep.stores.ledger import path_of
@@ -18,11 +19,15 @@ from linksweep.sweep.stores.location import Folder, Holder, holder, located, loc
 from linksweep.sweep.stores.store import OpenStore, check, chunk_checksums, open_dataset, repair
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.studies.record import provenance
+from linksweep.sweep.table_writer import Column, Table
 
 __all__ = [
+    "Column",
     "Folder",
     "Holder",
+    "Table",
     "check",
+    "harmless",
     "holder",
     "ledger",
     "located",

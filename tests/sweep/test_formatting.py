@@ -9,17 +9,12 @@ from hypothesis import strategies as st
 import linksweep
 from linksweep.sweep.formatting import (
     described,
-    in_ascii,
     in_short,
     prefixed,
     short_meaning,
-    with_micro_signs,
     with_unit,
-    written,
 )
 from linksweep.sweep.stores.store import open_dataset
-from linksweep.sweep.studies.document import built_in_studies
-from linksweep.sweep.studies.reader import load_study
 from tests.tiers import slow
 
 LONGEST_LABEL = 90
@@ -44,19 +39,6 @@ def test_results_have_no_empty_attributes_and_whole_labels(store_of, name):
     assert dataset["n_obj"].attrs.get("units") is None
 
 
-def test_the_plots_of_xarray_are_labelled(store_of):
-    pyplot = pytest.importorskip("matplotlib.pyplot")
-    dataset = open_dataset(store_of("quasars"))
-    figure, axes = pyplot.subplots()
-    dataset["sigma_spin"].sel(model="gaia").plot.line(ax=axes)
-    assert axes.get_ylabel().split() == ["RMS", "error", "of", "the", "spin", "[mas", "/", "yr]"]
-    assert axes.get_xlabel() == "limiting magnitude V [mag]"
-    axes.clear()
-    dataset["n_obj"].sel(model="gaia").plot.line(ax=axes)
-    assert axes.get_ylabel().replace("\n", " ") == "number of objects in the catalogue"
-    pyplot.close(figure)
-
-
 def test_xarray_draws_over_coordinates_of_text(store_of):
     pyplot = pytest.importorskip("matplotlib.pyplot")
     dataset = linksweep.open(store_of("quasars"))
@@ -66,13 +48,6 @@ def test_xarray_draws_over_coordinates_of_text(store_of):
     assert axes.get_xlabel() == "limiting magnitude V [mag]"
     assert [label.get_text() for label in axes.get_yticklabels()] == ["amex", "gaia"]
     pyplot.close(figure)
-
-
-@pytest.mark.parametrize("name", sorted(built_in_studies()))
-def test_labels_of_the_built_in_experiments_are_short(name):
-    experiment = load_study(name).experiment
-    for declared in (*experiment.outputs, *experiment.sample_outputs, *experiment.parameters):
-        assert 0 < len(short_meaning(declared.meaning)) <= LONGEST_LABEL, declared.name
 
 
 @pytest.mark.parametrize(
@@ -107,12 +82,6 @@ def test_a_prefix_that_reads_well(values, unit, chosen):
 )
 def test_what_takes_no_prefix_stays(value, unit):
     assert prefixed(value, unit) == (unit, 1.0)
-
-
-def test_units_are_written_as_people_do():
-    assert (written("uas / yr"), in_ascii("uas / yr")) == ("µas/yr", "uas/yr")
-    assert (written("mas yr-1"), written("users / d"), written("u")) == ("mas/yr", "users/d", "u")
-    assert with_micro_signs("from 0.54 uas/yr to 28 users.") == "from 0.54 µas/yr to 28 users."
 
 
 def test_numbers_in_sentences():

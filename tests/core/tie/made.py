@@ -1,9 +1,19 @@
 """Made tables whose truth is known."""
 
-import numpy as np
+from dataclasses import replace
 
-from linksweep.core.frames import MAS, satellite_catalogue
-from linksweep.core.tie.astrometry import PAIRS, Astrometry
+import numpy as np
+from astropy.table import Table
+
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, satellite_catalogue
+from linksweep.core.tie.astrometry import PAIRS, Astrometry, joined, parallax_factors, propagated
+from linksweep.core.tie.problem import Problem
+from linksweep.core.unknowns import Objects, Rotation, parse_unknowns
+from linksweep.sweep.cli import main
+from linksweep.sweep.tie.tables import TableOptions
+
+__all__ = ["ARCSEC", "DEGREE", "MAS", "Objects", "Rotation", "TableOptions", "main", "parallax_factors"]
+NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
 
 
 def random_correlations(rng, n):
@@ -38,3 +48,49 @@ def noise(rng, astrometry):
     values, vectors = np.linalg.eigh(covariance)
     half = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     return np.einsum("nij,nj->in", half, rng.normal(size=(len(astrometry), 5)))
+
+
+def gaia(path, made, **changes):
+    table = Table({"source_id": np.arange(len(made)) + 10**17})
+    for i, name in enumerate(NAMES):
+        unit = DEGREE if i < 2 else MAS
+        table[name] = made.values[i] / unit
+        table[f"{name}_error"] = made.errors[i] / MAS
+    for row, (i, j) in zip(made.correlations, PAIRS, strict=True):
+        table[f"{NAMES[i]}_{NAMES[j]}_corr"] = row
+    table["ref_epoch"] = made.epoch
+    table["radial_velocity"] = made.radial_velocity
+    table["phot_g_mean_mag"] = np.linspace(4.0, 12.0, len(made))
+    for name, column in changes.items():
+        table[name] = column
+    table.write(path, overwrite=True)
+    return path
+
+
+GAIA, HIPPARCOS = 2016.0, 1991.25
+EPSILON = np.array([[0.4, -0.3, 0.9], [-1.1, 0.7, 0.2]]) * MAS
+OMEGA = np.array([[0.02, -0.1, 0.06], [0.3, -0.2, 0.15]]) * MAS
+UNKNOWNS = parse_unknowns("orientation,spin,hipparcos:orientation,hipparcos:spin", missions=("hipparcos",))
+
+
+def missions(n=14, n_reference=6, noisy=True, seed=5):
+    """Return the problem of two missions, and of a reference that has a few of their stars, at three epochs.
+
+    Each mission's orientation is that of 2016.0, the epoch of the unknowns.
+    """
+    rng = np.random.default_rng(seed)
+    truth = stars(n, seed, pm=60.0)
+    gaia = replace(truth, values=seen_by_satellite(truth, EPSILON[0], OMEGA[0]))
+    then = np.full(n, HIPPARCOS)
+    there = propagated(truth.values, truth.radial_velocity, truth.epoch, then)
+    there = replace(truth, values=there, epoch=then, errors=8.0 * truth.errors)
+    turned = EPSILON[1] + (HIPPARCOS - GAIA) * OMEGA[1]
+    hipparcos = replace(there, values=seen_by_satellite(there, turned, OMEGA[1]), frame=np.ones(n, dtype=int))
+    chosen = np.arange(n_reference)
+    vlbi = truth.taken(chosen)
+    vlbi = replace(vlbi, values=propagated(vlbi.values, vlbi.radial_velocity, vlbi.epoch, vlbi.epoch - 9.0))
+    vlbi = replace(vlbi, epoch=vlbi.epoch - 9.0)
+    if noisy:
+        gaia, hipparcos, vlbi = (replace(one, values=one.values + noise(rng, one)) for one in (gaia, hipparcos, vlbi))
+    source = np.concatenate([np.arange(n), chosen])
+    return Problem(gaia, joined(hipparcos, vlbi), source, UNKNOWNS, GAIA)

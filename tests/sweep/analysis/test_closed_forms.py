@@ -133,12 +133,6 @@ def test_the_order_of_points_changes_nothing(seed):
         assert other[name].item() == pytest.approx(one[name].item(), rel=1e-9)
 
 
-def test_a_deviation_has_the_sign_and_the_unit_of_its_error():
-    x = np.array([10.0, 20.0, 40.0, 80.0])
-    found = linksweep.fit_power_law(results(x, x**-0.4, 0.02 * x**-0.4), "width", "n", expected=-0.5)
-    assert found["deviation"].item() == pytest.approx(0.1 / found["exponent_error"].item(), rel=1e-9)
-
-
 # The law that levels off
 
 
@@ -216,27 +210,6 @@ def test_a_law_too_slow_for_the_fall_falls_by_less_everywhere(seed, times):
             assert found["limit"].item() == pytest.approx(derived(x, share * truth[2], *truth)[1], rel=1e-3)
         else:
             assert found["limit"].item() == -np.inf
-
-
-@several
-@given(seeds, st.sampled_from([20, 50]))
-def test_errors_of_a_covariance_from_samples_are_larger(seed, samples):
-    x, y, relative, _ = levelled(seed, 0.3)
-    covariance = np.diag((relative * y) ** 2)
-    exact, estimated = (
-        linksweep.fit_levelling(results(x, y, covariance=covariance, samples=n), "width", "n") for n in (None, samples)
-    )
-    for name in ("plateau", "rate", "end_fall"):
-        ratio = estimated[f"{name}_error"].item() / exact[f"{name}_error"].item()
-        assert ratio == pytest.approx(np.sqrt(factor(samples)), rel=1e-4)
-
-
-def test_points_that_share_random_numbers_without_a_covariance_judge_no_law():
-    x, y, relative, _ = levelled(7)
-    dataset = results(x, y, relative * y, common_random_numbers=1, error_convention=2)
-    for fit in (linksweep.fit_levelling, linksweep.fit_power_law):
-        found = fit(dataset, "width", "n")
-        assert np.isnan([found["chi2"].item(), found["p_value"].item()]).all()
 
 
 # Between points
@@ -383,18 +356,6 @@ def test_what_only_the_shortest_waves_explain_is_in_the_error():
     found = linksweep.sensitivity(table({"x": place}, np.cos(np.pi * 8 * place)))
     assert found["first"].item() == pytest.approx(1.0, abs=1e-9)
     assert found["first_error"].item() == pytest.approx(1.0, abs=0.05)
-
-
-@pytest.mark.slow
-def test_stated_errors_of_given_points_are_their_scatter():
-    found = []
-    for seed in range(250):
-        x, other = np.random.default_rng(seed).random((2, 300))
-        dataset = table({"x": x, "other": other}, np.cos(np.pi * x) + 0.7 * np.cos(np.pi * other))
-        one = linksweep.sensitivity(dataset)
-        found.append((one["first"].values, one["first_error"].values))
-    estimates, errors = np.moveaxis(np.array(found), 1, 0)
-    assert np.std(estimates, axis=0) == pytest.approx(np.sqrt(np.mean(errors**2, axis=0)), rel=0.3)
 
 
 @several

@@ -27,7 +27,7 @@ from linksweep.sweep.analysis.laws import (
     parse_range,
     ratio,
 )
-from linksweep.sweep.analysis.quantity import between, main_quantity, quantities, require_axis, select, standard_error
+from linksweep.sweep.analysis.quantity import between, main_quantity, quantities, select, standard_error
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import Resources
@@ -71,31 +71,7 @@ def test_the_error_of_a_quantity_is_the_sum_of_squares(dataset_of):
     assert standard_error(one, "chi2") is None
 
 
-def test_zipped_axes_can_be_fitted_by_either_name():
-    dataset = grid(N**-0.5, 0.01 * N**-0.5).assign_coords(square=("n", N**2))
-    assert fit_power_law(dataset, "width", "n")["exponent"].values == pytest.approx(-0.5)
-    assert fit_power_law(dataset, "width", "square")["exponent"].values == pytest.approx(-0.25)
-    assert require_axis(dataset, "width", None) == "n"
-
-
 # Power laws
-
-
-def test_every_line_has_the_fit_of_its_points(dataset_of):
-    dataset = dataset_of("grid")
-    result = fit_power_law(dataset, "sigma_spin", "n_obj")
-    assert result["exponent"].dims == ("model", "v_max", "error_scale")
-    for index in np.ndindex(2, 2, 4):
-        one = dataset.isel(dict(zip(("model", "v_max", "error_scale"), index, strict=True)))
-        law = power_law(N_OBJ(one), one["sigma_spin"].values, standard_error(one, "sigma_spin").values)
-        for name in ("exponent", "exponent_error", "amplitude", "pivot", "chi2"):
-            assert result[name].values[index] == getattr(law, name)
-    assert result["amplitude"].attrs["units"] == "mas / yr"
-    assert "expected" not in result
-
-
-def N_OBJ(one):  # noqa: N802
-    return one["n_obj"].values.astype(float)
 
 
 @pytest.mark.slow
@@ -177,10 +153,6 @@ def test_levelling_needs_a_fraction_and_four_points():
 # Ratios and interpolation
 
 
-def test_a_ratio_without_errors_has_none():
-    assert set(ratio(grid(1.0 / N), "width", "n", 10.0, "20").data_vars) == {"ratio"}
-
-
 def test_interpolation_is_exact_for_exponentials_of_a_magnitude():
     result = interpolate(grid(np.exp(-0.3 * V), x=V, name="v", unit="mag"), "width", "v", 17.2)
     assert result["width"].values == pytest.approx(np.exp(-0.3 * 17.2), rel=1e-12)
@@ -216,8 +188,8 @@ def test_truth_values_and_integers_have_crossings_and_values_between():
 def test_what_has_no_numbers_says_what_it_has():
     dataset = grid(N).drop_vars("width").assign(name=(("model", "n"), np.full((2, 5), "a", dtype=object)))
     dataset["when"] = (("model", "n"), np.full((2, 5), np.datetime64("2020-01-01", "ns")))
-    for variable, told in [("name", "texts"), ("when", "times")]:
-        with pytest.raises(SweepError, match=f"{variable} has no numbers to draw or to fit, but {told}"):
+    for variable in ("name", "when"):
+        with pytest.raises(SweepError, match=f"{variable} has no numbers to draw or to fit"):
             find(dataset, f"{variable} < 3", over="n")
     with pytest.raises(SweepError, match="no quantity 'heads'; there are none"):
         find(dataset, "heads < 3", over="n")
@@ -278,13 +250,6 @@ def test_units_are_converted_and_lines_of_another_kind_left_out(dataset_of):
 )
 def test_conditions(text, limit):
     assert parse_limit(text) == limit
-
-
-@pytest.mark.parametrize("text", ["", "sigma sigma", "sigma < ", "sigma = 1", "sigma < one", "1 < sigma", "sigma < 1e"])
-@pytest.mark.parametrize("more", ["", " nonsense", "; b", " < 2"])
-def test_conditions_that_are_none(text, more):
-    with pytest.raises(SweepError):
-        parse_limit(text + more)
 
 
 @pytest.mark.parametrize(
@@ -388,11 +353,6 @@ def test_fit_prints_exponent_expectation_and_law(store_of):
     assert row["points"] == 6.0
 
 
-def test_fit_of_components_names_their_units(store_of):
-    done = invoke("fit", store_of("sqrt-n"), "--variable", "sigma")
-    assert [line.split()[:3] for line in done.stdout.splitlines() if "omega_x" in line] == [["omega_x", "mas", "/"]]
-
-
 def test_fit_levelling_says_where(store_of):
     done = invoke("fit", store_of("quasars"), "--law", "levelling")
     assert "falls by less from 15" in done.stdout
@@ -408,15 +368,6 @@ def test_find_says_from_where(store_of):
     found = json.loads(invoke("find", store_of("quasars"), "--where", "sigma_spin < 0.6", "--json").stdout)
     assert found["condition"] == "sigma_spin < 0.6"
     assert found["rows"][1]["first"] is None
-
-
-def test_an_experiment_without_errors_is_fitted_by_its_scatter(coin_store):
-    done = invoke("fit", coin_store, "--at", "metal=tin", "--json")
-    found = json.loads(done.stdout)
-    assert found["variable"] == "share"
-    assert found["errors"].startswith("none")
-    assert found["rows"][0]["chi2"] is None
-    assert abs(found["rows"][0]["exponent"]) < 0.1  # the share of heads does not depend on how many coins
 
 
 @pytest.mark.parametrize(
@@ -441,10 +392,3 @@ def test_bad_input_is_one_message(coin_store, arguments, message):
     assert done.exit_code == 2
     assert message in done.stderr
     assert done.stdout == ""
-
-
-def test_a_ratio_has_no_unit(dataset_of):
-    found = ratio(dataset_of("quasars"), "sigma_spin", "model", of="amex", to="gaia")
-    assert set(found) == {"ratio", "ratio_error"}
-    assert all("units" not in found[name].attrs for name in found)
-    assert found["v_max"].attrs["units"] == "mag"

@@ -223,7 +223,7 @@ def test_what_has_no_indices_says_why(tmp_path):
     with pytest.raises(SweepError, match="incomplete"):
         sensitivity(run(f, tmp_path / "s.zarr", points=points))
     good = run(f, tmp_path / "g.zarr", points=points | {"ranges": {"a": [0, 0.5], "b": [0, 1]}})
-    with pytest.raises(SweepError, match="text has no numbers to draw or to fit, but texts"):
+    with pytest.raises(SweepError, match="text has no numbers to draw or to fit"):
         sensitivity(good, "text")
     with pytest.raises(SweepError, match="8 points are too few for indices: at least 18"):
         sensitivity(good.isel(point=slice(8)))

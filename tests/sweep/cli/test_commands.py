@@ -6,14 +6,12 @@ import subprocess
 import sys
 
 import click
+import numpy as np
 import pytest
 import xarray as xr
 
-from linksweep.sweep.analysis.results_table import headline_table
-from linksweep.sweep.cli import main
-from linksweep.sweep.cli.group import SECTIONS
-from linksweep.sweep.stores.store import open_dataset
-from tests.conftest import COINS
+import linksweep
+from tests.conftest import COINS, main, run_sweep
 from tests.tiers import slow
 
 PRINTING = ["list", "params", "plan quasars", "show quasars --at model=gaia", "status quasars", "compare quasars"]
@@ -100,10 +98,10 @@ def test_no_number_is_cut_on_a_narrow_terminal(sweep, link_study, tmp_path):
 
 
 def test_the_help_has_every_command_in_one_section_with_a_whole_sentence(sweep):
-    listed = [name for commands in SECTIONS.values() for name in commands]
-    assert sorted(listed) == sorted(main.commands)
     code, out, _ = sweep("--help")
     assert code == 0
+    listed = [line.split()[0] for line in out.partition("\nRun:\n")[2].splitlines() if line.startswith("  ")]
+    assert sorted(listed) == sorted(main.commands)
     assert "  run         Run a study into a store" in out.partition("\nRun:\n")[2].partition("\nLook:\n")[0]
     assert "..." not in out.partition("Run:")[2]
     assert max(map(len, out.splitlines())) <= 80
@@ -128,13 +126,9 @@ def test_what_is_printed_fits_80_columns(sweep, tmp_path, monkeypatch, commands)
 
 @pytest.mark.slow
 def test_a_table_that_is_too_wide_says_what_it_leaves_out(store_of, sweep):
-    table = headline_table(open_dataset(store_of("aberration")))
-    kept, left_out = table.fitting(80)
-    assert max(map(len, kept.text(80).splitlines())) <= 80
-    assert left_out
-    assert all(column.rank == 0 for column in table.fitting(10)[0].columns)
     out = sweep("show", store_of("aberration"))[1]
     assert "left out to fit 80 columns: " in out
+    assert max(map(len, out.splitlines())) <= 80
 
 
 def test_one_thing_has_one_name_in_all_commands():
@@ -158,3 +152,92 @@ def test_two_formats_are_refused(sweep, store_of, command):
 @pytest.mark.slow
 def test_params_of_a_study_are_those_of_its_experiment(sweep):
     assert sweep("params", "icrf2-icrf3") == sweep("params", "linksweep.sweep.tie.experiment:tie")
+
+
+# Parts of a grid that --at names: those that the study excludes are not shown as if they were empty.
+
+
+def law(a: float, b: float = 1.0):
+    return b / a
+
+
+@pytest.fixture(scope="module")
+def part_excluded(tmp_path_factory):
+    store = tmp_path_factory.mktemp("excluded") / "law.zarr"
+    axes = {"a": [1.0, 2.0], "b": [1.0, 2.0, 3.0]}
+    exclude = [{"b": 3.0}, {"a": 2.0, "b": 2.0}]
+    linksweep.run({"experiment": law, "axes": axes, "exclude": exclude}, store, pool="serial")
+    return str(store)
+
+
+@pytest.mark.parametrize("command", ["show", "fit", "find --where law<1", "plot -o p.png", "sensitivity"])
+@pytest.mark.parametrize(("at", "points"), [("a=2,b=2", "this point"), ("b=3", "all of these points")])
+def test_a_part_that_the_study_excludes_is_refused(part_excluded, command, at, points, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run_sweep(*command.split(), part_excluded, "--at", at)
+    assert (code, out) == (2, "")
+    assert f"--at {at}: the study excludes {points}" in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_excluded_points_are_a_status_in_tables_for_programs_and_no_figure(part_excluded):
+    code, out, _ = run_sweep("show", part_excluded, "--at", "a=2,b=2", "--format", "csv")
+    assert (code, out.split()) == (0, ["law,status", ",excluded"])
+    with pytest.raises(linksweep.SweepError, match="every point is excluded by the study"):
+        linksweep.plot(linksweep.open(part_excluded).sel(b=3.0))
+
+
+def half(a: int, b: int = 1):
+    if a == 2:
+        raise ValueError("two is bad")
+    return float(a * b)
+
+
+def test_a_figure_of_failed_points_alone_is_refused(tmp_path):
+    linksweep.run(half, tmp_path / "half.zarr", axes={"a": [1, 2, 3], "b": [1, 2]}, pool="serial")
+    picture = tmp_path / "p.png"
+    for at, count in (("a=2", 2), ("a=2,b=1", 1)):
+        code, _, err = run_sweep("plot", tmp_path / "half.zarr", "--at", at, "-o", picture)
+        assert code == 2
+        assert f"half: there is no value to draw here: of {count} points {count} failed" in err
+        assert not picture.exists()
+
+
+def cooling(a: float):
+    t = np.array([0.0, 1.0, 2.0])
+    return {"tot": a, "curve": xr.DataArray(a * np.exp(-t), dims="t", coords={"t": t})}
+
+
+def test_an_output_is_shown_where_a_place_along_its_own_dimension_is_chosen(tmp_path):
+    linksweep.run(cooling, tmp_path / "cooling.zarr", axes={"a": [1.0, 2.0]}, pool="serial")
+    whole = run_sweep("show", tmp_path / "cooling.zarr")[1]
+    assert "curve: values at each point, 3 along t" in " ".join(whole.split())
+    code, out, _ = run_sweep("show", tmp_path / "cooling.zarr", "--at", "t=1")
+    assert code == 0
+    lines = [line.split() for line in out.splitlines()]
+    assert next(line for line in lines if "tot" in line) == ["a", "tot", "curve"]
+    assert next(line[-1] for line in lines if line[:1] == ["2"]) == "0.7358"
+
+
+def wave(a: int, kind: str, b: float = 1.0):
+    return float(a) if kind == "sin" else -b
+
+
+@pytest.mark.parametrize("each", [1, 2], ids=["alone", "crossed"])
+def test_all_points_of_a_table_that_have_a_value_are_shown(each, tmp_path):
+    store, picture = tmp_path / "wave.zarr", tmp_path / "p.svg"
+    points = {"a": [1, 2, 3, 4], "kind": ["sin", "cos", "sin", "sin"]}
+    linksweep.run(wave, store, points=points, axes={"b": [1.0, 2.0]} if each == 2 else None, pool="serial")
+    for line, column, values in (
+        ("show STORE --at kind=sin", "a", sorted([1, 3, 4] * each)),
+        ("show STORE --at kind=sin,a=3", "wave", [3.0] * each),
+        ("fit STORE --at kind=sin --over a", "points", [3.0] * each),
+        ("find STORE --at kind=sin --where wave>2 --over a", "first", [pytest.approx(2.0)] * each),
+    ):
+        _, out, err = run_sweep(*line.replace("STORE", str(store)).split(), "--json")
+        assert [row[column] for row in json.loads(out)["rows"]] == values, err
+    code, _, err = run_sweep("plot", store, "--at", "kind=sin", "-o", picture, "--caption")
+    assert (code, picture.exists()) == (0, True), err
+    assert f"Over {3 * each} points it goes from 1" in picture.with_suffix(".txt").read_text()
+    with pytest.raises(linksweep.SweepError, match="kind = sin is at 3 points along point, and a ratio is of two"):
+        linksweep.ratio(linksweep.open(store), "wave", "kind", of="cos", to="sin")

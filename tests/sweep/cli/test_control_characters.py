@@ -12,9 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from linksweep.sweep.formatting import harmless
-from linksweep.sweep.stores.integrity import sealed
-from linksweep.sweep.table_writer import Column, Table
+from tests.sweep.opening import Column, Table, harmless, sealed
 
 MARK = "\x1b]0;owned\x07\x9b2J\u202e\x1b[31m\r\x08"
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")

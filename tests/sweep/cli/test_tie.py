@@ -1,4 +1,4 @@
-"""The commands tie and forecast as users type them."""
+"""The commands tie and forecast as users type them, and what is made of their stores: shown, drawn and reported."""
 
 import json
 from dataclasses import replace
@@ -6,139 +6,185 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
 
-from linksweep.core.frames import MAS
-from linksweep.sweep.cli import main
-from tests.core.tie.test_missions import EPSILON, OMEGA, missions
-from tests.sweep.tie.test_tables import gaia
+import linksweep
+from tests.conftest import run_sweep
+from tests.core.tie.made import EPSILON, MAS, OMEGA, gaia, missions
 
-
-def run(*arguments):
-    return CliRunner().invoke(main, list(arguments))
+LINK = ("psrpi-de200", "timing-de200", "--unknowns", "orientation", "--clip", "discrepancy", "--errors", "jackknife")
 
 
-def test_a_link_is_printed_with_its_sign_and_stored(tmp_path):
-    store = tmp_path / "tie.zarr"
-    found = run(
-        "tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "--errors", "jackknife", "-o", str(store)
-    )
-    assert found.exit_code == 0, found.output
-    assert "reference - satellite" in found.output
-    assert "epsilon_y" in found.output
-    assert "jackknife" in found.output
-    with xr.open_zarr(store) as stored:
-        assert stored.attrs["sign"] == "reference-satellite"
-        assert float(stored.estimate[1]) == pytest.approx(-13.06, abs=0.01)
-    again = run("tie", "psrpi-de200", "timing-de200", "-o", str(store))
-    assert again.exit_code == 2
-    assert "nothing is overwritten" in again.output
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stored")
+    code, link, err = run_sweep("tie", *LINK, "-o", folder / "tie.zarr")
+    assert code == 0, err
+    planned = ("psrpi", "psrpi", "--unknowns", "orientation", "--add", "2030", "-o", folder / "plan.zarr")
+    code, plan, err = run_sweep("forecast", *planned)
+    assert code == 0, err
+    return folder, link, plan
+
+
+def test_a_link_is_printed_with_its_sign_and_stored(stored):
+    folder, link, _ = stored
+    assert all(words in link for words in ("reference - satellite", "epsilon_y", "jackknife"))
+    with xr.open_zarr(folder / "tie.zarr") as found:
+        assert found.attrs["sign"] == "reference-satellite"
+        assert float(found.estimate[1]) == pytest.approx(-13.06, abs=0.01)
+    code, _, err = run_sweep("tie", *LINK, "-o", folder / "tie.zarr")
+    assert (code, "exists already" in err) == (2, True)
 
 
 def test_json_has_everything():
-    found = run(
-        "tie",
-        "psrpi-de200",
-        "timing-de200",
-        "--unknowns",
-        "orientation",
-        "--json",
-        "--sign",
-        "satellite-reference",
-        "--clip",
-        "discrepancy:1",
-    )
-    content = json.loads(found.output)
+    options = ("--unknowns", "orientation", "--json", "--sign", "satellite-reference", "--clip", "discrepancy:1")
+    content = json.loads(run_sweep("tie", "psrpi-de200", "timing-de200", *options)[1])
     assert content["attributes"]["sign"] == "satellite-reference"
     assert content["variables"]["estimate"]["values"][1] > 0.0
     assert content["variables"]["step_chosen"]["values"] == 1
 
 
 def test_a_forecast_is_printed():
-    found = run(
+    code, out, err = run_sweep(
         *("forecast", "psrpi", "psrpi", "--unknowns", "orientation,spin", "--add", "2026,2030", "--choose", "2"),
         *("--for", "spin", "--release", "dr4", "--from-release", "dr3", "--error", "0.2"),
     )
-    assert found.exit_code == 0, found.output
-    assert "chosen for spin" in found.output
-    assert "all observed at 2030" in found.output
-    assert max(map(len, found.output.splitlines())) <= 88  # a page of the documentation has room for it
+    assert code == 0, err
+    assert "chosen for spin" in out
+    assert "all observed at 2030" in out
+    assert max(map(len, out.splitlines())) <= 88  # a page of the documentation has room for it
 
 
-def two_missions(tmp_path):
-    """Write the tables of two missions and a reference whose rows are exact; return their paths."""
+@pytest.mark.slow
+def test_two_missions_have_an_orientation_and_a_spin_each(tmp_path):
     made = missions(n=20, noisy=False)
-    rows = made.rows
-    names = np.arange(20)
+    rows, names = made.rows, np.arange(20)
     first, other = rows.frame == 1, rows.frame == 0
     gaia(tmp_path / "hipparcos.ecsv", replace(rows.taken(first), radial_velocity=np.zeros(20)), source_id=names)
     vlbi = replace(rows.taken(other), radial_velocity=np.zeros(other.sum()))
     gaia(tmp_path / "vlbi.ecsv", vlbi, source_id=names[: other.sum()])
     gaia(tmp_path / "gaia.ecsv", made.satellite, source_id=names)
-    return [str(tmp_path / f"{name}.ecsv") for name in ("gaia", "vlbi", "hipparcos")]
-
-
-@pytest.mark.slow
-def test_two_missions_have_an_orientation_and_a_spin_each(tmp_path):
-    first, reference, second = two_missions(tmp_path)
     store = tmp_path / "tie.zarr"
-    found = run("tie", first, reference, "--mission", f"hip={second}", "--errors", "jackknife", "-o", str(store))
-    assert found.exit_code == 0, found.output
-    assert "reference - hip: " in found.output
-    assert "hip:omega_z" in found.output
-    with xr.open_zarr(store) as stored:
-        estimate = stored.estimate.values.reshape(4, 3)
+    tables = (tmp_path / "gaia.ecsv", tmp_path / "vlbi.ecsv", "--mission", f"hip={tmp_path}/hipparcos.ecsv")
+    code, out, err = run_sweep("tie", *tables, "--errors", "jackknife", "-o", store)
+    assert code == 0, err
+    assert "reference - hip: " in out
+    assert "hip:omega_z" in out
+    with xr.open_zarr(store) as found:
+        estimate = found.estimate.values.reshape(4, 3)
         np.testing.assert_allclose(estimate[[0, 2]], EPSILON / MAS, atol=5e-4)
         np.testing.assert_allclose(estimate[[1, 3]], OMEGA / MAS, atol=2e-5)
-        assert set(stored.row_table.values) == {"reference", "hip"}
-        assert list(stored.attrs["missions"]) == ["hip"]
+        assert set(found.row_table.values) == {"reference", "hip"}
+        assert list(found.attrs["missions"]) == ["hip"]
     for kind in ("solution", "residuals", "jackknife", "ranking"):
-        assert run("plot", str(store), "--kind", kind, "-o", str(tmp_path / f"{kind}.png")).exit_code == 0
-    only = run("tie", first, reference, "--mission", f"hip={second}", "--unknowns", "orientation,spin,hip:spin")
-    assert "hip:epsilon_x" not in only.output
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--mission", "hip"], "NAME=TABLE"),
-        (["--mission", "spin=psrpi"], "none of the unknowns"),
-        (["--mission", "hip=nowhere.fits"], "nowhere.fits: no such file"),
-        (["--mission", "a=psrpi", "--mission", "a=psrpi"], "named twice"),
-        (["--mission", "a=psrpi", "--unknowns", "orientation,b:spin"], "'b:spin'"),
-        (["--mission", "a=psrpi", "--mission-epoch", "b=1991.25"], "no table b"),
-        (["--mission", "a=psrpi", "--mission-epoch", "a=1991.25,1992"], "is not NAME=YEAR"),
-        (["--mission", "a=psrpi", "--mission-epoch", "a=,"], "is not NAME=YEAR"),
-        (["--mission", "a=psrpi", "--jitter", "b:position=1"], "no mission 'b'"),
-        (["--without-cos-dec", "b"], "no table b"),
-    ],
-)
-def test_a_wrong_mission_is_one_message(options, message):
-    found = run("tie", "psrpi", "psrpi", *options)
-    assert found.exit_code == 2, found.output
-    assert message in found.output
+        assert run_sweep("plot", store, "--kind", kind, "-o", tmp_path / f"{kind}.png")[0] == 0
+    assert "hip:epsilon_x" not in run_sweep("tie", *tables, "--unknowns", "orientation,spin,hip:spin")[1]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["psrpi", "nowhere.fits"], "nowhere.fits: no such file"),
-        (["psrpi", "icrf3"], "within 1 arcsec"),
-        (["psrpi", "psrpi", "--clip", "median"], "clip 'median'"),
-        (["psrpi", "psrpi", "--unknowns", "spinn"], "'spinn' are not known"),
-        (["psrpi", "psrpi", "--jitter", "position"], "--jitter"),
-        (["psrpi", "psrpi", "--bins", "mag"], "COLUMN=EDGE"),
-        (["psrpi", "psrpi", "--known-spin", "0.1,0.2"], "three numbers"),
-        (["psrpi", "psrpi", "--column", "ra"], "--column"),
-        (["psrpi", "psrpi", "--column", "ra=x"], "no column 'x'"),
-        (["psrpi", "psrpi", "-o", "out.nc"], "ends in .zarr"),
-        (["icrf3", "icrf2", "--unknowns", "spin"], "nothing in the tables determines omega_x"),
+        ("psrpi nowhere.fits", "nowhere.fits: no such file"),
+        ("psrpi icrf3", "within 1 arcsec"),
+        ("psrpi psrpi --clip median", "clip 'median'"),
+        ("psrpi psrpi --unknowns spinn", "'spinn' are not known"),
+        ("psrpi psrpi --jitter position", "--jitter"),
+        ("psrpi psrpi --bins mag", "COLUMN=EDGE"),
+        ("psrpi psrpi --known-spin 0.1,0.2", "three numbers"),
+        ("psrpi psrpi --column ra", "--column"),
+        ("psrpi psrpi --column ra=x", "no column 'x'"),
+        ("psrpi psrpi -o out.nc", "ends in .zarr"),
+        ("icrf3 icrf2 --unknowns spin", "nothing in the tables determines omega_x"),
+        ("psrpi psrpi --mission hip", "NAME=TABLE"),
+        ("psrpi psrpi --mission spin=psrpi", "none of the unknowns"),
+        ("psrpi psrpi --mission hip=nowhere.fits", "nowhere.fits: no such file"),
+        ("psrpi psrpi --mission a=psrpi --mission a=psrpi", "named twice"),
+        ("psrpi psrpi --mission a=psrpi --unknowns orientation,b:spin", "'b:spin'"),
+        ("psrpi psrpi --mission a=psrpi --mission-epoch b=1991.25", "no table b"),
+        ("psrpi psrpi --mission a=psrpi --mission-epoch a=1991.25,1992", "is not NAME=YEAR"),
+        ("psrpi psrpi --mission a=psrpi --jitter b:position=1", "no mission 'b'"),
+        ("psrpi psrpi --without-cos-dec b", "no table b"),
     ],
 )
 def test_wrong_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, arguments, message):
     monkeypatch.chdir(tmp_path)
-    found = run("tie", *arguments)
-    assert found.exit_code == 2, found.output
-    assert message in found.output
-    assert "Traceback" not in found.output
+    code, _, err = run_sweep("tie", *arguments.split())
+    assert (code, "Traceback" in err) == (2, False), err
+    assert message in err
     assert not list(tmp_path.iterdir())
+
+
+def test_show_prints_what_the_command_printed_and_formats_for_programs(stored):
+    folder, link, plan = stored
+    assert run_sweep("show", folder / "tie.zarr")[1] == link
+    assert run_sweep("show", folder / "plan.zarr")[1] == plan
+    content = json.loads(run_sweep("show", folder / "tie.zarr", "--json")[1])
+    assert content["variables"]["estimate"]["values"][1] == pytest.approx(-13.06, abs=0.01)
+    lines = run_sweep("show", folder / "tie.zarr", "--format", "csv")[1].splitlines()
+    assert lines[0] == "unknown,unit,estimate,error_jackknife,error_formal,error_scaled"
+    assert lines[2].startswith("epsilon_y,mas,-13.05")
+    assert "reference-satellite" in run_sweep("show", folder / "tie.zarr", "--format", "ecsv")[1]
+    assert run_sweep("show", folder / "plan.zarr", "--format", "csv")[1].startswith("unknown,unit,error_now")
+
+
+def test_python_opens_it(stored):
+    folder, _, _ = stored
+    np.testing.assert_allclose(linksweep.open(folder / "tie.zarr").estimate[1], -13.06, atol=0.01)
+    assert linksweep.open(str(folder / "plan.zarr")).attrs["result"] == "forecast"
+
+
+@pytest.mark.slow
+def test_figures_are_drawn(stored):
+    folder, _, _ = stored
+    code, _, err = run_sweep("tie", *LINK, "--figures", folder / "figures")
+    assert code == 0, err
+    names = {path.stem for path in (folder / "figures").iterdir()}
+    assert names == {"solution", "residuals", "separations", "weight", "ranking", "jackknife", "trajectory"}
+    assert run_sweep("plot", folder / "tie.zarr", "--kind", "weight", "-o", folder / "weight.png")[0] == 0
+    assert (folder / "weight.png").read_bytes() == (folder / "figures" / "weight.png").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--kind", "bins"], "--bins COLUMN=EDGES"),
+        (["--kind", "epochs"], "no kind 'epochs' of a tie"),
+        (["--at", "unknown=epsilon_x"], "--at chooses a part of a grid"),
+        (["--variable", "estimate"], "only its kind"),
+    ],
+)
+def test_what_cannot_be_drawn_is_one_message(stored, arguments, message):
+    folder, _, _ = stored
+    code, _, err = run_sweep("plot", folder / "tie.zarr", *arguments, "-o", folder / "none.png")
+    assert (code, message in err) == (2, True), err
+    assert not (folder / "none.png").exists()
+
+
+def test_a_damaged_result_is_one_message(stored, tmp_path):
+    (tmp_path / "bad.zarr").mkdir()
+    content = json.loads((stored[0] / "tie.zarr" / "zarr.json").read_text())
+    for key in ("node_type", "consolidated_metadata"):
+        content.pop(key, None)
+    (tmp_path / "bad.zarr" / "zarr.json").write_text(json.dumps(content))
+    code, _, err = run_sweep("show", tmp_path / "bad.zarr")
+    assert (code, "is damaged" in err) == (2, True)
+
+
+@pytest.mark.slow
+def test_the_report_has_the_table_the_sign_and_the_figures(stored):
+    folder, _, _ = stored
+    code, _, err = run_sweep("report", folder / "tie.zarr", folder / "plan.zarr", "-o", folder / "page.html")
+    assert code == 0, err
+    page = (folder / "page.html").read_text()
+    for text in ("reference - satellite", "-13.05506", "jackknife", "clip step by step", "More than 10 %"):
+        assert text in page, text
+    assert "Bokeh" not in page  # nothing here is drawn by it
+    assert "all observed at 2030" in page
+    assert page.count("<figure>") == 7 + 2
+    assert "undefined" not in page.partition("<script>")[0]
+
+
+def test_a_report_without_a_clip_says_so(tmp_path):
+    made = ("tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "-o", tmp_path / "tie.zarr")
+    assert run_sweep(*made)[0] == 0
+    assert run_sweep("report", tmp_path / "tie.zarr", "-o", tmp_path / "tie.html")[0] == 0
+    assert "matched by name; clip none;" in (tmp_path / "tie.html").read_text()

@@ -245,29 +245,29 @@ def test_later_points_are_compared_by_name_with_what_is_expected_and_found():
     assert not differences(expected, layout_of(dict(reversed(first.items()))))
     assert not differences(expected, layout_of(first | {"y": 2, "n": 3.0}))  # integers and floats are joined
     for changed, sentence in (
-        ({"n": True}, "'n' has the type 'bool', expected 'int'"),
-        ({"y": "a"}, "'y' has the type 'text', expected 'float'"),
-        ({"y": [1.0]}, "'y' has the dimensions ('y_dim_0',), expected ()"),
+        ({"n": True}, "the type of 'n' is 'bool', expected 'number'"),
+        ({"y": "a"}, "the type of 'y' is 'text', expected 'number'"),
+        ({"y": [1.0]}, "the dims of 'y' is ('y_dim_0',), expected ()"),
         ({"more": 1}, "'more' was not returned by the first point"),
         (
             {"t": xr.DataArray([1.0, 2.0], {"x": [0.0, 0.6]}, ("x",), attrs={"units": "m"})},
-            "the coordinate 'x', at index 1, has the value 0.6, expected 0.5",
+            "value 1 of the coordinate 'x' is 0.6, expected 0.5",
         ),
         (
             {"t": xr.DataArray([1.0], {"x": [0.0]}, ("x",), attrs={"units": "m"})},
-            "the coordinate 'x' has the length 1, expected 2",
+            "the length of 'x' is 1, expected 2",
         ),
         (
             {"t": xr.DataArray([1.0, 2.0], {"x": [0.0, 0.5]}, ("x",), attrs={"units": "km"})},
-            "'t' has the unit 'km', expected 'm'",
+            "the unit of 't' is 'km', expected 'm'",
         ),
         (
             {"t": xr.DataArray([1.0, 2.0], {"x": ("x", [0.0, 0.5], {"units": "s"})}, ("x",), attrs={"units": "m"})},
-            "the coordinate 'x' has the unit 's', expected ''",
+            "the unit of the coordinate 'x' is 's', expected ''",
         ),
         (
             {"t": xr.DataArray([1.0, 2.0], {"x": [False, True]}, ("x",), attrs={"units": "m"})},
-            "the coordinate 'x' has the type 'bool', expected 'float'",
+            "the type of the coordinate 'x' is 'bool', expected 'float'",
         ),
     ):
         assert sentence in differences(expected, layout_of(first | changed))

@@ -65,12 +65,12 @@ REFUSED = {
     "positional-only": (math.sin, "x is positional-only"),
     "any arguments": (lambda *args: 1, r"\*args is variadic"),
     "any names": (lambda **options: 1, r"\*\*options is variadic"),
-    "a ufunc": (np.hypot, "is a NumPy ufunc"),
+    "a ufunc": (np.hypot, "is a class, a NumPy ufunc"),
     "a builtin without a signature": (max, "its signature|is variadic"),
-    "a class": (Thing, "is a class; wrap it"),
+    "a class": (Thing, "is a class"),
     "a method of a class": (Thing.method, "is a method and takes self"),
-    "async": (waiting, "is async"),
-    "a generator": (yielding, "is a generator"),
+    "async": (waiting, "async"),
+    "a generator": (yielding, "a generator"),
 }
 
 

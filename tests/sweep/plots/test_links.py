@@ -101,10 +101,12 @@ def test_weights_show_the_dropped_source_apart(link):
 
 
 def arrows(axes):
-    """The places (deg), lengths and directions (deg) of the arrows of a map, in the units of its key."""
+    """The places (deg), relative lengths and directions (deg) on the paper of the arrows of a map."""
+    axes.figure.draw_without_rendering()
     [drawn] = [one for one in axes.collections if isinstance(one, Quiver)]
-    u, v = np.asarray(drawn.U), np.asarray(drawn.V)
-    return 180.0 - np.degrees(drawn.X), np.degrees(drawn.Y), np.hypot(u, v), np.degrees(np.arctan2(v, u)), drawn
+    tips = [max(path.vertices, key=lambda place: np.hypot(*place)) for path in drawn.get_paths()]
+    angles = np.degrees([np.arctan2(y, x) for x, y in tips])
+    return 180.0 - np.degrees(drawn.X), np.degrees(drawn.Y), np.hypot(drawn.U, drawn.V), angles
 
 
 def residuals(ra, dec, values, errors):
@@ -123,9 +125,8 @@ def test_arrows_point_as_the_sky_does():
     ra, dec = np.array([180.0, 180.0, 320.0, 359.0, 20.0]), np.array([0.0, 0.0, 45.0, -20.0, 70.0])
     values = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [0.6, -0.8], [-1.0, 0.3]])
     axes = linksweep.plot(residuals(ra, dec, values, np.ones((5, 2))), "residuals").axes[0]
-    _, _, length, angle, drawn = arrows(axes)
-    np.testing.assert_allclose(length, np.hypot(*values.T), rtol=1e-9)
-    np.testing.assert_allclose(angle, drawn.angles)
+    _, _, length, angle = arrows(axes)
+    np.testing.assert_allclose(length / length[0], np.hypot(*values.T), rtol=1e-9)
     np.testing.assert_allclose(angle[:2] % 360.0, [180.0, 90.0], atol=0.1)
     assert 0.0 < angle[2] < 80.0  # on the left edge a meridian leans inwards
     small = 1e-3
@@ -140,7 +141,7 @@ def test_many_arrows_are_weighted_means_of_cells_of_equal_area():
     rng, n, bands = np.random.default_rng(1), 3000, 9
     ra, dec = rng.uniform(0.0, 360.0, n), np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, n)))
     values, errors = rng.normal(size=(n, 2)), rng.uniform(0.5, 2.0, (n, 2))
-    cell_ra, cell_dec, length, _, _ = arrows(linksweep.plot(residuals(ra, dec, values, errors), "residuals").axes[0])
+    cell_ra, cell_dec, length, _ = arrows(linksweep.plot(residuals(ra, dec, values, errors), "residuals").axes[0])
     assert len(cell_ra) == 2 * bands**2
     means = []
     for a, d in zip(cell_ra, cell_dec, strict=True):
@@ -149,7 +150,7 @@ def test_many_arrows_are_weighted_means_of_cells_of_equal_area():
         means.append(np.average(values[inside], axis=0, weights=errors[inside] ** -2))
     expected = np.hypot(*np.transpose(means))
     whole = length < 0.999999 * length.max()  # the longest are cut
-    np.testing.assert_allclose(length[whole], expected[whole], rtol=1e-9)
+    np.testing.assert_allclose(length[whole] / length[0], expected[whole] / expected[0], rtol=1e-9)
 
 
 def test_a_forecast_has_its_epochs_and_ranking(plan):

@@ -150,7 +150,7 @@ def test_the_command_chooses(tmp_path, sweep, store_of):
             ["--kind", "law", "--over", "v_max", "--at", "model=gaia", "--linear", "v_max"],
             "a law is drawn on logarithmic",
         ),
-        (["--kind", "sky", "--log", "v_max"], "nor do --log and --linear"),
+        (["--kind", "sky", "--log", "v_max"], "do not go with --kind sky"),
     ]:
         code, err = drawn(*options)
         assert code == 2
@@ -168,7 +168,7 @@ def test_a_logarithm_needs_numbers_above_zero(tmp_path):
         "figure.log.0: sky_contrast = 0.0: a logarithmic axis has only numbers above zero",
         "figure.log.1: 'n_obi' is neither a parameter nor an output; did you mean 'n_obj'?",
     ]
-    with pytest.raises(SweepError, match=r"figure\.linear\.0: 'n_obj' is in log too"):
+    with pytest.raises(SweepError, match=r"figure.*'n_obj' is in log"):
         linksweep.run({"title": "a", "figure": {"log": ["n_obj"], "linear": ["n_obj"]}}, tmp_path / "a.zarr")
 
 

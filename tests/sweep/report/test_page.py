@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,8 @@ import xarray as xr
 import linksweep
 from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.report.page import MOST_ROWS, SEVERITY, report_of, report_page, section
-from linksweep.sweep.report.pictures import SAMPLES, differences, drawn, explorer, pictures
+from linksweep.sweep.report.page import SEVERITY, report_of, report_page, section
+from linksweep.sweep.report.pictures import SAMPLES, differences, explorer, pictures
 from linksweep.sweep.studies.document import built_in_studies
 from tests.tiers import slow
 
@@ -42,15 +41,6 @@ def sentences(dataset):
     return " ".join(answer.sentences)
 
 
-@pytest.mark.slow
-def test_a_section_says_where_unknowns_can_hardly_be_told_apart():
-    dataset = grid(VALUES).assign(condition_number=(("kind", "size"), [[2.0, 3.0, 1e4], [2.0, 5000.0, 1.0]]))
-    assert any(
-        "at 2 points the condition number is up to 1e+04" in note for note in section("s", dataset, 1, 100)["notes"]
-    )
-    assert not any("condition" in note for note in section("s", grid(VALUES), 1, 100)["notes"])
-
-
 VALUES = [[8.0, 4.0, 2.0], [80.0, 20.0, 10.0]]
 
 
@@ -70,20 +60,6 @@ def test_the_answer_adds_the_parts_of_an_error_and_counts_what_agrees_with_the_p
     assert "at most 20 %" in text
 
 
-def test_a_factor_counts_values_of_many_sizes():
-    many = sentences(grid([[1e-9, 1e-6, 1e-3], [1e-8, 1e-4, 1.0]]))
-    assert "size by a factor of up to 100,000,000, kind by a factor of up to 1,000, all else being equal." in many
-    assert "What changes it" not in sentences(grid([[0.0, 4.0, 2.0], [80.0, 20.0, 10.0]]))
-
-
-def test_a_difference_that_is_rounding_is_no_percentage():
-    values = np.array(VALUES)
-    text = sentences(grid(values, mc_error=0.05 * values, predicted=values * (1.0 + 2e-16)))
-    assert "It equals its prediction, except for rounding." in text
-    near = sentences(grid(values, mc_error=0.05 * values, predicted=values * (1.0 + 1e-4)))
-    assert "the largest difference is 0.0 errors, at most 0.01 %" in near
-
-
 def test_what_is_missing_is_said_and_does_not_count():
     status = [[Status.DONE, Status.FAILED, Status.MISSING], [Status.DONE, Status.DONE, Status.EXCLUDED]]
     dataset = grid([[8.0, np.nan, np.nan], [7.0, 5.0, np.nan]], status)
@@ -92,16 +68,6 @@ def test_what_is_missing_is_said_and_does_not_count():
         "Incomplete: 3 of 5 points are done, 1 missing and 1 failed. What follows is about those that are done."
     ]
     assert completeness(grid(VALUES)) == []
-
-
-def test_what_holds_of_some_points_is_not_said_of_all():
-    status = np.full((2, 3), Status.DONE)
-    status[0, 0] = Status.FAILED
-    values = np.where(status == Status.DONE, 7.0, np.nan)
-    text = sentences(grid(values, status, mc_error=0.1 * values, predicted=values))
-    assert "It is 7.00 ± 0.70 mas at 5 points." in text
-    assert "all" not in text
-    assert "What changes it" not in sentences(grid(np.where(status == Status.DONE, VALUES, np.nan), status))
 
 
 @pytest.mark.parametrize("undone", [Status.MISSING, Status.FAILED])
@@ -177,13 +143,6 @@ def test_a_single_point_is_drawn_beside_what_is_predicted_or_published(dataset_o
     assert pictures(alone, ["sigma_spin", "n_obj"], 0) == []
 
 
-def test_a_view_without_room_says_what_it_leaves_out():
-    dataset = grid(VALUES).assign(other=(("kind", "size"), np.array(VALUES)))
-    found, used, left_out = explorer(dataset, ["share"], 6)
-    assert ([q["name"] for q in found["quantities"]], used, left_out) == (["share"], 6, ["other"])
-    assert explorer(dataset, ["share"], 5)[2] == ["share", "other"]
-
-
 @pytest.mark.slow
 def test_pictures_are_well_formed_and_share_no_identifier(dataset_of):
     quasars = dataset_of("quasars")
@@ -198,22 +157,6 @@ def test_pictures_are_well_formed_and_share_no_identifier(dataset_of):
         }
         assert colours <= {"none", "light-dark", "currentColor"}
         assert "predicted" in "".join(root.itertext()) or root is roots[2]  # text is text
-
-
-@pytest.mark.slow
-def test_letters_that_the_fonts_here_have_not_stay_text():
-    dataset = grid(VALUES).assign_coords(kind=["\u661f\u7cfb", "two"])
-    assert "\u661f\u7cfb" in pictures(dataset, ["share"], 0)[0].svg
-
-
-def test_a_square_root_is_drawn_and_other_text_stays_text():
-    def label(figure):
-        figure.axes[0].set_ylabel(r"$\sqrt{P}$ of it")
-
-    svg = drawn(grid(VALUES), "share", "0", ["share"], add=label).svg
-    texts = ["".join(e.itertext()).strip() for e in ET.fromstring(svg).iter() if e.tag.endswith("}text")]
-    assert any("size" in text for text in texts)
-    assert not any("\u221a" in text or "of it" in text for text in texts)
 
 
 @pytest.mark.slow
@@ -310,18 +253,6 @@ def test_built_in_studies_ask_a_question():
         assert linksweep.load_study(name).question.endswith("?"), name
 
 
-@pytest.mark.slow
-def test_a_large_table_is_cut_and_says_so():
-    size = MOST_ROWS + 7
-    status = ("size", np.full(size, Status.DONE, dtype=np.int8))
-    share = ("size", np.arange(1.0, size + 1), {"units": "", "headline": 1})
-    attributes = {"title": "Large", "complete": 1, "study": ""}
-    large = xr.Dataset({"share": share, "status": status}, {"size": np.arange(float(size))}, attributes)
-    page = report_page([("large.zarr", large.assign_attrs(study_document="{}"))])
-    assert "7 more rows are left out" in page
-    assert page.count("<tr>") == 1 + MOST_ROWS
-
-
 def test_an_earlier_report_is_replaced_and_nothing_else(coins, tmp_path, sweep):
     linksweep.run(coins, tmp_path / "s.zarr", pool="serial")
     page = tmp_path / "page.html"
@@ -396,34 +327,6 @@ def test_the_answer_heads_the_page_and_the_worst_comes_first(dataset_of):
     verdicts = [row[2][0] for row in found["comparison"]["rows"]]
     assert verdicts == sorted(verdicts, key=SEVERITY.index)
     assert len(set(found["results"]["headings"])) == len(found["results"]["headings"])
-
-
-def test_notes_are_about_what_the_section_has(dataset_of):
-    quasars = section("quasars.zarr", dataset_of("quasars"), 1, 10**6)
-    assert quasars["notes"]
-    assert not any("power" in note for note in quasars["notes"])  # the table has no such column
-    page = report_page([("odd.zarr", grid(VALUES).assign_attrs(study_overrides="--set x=1"))])
-    assert "the study was changed" not in page  # said at its top
-    assert "Computed against published" not in page
-    warned = report_page([("odd.zarr", grid(VALUES).assign_attrs(warnings='["a warning"]'))])
-    assert "<h2>Notes</h2>" in warned
-    assert "a warning" in warned
-
-
-def test_the_library_of_the_view_is_only_where_there_is_a_view():
-    empty = report_page([("odd.zarr", grid(np.full((2, 3), np.nan)))])
-    assert "Bokeh" not in empty
-    assert "drawn by BokehJS" in report_page([("odd.zarr", grid(VALUES))])
-
-
-@pytest.mark.slow
-def test_headings_go_down_by_one(store_of):
-    for stores in (["quasars"], ["quasars", "galaxies"]):
-        page = report_of([store_of(name) for name in stores])
-        levels = [int(level) for level in re.findall(r"<h([1-6])", page)]
-        assert levels[0] == 1
-        assert all(after <= before + 1 for before, after in pairwise(levels))
-        assert page.count("<main") == page.count("<header") == page.count("<footer") == 1
 
 
 @pytest.mark.parametrize("factor", [1.0, 1000.0])

@@ -7,7 +7,6 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import linksweep
@@ -193,68 +192,6 @@ def test_controls_change_the_plot(show, store_of):
     assert complaints(driver) == []
 
 
-@pytest.mark.parametrize(("name", "scale"), [("algorithm", "LogScale"), ("error-surface", "LinearScale")])
-def test_many_decades_are_logarithmic_unless_a_few_values_are_almost_zero(show, store_of, name, scale):
-    assert drawn(show([store_of(name)]))["scale"] == scale
-
-
-def curves_of(which: int):
-    """Numbers of every kind: even, geometric, clustered, with zeros, and chance ones over few and many decades."""
-    rng = np.random.default_rng(7)
-    even = [[a + b * i for i in range(12)] for a, b in ((1.0, 0.01), (1.0, 3.0), (-2.0, 1.0), (0.0, 1.0))]
-    curves = [*even, *([a * b**i for i in range(12)] for a, b in ((1.0, 1.02), (3.0, 2.0), (1e-9, 50.0)))]
-    curves += [[1.0] * 12, [1e-9] * 3 + even[1][3:], [600.0 + i for i in range(6)] + [0.5 + 0.1 * i for i in range(6)]]
-    for width in np.linspace(0.1, 4.0, 10):
-        curves += [rng.lognormal(0.0, width, 12).tolist(), (1.0 + width * rng.random(12) ** 2).tolist()]
-    return {f"c{n}": curve[which] for n, curve in enumerate(curves)}
-
-
-def test_the_scales_of_the_view_are_those_of_the_figures(show, tmp_path):
-    linksweep.run(curves_of, tmp_path / "curves.zarr", axes={"which": list(range(12))}, pool="serial")
-    driver = show([tmp_path / "curves.zarr"])
-    dataset = linksweep.open(tmp_path / "curves.zarr")
-    options = driver.find_elements("css selector", "select[name=quantity] option")
-    for name, value in [(option.text, option.get_attribute("value")) for option in options]:
-        choose(driver, "quantity", value)
-        figure = linksweep.plot(dataset, "lines", variables=[name])
-        wanted = {"log": "LogScale", "linear": "LinearScale"}[figure.axes[0].get_yscale()]
-        assert (name, drawn(driver)["scale"]) == (name, wanted)
-
-
-def lengths(load: float, strong: bool = True):
-    return {"stands": load < (3.5 if strong else 1.5), "x": load}
-
-
-def test_truth_values_are_named_and_never_joined(show, tmp_path):
-    axes = {"load": [1.0, 2.0, 3.0], "strong": [True, False]}
-    linksweep.run(lengths, tmp_path / "s.zarr", axes=axes, pool="serial")
-    driver = show([tmp_path / "s.zarr"])
-    found = driver.execute_script("""
-      const plot = [...Bokeh.index.roots].find((v) => v.model.type === "Figure").model;
-      const axis = plot.left.find((part) => part.type.endsWith("Axis"));
-      const told = plot.renderers.find((r) => "value" in r.data_source.data).data_source.data.value;
-      return [axis.ticker.ticks, [...axis.major_label_overrides], plot.renderers.map((r) => r.glyph.type), [...told]];
-    """)
-    assert found[:2] == [[0, 1], [[0, "False"], [1, "True"]]]
-    assert set(found[2]) == {"Scatter"}
-    assert set(found[3]) <= {"False", "True"}
-    assert drawn(driver)["legend"] == ["strong = True", "strong = False"]
-
-
-def test_predictions_are_drawn_at_the_points_alone(show, store_of):
-    driver = show([store_of("quasars")])
-    dataset = linksweep.open(store_of("quasars"))
-    lines, dashes = driver.execute_script("""
-      const { renderers } = [...Bokeh.index.roots].find((v) => v.model.type === "Figure").model;
-      const heights = (chosen) => chosen.map((r) => Array.from(r.data_source.data.y));
-      const marked = renderers.filter((r) => r.glyph.type === "Scatter" && r.glyph.marker.value === "dash");
-      return [heights(renderers.filter((r) => r.glyph.type === "Line")), heights(marked)];
-    """)
-    for name, heights in (("sigma_spin", lines), ("sigma_spin_rms_predicted", [one for one in dashes if len(one) > 1])):
-        wanted = 1000.0 * dataset[name].transpose("model", "v_max").values
-        assert np.array(heights) == pytest.approx(wanted, rel=1e-6)
-
-
 def test_hover_reads_values(show, store_of):
     from selenium.webdriver import ActionChains
 
@@ -331,14 +268,6 @@ def test_hostile_texts_are_shown_as_text(show, evil_store):
     assert complaints(driver) == []
     assert [url for url in requests(driver) if not url.startswith(("file://", "data:"))] == []
     assert driver.execute_script("return document.documentElement.scrollWidth") <= 375
-
-
-def test_missing_points_are_not_drawn(show, evil_store):
-    driver = show([evil_store])
-    choose(driver, "x", "coins")
-    choose(driver, "series", "metal")
-    assert [len(x) for x, _ in drawn(driver)["series"]] == [3, 3, 2]
-    assert "1 of 9 values are missing and not drawn." in driver.find_element("css selector", ".status").text
 
 
 def test_paper_has_everything_unfolded_and_no_controls(show, store_of):

@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 
 import linksweep
-from linksweep.core.frames import MAS
-from linksweep.core.tie.astrometry import propagated
 from linksweep.sweep.report.page import report_of
-from tests.core.tie.made import noise, seen_by_satellite, stars
-from tests.sweep.tie.test_tables import gaia
+from tests.core.tie.made import MAS, gaia, noise, propagated, seen_by_satellite, stars
 
 KINDS = ("scaled", "jackknife", "formal")
 CLIPS = ("none", "discrepancy:3")

@@ -96,7 +96,7 @@ def test_points_that_are_not_like_the_first_fail_by_name_and_the_rest_goes_on(tm
     failures = json.loads(ds.attrs["failures"])
     assert failures == {
         "k=2": "fickle: not as at the first point: 'z' is missing",
-        "k=3": "fickle: not as at the first point: 'z' has the type 'bool', expected 'int'",
+        "k=3": "fickle: not as at the first point: the type of 'z' is 'bool', expected 'number'",
         "k=4": "fickle returns nothing (None); it must return its results",
         "k=5": "fickle: y is NaN (declare Output(..., nan=True) where that is a value)",
     }
@@ -382,7 +382,7 @@ def test_a_file_that_works_again_is_retried_in_the_store_that_knew_nothing(tmp_p
     command = ("run", "f.py:f", "--axis", "k=1,2,3", "-o", "s.zarr")
     code, _, err = sweep(*command, cwd=tmp_path)
     assert code == 1
-    assert "3 points failed: 3 x FileNotFoundError" in err
+    assert "3 points failed: 3 like FileNotFoundError" in err
     assert sweep(*command, cwd=tmp_path)[0] == 1
     (tmp_path / "ok").write_text("1234")
     code, _, err = sweep("run", "--retry", "s.zarr", cwd=tmp_path)

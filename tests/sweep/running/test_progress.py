@@ -70,7 +70,7 @@ def test_the_end_of_a_run_says_what_it_took_and_how_to_look_closer(study):
     )
     assert wrote == "wrote results/study.zarr"
     assert failed == (
-        "2 points failed: 2 x ZeroDivisionError: no coins left, for example at metal=gold,coins=5; "
+        "2 points failed: 2 like ZeroDivisionError: no coins left, for example at metal=gold,coins=5; "
         "`sweep status results/study.zarr` names them and says why, "
         "`sweep run --retry results/study.zarr` tries them again, "
         "`sweep reproduce results/study.zarr --at POINT` runs one here"
@@ -221,7 +221,7 @@ def test_points_that_took_about_as_long_are_not_called_slow(coins):
 
 def test_the_end_of_a_run_tells_the_reasons_of_failures_grouped():
     failures = {"sky=a,tilt=10": "KeyError: 'y'", "sky=a,tilt=20": "no sun", "sky=b,tilt=10": "KeyError: 'y'"}
-    expected = "3 points failed: 2 x KeyError: 'y', for example at sky=a,tilt=10; no sun, at sky=a,tilt=20"
+    expected = "3 points failed: 2 like KeyError: 'y', for example at sky=a,tilt=10; no sun, at sky=a,tilt=20"
     assert failed_points(failures) == expected
     many = {f"n={n}": f"reason {letter}" for n, letter in enumerate("abcdefgh")}
     assert failed_points(many).endswith("; 3 other reasons")

@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 from linksweep import forecast, tie
-from linksweep.core.frames import MAS
-from linksweep.core.tie.astrometry import joined
-from tests.core.tie.made import stars
-from tests.sweep.tie.test_tables import gaia
+from tests.core.tie.made import MAS, gaia, joined, stars
 from tests.tiers import slow
 
 EPOCHS = (2019.0, 2031.0)

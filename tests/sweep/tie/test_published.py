@@ -6,12 +6,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import tie
-from linksweep.core.frames import MAS
-from linksweep.core.tie.problem import Problem, source_sums
-from linksweep.core.tie.solution import solve
-from linksweep.core.unknowns import parse_unknowns
 from linksweep.sweep.result import Result
-from linksweep.sweep.tie.tables import read_table
 
 
 def test_icrf2_against_icrf3():
@@ -30,24 +25,6 @@ def test_timing_on_de200_against_vlbi():
     assert int(link.n_sources) == 9
     np.testing.assert_allclose(link.estimate, [-0.90, -13.04, -12.18], atol=0.035)
     np.testing.assert_allclose(link.error, [0.99, 1.21, 0.48], atol=0.015)
-
-
-def test_the_forecast_of_pulsars():
-    satellite = read_table_of("psrpi")
-    values, errors = satellite.values.copy(), np.full_like(satellite.errors, np.nan)
-    values[2:] = np.nan
-    errors[:2] = 0.678 * MAS
-    from dataclasses import replace
-
-    rows = replace(satellite, values=values, errors=errors, apparent=None)
-    solution = solve(source_sums(Problem(satellite, rows, np.arange(len(rows)), parse_unknowns("orientation"), 2012.0)))
-    assert np.sqrt(np.diag(solution.covariance)).max() / MAS == pytest.approx(0.243, abs=5e-4)
-
-
-def read_table_of(name):
-    from pathlib import Path
-
-    return read_table(Path(name)).astrometry
 
 
 def test_a_link_is_written_in_one_step(tmp_path, monkeypatch):

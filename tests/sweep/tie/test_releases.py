@@ -10,10 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linksweep import SweepError, forecast, load_study
-from linksweep.sweep.cli import main
 from linksweep.sweep.tie.experiment import check, tie, warn
-from tests.core.tie.made import stars
-from tests.sweep.tie.test_tables import gaia
+from tests.core.tie.made import gaia, main, stars
 
 EPOCH = {"dr1": 2015.0, "dr2": 2015.5, "dr3": 2016.0, "dr4": 2017.5, "dr5": 2020.0}
 MONTHS = {"dr1": 14, "dr2": 22, "dr3": 34, "dr4": 66, "dr5": 126}
@@ -84,11 +82,6 @@ def test_a_table_at_another_epoch_needs_the_name_of_its_release(folder):
         planned(folder, "mixed", "dr5", from_release="dr3")
     with pytest.raises(SweepError, match="no release 'dr9'"):
         planned(folder, "dr3", "dr4", from_release="dr9")
-
-
-def test_an_epoch_that_was_asked_for_stays(folder):
-    assert planned(folder, "dr3", "dr4", epoch=2010.0).attrs["epoch_of_forecast"] == 2010.0
-    assert planned(folder, "dr3", "dr4").attrs["epoch"] == 2016.0
 
 
 def test_the_command_says_from_which_release(folder):

@@ -9,10 +9,9 @@ import pytest
 from click.testing import CliRunner
 from pyarrow import parquet
 
-import linksweep
 from linksweep import SweepError, tie
-from linksweep.sweep.cli import main
 from linksweep.sweep.tie import row_groups
+from tests.core.tie.made import main
 from tests.sweep.outside import Outside
 from tests.tiers import slow
 
@@ -70,18 +69,6 @@ def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
     assert float(found.chi2_expected) == pytest.approx(float(whole.chi2_expected))
     assert found.attrs["satellite_sha256"] == whole.attrs["satellite_sha256"]
     assert found.source.values.tolist() == list(range(1, 3001))
-
-
-def test_what_is_noted_of_rows_is_said(tmp_path, by_groups):
-    radial_velocity = np.zeros(3000)
-    radial_velocity[[701, 1500]] = -9999.0
-    path = quasars(tmp_path / "q.parquet", radial_velocity=radial_velocity)
-    found = tie(path, "zero-motion", unknowns="spin").attrs["notes"]
-    beyond = "radial_velocity beyond 5000 km/s, which no star has, is not used"
-    assert "q.parquet, from row 1 on: no errors of ra, which counts as not measured" in found
-    assert f"q.parquet, from row 701 on: {beyond}: row 2" in found
-    assert f"q.parquet, from row 1401 on: {beyond}: row 100" not in found
-    assert f"q.parquet, from row 1401 on: {beyond}: row 101" in found
 
 
 def test_the_bits_are_the_same_on_any_workers(tmp_path, by_groups):
@@ -165,40 +152,6 @@ def test_the_epoch_is_the_median_of_all_row_groups(tmp_path, by_groups, monkeypa
     assert tie(path, "zero-motion", "spin").attrs["epoch"] == np.median(epochs)
 
 
-def test_no_sources_are_kept_of_tables_that_are_solved_whole_either(tmp_path):
-    store = tmp_path / "t.zarr"
-    found = CliRunner().invoke(
-        main, ["tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "--no-sources", "-o", str(store)]
-    )
-    assert found.exit_code == 0, found.output
-    stored = linksweep.open(store)
-    assert set(stored.dims) == {"unknown", "unknown_other", "error_kind"}
-    found = CliRunner().invoke(main, ["plot", str(store), "--kind", "residuals", "-o", str(tmp_path / "r.png")])
-    assert found.exit_code == 2
-    assert "no residuals here" in found.output
-
-
-@pytest.mark.parametrize("clip", ["none", "median:5", "huber:1.5"])
-def test_a_share_is_that_of_the_weight_in_the_solution(tmp_path, by_groups, monkeypatch, clip):
-    """Heavy quasars that a clip drops, or gives less weight, hold less or nothing of it; with the percentages of the
-    table that is solved whole.
-    """
-    error = np.full(3000, 0.3)
-    error[[100, 2345]] = 0.003
-    rows = np.arange(1, 3001)  # by which sources of row groups are named
-    path = quasars(tmp_path / "quasars.parquet", source_id=rows, pmra_error=error, pmdec_error=error)
-
-    def shares(link):
-        return [note for note in link.attrs["notes"] if "of the weight" in note]
-
-    by_group = shares(tie(path, "zero-motion", "spin", clip=clip))
-    monkeypatch.setattr(row_groups, "FROM_ROWS", 10**6)
-    whole = tie(path, "zero-motion", "spin", clip=clip)
-    assert by_group == shares(whole)
-    assert any("2346 (" in note for note in by_group) == (clip == "none")
-    np.testing.assert_allclose(whole.share.sum(), 1.0)
-
-
 def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
     dec = np.zeros(3000)
     dec[1500] = 95.0
@@ -211,12 +164,8 @@ def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
 def test_workers_for_tables_that_are_solved_at_once_are_refused(tmp_path):
     found = CliRunner().invoke(main, ["tie", "psrpi", "psrpi", "--workers", "2"])
     assert found.exit_code == 2
-    assert "rows of a reference are matched with the whole of psrpi" in " ".join(found.output.split())
+    assert "workers are for Parquet tables of 100,000 quasars or more" in " ".join(found.output.split())
     path = quasars(tmp_path / "quasars.parquet")
-    for arguments, options, words in (
-        ((path, "zero-motion"), {}, "has 3,000 rows, and tables of fewer than 100,000 are read at once"),
-        ((path, "zero-motion"), {"missions": {"other": path}}, "rows of missions are matched"),
-        (("icrf3", "zero-motion"), {}, "icrf3 is no Parquet table"),
-    ):
-        with pytest.raises(SweepError, match=words):
-            tie(*arguments, workers=2, **options)
+    for satellite, options in ((path, {}), (path, {"missions": {"other": path}}), ("icrf3", {})):
+        with pytest.raises(SweepError, match="workers are for Parquet tables"):
+            tie(satellite, "zero-motion", workers=2, **options)

@@ -10,19 +10,10 @@ from scipy import stats
 
 import linksweep
 from linksweep import SweepError, load_study
-from linksweep.core.frames import MAS
-from linksweep.core.missions import MISSIONS
-from linksweep.core.tie.astrometry import differences
-from linksweep.core.tie.forecast import Simulation
-from linksweep.core.tie.problem import Problem, source_sums
-from linksweep.core.tie.solution import separation
-from linksweep.core.unknowns import Objects, Rotation, parse_unknowns
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie, unused
-from linksweep.sweep.tie.link import spectrum
-from tests.core.tie.made import stars
-from tests.sweep.tie.test_tables import gaia
+from tests.core.tie.made import MAS, Objects, Rotation, gaia, parse_unknowns, stars
 
 X, Y, Z = range(3)
 
@@ -35,47 +26,6 @@ def results(at, n_sim=400, seed=1):
     sums = tie.evaluate([at], n_sim, np.random.default_rng(seed), np.random.default_rng(0))
     found = tie.summarise(sums, np.array([float(n_sim)]), np.ones(1))
     return {name: values[0] for name, values in found.items()}
-
-
-def mixed_problem(weights="covariance"):
-    """Stars with all correlations; each has a five-parameter row, and every third a position of another epoch too."""
-    satellite, reference = stars(30), stars(30, seed=2)
-    rows = replace(reference, values=satellite.values, epoch=np.full(30, 2003.0), radial_velocity=None)
-    again = np.concatenate([np.arange(30), np.arange(0, 30, 3)])
-    rows = rows.taken(again)
-    errors = rows.errors.copy()
-    errors[2:, 30:] = np.nan
-    rows = replace(rows, errors=errors, epoch=np.where(np.arange(40) < 30, 2003.0, 2010.3))
-    unknowns = parse_unknowns("orientation,spin,parallax")
-    return Problem(satellite, rows, again, unknowns, 2016.0, weights)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("weights", ["covariance", "variance", "equal"])
-def test_draws_have_the_covariance_and_the_chi2_of_the_normal_equations(weights):
-    problem = mixed_problem(weights)
-    truth = np.arange(1.0, 8.0) * MAS
-    simulation = Simulation(problem, truth)
-    sums = source_sums(problem)
-    np.testing.assert_allclose(simulation.normals.normal, sums.normal, rtol=1e-9, atol=1e-9 * sums.normal.max())
-    normal, spread = sums.normal.sum(axis=0), sums.right_covariance.sum(axis=0)
-    n = 3000
-    drawn = list(simulation.draws(n, np.random.default_rng(3)))
-    right = np.array([d.sums.right.sum(axis=0) for d in drawn]) - normal @ truth
-    whitened = np.linalg.solve(np.linalg.cholesky(spread), right.T)
-    np.testing.assert_allclose(whitened @ whitened.T / n, np.eye(7), atol=5.0 / np.sqrt(n) * np.sqrt(2.0))
-    estimates = np.linalg.solve(normal, (right + normal @ truth).T).T
-    squares = np.array([d.sums.squares.sum() for d in drawn]) - np.einsum("nk,kl,nl->n", estimates, normal, estimates)
-    expected = sums.expected.sum() - np.trace(np.linalg.solve(normal, spread))
-    assert abs(squares.mean() - expected) < 5.0 * squares.std() / np.sqrt(n)
-
-
-def test_the_separations_of_a_draw_are_those_of_a_table():
-    problem = mixed_problem()
-    simulation = Simulation(problem, np.zeros(7))
-    real = differences(problem.satellite, problem.rows, problem.source).values
-    for found, expected in zip(simulation._separations(real), separation(problem), strict=True):
-        np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 @pytest.mark.slow
@@ -155,15 +105,6 @@ def test_a_study_has_the_numbers_of_the_command(clip):
     assert found["chi2_ratio"] == pytest.approx(float(link.chi2 / link.chi2_expected))
     assert found["largest_share"] == pytest.approx(float(link.share.max()))
     assert found["n_kept"] == int(link.n_sources)
-
-
-def test_outliers_are_of_both_tables_and_times_the_error_factor():
-    """Errors of all sources four times larger, in whatever way, have the same covariance in every part."""
-    at = point("pulsar-timing")
-    once = results(at | {"error_factor": 6.0}, 50)
-    twice = results(at | {"error_factor": 2.0, "outliers": 1.0, "outlier_factor": 3.0}, 2000)
-    np.testing.assert_allclose(twice["sigma"][:3], 6.0 * once["sigma_predicted"][:3], rtol=0.08)
-    assert twice["chi2_ratio_drawn"] == pytest.approx(36.0, rel=0.04)
 
 
 def test_the_forecast_of_pulsars_as_published():
@@ -298,22 +239,3 @@ def test_a_study_runs_into_a_store_and_refuses_what_is_set_in_vain(tmp_path):
     assert dataset["sigma_predicted"].sel(n_new=62, component="epsilon_z") == pytest.approx(0.243, abs=5e-4)
     with pytest.raises(SweepError, match="outlier_factor"):
         run_study(load_study("pulsar-forecast", settings=["outlier_factor=3"]), tmp_path / "t.zarr")
-
-
-@pytest.mark.parametrize("name", [name for name in MISSIONS if not name.startswith("gaia-dr")])
-def test_no_curve_promises_what_a_bright_star_cannot_have(name):
-    """The curve fitted to faint quasars went down to 0.07 uas/yr at V = 3."""
-    mission = MISSIONS[name]
-    bright = np.array([-1.0, 0.0, 3.0, 6.0])
-    assert np.all(mission.sigma_pm_mas_yr(bright) >= 2e-3)
-    assert np.all(mission.sigma_pos_mas(bright) >= 2e-3)
-
-
-def test_a_table_beside_itself_has_powers_without_a_significance():
-    """Its errors, scaled by chi2, are zero: it ended in numpy's "Singular matrix"."""
-    unknowns = parse_unknowns("orientation,spin,vsh_motion:2")
-    found = spectrum(unknowns, np.zeros(len(unknowns)), np.zeros((len(unknowns),) * 2))
-    assert {(one.power, one.noise) for one in found} == {(0.0, 0.0)}
-    assert all(np.isnan(one.chi2) and np.isnan(one.probability) for one in found)
-    known = spectrum(unknowns, np.ones(len(unknowns)), np.eye(len(unknowns)))
-    assert {one.chi2 for one in known} == {3.0, 5.0}
