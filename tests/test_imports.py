@@ -94,7 +94,7 @@ SEARCH_MAY_USE = {
 KNOWS_THE_SEARCH = {"linksweep.sweep.cli.tables"}
 CORE_MAY_USE = {
     *("numpy", "scipy", "pygaia", "erfa"),
-    *("bisect", "dataclasses", "typing", "collections", "types", "functools", "itertools", "math"),
+    *("bisect", "dataclasses", "typing", "collections", "types", "functools", "itertools", "math", "re"),
     *("csv", "importlib", "json", "sys"),
 }
 
