@@ -239,19 +239,19 @@ def plot(
     return draw_figure(dataset, kind, variables, over, log, linear)
 
 
-def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], given: dict[str, Any]) -> Study:
+def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], options: dict[str, Any]) -> Study:
     reference = reference_in(study) if isinstance(study, str) else None
     if reference is not None or callable(study) or isinstance(study, Experiment):
-        return study_of_function(reference or study, **given)  # type: ignore[arg-type]
-    if told := [name for name, value in given.items() if value is not None]:
-        raise SweepError(f"{', '.join(told)}: allowed only for a function; a study has its own")
+        return study_of_function(reference or study, **options)  # type: ignore[arg-type]
+    if refused := [name for name, value in options.items() if value is not None]:
+        raise SweepError(f"{', '.join(refused)}: allowed only for a function; a study has its own")
     if isinstance(study, Study):
         return study
     return live_study(study) if isinstance(study, Mapping) else load_study(str(study))
 
 
 def _watching(study: Study, progress: Progress | None) -> AbstractContextManager[Progress]:
-    """Return the object that is notified of a run's progress: the given one, or a bar where somebody can see it."""
+    """Return the object that is notified of a run's progress: the one that is passed, or a bar where somebody can see it."""
     if progress is not None:
         return nullcontext(progress)
     if in_notebook():
