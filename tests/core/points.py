@@ -16,6 +16,7 @@ from linksweep.core.missions import MISSIONS, FunctionCurve, Mission, mission_fr
 from linksweep.core.scenario import scenario
 from linksweep.core.setup import ROWS, TILE, Prefixes, SharedSums, prepare, tiles
 from linksweep.core.simulate import can_stack, simulate, simulate_stack
+from linksweep.core.unknowns import Objects, link_unknowns
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import Named
 from linksweep.sweep.tables.file import table_file
@@ -66,6 +67,12 @@ def set_up(catalogue, physics):
 
 def design_of(setup):
     return fixed_designs([setup], Prefixes())[0]
+
+
+def core_design(ra, dec, pmra, pmdec, corrections=True, glide=False):
+    """Derivatives of the observables by the unknowns as the core has them, shape (4, N, K)."""
+    _, derivatives = link_unknowns(glide, corrections).derivatives(Objects(ra, dec, pmra, pmdec))
+    return np.moveaxis(derivatives, 0, -1)
 
 
 def random_covariances(n_obj, seed=2):

@@ -120,15 +120,6 @@ def test_equals_the_plain_loop(weighting, reference, n_obj, n_sim, corrections, 
     assert sums["n_obj"] == n_sim * n_obj
 
 
-@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize("reference_errors", ["catalogue", slow("normal"), slow("none")])
-def test_correlated_errors_equal_the_plain_loop(weighting, reference_errors):
-    sigma, correlation = random_covariances(20)
-    objects = replace(drawn(2, n_obj=20, mean_pm=100.0), own=OwnErrors(sigma * MAS, correlation))
-    physics = physics_of(reference_errors=reference_errors, satellite_errors="catalogue", weighting=weighting)
-    assert_is_the_plain_loop(of_objects(objects, physics), 500)
-
-
 @settings(max_examples=examples(150))
 @given(
     seed=st.integers(0, 2**32 - 1),
@@ -231,16 +222,6 @@ def test_errors_of_arcseconds_do_not_bias_the_estimate():
     arcsec = {"reference_sigma_pos": 1000.0, "reference_sigma_pm": 1000.0, "reference_errors": "normal"}
     error = run(physics_of(n_obj=50, mean_pm=1e4, **NORMAL, **arcsec), 4000)["estimate"] - TRUTH_MAS
     assert np.all(np.abs(error.mean(axis=0) / error.std(axis=0)) < 4.5 / np.sqrt(4000))
-
-
-@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-def test_both_paths_agree_for_a_tiny_noise_of_the_reference(weighting):
-    """The satellite's normals are a stream of their own, so they do not change."""
-    tiny = NOISY | {"reference_sigma_pos": 1e-12, "reference_sigma_pm": 1e-12}
-    fixed, noisy = (run(physics_of(mean_pm=100.0, weighting=weighting, **side), 1000) for side in ({}, tiny))
-    sigma = np.sqrt(fixed["predicted_variance"])
-    assert np.all(np.abs(noisy["error"] - fixed["error"]) < 1e-9 * np.sqrt(1000) * sigma)
-    assert noisy["chi2"] == pytest.approx(fixed["chi2"], rel=1e-9)
 
 
 def test_the_two_generators_decide_different_things():

@@ -16,7 +16,6 @@ from linksweep.sweep.search.crossmatch import (
     Positions,
     Rules,
     at_epoch,
-    chance_pairs,
     cross_match,
     merge_galaxies,
     one_to_one,
@@ -77,12 +76,6 @@ def test_pairs_are_those_of_astropy(radius_arcsec):
     np.testing.assert_array_equal(b[order], j[expected])
     # unit vectors hold an angle to 2e-16 rad = 0.05 microarcsec; astropy's haversine is no better
     np.testing.assert_allclose(offset[order], separation.rad[expected], atol=0.5 * MICROARCSEC, rtol=1e-12)
-
-
-def test_coincident_positions_are_a_pair():
-    same = positions([10.0], [20.0])
-    found = pairs_within(sky_tree(same), sky_tree(same), ARCSEC)
-    assert [column.tolist() for column in found] == [[0], [0], [0.0]]
 
 
 def test_pairs_across_ra_zero_and_the_poles():
@@ -148,12 +141,6 @@ def test_errors_grow_with_time_and_stay_without_proper_motion():
     later = at_epoch(where, pm, pm, pm_error, 0 * pm_error, np.array([-20.0]))
     np.testing.assert_allclose(later.ra_error / MAS, np.hypot(100.0, 60.0))
     np.testing.assert_allclose(later.dec_error / MAS, 100.0)
-
-
-def test_a_start_from_the_pole_is_finite():
-    later = at_epoch(positions([30.0], [90.0]), np.zeros(1), np.array([MAS]), np.zeros(1), np.zeros(1), np.ones(1))
-    assert np.isfinite(later.ra).all()
-    np.testing.assert_allclose(90.0 * DEGREE - later.dec, MAS, rtol=1e-6)
 
 
 def test_the_match_is_made_at_the_common_epoch():
@@ -379,23 +366,6 @@ def test_local_chance_pairs_follow_the_crowding():
     np.testing.assert_allclose(chance.uniform, 4e8 * np.sin(15.0 * ARCSEC) ** 2)
     assert abs(chance.local - 10.0 * chance.uniform) < 5.0 * chance.local_error
     assert abs(chance.pairs - chance.local) < 4.0 * np.sqrt(chance.local)
-
-
-def test_the_error_of_local_chance_pairs_is_their_scatter():
-    """400 uniform skies: the number scatters by its error about that of uniform skies, so far as 400 can tell."""
-    rng, radius, n_skies = np.random.default_rng(9), 0.5 * DEGREE, 400
-    chances = [chance_pairs(sky_tree(sky(rng, 500)), sky_tree(sky(rng, 300)), radius, 0) for _ in range(n_skies)]
-    local, error = (np.array([getattr(c, name) for c in chances]) for name in ("local", "local_error"))
-    assert abs(local.std() / error.mean() - 1.0) < 4.0 / np.sqrt(2 * n_skies)
-    assert abs(local.mean() - chances[0].uniform) < 4.0 * local.std() / np.sqrt(n_skies)
-
-
-def test_true_counterparts_are_not_taken_for_chance():
-    rng = np.random.default_rng(8)
-    stars = sky(rng, 2000)
-    chance = cross_match(stars, no_supplement(stars), [catalogue(near(rng, stars, 1.0), 5.0)]).chance[0]
-    assert chance.pairs > 1990
-    assert chance.local < 1.0
 
 
 # ---- the rest
