@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linksweep.sweep.code.load import keep
-from linksweep.sweep.contract.block import Block
-from linksweep.sweep.executing.task import PointBlock, Task
-from linksweep.sweep.executing.worker import MOST_CATALOGUES, alike, run_task
+import linksweep
 from tests.sweep.coins import experiment, toss
+
+MOST = 256
+"""Most catalogues in one call."""
 
 CALLS = []
 
@@ -21,63 +21,35 @@ def together(points, n_sim, streams):
     return {name: np.array([sums[name] for sums in found]) for name in experiment.sums}
 
 
-def task_of(evaluate_catalogues, units, **options):
-    CALLS.clear()
-    several = replace(experiment, evaluate_catalogues=evaluate_catalogues)
-    return Task(keep(several), 3, tuple(units), **options)
+@pytest.fixture
+def results(tmp_path):
+    """A function that runs coins, in this process, with such a function of several catalogues."""
+
+    def run(evaluate_catalogues, n_cat=1000, n_sim=5):
+        CALLS.clear()
+        several = replace(experiment, evaluate_catalogues=evaluate_catalogues)
+        study = {"title": "", "experiment": several, "axes": {"coins": [4, 9]}}
+        study["sampling"] = {"n_sim": n_sim, "n_cat": n_cat, "seed": 3}
+        name = getattr(evaluate_catalogues, "__name__", "none")
+        return linksweep.run(study, tmp_path / f"{name}.zarr", pool="serial").drop_attrs()
+
+    return run
 
 
-def unit(coins, *blocks):
-    point = {"coins": coins}
-    return [PointBlock((point,), bytes([coins]) * 16, block) for block in blocks]
+def test_blocks_of_one_point_are_evaluated_in_one_call_of_so_many_at_most(results):
+    assert results(together).identical(results(None))
+    assert results(together, n_cat=3000).identical(results(None, n_cat=3000))
+    results(together, n_cat=6000)
+    assert 16 < max(CALLS) <= MOST
 
 
-SMALL = [Block(0, 0, 0, 16, 5), Block(1, 0, 16, 16, 5), Block(2, 0, 32, 3, 5)]
-UNITS = [*unit(4, *SMALL), *unit(9, *SMALL), *unit(9, Block(0, 1, 0, 16, 7)), *unit(2, Block(0, 0, 0, 1, 5))]
+def raising(points, n_sim, streams):
+    print("tried")
+    raise ValueError("unlike")
 
 
-def assert_same(found, expected):
-    assert {r: o.row.tobytes() for r, o in found.outcomes.items()} == {
-        r: o.row.tobytes() for r, o in expected.outcomes.items()
-    }
-    assert found.failures == expected.failures
-    assert len(found.seconds) == len(expected.seconds)
-
-
-def test_blocks_of_one_point_are_evaluated_in_one_call():
-    expected = run_task(task_of(None, UNITS))
-    assert_same(run_task(task_of(together, UNITS)), expected)
-    assert CALLS == [35, 35, 16]  # the last block is of one catalogue
-    assert np.all(run_task(task_of(together, UNITS)).seconds > 0.0)
-
-
-def test_a_call_has_so_many_catalogues_at_most():
-    blocks = [Block(k, 0, 16 * k, 16, 5) for k in range(40)]
-    run_task(task_of(together, unit(4, *blocks)))
-    assert sum(CALLS) == 640
-    assert max(CALLS) <= MOST_CATALOGUES
-
-
-@pytest.mark.parametrize("options", [{"time_limit_s": 10.0}, {"keep_samples": True}])
-def test_not_where_a_block_has_a_time_limit_or_realisations_are_kept(options):
-    assert_same(run_task(task_of(together, UNITS, **options)), run_task(task_of(None, UNITS)))
-    assert not CALLS
-
-
-def test_large_catalogues_stay_with_their_neighbours_and_are_not_evaluated_together():
-    parts = unit(4, *(Block(0, part, 0, 1, 512) for part in range(3)))
-    groups = [parts, UNITS[:3], UNITS[3:6], UNITS[6:7], UNITS[7:]]
-    assert list(alike([*parts, *UNITS])) == [tuple(group) for group in groups]
-    run_task(task_of(together, parts))
-    assert not CALLS
-
-
-def raising(error):
-    def evaluate_catalogues(points, n_sim, streams):
-        print("tried")
-        raise error
-
-    return evaluate_catalogues
+def exiting(points, n_sim, streams):
+    raise SystemExit(3)
 
 
 def of_another_shape(points, n_sim, streams):
@@ -88,12 +60,11 @@ def not_finite(points, n_sim, streams):
     return {name: np.nan * values for name, values in together(points, n_sim, streams).items()}
 
 
-@pytest.mark.parametrize(
-    "evaluate_catalogues",
-    [raising(ValueError("unlike")), raising(SystemExit(3)), of_another_shape, not_finite, lambda *_: None],
-    ids=["raises", "exits", "shape", "NaN", "nothing"],
-)
-def test_where_that_fails_catalogues_are_evaluated_one_by_one(evaluate_catalogues):
-    found = run_task(task_of(evaluate_catalogues, UNITS))
-    assert_same(found, run_task(task_of(None, UNITS)))
-    assert not found.said  # what was printed in vain is not kept
+def nothing(points, n_sim, streams):
+    return None
+
+
+@pytest.mark.parametrize("wrong", [raising, exiting, of_another_shape, not_finite, nothing])
+def test_where_that_fails_catalogues_are_evaluated_one_by_one(results, wrong, caplog):
+    assert results(wrong, 40).identical(results(None, 40))
+    assert "tried" not in caplog.text  # what was printed in vain is not kept
