@@ -9,10 +9,22 @@ from linksweep.core import experiment
 from linksweep.core.catalogues import Catalogue, NestedDraw, OwnErrors
 from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import link
+from linksweep.core.fields import Field, Systematics, ZonalErrors, parse_pattern, pattern_field, rms
 from linksweep.core.fixed_design import fixed_designs, neglected
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, exact_differences, transposed_product, triad
 from linksweep.core.link import LinkError
-from linksweep.core.missions import MISSIONS, FunctionCurve, Mission, mission_from_table
+from linksweep.core.missions import CALIBRATED, MISSIONS, CurveError, FunctionCurve, Mission, mission_from_table
+from linksweep.core.missions.calibrate import (
+    all_skies,
+    calibration,
+    constants_of,
+    curve_of,
+    draw_skies,
+    fit,
+    published_model,
+    published_numbers,
+    spin_variance,
+)
 from linksweep.core.scenario import scenario
 from linksweep.core.setup import ROWS, TILE, Prefixes, SharedSums, prepare, tiles
 from linksweep.core.simulate import can_stack, simulate, simulate_stack

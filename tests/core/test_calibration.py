@@ -3,18 +3,24 @@
 import numpy as np
 import pytest
 
-from linksweep.core.missions import CALIBRATED
-from linksweep.core.missions.calibrate import (
+from tests.core.points import (
+    CALIBRATED,
+    MAS,
+    MISSIONS,
     all_skies,
     calibration,
     curve_of,
     draw_skies,
+    drawn,
     fit,
+    of_objects,
+    point,
     published_model,
     published_numbers,
+    run,
+    scenario,
     spin_variance,
 )
-from tests.core.points import MAS, MISSIONS, drawn, of_objects, point, run, scenario
 from tests.core.reference import design_matrix, solve
 
 

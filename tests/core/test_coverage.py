@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import linksweep
-from linksweep.core.missions import CALIBRATED
-from linksweep.core.missions.calibrate import all_skies, constants_of, fit, published_model, published_numbers
+from tests.core.points import CALIBRATED, all_skies, constants_of, fit, published_model, published_numbers
 from tests.sweep.in_memory import results_of
 from tests.sweep.test_coverage import assert_covers
 

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from tests.core.points import (
     DEGREE,
-    GALACTIC_AXES,
     MAS,
     ROWS,
     Catalogue,
@@ -77,15 +76,6 @@ def test_random_directions_of_a_study_keep_the_size_and_change_with_the_catalogu
     np.testing.assert_allclose(np.linalg.norm(found[..., 3:], axis=-1), 0.5, rtol=1e-6)
     np.testing.assert_array_equal(found[:, 0], found[:, 1])  # the same for the realisations of one catalogue
     assert np.abs(np.diff(found[:, 0], axis=0)).max(axis=1).min() > 0.05
-
-
-def test_aberration_of_a_study_leaks_into_the_spin_of_an_uneven_sky_and_can_be_solved_for():
-    uneven = point(n_obj=20_000, sky_contrast=0.8, aberration=True, satellite_errors="none")
-    leak = evaluated(1, uneven)["error"][0, 3:] @ GALACTIC_AXES.T
-    np.testing.assert_allclose(leak, [0.0, -2.4e-3, 0.0], atol=1e-4)  # -(3/4) 0.8 x 4e-3 mas/yr; 3 sigma of one sky
-    solved = evaluated(1, uneven | {"solve_glide": True})
-    assert np.all(np.abs(solved["error"][0, 3:]) < 1e-7)
-    assert np.all(np.abs(solved["glide_error"]) < 1e-7)
 
 
 @pytest.mark.parametrize("solve_glide", [False, True])
@@ -219,30 +209,6 @@ def test_a_shared_parameter_does_not_change_the_generators(name, reference_error
     np.testing.assert_array_equal(normals(base), normals(base | {name: OTHER[name]}))
 
 
-@pytest.mark.parametrize(
-    ("common", "one", "other"),
-    [
-        ({"mean_pm": 500.0, "epsilon_size": 1e6}, {"corrections": True}, {"corrections": False}),
-        ({"satellite_errors": "none"}, {"arithmetic": "exact"}, {"arithmetic": "stored"}),
-        ({}, {"weighting": "equal"}, {"weighting": "inverse-variance"}),
-        ({}, {"weighting": "inverse-variance"}, {"weighting": "equal"}),
-        ({"satellite_errors": "normal"}, {"satellite_error_ratio": 1.0}, {"satellite_error_ratio": 2.0}),
-        ({"satellite_errors": "normal"}, {"satellite_sigma_pos": 1.0}, {"satellite_sigma_pos": 0.0}),  # not measured
-        ({"satellite_errors": "normal"}, {"satellite_sigma_pm": 0.0}, {"satellite_sigma_pm": 1.0}),
-        ({}, {"epsilon_size": 1.0}, {"epsilon_size": 1e5}),
-        ({"catalogue": "quasars", "n_obj": None}, {"v_max": 17.0}, {"v_max": 16.3}),
-        ({"catalogue": "quasars", "n_obj": None, "v_max": 17.0}, {"v_min": 14.0}, {"v_min": 14.2}),
-    ],
-)
-def test_points_that_share_a_draw_keep_what_is_their_own(common, one, other):
-    points = [point(**common, **one), point(**common, **other)]
-    together = evaluated(3, *points)
-    for k, single in enumerate(points):
-        for name, values in evaluated(3, single).items():
-            np.testing.assert_array_equal(together[name][k], values[0], err_msg=name)
-    assert not np.array_equal(together["error"][0], together["error"][1])
-
-
 def test_objects_keep_their_errors_when_others_follow():
     """The first 50 of 90 objects, the others so uncertain that they do not count: the same estimates."""
     many, rng = scenario(point(n_obj=90)), np.random.default_rng(2)
@@ -342,12 +308,6 @@ def test_what_cannot_be_stacked_is_computed_one_by_one(changes):
     assert_same_bits(link.evaluate_catalogues([here], 10, streams(3)), one_by_one(here, 10, 3))
 
 
-def test_points_that_share_their_draws_are_computed_together_catalogue_by_catalogue():
-    points = [link.defaults() | {"n_obj": 30, "satellite_error_scale": scale} for scale in (1.0, 2.0)]
-    found = link.evaluate_catalogues(points, 10, streams(3))
-    assert_same_bits(found, [link.evaluate(points, 10, *pair) for pair in streams(3)])
-
-
 def of_law(draw, **changes):
     """A scenario of a catalogue of twelve that draws several at once."""
     return replace(scenario(point(n_obj=12)), draw_catalogue=NestedDraw("own", 12, draw, True), **changes)
@@ -408,43 +368,3 @@ def test_a_catalogue_that_does_not_determine_the_link_says_so():
 def same_place(rng):
     found = objects(rng)
     return replace(found, ra=found.ra * 0.0 + 1.0, dec=found.dec * 0.0 + 0.5)
-
-
-# cost
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"n_obj": 2000},
-        {"satellite_errors": "normal", "reference_errors": "normal"},
-        {"satellite_errors": "none", "reference_errors": "normal"},
-        {"catalogue": "quasars", "n_obj": None, "v_max": 15.0},
-        {"catalogue": "quasars", "n_obj": 50, "v_max": 17.3},
-        {"catalogue": "quasars", "n_obj": None, "v_max": 16.5, "counts": "completed", "reference_errors": "normal"},
-        {"catalogue": "galaxies", "n_obj": None},
-        {"catalogue": "radio-stars", "n_obj": None},
-        {"catalogue": "radio-stars", "reference_errors": "catalogue"},
-        {"solve_glide": True, "aberration": True, "directions": "random"},
-        {"reference_errors": "normal", "solve_glide": True},
-        {"satellite_errors": "none"},
-        {"reference_errors": "normal", "reference_error_scale": 0.0},
-        {"method": "projected"},
-        {"method": "projected", "solve_glide": True, "weighting": "equal", "reference_errors": "normal"},
-        {"method": "projected", "n_obj": 2, "weighting": "equal"},
-        {"method": "projected", "satellite_errors": "none"},
-    ],
-)
-def test_cost_is_the_number_of_normals_drawn(changes):
-    """Count what `evaluate` draws from the errors' generator and its children."""
-    n_sim, normals, here = 50, [], point(**changes)
-
-    class Counting(np.random.Generator):
-        def standard_normal(self, size=None, out=None):
-            drawn = super().standard_normal(size, out=out)
-            normals.append(np.size(drawn))
-            return drawn
-
-    link.evaluate([here], n_sim, Counting(np.random.PCG64(1)), np.random.default_rng(2))
-    assert sum(normals) == n_sim * link.cost(here)

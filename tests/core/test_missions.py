@@ -13,37 +13,8 @@ from pygaia.errors import astrometric
 
 from linksweep.core.missions import MISSIONS, CurveError, FunctionCurve, mission_from_table
 from linksweep.sweep.contract import DefinitionError, SweepError
-from tests.core.points import Function, drawn, triad
+from tests.core.points import Function
 from tests.tiers import examples
-
-TABLE_1_AMEX = {14: 0.65, 14.5: 0.63, 15: 0.61, 15.5: 0.60, 16: 0.58, 16.5: 0.58, 17: 0.57}
-TABLE_1_GAIA = {
-    14: 1.7e-3, 14.5: 1.5e-3, 15: 1.2e-3, 15.5: 1.1e-3, 16: 9.4e-4, 16.5: 8.3e-4, 17: 7.4e-4, 17.5: 6.8e-4,
-    18: 6.3e-4, 18.5: 6.0e-4, 19: 5.8e-4, 19.5: 5.7e-4, 20: 5.7e-4,
-}  # fmt: skip
-
-
-def predicted_spin_error(mission, v_max):
-    """The RMS over 100 catalogues of quasars of the closed-form error of one component of the spin."""
-    variances = []
-    for seed in range(100):
-        catalogue = drawn(seed, catalogue="quasars", v_max=v_max)
-        p, q, _ = triad(catalogue.ra, catalogue.dec)
-        weight = MISSIONS[mission].sigma_pm_mas_yr(catalogue.v_mag) ** -2.0
-        variances.append(np.trace(np.linalg.inv((p * weight) @ p.T + (q * weight) @ q.T)) / 3.0)
-    return np.sqrt(np.mean(variances))
-
-
-@pytest.mark.parametrize(("v_max", "published"), TABLE_1_AMEX.items())
-def test_amex_reproduces_table_1(v_max, published):
-    assert abs(predicted_spin_error("amex", v_max) - published) < 0.02  # residual of the fit that made the curve
-
-
-@pytest.mark.parametrize(("v_max", "published"), TABLE_1_GAIA.items())
-def test_gaia_reproduces_table_1(v_max, published):
-    assert predicted_spin_error("gaia", v_max) == pytest.approx(
-        published, rel=0.065
-    )  # the fit leaves 6 %, the sample 0.3 %
 
 
 def test_amex_is_a_quarter_better_than_the_published_accuracy_of_diva():

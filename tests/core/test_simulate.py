@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from tests.core.points import (
     DEGREE,
     MAS,
-    MISSIONS,
     ROWS,
     TILE,
     Catalogue,
@@ -224,15 +223,6 @@ def test_errors_of_arcseconds_do_not_bias_the_estimate():
     assert np.all(np.abs(error.mean(axis=0) / error.std(axis=0)) < 4.5 / np.sqrt(4000))
 
 
-def test_the_two_generators_decide_different_things():
-    physics = physics_of()
-    first, other_errors, other_catalogue = (run(physics, 10, *seeds) for seeds in ((1, 2), (3, 2), (1, 3)))
-    np.testing.assert_array_equal(first["predicted_variance"], other_errors["predicted_variance"])
-    assert np.all(first["error"] != other_errors["error"])
-    assert np.all(first["predicted_variance"] != other_catalogue["predicted_variance"])
-    np.testing.assert_array_equal(first["error"], run(physics, 10)["error"])
-
-
 @pytest.mark.parametrize(("reference", "few", "many"), [({}, 2, 8), (NOISY, 2, 4)], ids=["fixed", "noisy"])
 def test_memory_does_not_grow_with_the_number_of_realisations(reference, few, many):
     physics = physics_of(n_obj=200, **reference)
@@ -334,21 +324,6 @@ def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covari
         part = slice(4 * k, 4 * k + 4)
         whole[part, part] = correlation[k] * np.outer(sigma[k], sigma[k]) * MAS**2
     np.testing.assert_allclose(found, np.diag(gain @ whole @ gain.T), rtol=1e-9)
-
-
-@pytest.mark.parametrize(("n_obj_factor", "length_factor"), [(1, 1.5), (4, 1)])
-def test_scaling_of_the_prediction(n_obj_factor, length_factor):
-    """sigma(omega) ~ N^-1/2 T^-3/2 and sigma(epsilon) ~ N^-1/2 T^-1/2: one catalogue, taken several times."""
-    nominal, objects = MISSIONS["amex"].nominal_length_yr, drawn(7, n_obj=30)
-    before, after = (
-        run(of_objects(objects.take(np.tile(np.arange(30), copies)), physics_of(mission_length=factor * nominal)), 1)[
-            "predicted_variance"
-        ]
-        for copies, factor in ((1, 1.0), (n_obj_factor, length_factor))
-    )
-    ratio = np.sqrt(after / before)
-    np.testing.assert_allclose(ratio[:3], n_obj_factor**-0.5 * length_factor**-0.5, rtol=1e-9)
-    np.testing.assert_allclose(ratio[3:], n_obj_factor**-0.5 * length_factor**-1.5, rtol=1e-9)
 
 
 def test_the_bound_of_what_is_projected_contains_the_mean_change():
