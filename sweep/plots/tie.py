@@ -93,7 +93,7 @@ def _name_points(axes: Axes, x: Array, y: Array, names: Array) -> None:
         for side, alignment in ((4.0, "left"), (-4.0, "right")):
             text = axes.annotate(name, place, xytext=(side, 0.0), ha=alignment, **look)
             box = text.get_window_extent()
-            if Bbox.union([box, inside]).size.tolist() == inside.size.tolist() and not box.count_overlaps(taken):
+            if np.array_equal(Bbox.union([box, inside]).extents, inside.extents) and not box.count_overlaps(taken):
                 taken.append(box)
                 break
             text.remove()
