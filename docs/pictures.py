@@ -28,6 +28,7 @@ DOCS = Path(__file__).parent
 FOLDER = DOCS / "_build" / "pictures"
 
 STORES = """
+sweep run demo.toml
 sweep run first.toml
 sweep run quasars --set n_cat=10
 sweep run sqrt-n --set n_cat=10

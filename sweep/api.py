@@ -251,7 +251,7 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], o
 
 
 def _watching(study: Study, progress: Progress | None) -> AbstractContextManager[Progress]:
-    """Return the object that is notified of a run's progress: the one that is passed, or a bar where somebody can see it."""
+    """Return the object that is notified of a run's progress: that which is passed, or a bar where somebody sees it."""
     if progress is not None:
         return nullcontext(progress)
     if in_notebook():

@@ -220,9 +220,9 @@ class Differences:
     present: Flags
     by_frames: Array
 
-    def whole(self, own: Array) -> Array:
+    def whole(self, star_covariance: Array) -> Array:
         """Return the covariance of the differences of each row with ``own`` (R, 5, 5), that of its source."""
-        return np.asarray(self.covariance + self.partials @ own @ self.partials.swapaxes(1, 2))
+        return np.asarray(self.covariance + self.partials @ star_covariance @ self.partials.swapaxes(1, 2))
 
 
 def differences(

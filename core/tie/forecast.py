@@ -83,8 +83,8 @@ def released(problem: Problem, old: str, new: str, epoch_moves: bool = True) -> 
     position, motion = ratio**0.5, ratio**1.5
     scale = np.array([position, position, position, motion, motion])[:, None]
     shift = RELEASES[new].epoch - RELEASES[old].epoch
-    own = problem.satellite
-    satellite = replace(own, errors=own.errors * scale, epoch=own.epoch + shift)
+    star = problem.satellite
+    satellite = replace(star, errors=star.errors * scale, epoch=star.epoch + shift)
     first = f"errors scaled from {old} ({RELEASES[old].epoch:g}) to {new}: positions x {position:.3g}"
     notes = [f"{first}, motions x {motion:.3g}"]
     if "dr1" in (old, new):
@@ -181,10 +181,10 @@ class Simulation:
     outlier_factor: float = 1.0
 
     def __post_init__(self) -> None:
-        own = self.problem.satellite
-        self._covariance, self._free = own.covariance(), ~own.present.T
+        star = self.problem.satellite
+        self._covariance, self._free = star.covariance(), ~star.present.T
         self._rows = self.problem.differences()
-        self._matrix = self.problem.unknowns.matrix(*self.problem.objects(own))
+        self._matrix = self.problem.unknowns.matrix(*self.problem.objects(star))
 
     @property
     def normals(self) -> NormalSums:

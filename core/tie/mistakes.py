@@ -149,13 +149,13 @@ def _groups(problem: Problem, solution: Solution, tables: Sequence[str]) -> list
     ``dof`` is less where rows share the errors of a source.  What depends on parameters that the satellite lacks is
     left out.
     """
-    own, source = problem.satellite, problem.source
-    found = problem.differences()
-    design = found.by_frames @ problem.unknowns.matrix(*problem.objects(own))[source]
-    variance = np.einsum("rii->ri", found.whole(own.covariance()[source]))
-    usable = found.present & ~(np.abs(found.partials) @ (~own.present).T[source][..., None] > 0.0)[..., 0]
+    star, source = problem.satellite, problem.source
+    differences = problem.differences()
+    design = differences.by_frames @ problem.unknowns.matrix(*problem.objects(star))[source]
+    variance = np.einsum("rii->ri", differences.whole(star.covariance()[source]))
+    usable = differences.present & ~(np.abs(differences.partials) @ (~star.present).T[source][..., None] > 0.0)[..., 0]
     with np.errstate(invalid="ignore", divide="ignore"):
-        squares = (found.values - design @ solution.estimate) ** 2 / variance
+        squares = (differences.values - design @ solution.estimate) ** 2 / variance
         means = 1.0 - np.einsum("rik,kl,ril->ri", design, solution.covariance, design) / variance
     groups = []
     for part in _by_kind(problem, tables):
@@ -174,16 +174,16 @@ def _groups(problem: Problem, solution: Solution, tables: Sequence[str]) -> list
 
 def _wholes(problem: Problem, tables: Sequence[str]) -> list[_Part]:
     frame = problem.rows.frame
-    own = _Part("satellite", "the satellite", np.ones(len(problem.satellite), dtype=bool))
-    return [own, *(_Part(name, f"the {name}", frame == k) for k, name in enumerate(tables) if np.any(frame == k))]
+    satellite = _Part("satellite", "the satellite", np.ones(len(problem.satellite), dtype=bool))
+    return [satellite, *(_Part(name, f"the {name}", frame == k) for k, name in enumerate(tables) if np.any(frame == k))]
 
 
 def _by_kind(problem: Problem, tables: Sequence[str]) -> list[_Part]:
-    of = kinds(problem.rows)
+    kind_of_row = kinds(problem.rows)
     return [
-        _Part(part.table, f"the {kind} rows of {part.words}", part.at & (of == kind))
+        _Part(part.table, f"the {kind} rows of {part.words}", part.at & (kind_of_row == kind))
         for part in _wholes(problem, tables)[1:]
-        for kind in np.unique(of[part.at])
+        for kind in np.unique(kind_of_row[part.at])
     ]
 
 
@@ -202,34 +202,34 @@ def _by_epoch(problem: Problem, tables: Sequence[str]) -> Iterator[_Part]:
 def _of_sources(problem: Problem, tables: Sequence[str], sources: Indices, listed: str) -> Iterator[_Part]:
     """Yield some sources in each table, and their rows one by one."""
     for part in _wholes(problem, tables):
-        own = part.table == "satellite"
-        at = part.at & np.isin(np.arange(len(problem.satellite)) if own else problem.source, sources)
+        is_satellite = part.table == "satellite"
+        at = part.at & np.isin(np.arange(len(problem.satellite)) if is_satellite else problem.source, sources)
         yield _Part(part.table, f"{listed} in {part.words}", at)
-        for row in () if own else np.flatnonzero(at)[:20]:
+        for row in () if is_satellite else np.flatnonzero(at)[:20]:
             epoch = f" at {problem.rows.epoch[row]:.2f}" if np.isfinite(problem.rows.epoch[row]) else ""
             yield _Part(part.table, f"the row of {listed}{epoch} in {part.words}", np.arange(len(at)) == row)
 
 
 def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> str:
     """Return a clause about the likely cause."""
-    found = [cause for part in _wholes(problem, tables) for cause in _causes(problem, part, ratio)]
+    causes = [cause for part in _wholes(problem, tables) for cause in _causes(problem, part, ratio)]
     alone = ""
     if ratio <= EXCESS:  # real stars may be as bad: only a correction after which all is well is a cause
         least = chdtri(problem.rows.present.sum(), 0.001) / problem.rows.present.sum()
-        found = [cause for cause in found if not cause.hides and cause.ratio < least]
-    elif not found or min(cause.ratio for cause in found) > GOOD:
+        causes = [cause for cause in causes if not cause.hides and cause.ratio < least]
+    elif not causes or min(cause.ratio for cause in causes) > GOOD:
         worst, left = _outliers(problem, ratio)
-        found += _exchanged(problem, names, tables, ratio)
+        causes += _exchanged(problem, names, tables, ratio)
         if len(worst):
             listed = ", ".join(str(name) for name in names[worst])
             alone = f"without {listed} it is {left:.2g} times its expectation; "
             for part in _of_sources(problem, tables, worst, listed):
-                found += [cause for cause in _causes(problem, part, ratio) if cause.ratio < GOOD]
-            found = [cause for cause in found if not cause.hides]
+                causes += [cause for cause in _causes(problem, part, ratio) if cause.ratio < GOOD]
+            causes = [cause for cause in causes if not cause.hides]
         else:
             for part in [*_by_kind(problem, tables), *_by_epoch(problem, tables)]:
-                found += _causes(problem, part, ratio)
-    likely = [cause for cause in found if cause.hides == min(one.hides for one in found)]
+                causes += _causes(problem, part, ratio)
+    likely = [cause for cause in causes if cause.hides == min(one.hides for one in causes)]
     if not likely:
         return f"{alone}{UNEXPLAINED}"
     best = min(likely, key=lambda cause: cause.ratio)
@@ -248,11 +248,13 @@ def _deficit(problem: Problem, tables: Sequence[str], groups: Sequence[_Group]) 
                 for factor, unit in sorted(LARGER.items(), reverse=True):
                     trial = _applied(problem, part, _scaled(rows, factor, errors=True))
                     try:
-                        found = None if trial is None else _groups(trial, solve(source_sums(trial)), tables)
+                        groups_then = None if trial is None else _groups(trial, solve(source_sums(trial)), tables)
                     except LinkError:
                         continue
                     if any(
-                        0.1 < one.squares / one.expected < EXCESS for one in found or () if one.words == group.words
+                        0.1 < one.squares / one.expected < EXCESS
+                        for one in groups_then or ()
+                        if one.words == group.words
                     ):
                         what = which or group.words.removeprefix("the ").partition(" of ")[0]
                         return f"the likely cause: errors of {what} of {part.words} too large, {unit}"
@@ -268,12 +270,12 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[_Cause]:
     for words, hides, change in _corrections(problem, part.table):
         trial = _applied(problem, part, change)
         # errors that are too small are so for all sources
-        if explains(found := _ratio(trial)) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
-            yield _Cause(words.format(part.words), found, hides)
-    shift, found = _shift(problem, part)
-    if explains(found):
+        if explains(corrected := _ratio(trial)) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
+            yield _Cause(words.format(part.words), corrected, hides)
+    shift, corrected = _shift(problem, part)
+    if explains(corrected):
         early = "early" if shift > 0.0 else "late"
-        yield _Cause(f"epochs of {part.words} {round(abs(shift), 2):.3g} years too {early}", found)
+        yield _Cause(f"epochs of {part.words} {round(abs(shift), 2):.3g} years too {early}", corrected)
     if part.table != "satellite" and np.count_nonzero(part.at) > 2:
         along, across = (_ratio(_applied(problem, part, _freed(problem, turned=turned))) for turned in (False, True))
         if explains(along) and not explains(across):
@@ -322,18 +324,18 @@ def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bo
 
     def change(table: Astrometry) -> Astrometry:
         after = table.errors * np.abs(factors) if errors else table.errors
-        found = replace(table, values=table.values * factors if values else table.values, errors=after)
-        used = found.present[list(rows)]
+        changed = replace(table, values=table.values * factors if values else table.values, errors=after)
+        used = changed.present[list(rows)]
         if not np.any(used):
             return table
-        size, error, before = (abs(one[list(rows)][used]) / MAS for one in (found.values, after, table.errors))
+        size, error, before = (abs(one[list(rows)][used]) / MAS for one in (changed.values, after, table.errors))
         plausible = PLAUSIBLE[0] <= np.median(error) <= PLAUSIBLE[1]
         if values:
             most = LARGEST["mas" if min(rows) == 2 else "mas/yr"]
             plausible &= np.median(size - 3.0 * error) > 0.0 and np.median(size) < most
         elif factor > 1.0:
             plausible &= np.median(before) < SMALLEST
-        return found if plausible else table
+        return changed if plausible else table
 
     return change
 
@@ -344,15 +346,15 @@ def _freed(problem: Problem, turned: bool) -> Change:
     """
 
     def change(rows: Astrometry) -> Astrometry:
-        own = problem.satellite.taken(problem.source)
-        motion = np.nan_to_num(own.values[[4, 3] if turned else [3, 4]]) * np.array([[-1.0 if turned else 1.0], [1.0]])
+        star = problem.satellite.taken(problem.source)
+        motion = np.nan_to_num(star.values[[4, 3] if turned else [3, 4]]) * np.array([[-1.0 if turned else 1.0], [1.0]])
         with np.errstate(invalid="ignore", divide="ignore"):
             size = np.where(np.any(motion != 0.0, axis=0), 1e5 * rows.errors[0] / np.hypot(*motion), 0.0)
         along = motion * np.where(rows.present[0], np.minimum(size, 100.0), 0.0)
         covariance = rows.covariance()
         covariance[:, :2, :2] += np.einsum("ir,jr->rij", along, along)
         seen = rows.apparent & rows.present[0]
-        covariance[seen, :2, :2] += np.eye(2) * np.nan_to_num(own.values[2, seen, None, None]) ** 2
+        covariance[seen, :2, :2] += np.eye(2) * np.nan_to_num(star.values[2, seen, None, None]) ** 2
         errors = np.where(rows.present, np.sqrt(np.einsum("rii->ir", covariance)), rows.errors)
         size = np.where(errors > 0.0, errors, 1.0)
         correlations = np.array([covariance[:, i, j] / (size[i] * size[j]) for i, j in PAIRS])
@@ -386,8 +388,8 @@ def _ratio(problem: Problem | None, typical: bool = False) -> float:
         solution = solve(sums)
     except LinkError:
         return np.inf
-    found = np.median(_each(sums, solution)[sums.count > 0]) if typical else solution.scale**2
-    return float(found) if np.isfinite(found) else np.inf
+    value = np.median(_each(sums, solution)[sums.count > 0]) if typical else solution.scale**2
+    return float(value) if np.isfinite(value) else np.inf
 
 
 def _each(sums: NormalSums, solution: Solution) -> Array:

@@ -316,9 +316,9 @@ class Problem:
         if self.weights == "covariance" and np.array_equal(source, np.arange(len(part))):
             left = eliminate_simple(star, rows, taken_out)
         if left is None:
-            found = differences(star, rows, source, taken_out, self.unknowns.frames)
+            offset = differences(star, rows, source, taken_out, self.unknowns.frames)
             try:
-                left = eliminate(found, source, star.covariance(), ~star.present.T, self.weights)
+                left = eliminate(offset, source, star.covariance(), ~star.present.T, self.weights)
             except LinkError as error:
                 number = int(str(error).partition("source ")[2].split()[0])
                 names = self.satellite.names
@@ -337,8 +337,8 @@ class Problem:
 
     def differences(self) -> Differences:
         """Return the differences of all rows, without the effect of the known unknowns."""
-        own = self.satellite
-        return differences(own, self.rows, self.source, self.taken_out(own), self.unknowns.frames)
+        star = self.satellite
+        return differences(star, self.rows, self.source, self.taken_out(star), self.unknowns.frames)
 
     def objects(self, star: Astrometry) -> tuple[Objects, Array]:
         """Return the data for derivatives, and the epoch of each source minus that of the unknowns."""

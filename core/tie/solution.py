@@ -489,11 +489,11 @@ def _median(sources: Sources, k: Any) -> Clipped:
 
 def _normalised(sources: Sources, solution: Solution, used: Flags) -> Array:
     """Return sqrt(Q_i/n_i) of each source, zero without observations; in place, for millions of them."""
-    found = sources.discrepancies(solution.estimate)
-    np.divide(found, sources.count, out=found, where=used)
-    np.sqrt(found, out=found)
-    found[~used] = 0.0
-    return found
+    residual = sources.discrepancies(solution.estimate)
+    np.divide(residual, sources.count, out=residual, where=used)
+    np.sqrt(residual, out=residual)
+    residual[~used] = 0.0
+    return residual
 
 
 def _huber(sources: Sources, c: Any) -> Clipped:

@@ -181,6 +181,23 @@ def tls(ca: Path, cert: Path, key: Path) -> Security:
 
 
 @contextmanager
+def _key_in_files(folder: Path) -> Iterator[Security]:
+    """Make a key for the jobs of a batch system, in files below a folder that they share with this process, which only
+    the owner can read.  Those that dask-jobqueue writes itself are left behind.
+    """
+    with tempfile.TemporaryDirectory(prefix=".linksweep-key-", dir=folder, ignore_cleanup_errors=True) as private:
+        made = Security.temporary()
+        texts = {"ca_file": made.tls_ca_file, "cert": made.tls_client_cert, "key": made.tls_client_key}
+        files = {name: str(Path(private, name)) for name in texts}
+        for name, text in texts.items():
+            Path(files[name]).write_text(text)
+        roles = {
+            f"tls_{role}_{name}": files[name] for role in ("client", "scheduler", "worker") for name in ("cert", "key")
+        }
+        yield Security(tls_ca_file=files["ca_file"], require_encryption=True, **roles)
+
+
+@contextmanager
 def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
     """Start a cluster that belongs to this run and ends with it.
 
@@ -200,14 +217,18 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
                 defaults["security"] = True
                 os.environ[SAFE_PATH] = "1"
                 resource_tracker.ensure_running()  # its start would unblock signals in the thread that starts workers
-        elif any("scheduler_options" in inspect.signature(base).parameters for base in kind.__mro__[:-1]):
+        elif "scheduler_options" in (
+            parameters := {n for b in kind.__mro__[:-1] for n in inspect.signature(b).parameters}
+        ):
             defaults = {"scheduler_options": dashboard | dict(options.get("scheduler_options", {})), "security": True}
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
+            if "shared_temp_directory" in parameters and not {"protocol", "security"} & options.keys():
+                shared = options.get("shared_temp_directory", ".")
+                defaults["security"] = stack.enter_context(_key_in_files(Path(shared).expanduser().resolve()))
         if "protocol" in options:
             defaults.pop("security", None)
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Creating scratch directories is taking")  # even our own, if it is busy
-            warnings.filterwarnings("ignore", "Using a temporary security object")  # in the folder that jobs start in
             cluster = stack.enter_context(_started(lambda: kind(**{**defaults, **options})))
         stack.enter_context(_prompt_end(cluster))
         stack.enter_context(_lost_workers_replaced(cluster))

@@ -87,14 +87,13 @@ def _name_points(axes: Axes, x: Array, y: Array, names: Array) -> None:
     To be called when everything else is drawn and has its place (`Figure.draw_without_rendering`).
     """
     inside, taken = axes.get_window_extent(), list[Bbox]()
-    look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5, "zorder": 6, "va": "center"}
-    look |= {"in_layout": False, "path_effects": [withStroke(linewidth=2.0, foreground="white")]}
-    for px, py, name in zip(x, y, names.tolist(), strict=True):
+    look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5, "va": "center", "in_layout": False}
+    look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
+    for place, name in zip(zip(x, y, strict=True), names.tolist(), strict=True):
         for side, alignment in ((4.0, "left"), (-4.0, "right")):
-            text = axes.annotate(name, (px, py), xytext=(side, 0.0), ha=alignment, **look)
+            text = axes.annotate(name, place, xytext=(side, 0.0), ha=alignment, **look)
             box = text.get_window_extent()
-            fits = inside.x0 <= box.x0 and box.x1 <= inside.x1 and inside.y0 <= box.y0 and box.y1 <= inside.y1
-            if fits and not any(box.overlaps(other) for other in taken):
+            if np.array_equal(Bbox.union([box, inside]).extents, inside.extents) and not box.count_overlaps(taken):
                 taken.append(box)
                 break
             text.remove()
@@ -179,8 +178,6 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
     dropped = [str(name) for name in dataset["step_dropped"].values]
     if any(dropped) and len(steps) <= RANKED:
         last.set_xticks(steps, ["all", *dropped[1:]], rotation=90, fontsize=7)
-    else:
-        last.xaxis.set_major_locator(MaxNLocator(integer=True))
     last.set_xlabel("sources dropped, one after the other" if any(dropped) else "iteration of the clip")
     title = f"clip {dataset.attrs['clip']}; dashed: the step of the solution; bands: scaled errors"
     grid[0].set_title(style.in_lines(title, figure.get_figwidth()))
@@ -195,22 +192,19 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     without = _require(dataset, "estimate_without", MANY_ROWS)
     vectors, symbols = _vectors(dataset), _symbols(dataset)
     kept = _is_kept(dataset) & np.isfinite(without).all(axis=1)
-    without, names = without[kept], dataset["source"].values[kept]
+    without = without[kept]
     if not vectors or len(without) < 2:
         raise SweepError(
             "no jackknife scatter: no block of the unknowns is a vector that more than one source determines"
         )
     stretched = without.mean(axis=0) + np.sqrt(len(without) - 1.0) * (without - without.mean(axis=0))
-    far = np.argsort(-dataset["cook_distance"].values[kept])[:5]
     dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.6}
     dots |= {"markersize": float(np.clip(70.0 / np.sqrt(len(without)), 2.0, 9.0)), "rasterized": len(without) > 2000}
     figure, grid = style.new_figure(10.0, 3.4 * len(vectors) + 0.5, len(vectors), 3, style.INSIDE_WIDTH)
     pairs = [pair for block in vectors.values() for pair in combinations(block, 2)]
-    drawn = []
     for axes, pair in zip(grid, map(list, pairs), strict=False):
         factor, unit = _readable(stretched[:, pair], str(dataset["unit"].values[pair[0]]))
         x, y = factor * stretched[:, pair].T
-        drawn.append((axes, x[far], y[far]))
         axes.plot(x, y, ".", label="without one source, displacement × √(N − 1)", **dots)
         for number, kind in enumerate(dataset["error_kind"].values):
             covariance = factor**2 * dataset["covariances"].values[number][np.ix_(pair, pair)]
@@ -225,9 +219,6 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     for axes in grid[len(pairs) :]:
         axes.remove()
     style.legend(figure, below=True)
-    figure.draw_without_rendering()
-    for axes, x, y in drawn:
-        _name_points(axes, x, y, names[far])
     return figure
 
 

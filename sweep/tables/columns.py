@@ -77,8 +77,8 @@ _ANGLE = re.compile(
 def first_found(wanted: Iterable[str], names: Collection[str]) -> str | None:
     """Return the column of the first wanted name that is found, ignoring case if need be; None if there is none."""
     in_any_case = {name.casefold(): name for name in reversed(list(names))}
-    found = (name if name in names else in_any_case.get(name.casefold()) for name in wanted)
-    return next((name for name in found if name is not None), None)
+    columns = (name if name in names else in_any_case.get(name.casefold()) for name in wanted)
+    return next((name for name in columns if name is not None), None)
 
 
 def column_of(quantity: str, names: Collection[str], columns: Mapping[str, str] | None = None) -> str | None:
@@ -298,15 +298,15 @@ class Columns:
 
         name = str(self.name(quantity))
         unit, stated = self.table[name].unit, self.units.get(quantity)
-        own = None if unit is None or str(unit) == "" else Unit(unit, parse_strict="silent")
+        in_file = None if unit is None or str(unit) == "" else Unit(unit, parse_strict="silent")
         if stated is None:
-            return own
+            return in_file
         try:
             said = Unit(stated)
         except (ValueError, TypeError) as error:
             raise ValueError(f"units: {quantity} in {stated!r}, which is no unit like 'mas / yr'") from error
-        if own is not None and own != said:
-            raise ValueError(f"units: {quantity} in {stated}, but column {name!r} is in {own} as its file says")
+        if in_file is not None and in_file != said:
+            raise ValueError(f"units: {quantity} in {stated}, but column {name!r} is in {in_file} as its file says")
         return said
 
     def _converted(self, name: str, quantity: str) -> Array:

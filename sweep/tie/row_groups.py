@@ -51,10 +51,10 @@ class RowGroup:
 
     def problem(self) -> Problem:
         """Return the problem of the rows; raises SweepError for wrong ones, with their numbers in the row group."""
-        own = self.read().astrometry
-        known, source = setup.known_spin(self.options, own), np.arange(len(own))
-        rows = setup.with_jitter(setup.zero_motion(len(own)), self.options.jitter_in(None))
-        return Problem(own, rows, source, self.unknowns, self.epoch, self.options.weights, known)
+        stars = self.read().astrometry
+        known, source = setup.known_spin(self.options, stars), np.arange(len(stars))
+        rows = setup.with_jitter(setup.zero_motion(len(stars)), self.options.jitter_in(None))
+        return Problem(stars, rows, source, self.unknowns, self.epoch, self.options.weights, known)
 
     def read(self) -> AstrometricTable:
         """Read the rows."""
@@ -77,13 +77,13 @@ def look_through(group: RowGroup, per_source: bool) -> tuple[Array, tuple[Array,
     many sources have each; the positions of the sources (2, n), rad, if ``per_source``; and notes.
     """
     table = group.read()
-    own, sample = table.astrometry, np.zeros(0)
-    if group.options.bins is not None and group.options.bins[0] in own.columns:
+    stars, sample = table.astrometry, np.zeros(0)
+    if group.options.bins is not None and group.options.bins[0] in stars.columns:
         name, edges = group.options.bins
-        bin_of = np.searchsorted(edges, own.columns[name], side="right")
-        sample = own.columns[name][np.unique(bin_of, return_index=True)[1]]
-    epochs = np.unique(own.epoch[np.isfinite(own.epoch)], return_counts=True)
-    return sample, epochs, own.values[:2] if per_source else None, table.notes
+        bin_of = np.searchsorted(edges, stars.columns[name], side="right")
+        sample = stars.columns[name][np.unique(bin_of, return_index=True)[1]]
+    epochs = np.unique(stars.epoch[np.isfinite(stars.epoch)], return_counts=True)
+    return sample, epochs, stars.values[:2] if per_source else None, table.notes
 
 
 def set_up_row_groups(
@@ -126,9 +126,9 @@ def set_up_row_groups(
         raise SweepError(str(error)) from error
     problems = [replace(group, epoch=epoch, unknowns=unknowns).problem for group in groups]
     numbers = np.arange(n + 1)  # one array for the sources and, from 1, for their names
-    own = Astrometry(values, np.broadcast_to(np.nan, (5, n)), np.broadcast_to(epoch, n))
-    problem = Problem(own, setup.zero_motion(n), numbers[:-1], unknowns, epoch, options.weights)
-    left = AstrometricTable(str(satellite), digest, own, {})
+    stars = Astrometry(values, np.broadcast_to(np.nan, (5, n)), np.broadcast_to(epoch, n))
+    problem = Problem(stars, setup.zero_motion(n), numbers[:-1], unknowns, epoch, options.weights)
+    left = AstrometricTable(str(satellite), digest, stars, {})
     right = AstrometricTable(setup.ZERO_MOTION, "", problem.rows, {})
     matched = setup.Match(numbers[:-1], numbers[:-1], setup.EVERY_SOURCE)
     said.append(f"read in {len(groups)} row groups; sources are named by their row numbers")
@@ -148,8 +148,8 @@ def _median_epoch(each: Sequence[tuple[Array, Indices]]) -> float:
 
 def _unknowns(group: RowGroup, sample: Array, notes: list[str]) -> Unknowns:
     """Return the unknowns of the whole table: the first rows say which are determined, all rows which bins are used."""
-    own = group.read().astrometry
-    few = own.taken(slice(0, min(len(own), 1000)))
+    stars = group.read().astrometry
+    few = stars.taken(slice(0, min(len(stars), 1000)))
     rows = setup.zero_motion(len(few))
     if group.options.bins is not None:
         few = replace(few, columns={group.options.bins[0]: sample} if len(sample) else {})

@@ -213,14 +213,14 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     source = np.concatenate([matched.source for matched in matches])
     sources = np.arange(n) if all_sources else np.unique(source)
     names = _names(left, tables[0], matches[0])[sources]
-    own = replace(_taken(left.astrometry, sources), names=names)
+    stars = replace(_taken(left.astrometry, sources), names=names)
     rows, source = parts[0] if len(parts) == 1 else joined(*parts), np.searchsorted(sources, source)
-    epoch = default_epoch(own.epoch) if options.epoch is None else options.epoch
-    notes += _resting(own, rows, source)
-    problem = Problem(own, rows, source, Unknowns(()), epoch, options.weights)
+    epoch = default_epoch(stars.epoch) if options.epoch is None else options.epoch
+    notes += _resting(stars, rows, source)
+    problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights)
     try:
         unknowns = unknowns_for(options, problem, notes)
-        problem = replace(problem, unknowns=unknowns, known=known_spin(options, own))
+        problem = replace(problem, unknowns=unknowns, known=known_spin(options, stars))
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
     missions = dict(zip(options.missions, tables[1:], strict=True))
@@ -241,12 +241,14 @@ def _names(left: AstrometricTable, reference: AstrometricTable, matched: "Match"
     return names.astype(np.str_)
 
 
-def _resting(own: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
+def _resting(stars: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
     """Return a note if single-epoch positions are of sources without parallaxes and motions, like quasars."""
     observed = np.unique(source[kinds(rows) == "single epoch"])
     if len(observed) < 5:
         return []
-    size = np.where(own.present[2:], (own.values[2:] / np.where(own.present[2:], own.errors[2:], 1.0)) ** 2, np.nan)
+    size = np.where(
+        stars.present[2:], (stars.values[2:] / np.where(stars.present[2:], stars.errors[2:], 1.0)) ** 2, np.nan
+    )
     if not np.nanmean(size[:, observed]) < 4.0:
         return []
     said = "positions of a single epoch are displaced by parallaxes, and these sources have none, nor motions"
@@ -489,7 +491,7 @@ def _aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astromet
     return replace(rows, values=values)
 
 
-def known_spin(options: Options, own: Astrometry) -> tuple[Unknowns, Array] | None:
+def known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | None:
     """Return the block and the values (rad/yr) of a spin that is known: a vector, or a table by bins of a column.
 
     A table has columns COLUMN_min and COLUMN_max of the satellite's magnitude (or other) COLUMN, or mag_min and
@@ -518,7 +520,7 @@ def known_spin(options: Options, own: Astrometry) -> tuple[Unknowns, Array] | No
     column = {"mag": "phot_g_mean_mag", "G": "phot_g_mean_mag"}.get(names[0], names[0])
     if np.any(low[1:] != high[:-1]) or np.any(high <= low):
         raise SweepError(f"the bins of {names[0]} do not follow one another", str(spin))
-    values = own.columns.get(column, np.full(len(own), np.nan))
+    values = stars.columns.get(column, np.full(len(stars), np.nan))
     if np.any(outside := ~((values >= low[0]) & (values < high[-1]))):
         raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", str(spin))
     factors = [(table[name].unit or Unit("mas/yr")).to("mas/yr") for name in axes]

@@ -4,15 +4,17 @@ import math
 
 import pytest
 
-from linksweep.sweep.analysis.answer import answer_in_short, answers, conclusion_in_words
-from linksweep.sweep.analysis.quantity import main_quantity
-from linksweep.sweep.analysis.results_table import headline_table
+import linksweep
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.studies.reader import study_from_dict
 
 AT = {"model": "gaia", "v_max": 20.0}
 GAIA = {"value": {"variable": "sigma_spin", "at": AT}}
+
+
+def said(dataset):
+    return [one for one in linksweep.answer(dataset).sentences if not one.startswith("Incomplete")]
 
 
 def concluding(dataset, *sentences, **values):
@@ -24,7 +26,7 @@ def concluding(dataset, *sentences, **values):
             "conclusion": {"sentences": list(sentences), "values": values},
         }
     )
-    return conclusion_in_words(dataset.assign_attrs(conclusion=study.conclusion.model_dump_json()))
+    return said(dataset.assign_attrs(conclusion=study.conclusion.model_dump_json()))
 
 
 def test_values_are_filled_in_with_units(dataset_of):
@@ -73,11 +75,11 @@ def test_what_is_not_there_is_said_or_left_out(dataset_of):
     dataset = dataset_of("quasars")
     status = dataset["status"].copy(deep=True)
     status.loc[AT] = Status.MISSING
-    said = concluding(dataset.assign(status=status), "It is {gaia}.", gaia=GAIA)
-    assert said == ["No conclusion yet: numbers that it needs are missing (not done yet)."]
+    sentences = concluding(dataset.assign(status=status), "It is {gaia}.", gaia=GAIA)
+    assert sentences == ["No conclusion yet: numbers that it needs are missing (not done yet)."]
     status.loc[AT] = Status.FAILED
-    said = concluding(dataset.assign(status=status), "It is {gaia}.", "Few.", gaia=GAIA)
-    assert said == ["Few.", "No further conclusion: numbers that it needs are missing (failed)."]
+    sentences = concluding(dataset.assign(status=status), "It is {gaia}.", "Few.", gaia=GAIA)
+    assert sentences == ["Few.", "No further conclusion: numbers that it needs are missing (failed)."]
     beyond = {"value": {"variable": "sigma_spin", "at": {"model": "gaia", "v_max": 21.0}}}
     assert concluding(dataset, "{beyond}", "{gaia}!", beyond=beyond, gaia=GAIA)[0].endswith("!")
 
@@ -86,43 +88,29 @@ def test_what_is_not_there_is_said_or_left_out(dataset_of):
 def test_built_in_studies_conclude_with_numbers(dataset_of):
     """All of them but those without a short run here; those of other points say only what they know."""
     for name in ("quasars", "scatter", "sqrt-n", "error-surface", "galaxies"):
-        dataset = dataset_of(name)
-        said = answer_in_short(dataset)
-        assert len(said) == len(load_study(name).conclusion.sentences)
-        assert not any("[" in sentence or "{" in sentence for sentence in said)
-    assert "quadrature" in answer_in_short(dataset_of("error-surface"))[0]
-    assert "no bias" in answer_in_short(dataset_of("scatter"))[0]
+        sentences = said(dataset_of(name))
+        assert len(sentences) == len(linksweep.load_study(name).conclusion.sentences)
+        assert not any("[" in sentence or "{" in sentence for sentence in sentences)
+    assert "no bias" in said(dataset_of("scatter"))[0]
 
 
 def test_without_a_conclusion_the_range_answers(dataset_of):
     dataset = dataset_of("sqrt-n")
     del dataset.attrs["conclusion"]
-    (sentence,) = answer_in_short(dataset)
+    (sentence,) = said(dataset)
     assert sentence.startswith("sigma_spin (RMS error of the spin, over its components): Over 7 points it goes from")
+    nothing = dataset.assign({n: dataset[n] * math.nan for n in dataset if str(n).startswith("sigma_spin")})
+    assert said(nothing)[0].endswith("No point has a value yet.")
     dataset.attrs["conclusion"] = "{"
     with pytest.raises(SweepError, match="the attribute 'conclusion' cannot be read"):
-        answer_in_short(dataset)
-
-
-@pytest.mark.parametrize("name", ["sigma_spin", "sigma_orientation"])
-def test_what_has_no_value_at_any_point_answers_nothing(dataset_of, name):
-    """A link that does not solve for the spin has no error of it."""
-    whole = dataset_of("sqrt-n").copy()
-    whole["sigma_orientation"].attrs["headline"] = 1
-    (other,) = {"sigma_spin", "sigma_orientation"} - {name}
-    dataset = whole.assign({n: whole[n] * float("nan") for n in whole if str(n).startswith(name)})
-    assert main_quantity(dataset) == other
-    assert {answer.name for answer in answers(dataset)} == {other}
-    assert {column.quantity for column in headline_table(dataset).columns} == {"", other}
-    nothing = dataset.assign({n: dataset[n] * float("nan") for n in dataset if str(n).startswith(other)})
-    assert answers(nothing)[0].sentences == ["No point has a value yet."]
+        linksweep.answer(dataset)
 
 
 def test_words_about_what_the_study_fixes_are_not_said_of_something_else():
-    assert load_study("quasars", ["catalogue=galaxies"]).conclusion is None
-    assert load_study("quasars", ["model=gaia"]).conclusion is None
-    assert load_study("quasars", axes=["error_scale=1,2"]).conclusion is None
-    assert load_study("quasars", ["n_sim=5"], ["v_max=14,15"]).conclusion is not None
+    assert linksweep.load_study("quasars", ["catalogue=galaxies"]).conclusion is None
+    assert linksweep.load_study("quasars", ["model=gaia"]).conclusion is None
+    assert linksweep.load_study("quasars", axes=["error_scale=1,2"]).conclusion is None
+    assert linksweep.load_study("quasars", ["n_sim=5"], ["v_max=14,15"]).conclusion is not None
 
 
 @pytest.mark.parametrize(

@@ -322,12 +322,6 @@ def test_errors_of_noisy_grids_cover_the_truth():
         assert np.mean(total[:, k]) == pytest.approx(expected[2][k], abs=0.01)  # no bias of the noise
 
 
-@pytest.mark.parametrize("value", [0.1, 7.3, 1e12 + 0.1])
-@pytest.mark.parametrize("n", [5, 7, 9])
-def test_a_result_that_is_the_same_everywhere_has_no_indices_and_no_errors(value, n):
-    assert np.isnan(indices_of_grid(np.full((n, n), value), None, [True, False])).all()
-
-
 @pytest.mark.parametrize(
     ("design", "said"), [(None, True), slow("sobol", True), slow("saltelli", True), slow("morris", False)]
 )

@@ -59,13 +59,6 @@ def test_every_study_has_a_picture_without_options(dataset_of, name, panels, alo
     assert len(figure._repr_png_()) > 10_000  # as a notebook shows it
 
 
-def test_missions_that_differ_by_orders_have_panels_of_their_own(dataset_of):
-    amex, gaia = axes_of(linksweep.plot(dataset_of("quasars")))
-    assert (amex.get_title(), gaia.get_title()) == ("amex", "gaia")
-    assert amex.get_ylim() != gaia.get_ylim()
-    assert (amex.get_ylabel(), gaia.get_ylabel()) == (r"$\sigma(\omega)$ [mas/yr]", r"$\sigma(\omega)$ [µas/yr]")
-
-
 @pytest.mark.slow
 def test_what_is_too_much_for_one_picture_says_what_to_fix(dataset_of):
     part = {"component": ["omega_x", "omega_y", "omega_z"]}
@@ -95,14 +88,6 @@ def test_a_series_keeps_its_colour_where_another_has_no_values(dataset_of):
     assert part < whole
 
 
-@pytest.mark.slow
-def test_panels_without_points_are_left_out(dataset_of):
-    dataset = dataset_of("algorithm")
-    seen = (dataset["mean_pm"] != 50.0) | (dataset["n_obj"] != 50)
-    gone = dataset.assign(sigma_spin=dataset["sigma_spin"].where(seen))
-    assert [len(axes_of(linksweep.plot(one))) for one in (dataset, gone)] == [6, 5]
-
-
 # Lines
 
 
@@ -121,17 +106,6 @@ def test_lines_have_points_with_errors_prediction_and_published_values(dataset_o
     assert texts(axes.get_legend()) == ["simulated", "predicted", "published"]
 
 
-@pytest.mark.slow
-def test_series_have_names_with_symbol_value_and_unit(dataset_of):
-    [axes] = axes_of(linksweep.plot(dataset_of("radio-stars")))
-    series = [r"$\Delta_\mathrm{ref}$ = 1", r"$\Delta_\mathrm{ref}$ = 0.5"]
-    assert texts(axes.get_legend()) == [*series, "predicted", "published"]
-    assert axes.get_xscale() == axes.get_yscale() == "log"
-    [legend] = linksweep.plot(dataset_of("aberration")).legends
-    assert texts(legend)[0] == "aberration = False, solve glide = False"
-    assert len(texts(legend)) >= 4  # three that are not excluded, and the prediction
-
-
 def test_a_component_has_its_own_symbol_and_unit_in_every_panel(dataset_of):
     one = dataset_of("quasars").sel(component="omega_x")
     labels = [axes.get_ylabel() for axes in axes_of(linksweep.plot(one, variables=["sigma"]))]
@@ -139,14 +113,6 @@ def test_a_component_has_its_own_symbol_and_unit_in_every_panel(dataset_of):
     problem = "sigma has components in mas and mas / yr; choose one with --at component=epsilon_x"
     with pytest.raises(SweepError, match=problem):
         linksweep.plot(dataset_of("sqrt-n"), variables=["sigma"])
-
-
-@pytest.mark.slow
-def test_several_variables_are_columns(dataset_of):
-    dataset = dataset_of("algorithm").sel(n_obj=50, mean_pm=500.0)
-    panels = axes_of(linksweep.plot(dataset, variables=["sigma_spin", "sigma_orientation"]))
-    assert len(panels) == 4
-    assert [axes.get_ylabel() for axes in panels[:2]] == [r"$\sigma(\omega)$ [µas/yr]", r"$\sigma(\epsilon)$ [µas]"]
 
 
 def test_one_point_shows_what_is_simulated_predicted_and_published(dataset_of):
@@ -169,13 +135,6 @@ def test_one_point_shows_what_is_simulated_predicted_and_published(dataset_of):
 def test_names_become_symbols(name, shown):
     [axes] = linksweep.plot(made([1.0, 2.0, 4.0], name, x=[1.0, 2.0, 3.0])).axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("$x$", shown)
-
-
-def test_ticks_below_two_decades_all_have_numbers():
-    [axes] = linksweep.plot(made([1.4e-5, 2e-5, 9e-5], x=[1.0, 2.0, 3.0]), "lines").axes
-    axes.figure.draw_without_rendering()
-    labels = [axes.yaxis.get_major_formatter()(tick, 0) for tick in (1e-5, 2e-5, 0.005)]
-    assert labels == ["$10^{-5}$", r"$2\times10^{-5}$", "0.005"]
 
 
 # Laws
@@ -213,13 +172,6 @@ def test_a_map_shows_the_values_in_their_places(dataset_of):
     assert axes.get_ylabel().split() == ["satellite", "error", "scale", r"$\Delta_\mathrm{sat}$"]
     assert axes.get_xlim() == pytest.approx((-0.5, 4.5))  # cells surround their points
     assert bar.get_ylabel() == r"$\sigma(\omega)$ [µas/yr]"
-
-
-def test_two_axes_of_any_study_make_maps(dataset_of):
-    first, second = axes_of(linksweep.plot(dataset_of("grid").sel(model="gaia"), over=["n_obj", "error_scale"]))
-    titles = [r"$V_\mathrm{max}$ = 16 mag", r"$V_\mathrm{max}$ = 17 mag"]
-    assert [first.get_title(), second.get_title()] == titles
-    assert first.get_xscale() == "log"
 
 
 @pytest.mark.parametrize(("rate", "limits"), [([1.0, 10.0, 100.0], (10.0**-0.5, 10.0**2.5)), ([3.0, 4.0], (2.5, 4.5))])
@@ -372,16 +324,6 @@ def described(sweep, folder, store, *options):
     return (folder / "a.txt").read_text().strip().split("\n\n")
 
 
-@pytest.mark.slow
-def test_a_caption_says_what_is_drawn_and_what_follows(store_of, tmp_path, sweep):
-    words, alternative = described(sweep, tmp_path, store_of("sqrt-n"), "--width", "88mm")
-    assert words.startswith(
-        "The law 1/sqrt(N). Points are simulated, with one-sigma errors. "
-        "Bands are the one-sigma errors of the fitted laws. The error falls as N"
-    )
-    assert alternative.startswith("Alternative text: 2 panels, sigma(omega) [µas/yr] against N_obj")
-
-
 @pytest.mark.parametrize(
     ("name", "options", "signs"),
     [
@@ -405,3 +347,43 @@ def test_a_description_gives_the_range_of_what_is_drawn(store_of, tmp_path, swee
     assert "sigma_spin" not in text
     _, text = described(sweep, tmp_path, store_of("quasars"), "--variable", "sigma", "--at", "component=omega_x")
     assert re.search(r"sigma \(.*\): Over 26 points it goes from [\d.]+ ± [\d.]+ µas/yr, at", text)
+
+
+# Plain functions
+
+
+def decay(half_life: float, years: int = 10):
+    rest = [0.5 ** (year / half_life) for year in range(years + 1)]
+    return {"rest": rest, "lost": 1.0 - rest[-1], "short": half_life < years}
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    path, axes = tmp_path_factory.mktemp("decay") / "s.zarr", {"half_life": [1.0, 2.0, 3.0, 6.0, 12.0, 20.0]}
+    linksweep.run(decay, path, axes=axes, pool="serial")
+    return path
+
+
+@pytest.fixture(scope="module")
+def decayed(store):
+    return linksweep.open(store)
+
+
+def test_a_list_at_each_point_of_an_axis_is_a_map_over_both(decayed):
+    axes = linksweep.plot(decayed, variables=["rest"]).axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("half life", "rest dim 0")
+    shown = np.asarray(axes.collections[0].get_array()).reshape(11, 6)
+    assert shown == pytest.approx(decayed["rest"].values.T)
+
+
+def test_words_beside_a_picture_are_about_what_it_draws(store, tmp_path, sweep):
+    def words(variable):
+        assert sweep("plot", store, "--variable", variable, "--caption", "-o", tmp_path / "a.svg")[0] == 0
+        return (tmp_path / "a.txt").read_text()
+
+    assert words("short") == (
+        "decay. short: It is True at 4 of 6 points.\n\n"
+        "Alternative text: Short against half life. short: It is True at 4 of 6 points.\n"
+    )
+    text = "Alternative text: Rest dim 0 against half life, coloured by rest. rest: Over "
+    assert text in words("rest")

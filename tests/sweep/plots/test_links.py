@@ -7,8 +7,6 @@ from matplotlib.quiver import Quiver
 
 import linksweep
 from linksweep import SweepError
-from linksweep.sweep.plots import KINDS
-from linksweep.sweep.plots.figure import all_figures
 
 
 @pytest.fixture(scope="module")
@@ -22,18 +20,12 @@ def plan():
     return linksweep.forecast("psrpi", "psrpi", "orientation,spin", **options)
 
 
-def test_every_kind_of_figure_is_there_and_those_of_a_link_have_captions():
-    assert all(kind.load() for kinds in KINDS.values() for kind in kinds.values())
-    assert all(kind.caption for result in ("tie", "forecast") for kind in KINDS[result].values())
-
-
 def test_a_link_has_the_figures_that_its_content_allows(link):
-    figures = all_figures(link)
-    assert list(figures) == ["solution", "residuals", "separations", "weight", "ranking", "jackknife", "trajectory"]
-    for figure in figures.values():
-        assert "reference" in figure.get_suptitle()
-    with pytest.raises(SweepError, match="--degree"):
-        linksweep.plot(link, "spectrum")
+    for kind in ("solution", "residuals", "separations", "weight", "ranking", "jackknife", "trajectory"):
+        assert "reference" in linksweep.plot(link, kind).get_suptitle()
+    for kind, how in (("spectrum", "--degree"), ("bins", "--bins")):
+        with pytest.raises(SweepError, match=how):
+            linksweep.plot(link, kind)
     with pytest.raises(SweepError, match="no kind 'lines' of a tie"):
         linksweep.plot(link, "lines")
     with pytest.raises(SweepError, match="no variables"):
@@ -74,30 +66,12 @@ def test_the_scatter_of_the_stretched_solutions_is_the_jackknife_error(link):
     np.testing.assert_allclose(sizes**2, np.linalg.eigvalsh(covariance) * -2.0 * np.log(1.0 - 0.683), rtol=1e-9)
 
 
-def test_the_solution_is_drawn_with_every_kind_of_error(link):
-    axes = linksweep.plot(link).axes[0]
-    assert [text.get_text() for text in linksweep.plot(link).legends[0].get_texts()] == list(link.error_kind.values)
-    drawn = axes.containers[1].lines[0].get_ydata()
-    np.testing.assert_allclose(drawn, link.estimate.values)
-
-
 def test_the_trajectory_marks_the_step_that_was_chosen(link):
     figure = linksweep.plot(link, "trajectory")
     upper, lower = figure.axes
     np.testing.assert_allclose(upper.lines[0].get_ydata(), link.step_estimate.values[:, 0])
     assert upper.lines[-1].get_xdata()[0] == int(link.step_chosen) == 1
     assert [text.get_text() for text in lower.get_xticklabels()][1:] == list(link.step_dropped.values[1:])
-
-
-@pytest.mark.slow
-def test_weights_show_the_dropped_source_apart(link):
-    figure = linksweep.plot(link, "weight")
-    kept, dropped = (np.asarray(c.get_offsets()) for c in figure.axes[0].collections[:2])
-    assert len(kept) == 8
-    assert len(dropped) == 1
-    ratio = link.discrepancy.values / link.n_observations.values
-    np.testing.assert_allclose(dropped[0, 1], ratio[link.weight_factor.values == 0.0])
-    np.testing.assert_allclose(np.sort(kept[:, 0]), np.sort(link.share.values[link.weight_factor.values > 0.0, 0]))
 
 
 def arrows(axes):
@@ -154,12 +128,10 @@ def test_many_arrows_are_weighted_means_of_cells_of_equal_area():
 
 
 def test_a_forecast_has_its_epochs_and_ranking(plan):
-    figures = all_figures(plan)
-    assert list(figures) == ["epochs", "ranking"]
-    right = figures["epochs"].axes[1]
+    _, right = linksweep.plot(plan).axes[:2]
     np.testing.assert_allclose(right.lines[0].get_ydata(), 1000.0 * plan.error_with_epoch.values[:, 3])
     assert "µas/yr" in right.get_ylabel()
-    bars = [bar.get_width() for bar in figures["ranking"].axes[0].patches]
+    bars = [bar.get_width() for bar in linksweep.plot(plan, "ranking").axes[0].patches]
     now = float(plan.criterion.sel(stage="now"))
     np.testing.assert_allclose(bars[-1], 100.0 * (1.0 - plan.criterion_alone.values.min() / now))
     with pytest.raises(SweepError, match="--add"):

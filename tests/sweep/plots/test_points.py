@@ -5,7 +5,6 @@ import pytest
 
 import linksweep
 from linksweep import SweepError
-from linksweep.sweep.plots.style import settings
 
 
 @pytest.fixture(scope="module")
@@ -65,13 +64,6 @@ def test_a_long_name_at_the_left_is_broken(tmp_path):
     assert [text.get_text() for text in panel.get_yticklabels()] == ["steel", "carbon fibre\ncomposite"]
 
 
-def test_points_take_the_width_that_is_asked_for(points):
-    with settings(88.0):
-        figure = linksweep.plot(points.isel(scale=0))
-    assert figure.get_figwidth() == pytest.approx(88.0 / 25.4)
-    assert len({axes.get_position().y0 for axes in figure.axes if axes.get_visible()}) == 2
-
-
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
@@ -85,19 +77,6 @@ def test_points_take_the_width_that_is_asked_for(points):
 def test_what_cannot_be_drawn_says_why(points, options, problem):
     with pytest.raises(SweepError, match=problem):
         linksweep.plot(points, **options)
-
-
-@pytest.mark.slow
-def test_points_with_errors_show_them(tmp_path):
-    def waiting(load: float = 0.5, size: float = 1.0, *, rng):
-        return {"wait": rng.exponential(load * size)}
-
-    table = {"load": [0.5, 0.2, 0.9], "size": [1.0, 3.0, 2.0]}
-    ds = linksweep.run(waiting, tmp_path / "s.zarr", points=table, sampling={"n_sim": 40}, pool="serial")
-    figure = linksweep.plot(ds)
-    segments = figure.axes[0].containers[0].lines[2][0].get_segments()
-    half = [(high[1] - low[1]) / 2 for low, high in segments]
-    assert half == pytest.approx(ds.sortby("load").wait_mean_mc_error.values)
 
 
 def series_of(points):
@@ -124,12 +103,3 @@ def test_a_series_at_many_points_is_a_median_with_bands(tmp_path, monkeypatch):
         last = outer[np.isclose(outer[:, 0], 3.0), 1]
         assert np.allclose([last.min(), last.max()], np.quantile(ds["left"].values[:, -1], [0.05, 0.95]), rtol=1e-12)
         assert [text.get_text() for text in axes.get_legend().get_texts()][-1] == "median of 40 points"
-
-
-def test_a_series_at_few_points_is_each_curve(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    ds = series_of({"rate": [0.5, 1.0, 2.0]})
-    [axes] = linksweep.plot(ds, variables=["left"]).axes
-    curves = [line.get_ydata() for line in axes.get_lines() if len(line.get_xdata())]
-    assert np.array_equal(curves, ds["left"].values)
-    assert not axes.collections

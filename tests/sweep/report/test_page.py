@@ -17,8 +17,7 @@ import linksweep
 from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.report.page import SEVERITY, report_of, report_page, section
-from linksweep.sweep.report.pictures import SAMPLES, differences, explorer, pictures
-from linksweep.sweep.studies.document import built_in_studies
+from linksweep.sweep.report.pictures import differences, explorer, pictures
 from tests.tiers import slow
 
 
@@ -134,15 +133,6 @@ def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(dataset_of):
     assert used == sum(len(q[part]) for q in found["quantities"] for part in parts if part in q)
 
 
-def test_a_single_point_is_drawn_beside_what_is_predicted_or_published(dataset_of):
-    one = dataset_of("quasars").isel(model=[0], v_max=[0])
-    picture, _ = pictures(one, ["sigma_spin", "n_obj"], 0)
-    assert picture.name == "sigma_spin"
-    assert "predicted" in picture.svg
-    alone = one.drop_vars([str(name) for name in one.data_vars if "predicted" in str(name) or "publ" in str(name)])
-    assert pictures(alone, ["sigma_spin", "n_obj"], 0) == []
-
-
 @pytest.mark.slow
 def test_pictures_are_well_formed_and_share_no_identifier(dataset_of):
     quasars = dataset_of("quasars")
@@ -157,13 +147,6 @@ def test_pictures_are_well_formed_and_share_no_identifier(dataset_of):
         }
         assert colours <= {"none", "light-dark", "currentColor"}
         assert "predicted" in "".join(root.itertext()) or root is roots[2]  # text is text
-
-
-@pytest.mark.slow
-def test_kept_samples_are_one_image_and_not_thousands_of_marks(store_of):
-    samples, *_ = pictures(linksweep.open(store_of("scatter")), ["sigma_spin"], 0)
-    assert samples.caption == f"{SAMPLES}."
-    assert len(samples.svg) < 200_000
 
 
 def test_what_cannot_be_drawn_says_why():
@@ -248,11 +231,6 @@ def test_a_page_has_the_question_the_study_and_how_to_cite(store_of):
     assert re.search(r"The linksweep developers\. linksweep, version \S+\. BSD-3-Clause", page)
 
 
-def test_built_in_studies_ask_a_question():
-    for name in set(built_in_studies()) - {"gaia-releases"}:  # needs a package that may not be there
-        assert linksweep.load_study(name).question.endswith("?"), name
-
-
 def test_an_earlier_report_is_replaced_and_nothing_else(coins, tmp_path, sweep):
     linksweep.run(coins, tmp_path / "s.zarr", pool="serial")
     page = tmp_path / "page.html"
@@ -303,21 +281,6 @@ def test_a_missing_package_is_named_with_what_to_do(tmp_path, package):
     assert run.returncode == 2
     assert "pip install 'linksweep[report]'" in run.stderr
     assert f"no {package} here" in run.stderr
-
-
-def test_the_whole_paper_from_one_command(tmp_path, monkeypatch, coins, sweep):
-    monkeypatch.chdir(tmp_path)
-    claim = 'text = "Fair"\nsource = "A paper"\npublished = "0.4"\ntolerance = 0.5\ntolerance_reason = "an example"\n'
-    study = f'title = "Coins"\nexperiment = "{coins["experiment"]}"\n[axes]\ncoins = [1, 5]\n[fixed]\nchance = 0.4\n'
-    study += f"[sampling]\nn_sim = 1000\nn_cat = 20\nseed = 7\n[[claim]]\n{claim}value = {{ variable = 'share' }}\n"
-    (tmp_path / "coins.toml").write_text(study)
-    path = tmp_path / "coins.toml"
-    monkeypatch.setattr("linksweep.sweep.studies.document.built_in_studies", lambda: {str(path): path})
-    code, _, err = sweep("report", "--all", "--results", "all", "--pool", "serial")
-    assert code == 0, err
-    page = (tmp_path / "paper-report.html").read_text()
-    assert "2 reproduced" in page or "within tolerance" in page
-    assert (tmp_path / "all" / "coins.zarr").exists()
 
 
 def test_the_answer_heads_the_page_and_the_worst_comes_first(dataset_of):

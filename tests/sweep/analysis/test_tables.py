@@ -1,16 +1,18 @@
-"""Integers of points that are not done are missing wherever results are shown, and others are exact."""
+"""What tables and sentences show of results: exact integers and gaps, components, units that read well."""
 
 import json
 
 import numpy as np
 import pytest
+import xarray as xr
 from astropy.table import Table
 from click.testing import CliRunner
 
 import linksweep
-from linksweep.sweep.analysis.answer import answers, completeness
-from linksweep.sweep.analysis.laws import parse_limit, points_where
 from linksweep.sweep.cli import main
+from linksweep.sweep.result import Result
+
+# Integers and gaps
 
 LARGE = 2**60
 
@@ -85,7 +87,8 @@ def test_excluded_points_meet_no_condition_and_have_no_ratio(tmp_path):
     points = {"a": [1, 2, 3], "b": [4, 5, 6]}
     document = {"experiment": k, "points": {"columns": points}, "exclude": [{"a": 2}]}
     dataset = linksweep.run(document, tmp_path / "p.zarr", pool="serial")
-    assert points_where(dataset, parse_limit("k < 1e30"))["a"].values.tolist() == [1, 3]
+    found = json.loads(shown("find", str(tmp_path / "p.zarr"), "--where", "k < 1e30", "--json"))["rows"]
+    assert [row["a"] for row in found] == [1, 3]
     document = {"experiment": k, "axes": points, "exclude": [{"a": 2, "b": 5}]}
     dataset = linksweep.run(document, tmp_path / "g.zarr", pool="serial")
     assert np.isnan(linksweep.ratio(dataset, "k", "a", of=2, to=1)["ratio"].values).tolist() == [False, True, False]
@@ -105,11 +108,72 @@ def test_a_list_at_each_name_is_told(tmp_path):
         return [1.0 * len(town), 2.5]
 
     linksweep.run(curve, tmp_path / "s.zarr", axes={"town": ["a", "bb"]}, pool="serial")
-    (told,) = answers(linksweep.open(tmp_path / "s.zarr"))
-    assert "it goes from 1, at town=a" in told.sentences[0]
+    (sentence,) = linksweep.answer(linksweep.open(tmp_path / "s.zarr")).sentences
+    assert "it goes from 1, at town=a" in sentence
 
 
 def test_chosen_points_that_are_done_are_not_incomplete(store):
     done = linksweep.open(store).sel(a=[1, 2])
-    assert completeness(done) == []
-    assert completeness(linksweep.open(store)) != []
+    assert not linksweep.answer(done).sentences[0].startswith("Incomplete")
+    assert linksweep.answer(linksweep.open(store)).sentences[0].startswith("Incomplete")
+
+
+# Components
+
+NAMES = ["omega_x", "omega_y", "omega_z"]
+
+
+@pytest.fixture
+def masers():
+    """The twelve masers: the mean 1.05 hides 0.11, 1.59 and 0.89, of which two have a correlation of 0.999."""
+    sigma, correlation = np.array([0.11, 1.59, 0.89]), np.eye(3)
+    correlation[1, 2] = correlation[2, 1] = -0.999
+    pair = ("n_obj", "component", "component_other")
+    return xr.Dataset(
+        {
+            "sigma": (("n_obj", "component"), [sigma]),
+            "sigma_mc_error": (("n_obj", "component"), [0.01 * sigma]),
+            "correlation": (pair, [correlation]),
+            "condition_number": ("n_obj", [1999.0]),
+            "n_sim_done": ("n_obj", [1000]),
+            "status": ("n_obj", np.array([1], dtype=np.int8)),
+        },
+        {
+            "n_obj": [12],
+            "component": NAMES,
+            "component_other": NAMES,
+            "component_unit": ("component", ["mas / yr"] * 3),
+        },
+    )
+
+
+def test_each_component_and_the_largest_correlation_are_shown_in_80_columns(masers):
+    text = Result(masers).written("text")
+    assert [line.split() for line in text.splitlines() if line.startswith("omega_") and "yr" in line] == [
+        ["omega_x", "0.11", "mas/yr"],
+        ["omega_y", "1.59", "mas/yr"],
+        ["omega_z", "0.89", "mas/yr"],
+    ]
+    words = "sigma, n_obj=12: condition number 2e+03, largest correlation -0.999 (omega_y, omega_z)"
+    assert words in " ".join(text.split())
+    assert max(map(len, text.splitlines()[:4])) <= 80
+
+
+def test_a_bad_condition_is_warned_of_and_a_good_one_is_not(masers):
+    warned = "at 1 point the condition number is up to 2e+03"
+    assert warned in Result(masers).written("text")
+    assert warned not in Result(masers.assign(condition_number=("n_obj", [3.0]))).written("text")
+    assert "omega_x" not in Result(masers.drop_vars(["sigma_mc_error"])).written("text")
+
+
+# Units
+
+
+def test_a_component_has_the_unit_that_suits_it(store_of, sweep):
+    rows = [line.split() for line in sweep("show", store_of("quasars"), "--at", "model=gaia")[1].splitlines()]
+    stored = linksweep.open(store_of("quasars")).sel(model="gaia", v_max=14.0)
+    (row,) = [row for row in rows if row[:1] == ["14"]]
+    assert float(row[1]) == pytest.approx(1000.0 * stored["sigma_spin"].item(), rel=1e-2)
+    components = [row for row in rows if row[:1] == ["omega_x"]]
+    assert {row[2] for row in components} == {"uas/yr"}
+    assert float(components[0][1]) == pytest.approx(1000.0 * stored["sigma"].sel(component="omega_x").item(), rel=1e-2)
