@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal.windows import kaiser
 
-from linksweep.sweep.contract import Output, Parameter, SweepError
-from linksweep.sweep.functions.adapter import experiment, experiment_of
+from linksweep import Output, Parameter, SweepError, experiment, load_study, run
 
 
 def several(
@@ -28,21 +27,20 @@ def several(
 
 
 def test_name_type_default_unit_meaning_and_bounds():
-    found = {parameter.name: parameter for parameter in experiment_of(several).parameters}
-    kinds = {name: parameter.kind for name, parameter in found.items()}
-    assert kinds == {
+    study = load_study(f"{__file__}:several", axes=["beta=1,2"])
+    parameters = {parameter.name: parameter for parameter in study.experiment.parameters}
+    assert {name: parameter.kind for name, parameter in parameters.items()} == {
         **{"beta": "float", "n": "int", "solver": "str", "order": "int", "damped": "bool", "name": "str"},
         **{"shift": "float", "factor": "float", "anything": "any"},
     }  # options stays at its default
-    beta = found["beta"]
+    beta = parameters["beta"]
     assert (beta.required, beta.meaning, beta.unit, beta.above) == (True, "contact rate", "1/d", 0)
-    assert found["solver"].choices == ("RK45", "LSODA")
-    assert found["n"].default == 1000
-    assert found["order"].parse(2) == 2
-    for name, wrong in (("order", 3), ("order", True), ("solver", "RK"), ("beta", 0.0), ("n", 0.5), ("n", 2**63)):
-        with pytest.raises(ValueError, match=f"{name} = .*must be"):
-            found[name].parse(wrong)
-    assert found["n"].parse(2**53 + 1) == 2**53 + 1
+    assert (parameters["solver"].choices, parameters["n"].default) == (("RK45", "LSODA"), 1000)
+    study = load_study(f"{__file__}:several", ["order=2", f"n={2**53 + 1}", "shift=0.5", "factor=2"], ["beta=1"])
+    assert dict(study.fixed) == {"order": 2, "n": 2**53 + 1, "shift": 0.5, "factor": 2.0}
+    for name, wrong in (("order", "3"), ("order", "true"), ("solver", "RK"), ("n", "0.5"), ("n", 2**63), ("beta", "0")):
+        with pytest.raises(SweepError, match=f"{name} = .*must be"):
+            load_study(f"{__file__}:several", [f"{name}={wrong}"], [] if name == "beta" else ["beta=1"])
 
 
 class Thing:
@@ -61,64 +59,55 @@ def yielding(x: float):
     yield x
 
 
+def odd(x: list, y: complex):
+    return 1.0
+
+
 REFUSED = {
     "positional-only": (math.sin, "x is positional-only"),
     "any arguments": (lambda *args: 1, r"\*args is variadic"),
     "any names": (lambda **options: 1, r"\*\*options is variadic"),
-    "a ufunc": (np.hypot, "is a class, a NumPy ufunc"),
+    "a ufunc": (np.hypot, "a NumPy ufunc.*wrap it in a function"),
     "a builtin without a signature": (max, "its signature|is variadic"),
     "a class": (Thing, "is a class"),
     "a method of a class": (Thing.method, "is a method and takes self"),
     "async": (waiting, "async"),
     "a generator": (yielding, "a generator"),
+    "types": (odd, r"(?s)parameter x: the type list is none of float.*parameter y: the type complex"),
 }
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_what_cannot_be_swept_is_refused(what):
+def test_what_cannot_be_swept_is_refused(what, tmp_path):
     function, sentence = REFUSED[what]
     with pytest.raises(SweepError, match=sentence):
-        experiment_of(function)
+        run(function, tmp_path / "s.zarr", axes={"x": [1.0]})
+    assert not (tmp_path / "s.zarr").exists()
 
 
-def test_a_type_that_is_none_is_refused_by_name():
-    def wrong(x: list, y: complex, status: float = 1.0):
-        return 1.0
-
-    with pytest.raises(SweepError) as caught:
-        experiment_of(wrong)
-    text = str(caught.value)
-    assert "parameter x: the type list is none of float, int, bool, str or Literal" in text
-    assert "parameter y: the type complex" in text
+def drawn(x: float, *, rng):
+    return rng.normal(x)
 
 
-def test_an_argument_that_cannot_be_a_parameter_is_told_so_where_it_is_asked_for():
-    made = experiment_of(several)
-    with pytest.raises(
-        ValueError, match=r"^is in several of a type that is none of float, .*: it stays at its default$"
-    ):
-        made.parameter("options")
-    with pytest.raises(ValueError, match="unknown parameter 'optons'"):
-        made.parameter("optons")
+@pytest.mark.parametrize(
+    ("function", "name", "said"),
+    [
+        (several, "options", "is in several of a type that is none of float, .*: it stays at its default"),
+        (several, "optons", "unknown parameter 'optons'"),
+        (several, "n_sim", "unknown parameter 'n_sim'"),
+        (drawn, "n_sim", r"belongs to the sampling: sampling=\{'n_sim': \.\.\.\}"),
+    ],
+)
+def test_what_is_no_parameter_is_told_so_where_it_is_set(function, name, said, tmp_path):
+    axes = {"beta" if function is several else "x": [1.0]}
+    with pytest.raises(SweepError, match=rf"fixed\.{name}: {said}"):
+        run(function, tmp_path / "s.zarr", axes=axes, fixed={name: 1})
 
 
-def test_what_belongs_to_the_sampling_is_told_so():
-    def drawn(x: float, *, rng):
-        return rng.normal(x)
-
-    with pytest.raises(ValueError, match=r"^belongs to the sampling: sampling=\{'n_sim': \.\.\.\}"):
-        experiment_of(drawn).parameter("n_sim")
-    with pytest.raises(ValueError, match="unknown parameter 'n_sim'"):
-        experiment_of(several).parameter("n_sim")
-
-
-def test_methods_of_objects_partials_and_callable_objects_are_functions():
-    assert [p.name for p in experiment_of(Thing().method).parameters] == ["x"]
-    assert [p.name for p in experiment_of(Thing()).parameters] == ["x"]
-    part = functools.partial(several, beta=0.2)
-    found = {p.name: p for p in experiment_of(part).parameters}
-    assert found["beta"].default == 0.2
-    assert experiment_of(part).name == "several"
+@pytest.mark.parametrize("function", [Thing().method, Thing(), functools.partial(lambda y, x: x * y, 1.0)])
+def test_methods_of_objects_partials_and_callable_objects_are_functions(function, tmp_path):
+    ds = run(function, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]}, pool="serial")
+    assert [ds[name].values.tolist() for name in ds if "x" in ds[name].dims and name != "status"] == [[1.0, 2.0]]
 
 
 def test_all_mistakes_of_a_declaration_are_told_at_once():
@@ -151,17 +140,15 @@ def test_all_mistakes_of_a_declaration_are_told_at_once():
         assert sentence in text
 
 
-def test_a_decorated_function_stays_what_it_is():
+def test_a_declared_function_is_called_as_before_and_that_of_other_code_stays_as_it_is(tmp_path):
     @experiment(outputs=["y"])
     def double(x: float = 1.0):
         return {"y": 2.0 * x}
 
     assert double(3.0) == {"y": 6.0}
-
-
-def test_what_other_code_imports_stays_as_it_is_when_it_is_declared():
     declared = experiment(outputs=[Output("window", unit="m")])(kaiser)
     assert not hasattr(kaiser, "__linksweep__")
-    assert experiment_of(declared).declaration.outputs[0].unit == "m"
-    assert [parameter.name for parameter in experiment_of(declared).parameters][:2] == ["M", "beta"]
     assert np.array_equal(declared(5, 2.0), kaiser(5, 2.0))
+    ds = run(declared, tmp_path / "s.zarr", axes={"beta": [2.0]}, fixed={"M": 5}, pool="serial")
+    assert ds.window.units == "m"
+    assert np.array_equal(ds.window.values[0], kaiser(5, 2.0))

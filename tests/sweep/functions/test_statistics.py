@@ -1,41 +1,14 @@
 """Statistics of realisations: right numbers, errors of right coverage, the same bits however blocks are cut."""
 
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from linksweep.sweep.functions.results import Field
-from linksweep.sweep.functions.statistics import (
-    fewest_for,
-    merged,
-    moments_of,
-    quantile_of,
-    quantiles,
-    statistic,
-    unknown,
-)
-
-
-def made(values):
-    """The moments of values (n, size) from three blocks."""
-    parts = np.array_split(values, [len(values) // 5, len(values) // 2])
-    total, n = moments_of(parts[0]), len(parts[0])
-    for part in parts[1:]:
-        total = merged(total, float(n), moments_of(part), float(len(part)))
-        n += len(part)
-    return total
-
-
-def test_merged_moments_are_those_of_all_also_far_from_zero():
-    values = np.random.default_rng(1).exponential(1.0, (1000, 2)) + 1e8
-    mean, m2, m3, m4, low, high = made(values)
-    assert mean == pytest.approx(values.mean(axis=0), rel=1e-14)
-    assert m2 / 1000 == pytest.approx(values.var(axis=0), rel=1e-6)
-    assert m3 / 1000 == pytest.approx(stats.moment(values, 3), rel=1e-5)
-    assert m4 / 1000 == pytest.approx(stats.moment(values, 4), rel=1e-5)
-    assert low.tolist() == values.min(axis=0).tolist()
-    assert high.tolist() == values.max(axis=0).tolist()
-
+from linksweep import Output, experiment, run
+from tests.tiers import slow
 
 LAWS = {
     "normal": stats.norm(3.0, 1.0),
@@ -51,31 +24,41 @@ LAWS = {
 CLOSE = (0.935, 0.965)
 """The band of 95 +- 1.5 %, within two errors."""
 
+FEWEST = {"q5": 74, "q25": 14, "median": 6, "q75": 14, "q90": 35, "q95": 74, "q99": 388}
+"""The fewest realisations for which each quantile has an error."""
+
 
 def drawn(law, n, copies, seed=7):
     """Realisations (n, copies) of a law of SciPy, by its quantile function: the same whatever SciPy draws."""
     return law.ppf(np.random.default_rng([seed, n]).random((n, copies))).astype(float)
 
 
-def found(name, values, kind="float"):
-    """A statistic of many copies (n, copies) and its error, each (copies,)."""
-    if (level := quantile_of(name)) is not None:
-        return quantiles([level], values)[0]
-    moments = made(values) if len(values) > 9 else moments_of(values)
-    value, error = statistic(name, Field("w", kind), moments[None], np.array([float(len(values))]))
-    return value[0], error[0]
+def measured(values, *names):
+    """Statistics of realisations (n, copies), and their errors, as a run of a function that returns these makes them:
+    pairs of arrays (copies,); and the description of the last error.
+    """
+    done = [0]
+
+    @experiment(outputs=[Output("w", dims="copy", statistics=names)])
+    def f(rng, n_sim):
+        done[0] += n_sim
+        return values[done[0] - n_sim : done[0]]
+
+    with tempfile.TemporaryDirectory() as folder:
+        ds = run(f, Path(folder) / "s.zarr", sampling={"n_sim": len(values)}, pool="serial")
+    errors = [ds.get(f"w_{name}_mc_error") for name in names]
+    pairs = [(ds[f"w_{n}"].values, None if e is None else e.values) for n, e in zip(names, errors, strict=True)]
+    return *pairs, "" if errors[-1] is None else errors[-1].attrs.get("description", "")
+
+
+def one(name, values):
+    return measured(values, name)[0]
 
 
 def truth(law, name):
-    return law.mean() if name == "mean" else law.std() if name == "std" else law.ppf(quantile_of(name))
-
-
-def covered(name, law, values):
-    """The share of copies whose error is known, and of these the share with the truth within two errors."""
-    value, error = found(name, values)
-    known = np.isfinite(error)
-    inside = np.abs(value - truth(law, name)) <= 2.0 * error
-    return known.mean(), inside.sum() / max(1, known.sum())
+    if name in ("mean", "std"):
+        return getattr(law, name)()
+    return law.ppf(0.5 if name == "median" else float(name[1:]) / 100.0)
 
 
 def slack(copies):
@@ -83,153 +66,163 @@ def slack(copies):
     return 3.0 * np.sqrt(0.05 * 0.95 / copies)
 
 
+def check_coverage(law, n, copies, names):
+    *found, _ = measured(drawn(LAWS[law], n, copies), *names)
+    for name, (value, error) in zip(names, found, strict=True):
+        known = np.isfinite(error)
+        if n < FEWEST.get(name, 50):
+            assert not known.any()
+        elif name in ("mean", "std") or law != "Poisson" or n == 50:  # many have few different values at a quantile
+            inside = np.abs(value - truth(LAWS[law], name)) <= 2.0 * error
+            assert known.mean() > 0.95
+            assert CLOSE[0] - slack(copies) < inside.sum() / known.sum() < CLOSE[1] + slack(copies), name
+
+
 @pytest.mark.parametrize("law", ["normal", "exponential", "lognormal"])
-@pytest.mark.parametrize("name", ["mean", "std", "median", "q90"])
-def test_errors_of_fifty_realisations_hold_the_truth_95_times_of_100(law, name):
-    known, share = covered(name, LAWS[law], drawn(LAWS[law], 50, 2000))
-    assert known > 0.95
-    assert CLOSE[0] - slack(2000) < share < CLOSE[1] + slack(2000)
+def test_errors_of_fifty_realisations_hold_the_truth_95_times_of_100(law):
+    check_coverage(law, 50, 2000, ["mean", "std", "median", "q90"])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [50, 100, 400, 2000])
 @pytest.mark.parametrize("law", LAWS)
 def test_errors_hold_the_truth_95_times_of_100(law, n):
-    copies = 6000 if n < 2000 else 2000
-    values = drawn(LAWS[law], n, copies)
-    for name in ("mean", "std", "q5", "q25", "median", "q90", "q95", "q99"):
-        known, share = covered(name, LAWS[law], values)
-        level = quantile_of(name)
-        if level is not None and n < fewest_for(level):
-            assert known == 0.0
-        elif level is None or law != "Poisson" or n == 50:  # many of them have few different values at a quantile
-            assert known > 0.95
-            assert CLOSE[0] - slack(copies) < share < CLOSE[1] + slack(copies), name
+    check_coverage(law, n, 6000 if n < 2000 else 2000, ["mean", "std", *FEWEST])
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [50, 100, 400, 2000])
-def test_pulls_scatter_by_one(n):
+@pytest.mark.parametrize(
+    ("law", "least", "most"), [("normal", 0.9, 1.1), ("exponential", 0.7, 1.4), ("lognormal", 0.7, 1.4)]
+)
+def test_pulls_scatter_by_one(n, law, least, most):
     """Of a skewed law less: an error on one side of the truth must reach it too."""
-    for name, law, least, most in (
-        *[(name, "normal", 0.9, 1.1) for name in ("mean", "std", "median", "q90")],
-        *[(name, law, 0.7, 1.4) for name in ("mean", "std", "median", "q90") for law in ("exponential", "lognormal")],
-    ):
-        value, error = found(name, drawn(LAWS[law], n, 2000))
+    names = ("mean", "std", "median", "q90")
+    *found, _ = measured(drawn(LAWS[law], n, 2000), *names)
+    for name, (value, error) in zip(names, found, strict=True):
         pulls = ((value - truth(LAWS[law], name)) / error)[np.isfinite(error)]
-        assert least < np.sqrt(np.mean(pulls**2)) < most, (name, law)
+        assert least < np.sqrt(np.mean(pulls**2)) < most, name
 
 
-def moments_of_two(low, high, n):
-    """The moments of every number of the higher of two values among n, (1, MOMENTS, n + 1), with these numbers."""
-    highs = np.arange(n + 1)
-    values = np.where(np.arange(n)[:, None] < highs, high, low).astype(float)
-    return moments_of(values)[None], highs
+def two_values(low, high, n):
+    """Realisations (n, n + 1) with every number of the higher of two values."""
+    return np.where(np.arange(n)[:, None] < np.arange(n + 1), high, low)
 
 
 @pytest.mark.parametrize("kind", ["bool", "float"])
-@pytest.mark.parametrize("n", [50, 100, 400, 2000])
-@pytest.mark.parametrize("chance", [0.5, 0.4, 0.3, 0.25, 0.2])
-def test_errors_of_a_law_of_two_values_hold_the_truth_exactly_as_often(kind, n, chance):
+@pytest.mark.parametrize("n", [50, 100, slow(400)])
+def test_errors_of_a_law_of_two_values_hold_the_truth_exactly_as_often(kind, n):
     """No simulation: each number of the higher value has its binomial probability."""
-    low, high = (0.0, 1.0) if kind == "bool" else (-3.0, 5.0)
-    moments, highs = moments_of_two(low, high, n)
-    likely = stats.binom.pmf(highs, n, chance)
-    for name, is_ in (("mean", low + (high - low) * chance), ("std", (high - low) * np.sqrt(chance * (1.0 - chance)))):
-        value, error = (part[0] for part in statistic(name, Field("w", kind), moments, np.array([float(n)])))
-        inside = np.abs(value - is_) <= 2.0 * error
-        share = likely[inside].sum() / likely[np.isfinite(error)].sum()
-        least, most = CLOSE[0] - 0.001, CLOSE[1] + 0.004  # steps of one realisation are up to 3 % of the copies
-        assert least < share < (most if name == "mean" or chance <= 0.3 else 1.01), name
-        if kind == "bool":
-            count, of_count = (p[0] for p in statistic("count", Field("w", kind), moments, np.array([float(n)])))
-            assert count.tolist() == highs.tolist()
-            if name == "mean":
-                np.testing.assert_allclose(of_count, n * error, rtol=1e-12)
+    low, high = (False, True) if kind == "bool" else (-3.0, 5.0)
+    names = ("mean", "std", "count") if kind == "bool" else ("mean", "std")
+    *found, _ = measured(two_values(low, high, n), *names)
+    (mean, of_mean), (std, of_std), *counts = found
+    for chance in (0.5, 0.4, 0.3, 0.25, 0.2):
+        likely = stats.binom.pmf(np.arange(n + 1), n, chance)
+        spread = (high - low) * np.sqrt(chance * (1.0 - chance))
+        for value, error, is_, most in (
+            (mean, of_mean, low + (high - low) * chance, CLOSE[1] + 0.004),
+            (std, of_std, spread, CLOSE[1] + 0.004 if chance <= 0.3 else 1.01),
+        ):  # steps of one realisation are up to 3 % of the copies
+            inside = np.abs(value - is_) <= 2.0 * error
+            assert CLOSE[0] - 0.001 < likely[inside].sum() / likely[np.isfinite(error)].sum() < most
+    for count, of_count in counts:
+        assert count.tolist() == list(range(n + 1))
+        np.testing.assert_allclose(of_count, n * of_mean, rtol=1e-12)
 
 
-@pytest.mark.parametrize("highs", [1, 20, 45, 50, 55, 99])
-def test_the_error_of_the_spread_of_two_values_is_made_of_the_interval_of_their_share(highs):
+def test_the_error_of_the_spread_of_two_values_is_made_of_the_interval_of_their_share():
     n = 100
-    moments, _ = moments_of_two(0.0, 1.0, n)
-    value, error = (part[0, highs] for part in statistic("std", Field("w", "bool"), moments, np.array([float(n)])))
-    share, likely = highs / n, (highs + 2) / (n + 4)
-    of_share = np.sqrt(likely * (1.0 - likely) / n)
-    between = np.linspace(max(0.0, share - 2.0 * of_share), min(1.0, share + 2.0 * of_share), 100_001)
-    spreads = np.sqrt(between * (1.0 - between))
-    expected = np.sqrt(((spreads.max() - value) ** 2 + (value - spreads.min()) ** 2) / 8.0)
-    assert value == pytest.approx(np.sqrt(share * (1.0 - share) * n / (n - 1)), rel=1e-12)
-    assert error == pytest.approx(expected, rel=1e-6)
+    value, error = one("std", two_values(False, True, n))
+    for highs in (1, 20, 45, 50, 55, 99):
+        share, likely = highs / n, (highs + 2) / (n + 4)
+        of_share = np.sqrt(likely * (1.0 - likely) / n)
+        between = np.linspace(max(0.0, share - 2.0 * of_share), min(1.0, share + 2.0 * of_share), 100_001)
+        spreads = np.sqrt(between * (1.0 - between))
+        expected = np.sqrt(((spreads.max() - value[highs]) ** 2 + (value[highs] - spreads.min()) ** 2) / 8.0)
+        assert value[highs] == pytest.approx(np.sqrt(share * (1.0 - share) * n / (n - 1)), rel=1e-12)
+        assert error[highs] == pytest.approx(expected, rel=1e-6)
 
 
 def test_rare_truth_values_have_an_error_and_alike_numbers_have_none_that_is_known():
     """None of 50 happened, and the chance is 5 %: an error of 0 would be wrong 1 of 13 times."""
-    moments, _ = moments_of_two(0.0, 1.0, 50)
-    value, error = statistic("mean", Field("w", "bool"), moments, np.array([50.0]))
-    assert value[0, 0] == 0.0
-    assert value[0, 0] + 2.0 * error[0, 0] > 0.05
-    for name in ("mean", "std"):
-        for constant in (0.0, 0.1, 1e8, -7.0):
-            alike, error = found(name, np.full((50, 1), constant))
-            assert alike[0] == pytest.approx(constant if name == "mean" else 0.0, abs=1e-7)
-            assert np.isnan(error[0])
-        values = np.full((50, 1), 0.25)
-        values[17] = 9.0  # one that is different says how large others may be, but not how many there are
-        assert np.isnan(found(name, values)[1][0])
-        values[3:5] = 9.0
-        assert found(name, values)[1][0] > 0.0
+    value, error = one("mean", two_values(False, True, 50))
+    assert value[0] == 0.0
+    assert value[0] + 2.0 * error[0] > 0.05
+    constants = [0.0, 0.1, 1e8, -7.0]
+    values = np.full((50, 6), [*constants, 0.25, 0.25])
+    values[17, 4] = 9.0  # one that is different says how large others may be, but not how many there are
+    values[3:6, 5] = 9.0
+    (mean, of_mean), (std, of_std), _ = measured(values, "mean", "std")
+    assert mean[:4] == pytest.approx(constants, abs=1e-7)
+    assert std[:4] == pytest.approx(0.0, abs=1e-7)
+    for error in (of_mean, of_std):
+        assert np.isfinite(error).tolist() == [False] * 5 + [True]
+        assert error[5] > 0.0
 
 
 @pytest.mark.parametrize(("name", "fewest"), [("mean", 5), ("std", 50), ("median", 6), ("q95", 74), ("q99.9", 3782)])
 def test_the_fewest_realisations_that_have_an_error(name, fewest):
     values = drawn(LAWS["normal"], fewest, 2)
-    assert np.isfinite(found(name, values)[1]).all()
-    assert np.isnan(found(name, values[1:])[1]).all()
-    assert np.isfinite(found(name, values[1:])[0]).all()
-    assert str(fewest) in unknown(name, Field("w", "float"))
-
-
-@pytest.mark.parametrize("name", ["median", "q75", "q90", "q95"])
-def test_a_quantile_between_few_values_has_no_error(name):
-    """The differences from the truth are whole numbers then: no error has them inside 95 times of 100."""
-    for law in (stats.bernoulli(0.3), stats.randint(1, 7), stats.poisson(1.0)):
-        _, error = found(name, drawn(law, 400, 500))
-        assert np.isnan(error).mean() > 0.99
-    _, error = found(name, drawn(LAWS["normal"], 400, 500).round(2))
+    (_, error), said = measured(values, name)
     assert np.isfinite(error).all()
+    assert str(fewest) in said
+    value, error = one(name, values[1:])
+    assert np.isnan(error).all()
+    assert np.isfinite(value).all()
+
+
+def test_a_quantile_between_few_values_has_no_error():
+    """The differences from the truth are whole numbers then: no error has them inside 95 times of 100."""
+    names = ("median", "q75", "q90", "q95")
+    for law in (stats.bernoulli(0.3), stats.randint(1, 7), stats.poisson(1.0)):
+        *found, _ = measured(drawn(law, 400, 500), *names)
+        assert all(np.isnan(error).mean() > 0.99 for _, error in found)
+    *found, _ = measured(drawn(LAWS["normal"], 400, 500).round(2), *names)
+    assert all(np.isfinite(error).all() for _, error in found)
 
 
 def test_a_quantiles_error_is_made_of_the_order_statistics_at_two_sigma():
     """Against SciPy's binomial: the limits are between the two that leave less and more than the tail outside."""
     n, level, tail = 400, 0.9, stats.norm.sf(2.0)
     values = np.sort(drawn(LAWS["exponential"], n, 1), axis=0)
-    value, error = found("q90", values)
+    value, error = one("q90", values)
     last = int(stats.binom.isf(tail, n, level))
     first = int(stats.binom.ppf(tail, n, level)) - 1  # 0 is the least of them
-    inner = np.array([values[first + 1, 0], values[last - 1, 0]])
-    outer = np.array([values[first, 0], values[last, 0]])
-    least, most = (np.sqrt(np.mean((ends - value[0]) ** 2)) / 2.0 for ends in (inner, outer))
+    ends = (values[first + 1, 0], values[last - 1, 0]), (values[first, 0], values[last, 0])
+    least, most = (np.sqrt(np.mean((np.array(pair) - value[0]) ** 2)) / 2.0 for pair in ends)
     assert least <= error[0] <= most
-    other_way = found("q10", -values)
-    assert other_way[1][0] == pytest.approx(error[0], rel=1e-12)
-    scaled = found("q90", 5.0 * values + 2.0)
-    assert scaled[1][0] == pytest.approx(5.0 * error[0], rel=1e-12)
+    assert one("q10", -values)[1][0] == pytest.approx(error[0], rel=1e-12)
+    assert one("q90", 5.0 * values + 2.0)[1][0] == pytest.approx(5.0 * error[0], rel=1e-12)
 
 
-@pytest.mark.parametrize("name", ["mean", "std"])
-def test_errors_do_not_depend_on_unit_origin_or_blocks(name):
-    values = drawn(LAWS["gamma"], 300, 5)
-    _, error = found(name, values)
-    assert found(name, 1e-6 * values)[1] == pytest.approx(1e-6 * error, rel=1e-9)
-    assert found(name, values - 40.0)[1] == pytest.approx(error, rel=1e-9)
-    once = statistic(name, Field("w", "float"), moments_of(values)[None], np.array([300.0]))[1][0]
-    assert once == pytest.approx(error, rel=1e-9)
+def test_errors_do_not_depend_on_unit_origin_or_blocks():
+    values = drawn(LAWS["gamma"], 1300, 5)  # three blocks
+    names = ("mean", "std")
+    *found, _ = measured(values, *names)
+    *small, _ = measured(1e-6 * values, *names)
+    *far, _ = measured(values - 40.0, *names)
+    *other_order, _ = measured(values[::-1], *names)
+    for (_, error), (_, scaled), (_, moved), (_, turned) in zip(found, small, far, other_order, strict=True):
+        assert scaled == pytest.approx(1e-6 * error, rel=1e-9)
+        assert moved == pytest.approx(error, rel=1e-9)
+        assert turned == pytest.approx(error, rel=1e-9)
+
+
+def test_numbers_of_several_blocks_are_those_of_numpy_also_far_from_zero():
+    values = np.random.default_rng(1).exponential(1.0, (1300, 2)) + 1e8
+    (mean, _), (std, of_std), (low, _), (high, none), _ = measured(values, "mean", "std", "min", "max")
+    assert mean == pytest.approx(values.mean(axis=0), rel=1e-14)
+    assert std == pytest.approx(values.std(axis=0, ddof=1), rel=1e-6)
+    assert of_std == pytest.approx(one("std", values - 1e8)[1], rel=1e-5)  # from the third and fourth moments
+    assert (low.tolist(), high.tolist(), none) == (values.min(axis=0).tolist(), values.max(axis=0).tolist(), None)
+    assert np.isnan(one("std", values[:1])[0]).all()
 
 
 @pytest.mark.parametrize("n", [5, 6, 8, 12])
 def test_means_of_few_normal_realisations_have_errors_as_of_students_t(n):
     """The scatter of (mean - truth)/error is that of t with n - 1 degrees of freedom, scaled to variance one."""
-    value, error = found("mean", drawn(LAWS["normal"], n, 20_000))
+    value, error = one("mean", drawn(LAWS["normal"], n, 20_000))
     dof = n - 1.0
     expected = 1.0 - 2.0 * stats.t.sf(2.0 * np.sqrt(dof / (dof - 2.0)), dof)
     known = np.isfinite(error)
@@ -237,13 +230,7 @@ def test_means_of_few_normal_realisations_have_errors_as_of_students_t(n):
     assert np.mean(np.abs(value - 3.0)[known] <= 2.0 * error[known]) == pytest.approx(expected, abs=0.02)
     values = np.concatenate([np.arange(n) - 7.0, 7.0 - np.arange(n)])[:, None]  # without a skew
     expected = np.std(values, ddof=1) / np.sqrt(2 * n) * np.sqrt((2 * n - 1) / (2 * n - 3))
-    assert found("mean", values)[1][0] == pytest.approx(expected, rel=1e-12)
-
-
-def test_a_standard_deviation_is_that_of_numpy_and_of_one_realisation_there_is_none():
-    values = drawn(LAWS["gamma"], 37, 4)
-    assert found("std", values)[0] == pytest.approx(np.std(values, axis=0, ddof=1), rel=1e-12)
-    assert np.isnan(found("std", values[:1])[0]).all()
+    assert one("mean", values)[1][0] == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_error_of_a_standard_deviation_is_made_of_the_unbiased_kurtosis():
@@ -253,27 +240,17 @@ def test_the_error_of_a_standard_deviation_is_made_of_the_unbiased_kurtosis():
     kurtosis = stats.kurtosis(values[:, 0], bias=False)
     plain = (kurtosis + 2.0 + 2.0 / 59.0) / 240.0
     enlarged = plain * np.exp(np.clip((8.0 * kurtosis + 3.3 * kurtosis**2) / 60.0, -0.5, 3.0))
-    value, error = found("std", values)
+    value, error = one("std", values)
     assert error[0] == pytest.approx(value[0] * np.sqrt(enlarged), rel=1e-9)
-    for law in (LAWS["uniform"], LAWS["normal"], LAWS["Laplace"]):
-        values = drawn(law, 50_000, 1)
-        value, error = found("std", values)
-        expected = value[0] * np.sqrt((stats.kurtosis(values[:, 0], bias=False) + 2.0) / 200_000.0)
-        assert error[0] == pytest.approx(expected, rel=5e-3)
+    values = np.concatenate([drawn(LAWS[law], 50_000, 1) for law in ("uniform", "normal", "Laplace")], axis=1)
+    value, error = one("std", values)
+    expected = value * np.sqrt((stats.kurtosis(values, bias=False) + 2.0) / 200_000.0)
+    assert error == pytest.approx(expected, rel=5e-3)
 
 
 def test_errors_of_many_realisations_are_those_of_the_central_limit():
     n = 400_000
-    values = drawn(LAWS["normal"], n, 1)
     expected = {"mean": 1.0, "std": np.sqrt(0.5), "median": np.sqrt(np.pi / 2.0)}
-    for name, scale in expected.items():
-        assert found(name, values)[1][0] == pytest.approx(scale / np.sqrt(n), rel=0.06)
-
-
-def test_extremes_have_no_error_and_rare_quantiles_none_that_is_known():
-    values = np.random.default_rng(3).normal(size=(20, 1))
-    value, error = statistic("max", Field("w", "float"), moments_of(values)[None], np.array([20.0]))
-    assert (value.item(), error) == (values.max(), None)
-    (found,) = quantiles([0.99], values)
-    assert np.isfinite(found[0]).all()
-    assert np.isnan(found[1]).all()
+    *found, _ = measured(drawn(LAWS["normal"], n, 1), *expected)
+    for (_, error), scale in zip(found, expected.values(), strict=True):
+        assert error[0] == pytest.approx(scale / np.sqrt(n), rel=0.06)
