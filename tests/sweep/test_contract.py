@@ -195,7 +195,7 @@ def test_a_result_that_is_not_what_is_declared_fails_its_point_by_name(case, tmp
     assert np.isnan(dataset["mean"]).all()
     failures = json.loads(dataset.attrs["failures"])
     assert all(sentence in message for message in failures.values())
-    assert "3 points failed: 3 x " in err
+    assert "3 points failed" in err
     assert ", for example at kind=1" in err
     code, _, _ = sweep("run", "--retry", "s.zarr", cwd=tmp_path)
     assert code == 1  # and is not taken for done because its blocks are in the ledger
