@@ -1,14 +1,14 @@
 """Unknowns that are solved for together, in blocks: each block knows its labels, units and derivatives.
 
 The derivatives are those of the five parameters (alpha*, dec, parallax, pmra, pmdec) of a source, reference -
-satellite.  A line like ``orientation,spin,glide,vsh_motion:3`` names blocks; a new one is a class and its entry in
-`KNOWN`.
+satellite.  A line like ``orientation,spin,glide,vsh_motion:3`` names blocks; a new one is a function for its
+derivatives and its entry in `KNOWN`.
 """
 
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -43,150 +43,117 @@ class Objects:
         return triad(self.ra, self.dec)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Block:
     """A few unknowns that belong together.
 
     ``name`` is the name of the block, ``labels`` are those of its unknowns, and ``rows`` the parameters that they act
     on.  A ``rate`` is per year: it moves the position of a source whose epoch is not that of the unknowns.
+    ``derivatives`` are those of the parameters by the unknowns: a function of objects, whose result has the shape (k,
+    len(rows), N).
     """
 
     name: str
     labels: tuple[str, ...]
     rows: tuple[int, ...]
     rate: bool
+    derivatives: Callable[[Objects], Array]
 
-    def derivatives(self, objects: Objects) -> Array:
-        """Return the derivatives of the parameters ``rows``; shape (k, len(rows), N)."""
-        raise NotImplementedError
+
+def rotation(objects: Objects) -> Array:
+    """Return the derivatives of positions or motions by a rotation, q and -p; shape (3, 2, N)."""
+    return np.stack([objects.triad.q, -objects.triad.p], axis=1)
+
+
+def flow(objects: Objects) -> Array:
+    """Return those by a flow towards a point of the sky, p and q; shape (3, 2, N)."""
+    return np.stack([objects.triad.p, objects.triad.q], axis=1)
+
+
+def turn(objects: Objects) -> Array:
+    """Return those of positions and motions by a rotation of positions, which turns the axes of motions too: q, -p, and
+    the terms A21 -pmdec eta and pmra eta with eta = (cos ra, sin ra, 0)/cos dec; shape (3, 4, N).
+    """
+    p, q, _ = objects.triad
+    require_off_poles(objects.dec, q[2])  # eta grows as 1/cos dec
+    eta_x, eta_y = p[1] / q[2], -p[0] / q[2]
+    values = np.zeros((3, 4, *np.shape(objects.ra)))
+    values[:, 0], values[:, 1] = q, -p
+    values[0, 2], values[1, 2] = -objects.pmdec * eta_x, -objects.pmdec * eta_y
+    values[0, 3], values[1, 3] = objects.pmra * eta_x, objects.pmra * eta_y
+    return values
+
+
+def constant(objects: Objects) -> Array:
+    """Return those of a parameter by a constant in it; shape (1, 1, N)."""
+    return np.ones((1, 1, len(objects.ra)))
 
 
 def _xyz(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_{axis}" for axis in "xyz")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Orientation(Block):
-    """The rotation epsilon: d alpha* = q.eps, d dec = -p.eps and, acting on motions too, the terms A21 in these."""
-
-    name: str = "orientation"
-    labels: tuple[str, ...] = _xyz("epsilon")
-    rows: tuple[int, ...] = (*POSITION, *MOTION)
-    rate: bool = False
-
-    def derivatives(self, objects: Objects) -> Array:
-        """Return q, -p, -pmdec eta and pmra eta with eta = (cos ra, sin ra, 0)/cos dec; shape (3, 4 or 2, N)."""
-        p, q, _ = objects.triad
-        values = np.zeros((3, len(self.rows), *np.shape(objects.ra)))
-        values[:, 0], values[:, 1] = q, -p
-        if PMRA in self.rows:
-            require_off_poles(objects.dec, q[2])  # eta grows as 1/cos dec
-            eta_x, eta_y = p[1] / q[2], -p[0] / q[2]
-            values[0, 2], values[1, 2] = -objects.pmdec * eta_x, -objects.pmdec * eta_y
-            values[0, 3], values[1, 3] = objects.pmra * eta_x, objects.pmra * eta_y
-        return values
+def spin_block() -> Block:
+    """Return the spin: the motions, reference - satellite, are those of a rotation."""
+    return Block("spin", _xyz("omega"), MOTION, True, rotation)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rotation(Block):
-    """A rotation of positions or motions: q and -p.  The spin is that of motions."""
-
-    name: str = "spin"
-    labels: tuple[str, ...] = _xyz("omega")
-    rows: tuple[int, ...] = MOTION
-    rate: bool = True
-
-    def derivatives(self, objects: Objects) -> Array:
-        """Return q and -p; shape (3, 2, N)."""
-        return np.stack([objects.triad.q, -objects.triad.p], axis=1)
+def glide_block() -> Block:
+    """Return the glide of the motions."""
+    return Block("glide", _xyz("glide"), MOTION, True, flow)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Glide(Block):
-    """A flow towards a point of the sky: p and q, in the motions or the positions."""
-
-    name: str = "glide"
-    labels: tuple[str, ...] = _xyz("glide")
-    rows: tuple[int, ...] = MOTION
-    rate: bool = True
-
-    def derivatives(self, objects: Objects) -> Array:
-        """Return p and q; shape (3, 2, N)."""
-        return np.stack([objects.triad.p, objects.triad.q], axis=1)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ParallaxZeroPoint(Block):
-    """One constant in all parallaxes, reference - satellite."""
-
-    name: str = "parallax"
-    labels: tuple[str, ...] = ("parallax_zero_point",)
-    rows: tuple[int, ...] = (PARALLAX,)
-    rate: bool = False
-
-    def derivatives(self, objects: Objects) -> Array:
-        """Return ones; shape (1, 1, N)."""
-        return np.ones((1, 1, len(objects.ra)))
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Harmonics(Block):
     """Vector spherical harmonics of given kinds and degrees, in the positions or the motions."""
 
     parts: tuple[tuple[Kind, int], ...]
 
-    def derivatives(self, objects: Objects) -> Array:
-        """Return the fields of all terms; shape (k, 2, N)."""
-        values = np.empty((len(self.labels), 2, len(objects.ra)))
-        ends = np.cumsum([2 * degree + 1 for _, degree in self.parts]).tolist()
-        place = dict(zip(self.parts, np.split(values, ends[:-1]), strict=True))
-        # without the toroidal field, the spheroidal one is turned in place
-        fields = {degree: place.get(("t", degree), place[kind, degree]) for kind, degree in self.parts}
-        fill_toroidal(fields, objects.ra, objects.dec)
-        for kind, degree in self.parts:
-            if kind == "s":
-                turned(fields[degree], out=place[kind, degree])
-        return values
+
+def _fields(parts: tuple[tuple[Kind, int], ...], objects: Objects) -> Array:
+    """Return the fields of all terms of some kinds and degrees; shape (k, 2, N)."""
+    ends = np.cumsum([2 * degree + 1 for _, degree in parts]).tolist()
+    values = np.empty((ends[-1], 2, len(objects.ra)))
+    place = dict(zip(parts, np.split(values, ends[:-1]), strict=True))
+    # without the toroidal field, the spheroidal one is turned in place
+    fields = {degree: place.get(("t", degree), place[kind, degree]) for kind, degree in parts}
+    fill_toroidal(fields, objects.ra, objects.dec)
+    for kind, degree in parts:
+        if kind == "s":
+            turned(fields[degree], out=place[kind, degree])
+    return values
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SpinByBin(Block):
-    """A spin for each bin of a column, with the lowest and the highest bin open; labels like omega_x[6,8)."""
+    """A spin for each of some bins of a column, with the lowest and the highest bin open; labels like omega_x[6,8)."""
 
     column: str
     edges: tuple[float, ...]
     used: tuple[int, ...]
-    name: str = "spin"
-    labels: tuple[str, ...] = field(init=False)
-    rows: tuple[int, ...] = MOTION
-    rate: bool = True
-
-    def __post_init__(self) -> None:
-        labels = (f"{label}[{low:g},{high:g})" for low, high in self.bins for label in Rotation().labels)
-        object.__setattr__(self, "labels", tuple(labels))
 
     @property
     def bins(self) -> tuple[tuple[float, float], ...]:
-        """The limits of the bins that have sources."""
-        limits = (-np.inf, *self.edges, np.inf)
-        return tuple((limits[b], limits[b + 1]) for b in self.used)
-
-    def derivatives(self, objects: Objects) -> Array:
-        """Return q and -p in the bin of each source, zero in the others; shape (3 bins, 2, N)."""
-        spin = Rotation().derivatives(objects)
-        bin_of = np.searchsorted(self.edges, objects.columns[self.column], side="right")
-        return np.concatenate([np.where(bin_of == b, spin, 0.0) for b in self.used])
+        """The limits of the bins that are used."""
+        return _limits(self.edges, self.used)
 
 
-@dataclass(frozen=True, kw_only=True)
-class OfMission(Block):
-    """A block of the frame of a further mission, whose five parameters follow those of the frames before it."""
+def spin_by_bin(column: str, edges: tuple[float, ...], used: tuple[int, ...]) -> SpinByBin:
+    """Return the spins of some of the bins that edges make."""
+    labels = (f"{label}[{low:g},{high:g})" for low, high in _limits(edges, used) for label in spin_block().labels)
+    derivatives = partial(_in_bins, column, edges, used)
+    return SpinByBin("spin", tuple(labels), MOTION, True, derivatives, column, edges, used)
 
-    block: Block
 
-    def derivatives(self, objects: Objects) -> Array:
-        """Return the derivatives of the block; shape (k, len(rows), N)."""
-        return self.block.derivatives(objects)
+def _limits(edges: tuple[float, ...], used: tuple[int, ...]) -> tuple[tuple[float, float], ...]:
+    limits = (-np.inf, *edges, np.inf)
+    return tuple((limits[b], limits[b + 1]) for b in used)
+
+
+def _in_bins(column: str, edges: tuple[float, ...], used: tuple[int, ...], objects: Objects) -> Array:
+    """Return q and -p in the bin of each source, zero in the others; shape (3 bins, 2, N)."""
+    bin_of = np.searchsorted(edges, objects.columns[column], side="right")
+    return np.concatenate([np.where(bin_of == b, rotation(objects), 0.0) for b in used])
 
 
 @dataclass(frozen=True)
@@ -265,7 +232,7 @@ class Unknowns:
         return matrix
 
 
-def link_unknowns(glide: bool = False, corrections: bool = True) -> Unknowns:
+def link_unknowns(with_glide: bool = False, corrections: bool = True) -> Unknowns:
     """Return the unknowns of the simulated link: orientation (rad), spin (rad/yr), and the glide (rad/yr) on request.
 
     The observables are ``d alpha* = q.eps``, ``d dec = -p.eps``, ``d pmra = -pmdec eta.eps + q.omega`` and ``d pmdec =
@@ -274,15 +241,16 @@ def link_unknowns(glide: bool = False, corrections: bool = True) -> Unknowns:
     (Metz & Geffert 2004, Eqs. 11-13).  ``corrections=False`` drops these terms; the glide g adds ``d pmra = p.g`` and
     ``d pmdec = q.g``.
     """
-    orientation = Orientation() if corrections else Orientation(rows=POSITION)
-    return Unknowns((orientation, Rotation(), *([Glide()] if glide else [])))
+    rows, derivatives = ((*POSITION, *MOTION), turn) if corrections else (POSITION, rotation)
+    orientation = Block("orientation", _xyz("epsilon"), rows, False, derivatives)
+    return Unknowns((orientation, spin_block(), *([glide_block()] if with_glide else [])))
 
 
 LABELS = link_unknowns().labels
 """The unknowns that are always solved for, in their order."""
-GLIDE_LABELS = Glide().labels
+GLIDE_LABELS = glide_block().labels
 ALWAYS = slice(0, len(LABELS))
-ORIENTATION, SPIN, GLIDE = (link_unknowns(glide=True).part(name) for name in link_unknowns(glide=True).names)
+ORIENTATION, SPIN, GLIDE = (link_unknowns(with_glide=True).part(name) for name in link_unknowns(with_glide=True).names)
 """Where the blocks stand among the unknowns."""
 
 
@@ -304,12 +272,10 @@ class Asked(NamedTuple):
 
 KNOWN: dict[str, Callable[[Asked], Block]] = {
     "orientation": lambda asked: link_unknowns(corrections=asked.corrections).blocks[0],
-    "position_glide": lambda asked: Glide(
-        name="position_glide", labels=_xyz("position_glide"), rows=POSITION, rate=False
-    ),
-    "spin": lambda asked: Rotation() if asked.bins is None else _spin_by_bin(*asked.bins, asked.columns),
-    "glide": lambda asked: Glide(),
-    "parallax": lambda asked: ParallaxZeroPoint(),
+    "position_glide": lambda asked: Block("position_glide", _xyz("position_glide"), POSITION, False, flow),
+    "spin": lambda asked: spin_block() if asked.bins is None else _spin_by_bin(*asked.bins, asked.columns),
+    "glide": lambda asked: glide_block(),
+    "parallax": lambda asked: Block("parallax", ("parallax_zero_point",), (PARALLAX,), False, constant),
     "vsh_position:L": lambda asked: _harmonics(asked, "orientation", "position_glide", POSITION),
     "vsh_motion:L": lambda asked: _harmonics(asked, "spin", "glide", MOTION),
 }
@@ -342,9 +308,7 @@ def parse_unknowns(
         for block in _blocks(inside, None, {}, corrections):
             labels = tuple(f"{mission}:{label}" for label in block.labels)
             rows = tuple(len(PARAMETERS) * number + row for row in block.rows)
-            blocks.append(
-                OfMission(name=f"{mission}:{block.name}", labels=labels, rows=rows, rate=block.rate, block=block)
-            )
+            blocks.append(Block(f"{mission}:{block.name}", labels, rows, block.rate, block.derivatives))
     if bins is not None and not any(isinstance(block, SpinByBin) for block in blocks):
         raise ValueError("bins divide the spin, which is not among the unknowns")
     return Unknowns(tuple(blocks))
@@ -387,7 +351,7 @@ def _harmonics(asked: Asked, rotation: str, glide: str, rows: tuple[int, ...]) -
     if not parts:
         raise ValueError(f"unknowns {asked.written!r}: {rotation} and {glide} are these already")
     labels = tuple(f"{asked.name}_{term.label}" for kind, degree in parts for term in terms(kind, degree))
-    return Harmonics(name=asked.name, labels=labels, rows=rows, rate=rows == MOTION, parts=parts)
+    return Harmonics(asked.name, labels, rows, rows == MOTION, partial(_fields, parts), parts)
 
 
 def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Array]) -> SpinByBin:
@@ -401,4 +365,4 @@ def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Arra
     if np.any(missing := ~np.isfinite(values)):
         raise ValueError(f"bins: {column} is missing in {np.count_nonzero(missing)} of {len(values)} matched sources")
     used = np.unique(np.searchsorted(edges, values, side="right"))  # a bin without sources would have no weight
-    return SpinByBin(column=column, edges=tuple(map(float, edges)), used=tuple(used.tolist()))
+    return spin_by_bin(column, tuple(map(float, edges)), tuple(used.tolist()))

@@ -76,18 +76,9 @@ ds = linksweep.run(study, "toy.zarr", pool="serial")
 """
 SOUTH = '''
 
-@dataclass(frozen=True, kw_only=True)
-class South(Block):
-    """A constant in the declinations of the southern sky."""
-
-    name: str = "south"
-    labels: tuple[str, ...] = ("south_dec",)
-    rows: tuple[int, ...] = (1,)
-    rate: bool = False
-
-    def derivatives(self, objects):
-        """Return 1 in the south, 0 in the north; shape (1, 1, N)."""
-        return np.where(objects.dec < 0.0, 1.0, 0.0)[None, None]
+def south(objects):
+    """Return the derivatives by a constant in the declinations of the southern sky; shape (1, 1, N)."""
+    return np.where(objects.dec < 0.0, 1.0, 0.0)[None, None]
 '''
 DOTS = """
 from matplotlib.figure import Figure
@@ -155,11 +146,11 @@ TOYS = [
     Toy(
         *("block of unknowns", "", ""),
         [
-            ("core/unknowns.py", "        return self.block.derivatives(objects)\n", SOUTH),
+            ("core/unknowns.py", "    return np.ones((1, 1, len(objects.ra)))\n", SOUTH),
             (
                 "core/unknowns.py",
-                '"parallax": lambda asked: ParallaxZeroPoint(),',
-                '\n    "south": lambda asked: South(),',
+                "(PARALLAX,), False, constant),",
+                '\n    "south": lambda asked: Block("south", ("south_dec",), (1,), False, south),',
             ),
         ],
         """

@@ -16,7 +16,7 @@ from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import KINDS, PAIRS, Astrometry, joined, kinds, named_rows, propagated
 from linksweep.core.tie.problem import Problem, Weights
 from linksweep.core.tie.solution import sources_of
-from linksweep.core.unknowns import Rotation, SpinByBin, Unknowns, parse_unknowns, require_mission_name
+from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
 from linksweep.sweep.contract import Parameter, SweepError
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.tables.reader import read_table as read_file
@@ -505,7 +505,7 @@ def known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | 
         vector = np.asarray(spin, dtype=np.float64)
         if vector.shape != (3,) or not np.all(np.isfinite(vector)):
             raise SweepError(f"known spin {spin!r}: give three numbers in mas/yr, or the path of a table")
-        return Unknowns((Rotation(),)), sign * vector * MAS
+        return Unknowns((spin_block(),)), sign * vector * MAS
     from astropy.units import Unit
 
     table = read_file(Path(spin))
@@ -525,7 +525,7 @@ def known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | 
         raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", str(spin))
     factors = [(table[name].unit or Unit("mas/yr")).to("mas/yr") for name in axes]
     vectors = [np.asarray(table[name], dtype=np.float64) * factor for name, factor in zip(axes, factors, strict=True)]
-    block = SpinByBin(column=column, edges=tuple(low[1:].tolist()), used=tuple(range(len(low))))
+    block = spin_by_bin(column, tuple(low[1:].tolist()), tuple(range(len(low))))
     return Unknowns((block,)), sign * np.stack(vectors, axis=1).ravel() * MAS
 
 

@@ -87,23 +87,6 @@ def test_chi2_has_the_distribution_of_the_catalogue_method(changes):
     assert stats.ks_2samp(chi2("catalogue"), chi2("projected")).pvalue > 1e-3
 
 
-@pytest.mark.slow
-def test_chi2_of_one_realisation_is_correlated_with_its_estimate_as_in_the_catalogue_method():
-    """With equal weights a large error of the estimate leaves large residuals."""
-
-    def correlation(method):
-        rng = np.random.default_rng(8)
-        here = point(method=method, n_obj=3, weighting="equal")
-        blocks = [link.evaluate([here], 1, rng, np.random.default_rng(2)) for _ in range(3000)]
-        error, chi2 = (np.array([block[name][0] for block in blocks]) for name in ("error", "chi2"))
-        size = np.sum(error**2 / blocks[0]["predicted_variance"], axis=1)
-        return stats.spearmanr(size, chi2).statistic
-
-    with_objects, without = correlation("catalogue"), correlation("projected")
-    assert with_objects > 0.1
-    assert abs(with_objects - without) < 4.5 * np.sqrt(2 / 3000)
-
-
 def link_methods():
     return link.parameter("method").choices
 

@@ -8,11 +8,11 @@ from astropy.table import Table
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, satellite_catalogue
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, joined, parallax_factors, propagated
 from linksweep.core.tie.problem import Problem
-from linksweep.core.unknowns import Objects, Rotation, parse_unknowns
+from linksweep.core.unknowns import Objects, parse_unknowns, spin_block
 from linksweep.sweep.cli import main
 from linksweep.sweep.tie.tables import TableOptions
 
-__all__ = ["ARCSEC", "DEGREE", "MAS", "Objects", "Rotation", "TableOptions", "main", "parallax_factors"]
+__all__ = ["ARCSEC", "DEGREE", "MAS", "Objects", "TableOptions", "main", "parallax_factors", "spin_block"]
 NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
 
 

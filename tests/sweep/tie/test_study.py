@@ -13,7 +13,7 @@ from linksweep import SweepError, load_study
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie, unused
-from tests.core.tie.made import MAS, Objects, Rotation, gaia, parse_unknowns, stars
+from tests.core.tie.made import MAS, Objects, gaia, parse_unknowns, spin_block, stars
 
 X, Y, Z = range(3)
 
@@ -128,7 +128,7 @@ def made_quasars(tmp_path, n=400):
     magnitude = np.linspace(14.0, 20.0, n)
     objects = Objects(made.values[0], made.values[1], np.zeros(n), np.zeros(n))
     field = parse_unknowns("vsh_motion:2-2").derivatives(objects)[1][0] * 0.5 * MAS  # t_2_0
-    turned = Rotation().derivatives(objects)
+    turned = spin_block().derivatives(objects)
     motion = -field - np.array([spins[bool(g > 17.0)] @ turned[:, :, i] for i, g in enumerate(magnitude)]).T * MAS
     values = made.values.copy()
     values[3:] = motion
