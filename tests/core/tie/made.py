@@ -50,11 +50,11 @@ def noise(rng, astrometry):
     return np.einsum("nij,nj->in", half, rng.normal(size=(len(astrometry), 5)))
 
 
-def gaia(path, made, **changes):
+def gaia_table(made, **changes):
+    """Return a table with the names of the Gaia archive, without units as in its CSV."""
     table = Table({"source_id": np.arange(len(made)) + 10**17})
     for i, name in enumerate(NAMES):
-        unit = DEGREE if i < 2 else MAS
-        table[name] = made.values[i] / unit
+        table[name] = made.values[i] / (DEGREE if i < 2 else MAS)
         table[f"{name}_error"] = made.errors[i] / MAS
     for row, (i, j) in zip(made.correlations, PAIRS, strict=True):
         table[f"{NAMES[i]}_{NAMES[j]}_corr"] = row
@@ -63,7 +63,11 @@ def gaia(path, made, **changes):
     table["phot_g_mean_mag"] = np.linspace(4.0, 12.0, len(made))
     for name, column in changes.items():
         table[name] = column
-    table.write(path, overwrite=True)
+    return table
+
+
+def gaia(path, made, **changes):
+    gaia_table(made, **changes).write(path, overwrite=True)
     return path
 
 
