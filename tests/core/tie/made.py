@@ -10,9 +10,20 @@ from linksweep.core.tie.astrometry import PAIRS, Astrometry, joined, parallax_fa
 from linksweep.core.tie.problem import Problem
 from linksweep.core.unknowns import Objects, Rotation, parse_unknowns
 from linksweep.sweep.cli import main
+from linksweep.sweep.tables.reader import read_row_group
 from linksweep.sweep.tie.tables import TableOptions
 
-__all__ = ["ARCSEC", "DEGREE", "MAS", "Objects", "Rotation", "TableOptions", "main", "parallax_factors"]
+__all__ = [
+    "ARCSEC",
+    "DEGREE",
+    "MAS",
+    "Objects",
+    "Rotation",
+    "TableOptions",
+    "main",
+    "parallax_factors",
+    "read_row_group",
+]
 NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
 
 
