@@ -154,7 +154,7 @@ def test_a_quantile_goes_on_until_its_error_is_known(tmp_path):
     ("sampling", "message"),
     [
         ({"precision": 0.0}, "sampling.precision: input should be greater than 0"),
-        ({"max_n_sim": 50}, "sampling.max_n_sim: 50: must be at least n_sim = 100"),
+        ({"max_n_sim": 50}, "max_n_sim = 50: must be at least n_sim = 100"),
         ({"keep_samples": True}, "no samples to keep"),
     ],
 )
