@@ -6,7 +6,6 @@ import subprocess
 import sys
 from contextlib import closing
 
-import numpy as np
 import pytest
 import xarray as xr
 
@@ -16,25 +15,73 @@ from tests.sweep.executing.test_tls import Files as TlsFiles
 from tests.sweep.outside import Outside
 from tests.tiers import slow
 
+QUICK = ("experiments.md", "function-series.md")
 
-def test_every_command_of_the_documents_stands_where_it_is_run():
-    """In blocks of shell or of a picture; they are run here, or by the tests of stores, galaxies and calibration."""
-    for document in (ROOT / "docs").glob("*.md"):
-        for language, block in re.findall(
-            r"^```([\w{}]*).*?\n(.*?)^```", document.read_text(), flags=re.DOTALL | re.MULTILINE
-        ):
-            assert language in ("sh", "{picture}") or not re.search(r"^sweep \w", block, flags=re.MULTILINE), (
-                document.name
-            )
+# The pages whose commands need nothing from elsewhere, with some of the files that they write.  Others are run below
+# (clusters), and by the tests of the tutorial, stores and galaxies.
+PAGES = {
+    "analysis.md": ["quasars.svg", "sky.svg", "sqrt-n.svg", "both.svg", "accuracy.pdf"],
+    "benchmarks.md": ["scaling.svg"],
+    "calibration.md": ["accuracy.svg"],
+    "coming-from.md": ["lost.svg"],
+    "experiments.md": ["walk.svg"],
+    "function-package.md": ["window.svg"],
+    "function-quantile.md": ["waiting.svg"],
+    "function-series.md": ["infected.svg"],
+    "missions.md": ["missions.svg"],
+    "planning-observations.md": ["ranking.svg", "epochs.svg", "plan.html"],
+    "points.md": ["flow.svg", "pairs.svg", "sensitivity.svg"],
+    "report.md": ["quasars-report.html", "both.html"],
+    "running.md": ["run.log"],
+    "studies.md": ["quick.png"],
+    "tie.md": ["pulsars.svg", "pulsars-report.html", "icrf-figures/spectrum.png"],
+}
 
 
-def test_the_experiment_of_the_document_runs(tmp_path, sweep):
-    (tmp_path / "walk.py").write_text(code("experiments.md", "python")[0])
-    (tmp_path / "walk.toml").write_text(code("experiments.md", "toml")[0])
-    run_commands("experiments.md", sweep, tmp_path)
-    distance = xr.open_zarr(tmp_path / "results" / "walk.zarr")["distance"].load()
-    for length in (10, 100, 1000):  # RMS of 5000 walks: 1/sqrt(2 x 5000) = 1 %
-        assert distance.sel(length=length).item() == pytest.approx(length**0.5, rel=0.05)
+@pytest.mark.parametrize("document", [page if page in QUICK else slow(page) for page in PAGES])
+def test_the_commands_of_a_page_run_and_write_what_it_shows(document, tmp_path, sweep):
+    for name, text in re.findall(r"^```\w+ (\S+)\n(.*?)^```", (ROOT / "docs" / document).read_text(), re.M | re.S):
+        (tmp_path / name).write_text(text)
+    if document == "missions.md":  # which shows the study without a command
+        status, _, err = sweep("run", "missions.toml", cwd=tmp_path)
+        assert status == 0, err
+    run_commands(document, sweep, tmp_path)
+    for name in PAGES[document]:
+        assert (tmp_path / name).stat().st_size > 1000, name
+    if document == "experiments.md":
+        distance = xr.open_zarr(tmp_path / "results" / "walk.zarr")["distance"].load()
+        for length in (10, 100, 1000):  # RMS of 5000 walks: 1/sqrt(2 x 5000) = 1 %
+            assert distance.sel(length=length).item() == pytest.approx(length**0.5, rel=0.05)
+    if document == "function-series.md":
+        ds = xr.open_zarr(tmp_path / "sir.zarr")
+        assert ds.infected.dims == ("beta", "time")
+        assert ds.peak.values.tolist() == ds.infected.max("time").values.tolist()
+    if document == "points.md":
+        assert {name: xr.open_zarr(tmp_path / name).sizes["point"] for name in ("flow.zarr", "both.zarr")} == {
+            "flow.zarr": 128,
+            "both.zarr": 6,
+        }
+
+
+SCRIPTS = {
+    "coming-from.md": ("lost.py", 1),
+    "planning-observations.md": ("", 0),
+    "points.md": ("flow.py", 1),
+    "tie.md": ("", 0),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("document", SCRIPTS)
+def test_the_script_of_a_page_runs(document, tmp_path):
+    file, number = SCRIPTS[document]
+    blocks = code(document, "python")
+    if file:
+        (tmp_path / file).write_text(blocks[0])
+    script = [sys.executable, "-W", "error::DeprecationWarning", "-c", blocks[number]]
+    done = subprocess.run(script, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert len(list(tmp_path.iterdir())) > bool(file)
 
 
 def test_the_study_of_the_document_runs(tmp_path, sweep):
@@ -42,68 +89,6 @@ def test_the_study_of_the_document_runs(tmp_path, sweep):
     status, _, err = sweep("run", "study.toml", "--set", "n_sim=10", cwd=tmp_path)
     assert status == 0, err
     assert xr.open_zarr(tmp_path / "results" / "study.zarr").attrs["complete"] == 1
-
-
-@pytest.mark.slow
-def test_the_missions_of_the_document_run(tmp_path, sweep):
-    (tmp_path / "curves.py").write_text(code("missions.md", "python")[0])
-    (tmp_path / "missions.toml").write_text(code("missions.md", "toml")[0])
-    status, _, err = sweep("run", "missions.toml", cwd=tmp_path)
-    assert status == 0, err
-    run_commands("missions.md", sweep, tmp_path)
-    assert (tmp_path / "missions.svg").stat().st_size > 10_000
-    sigma = xr.open_zarr(tmp_path / "results" / "missions.zarr")["sigma_spin"].load()
-    assert sigma["model"].values.tolist() == ["gaia", "small", "by-formula", "by-code"]
-    assert np.all(np.isfinite(sigma))
-
-
-@pytest.mark.slow
-def test_the_commands_of_the_document_run(tmp_path, sweep):
-    run_commands("studies.md", sweep, tmp_path)
-    assert (tmp_path / "quick.png").stat().st_size > 10_000
-
-
-@pytest.mark.slow
-def test_the_commands_about_watching_run(tmp_path, sweep):
-    run_commands("running.md", sweep, tmp_path)
-    assert "realisations" in (tmp_path / "run.log").read_text()
-
-
-@pytest.mark.slow
-def test_the_commands_of_the_analysis_run(tmp_path, sweep):
-    run_commands("analysis.md", sweep, tmp_path)
-    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {
-        *("quasars.svg", "sky.svg", "sqrt-n.svg", "both.svg", "accuracy.pdf"),
-    }
-
-
-@pytest.mark.slow
-def test_the_commands_of_the_report_run(tmp_path, sweep):
-    run_commands("report.md", sweep, tmp_path)
-    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {"quasars-report.html", "both.html"}
-
-
-@pytest.mark.slow
-def test_the_commands_about_real_tables_run(tmp_path, sweep):
-    run_commands("tie.md", sweep, tmp_path)
-    assert (tmp_path / "pulsars.svg").stat().st_size > 10_000
-    assert (tmp_path / "pulsars-report.html").stat().st_size > 100_000
-    kinds = {"solution", "residuals", "separations", "weight", "ranking", "jackknife", "spectrum"}
-    assert {path.stem for path in (tmp_path / "icrf-figures").iterdir()} == kinds
-
-
-@pytest.mark.slow
-def test_the_commands_about_planning_run(tmp_path, sweep):
-    run_commands("planning-observations.md", sweep, tmp_path)
-    assert {path.name for path in tmp_path.iterdir() if path.is_file()} == {"ranking.svg", "epochs.svg", "plan.html"}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("document", ["tie.md", "planning-observations.md"])
-def test_the_scripts_about_real_tables_run(document, tmp_path):
-    script = [sys.executable, "-W", "error::DeprecationWarning", "-c", code(document, "python")[0]]
-    subprocess.run(script, cwd=tmp_path, check=True, capture_output=True)
-    assert len(list(tmp_path.iterdir())) == 1
 
 
 @pytest.mark.parametrize("document", ["tie.md", "planning-observations.md"])
@@ -115,10 +100,15 @@ def test_the_numbers_of_real_tables_are_those_that_are_printed(document, tmp_pat
     assert set(shown) <= set(out.splitlines())
 
 
-@pytest.mark.slow
-def test_the_command_about_scaling_runs(tmp_path, sweep):
-    run_commands("benchmarks.md", sweep, tmp_path)
-    assert (tmp_path / "scaling.svg").stat().st_size > 10_000
+def test_every_command_of_the_documents_stands_where_it_is_run():
+    """In blocks of shell or of a picture; they are run here, or by the tests of stores, galaxies and calibration."""
+    for document in (ROOT / "docs").glob("*.md"):
+        for language, block in re.findall(
+            r"^```([\w{}]*).*?\n(.*?)^```", document.read_text(), flags=re.DOTALL | re.MULTILINE
+        ):
+            assert language in ("sh", "{picture}") or not re.search(r"^sweep \w", block, flags=re.MULTILINE), (
+                document.name
+            )
 
 
 def test_links_between_documents_lead_somewhere():
@@ -136,6 +126,15 @@ def test_the_readme_shows_the_table_that_the_study_prints(tmp_path, sweep):
     assert len(printed) == 4
     shown = [line.split() for line in table.splitlines()]
     assert all(row in shown for row in printed)
+
+
+def test_the_functions_of_the_readme_run(tmp_path, sweep):
+    text = (ROOT / "README.md").read_text()
+    (example,) = re.findall(r"```python\n(def decay.*?)```", text, flags=re.DOTALL)
+    (tmp_path / "decay.py").write_text(example)
+    (command,) = re.findall(r"^sweep run decay.py:decay.*$", text, flags=re.MULTILINE)
+    status, _, err = sweep(*shlex.split(command)[1:], cwd=tmp_path)
+    assert status == 0, err
 
 
 @pytest.mark.slow
@@ -178,50 +177,6 @@ def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
     assert "--nworkers 8" in scripts["pbs.yaml"]
 
 
-@pytest.mark.parametrize(
-    ("document", "file"),
-    [
-        ("function-series.md", "sir.py"),
-        slow("function-quantile.md", "waiting.py"),
-        slow("function-package.md", "window.py"),
-    ],
-)
-def test_the_functions_of_the_documents_run(document, file, tmp_path, sweep):
-    (tmp_path / file).write_text(code(document, "python")[0])
-    run_commands(document, sweep, tmp_path)
-    if file == "sir.py":
-        ds = xr.open_zarr(tmp_path / "sir.zarr")
-        assert ds.infected.dims == ("beta", "time")
-        assert ds.peak.values.tolist() == ds.infected.max("time").values.tolist()
-        assert (tmp_path / "infected.svg").stat().st_size > 1000
-    if file == "waiting.py":
-        ds = xr.open_zarr(tmp_path / "waiting.zarr").load()
-        assert (ds.n_sim_done == 1000).all()
-        assert (ds.wait_q95 > ds.wait_mean).all()
-
-
-@pytest.mark.slow
-def test_the_table_of_points_of_the_document_runs(tmp_path, sweep):
-    model, script = code("points.md", "python")
-    (tmp_path / "flow.py").write_text(model)
-    (tmp_path / "runs.csv").write_text(code("points.md", "text")[0])
-    (tmp_path / "flow.toml").write_text(code("points.md", "toml")[0])
-    run_commands("points.md", sweep, tmp_path)
-    assert xr.open_zarr(tmp_path / "flow.zarr").sizes["point"] == 128
-    assert xr.open_zarr(tmp_path / "both.zarr").sizes["point"] == 6
-    for name in ("flow.svg", "pairs.svg", "sensitivity.svg"):
-        assert (tmp_path / name).stat().st_size > 1000
-    status, out, err = sweep("plan", "flow.toml", cwd=tmp_path)
-    assert status == 0, err
-    assert "point 64 x hl 2" in out
-    shown = "\nprint(found.parameter.values.tolist(), found.total.values.argmax())\n"
-    done = subprocess.run(
-        [sys.executable, "-c", script + shown], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("['rw', 'length', 'kw'] 0")
-
-
 @pytest.mark.slow
 def test_the_notebook_of_the_document_runs(tmp_path):
     """As a kernel does: cell by cell in one namespace, without a file to be imported from."""
@@ -232,27 +187,6 @@ def test_the_notebook_of_the_document_runs(tmp_path):
     assert done.returncode == 0, done.stderr
     assert done.stdout == "[2.0] 2.0 b'\\x89PNG'\n"
     assert len(list((tmp_path / "results").glob("growth-*.zarr"))) == 2
-
-
-def test_the_functions_of_the_readme_run(tmp_path, sweep):
-    text = (ROOT / "README.md").read_text()
-    (example,) = re.findall(r"```python\n(def decay.*?)```", text, flags=re.DOTALL)
-    (tmp_path / "decay.py").write_text(example)
-    (command,) = re.findall(r"^sweep run decay.py:decay.*$", text, flags=re.MULTILINE)
-    status, _, err = sweep(*shlex.split(command)[1:], cwd=tmp_path)
-    assert status == 0, err
-
-
-@pytest.mark.slow
-def test_the_sweep_for_those_who_come_from_elsewhere_runs(tmp_path, sweep):
-    function, script = code("coming-from.md", "python")
-    (tmp_path / "lost.py").write_text(function)
-    (tmp_path / "script.py").write_text(script)
-    run_commands("coming-from.md", sweep, tmp_path)
-    subprocess.run([sys.executable, "script.py"], cwd=tmp_path, check=True, capture_output=True)
-    lost = [xr.open_zarr(tmp_path / name)["lost"].load() for name in ("lost.zarr", "lost-python.zarr")]
-    assert lost[0].sel(half_life=5.0, years=10).item() == 0.75
-    assert lost[0].identical(lost[1])
 
 
 def test_every_page_is_in_the_navigation():

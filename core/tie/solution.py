@@ -17,7 +17,7 @@ from scipy.special import chdtrc
 
 from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import SMALLEST_EIGENVALUE, LinkError
-from linksweep.core.tie import problem as tables
+from linksweep.core.tie import problem as elimination
 from linksweep.core.tie.astrometry import Differences, differences
 from linksweep.core.tie.problem import NormalSums, Problem
 from linksweep.core.unknowns import Unknowns
@@ -267,7 +267,7 @@ class StreamedSources:
     @cached_property
     def count(self) -> Array:
         """The number of observations of each source."""
-        return self._of_each(tables.source_counts, kind=np.float32)  # whole numbers, exact as float32
+        return self._of_each(elimination.source_counts, kind=np.float32)  # whole numbers, exact as float32
 
     def solve(self, factors: Array | Flags) -> Solution:
         """Return the solution with a factor of the weight of each source."""
@@ -275,7 +275,7 @@ class StreamedSources:
 
     def discrepancies(self, estimate: Array) -> Array:
         """Return Q_i of a solution; shape (S,)."""
-        return self._of_each(tables.source_discrepancies, estimate)
+        return self._of_each(elimination.source_discrepancies, estimate)
 
     def separations(self) -> Array:
         """Return what `separation` does."""
@@ -325,19 +325,19 @@ def sources_of(problem: Problem) -> Sources:
     """Return the sources of a problem, with the sums of each if these fit into memory."""
     n = len(problem.satellite)
     if n * len(problem.unknowns) ** 2 <= KEPT_NUMBERS:
-        return KeptSources(problem, tables.source_sums(problem), partial(separation, problem))
+        return KeptSources(problem, elimination.source_sums(problem), partial(separation, problem))
     return StreamedSources(problem.unknowns.labels, (lambda: problem,), (0,), n, starmap)
 
 
 def _cell_sums(problem: Problem, factors: Array | Flags | None) -> NormalSums:
     ra, dec = problem.satellite.values[:2]
-    return tables.group_sums(problem, sky_cells(ra, dec, DIVISIONS), 2 * DIVISIONS**2, factors)
+    return elimination.group_sums(problem, sky_cells(ra, dec, DIVISIONS), 2 * DIVISIONS**2, factors)
 
 
 def _heaviest(problem: Problem, number: int) -> tuple[Array, Indices, NormalSums]:
-    sizes = tables.weight_sizes(problem)
+    sizes = elimination.weight_sizes(problem)
     places = np.argsort(-sizes, kind="stable")[:number]
-    return sizes[places], places, tables.source_sums(problem.only(places))
+    return sizes[places], places, elimination.source_sums(problem.only(places))
 
 
 def sky_cells(ra: Array, dec: Array, divisions: int) -> NDArray[np.int16]:
@@ -415,8 +415,8 @@ def separation(problem: Problem) -> Array:
     whose difference depends on a parameter that the satellite lacks counts as 0.
     """
     largest = np.zeros((2, len(problem.satellite)))
-    for start in range(0, len(problem.rows), tables.BLOCK):
-        rows = slice(start, start + tables.BLOCK)
+    for start in range(0, len(problem.rows), elimination.BLOCK):
+        rows = slice(start, start + elimination.BLOCK)
         source = problem.source[rows]
         star = problem.satellite.taken(source)
         values = differences(star, problem.rows.taken(rows), np.arange(len(source)), problem.taken_out(star))

@@ -432,7 +432,8 @@ class FunctionExperiment(Experiment):
         for place, outcome in outcomes.items():
             layout = layout or outcome.layout
             if (key := id(outcome.layout)) not in verdicts:
-                wrong = results.differences(layout, outcome.layout)
+                # results with arrays come with a layout each: equal ones are told faster than they are hashed
+                wrong = () if outcome.layout == layout else results.differences(layout, outcome.layout)
                 if (
                     self.rng
                     and not wrong

@@ -64,8 +64,8 @@ def quantile_of(name: str) -> float | None:
     """Return the level of the quantile of this name, between 0 and 1; None for another statistic."""
     if name == "median":
         return 0.5
-    found = QUANTILE.fullmatch(name)
-    level = float(found[1]) / 100.0 if found else 0.0
+    match = QUANTILE.fullmatch(name)
+    level = float(match[1]) / 100.0 if match else 0.0
     return level if 0.0 < level < 1.0 else None
 
 
@@ -178,15 +178,15 @@ def quantiles(levels: Sequence[float], realisations: Array) -> Array:
     """
     n = len(realisations)
     ordered = np.sort(realisations, axis=0)  # once for all levels
-    found = np.full((len(levels), 2, realisations.shape[1]), np.nan)
+    pairs = np.full((len(levels), 2, realisations.shape[1]), np.nan)
     for i, level in enumerate(levels):
-        found[i, 0] = np.quantile(ordered, level, axis=0, method="hazen")
+        pairs[i, 0] = np.quantile(ordered, level, axis=0, method="hazen")
         if n >= fewest_for(level):
             (first, lower), (last, upper) = _limit(ordered[::-1], 1.0 - level), _limit(ordered, level)
             between = ordered[n - 1 - first : last + 1]
             known = np.count_nonzero(np.diff(between, axis=0), axis=0) >= FEWEST_VALUES - 1
-            found[i, 1] = np.where(known, _one_sigma(found[i, 0], lower, upper), np.nan)
-    return found
+            pairs[i, 1] = np.where(known, _one_sigma(pairs[i, 0], lower, upper), np.nan)
+    return pairs
 
 
 def fewest_for(level: float) -> int:
@@ -347,6 +347,6 @@ def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ..
     columns = zip(*rows, strict=True)
     values = [np.array(column, dtype=float).reshape(len(rows), -1) for column in columns]
     reducer = Moments(layout, declared)
-    kept = [own for field, own in zip(layout.fields, values, strict=True) if reducer.levels(field)]
-    row = reducer.as_row(len(rows), [moments_of(own) for own in values])
+    kept = [array for field, array in zip(layout.fields, values, strict=True) if reducer.levels(field)]
+    row = reducer.as_row(len(rows), [moments_of(array) for array in values])
     return Outcome(row, np.concatenate(kept, axis=1) if kept else None, layout)

@@ -25,6 +25,7 @@ from linksweep.sweep.formatting import is_truth, meaning_beside, prefixed, units
 from linksweep.sweep.plots import KINDS, style
 from linksweep.sweep.plots.figure import all_figures, caption, description, draw_figure
 from linksweep.sweep.plots.points import sampled
+from linksweep.sweep.result import Result
 from linksweep.sweep.studies.study import POINT
 
 # Pictures are made for paper.  Those of one panel, at most so many inches wide, are scaled with letters of the same
@@ -91,7 +92,7 @@ def link_pictures(dataset: xr.Dataset, number: int) -> list[Picture]:
     with _inside_a_page(str(number)):
         for i, (kind, figure) in enumerate(all_figures(dataset, titled=False).items()):
             mpl.rcParams["svg.hashsalt"] = f"linksweep-{number}-{i}"
-            name = KINDS[dataset.attrs["result"]][kind].caption
+            name = KINDS[Result(dataset).kind][kind].caption
             found.append(Picture(name, _svg(figure), 72.0 * figure.get_figwidth()))
     return found
 

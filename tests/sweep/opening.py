@@ -9,35 +9,60 @@ import xarray as xr
 import linksweep
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.formatting import harmless
+from linksweep.sweep.interrupt import RunInterruptedError
+from linksweep.sweep.planning.grid import make_grid
+from linksweep.sweep.planning.plan import generators
 from linksweep.sweep.planning.work_queue import Tuning
-from linksweep.sweep.running.run import run_study
+from linksweep.sweep.running.merge import MERGED, merge
+from linksweep.sweep.running.run import Silent, plan_study, run_study
+from linksweep.sweep.running.scaling import measure_scaling
+from linksweep.sweep.running.status import status_report
 from linksweep.sweep.running.writer import create_store, find_store, open_store
 from linksweep.sweep.stores import ledger, location
 from linksweep.sweep.stores.integrity import sealed, unsealed
 from linksweep.sweep.stores.ledger import path_of
 from linksweep.sweep.stores.location import Folder, Holder, holder, located, locked, short_name, store_named
-from linksweep.sweep.stores.store import OpenStore, check, chunk_checksums, open_dataset, repair
-from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.stores.store import OpenStore, Store, check, chunk_checksums, open_dataset, repair
+from linksweep.sweep.studies.reader import load_study, study_from_dict
 from linksweep.sweep.studies.record import provenance
+from linksweep.sweep.studies.study import POINT, POINT_TABLE
 from linksweep.sweep.table_writer import Column, Table
 
 __all__ = [
+    "MERGED",
+    "POINT",
+    "POINT_TABLE",
     "Column",
     "Folder",
     "Holder",
+    "OpenStore",
+    "Resources",
+    "RunInterruptedError",
+    "Silent",
+    "Store",
     "Table",
+    "Tuning",
     "check",
+    "generators",
     "harmless",
     "holder",
     "ledger",
+    "load_study",
     "located",
     "location",
     "locked",
+    "make_grid",
+    "measure_scaling",
+    "merge",
     "open_dataset",
+    "plan_study",
     "repair",
+    "run_study",
     "sealed",
     "short_name",
+    "status_report",
     "store_named",
+    "study_from_dict",
     "unsealed",
 ]
 

@@ -10,9 +10,20 @@ from linksweep.core.tie.astrometry import PAIRS, Astrometry, joined, parallax_fa
 from linksweep.core.tie.problem import Problem
 from linksweep.core.unknowns import Objects, parse_unknowns, spin_block
 from linksweep.sweep.cli import main
+from linksweep.sweep.tables.reader import read_row_group
 from linksweep.sweep.tie.tables import TableOptions
 
-__all__ = ["ARCSEC", "DEGREE", "MAS", "Objects", "TableOptions", "main", "parallax_factors", "spin_block"]
+__all__ = [
+    "ARCSEC",
+    "DEGREE",
+    "MAS",
+    "Objects",
+    "TableOptions",
+    "main",
+    "parallax_factors",
+    "read_row_group",
+    "spin_block",
+]
 NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
 
 
@@ -50,11 +61,11 @@ def noise(rng, astrometry):
     return np.einsum("nij,nj->in", half, rng.normal(size=(len(astrometry), 5)))
 
 
-def gaia(path, made, **changes):
+def gaia_table(made, **changes):
+    """Return a table with the names of the Gaia archive, without units as in its CSV."""
     table = Table({"source_id": np.arange(len(made)) + 10**17})
     for i, name in enumerate(NAMES):
-        unit = DEGREE if i < 2 else MAS
-        table[name] = made.values[i] / unit
+        table[name] = made.values[i] / (DEGREE if i < 2 else MAS)
         table[f"{name}_error"] = made.errors[i] / MAS
     for row, (i, j) in zip(made.correlations, PAIRS, strict=True):
         table[f"{NAMES[i]}_{NAMES[j]}_corr"] = row
@@ -63,7 +74,11 @@ def gaia(path, made, **changes):
     table["phot_g_mean_mag"] = np.linspace(4.0, 12.0, len(made))
     for name, column in changes.items():
         table[name] = column
-    table.write(path, overwrite=True)
+    return table
+
+
+def gaia(path, made, **changes):
+    gaia_table(made, **changes).write(path, overwrite=True)
     return path
 
 

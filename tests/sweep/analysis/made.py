@@ -1,23 +1,55 @@
-"""Results as a run leaves them, of numbers that a test chooses."""
+"""Results as a run leaves them, of numbers that a test chooses, and what is said of results."""
+
+import json
 
 import numpy as np
 import xarray as xr
+from click.testing import CliRunner
 
+from linksweep.sweep.analysis.compare import compare
+from linksweep.sweep.cli import main
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.report.page import report_of, report_page
+from linksweep.sweep.result import Result
+from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.study import printed_rounding
+
+__all__ = ["compare", "report_of", "report_page", "study_from_dict"]
 
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
+MISSING, DONE, FAILED, EXCLUDED = Status.MISSING, Status.DONE, Status.FAILED, Status.EXCLUDED
 
 
-def grid(value, error=None, x=N, name="n", unit="", status=None, **more):
-    """A dataset as a run leaves it: ``width`` in mas over model x one axis of numbers."""
+def grid(value, error=None, x=N, name="n", unit="", status=None, published=None, claims=(), printed=None, **more):
+    """A dataset as a run leaves it: ``width`` in mas over model x one axis of numbers.
+
+    ``published`` is {(model, n): text}, and ``printed`` has the attributes of such a table.
+    """
     axes, value = ("model", name), np.atleast_2d(np.asarray(value, dtype=float))
     models = max(2, len(value))
     value = np.broadcast_to(value, (models, len(x)))
     variables = {
         "width": (axes, value, {"units": "mas", "headline": 1}),
-        "status": (axes, np.full(value.shape, Status.DONE, np.int8) if status is None else status),
+        "status": (axes, np.full(value.shape, DONE, np.int8) if status is None else status),
     }
     if error is not None:
         variables["width_mc_error"] = (axes, np.broadcast_to(error, value.shape).astype(float), {"units": "mas"})
+    if published is not None:
+        numbers, roundings = np.full(value.shape, np.nan), np.full(value.shape, np.nan)
+        for place, text in published.items():
+            numbers[place], roundings[place] = float(text), printed_rounding(text)
+        variables["width_published"] = axes, numbers, {"units": "mas", "source": "A paper", **(printed or {})}
+        variables["width_published_rounding"] = axes, roundings, {"units": "mas"}
     labels = np.array(["old", "new", *map(str, range(2, models))], dtype=object)
-    return xr.Dataset(variables, {"model": labels, name: (name, x, {"units": unit})}, {"title": "Widths"}).assign(more)
+    about = {"title": "Widths", "study_name": "made-up", "claims": json.dumps(list(claims))}
+    return xr.Dataset(variables, {"model": labels, name: (name, x, {"units": unit})}, about).assign(more)
+
+
+def text_of(dataset):
+    """What the terminal shows of a dataset."""
+    return Result(dataset).written("text")
+
+
+def shown(*arguments):
+    """What a command prints."""
+    return CliRunner().invoke(main, list(map(str, arguments))).stdout

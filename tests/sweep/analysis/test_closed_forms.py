@@ -14,8 +14,7 @@ from scipy.stats import f as f_law
 from scipy.stats import linregress
 
 import linksweep
-from linksweep.sweep.analysis.compare import compare
-from linksweep.sweep.planning.point_status import Status
+from tests.sweep.analysis.made import DONE, compare
 
 seeds = st.integers(0, 2**32 - 1)
 several = settings(max_examples=25, deadline=None)
@@ -25,7 +24,7 @@ def results(x, y, errors=None, covariance=None, samples=None, name="n", **attrib
     """Results along one axis as `linksweep.open` returns them."""
     variables = {
         "width": (name, np.asarray(y, dtype=float), {"headline": 1}),
-        "status": (name, np.full(len(x), Status.DONE, np.int8)),
+        "status": (name, np.full(len(x), DONE, np.int8)),
     }
     if errors is not None:
         variables["width_mc_error"] = name, np.asarray(errors, dtype=float)
@@ -312,7 +311,7 @@ def table(columns, y):
     """Results at the points of a table, as `linksweep.open` returns them."""
     coords = {name: ("point", np.asarray(values)) for name, values in columns.items()}
     variables = {"y": ("point", np.asarray(y, dtype=float), {"headline": 1})}
-    variables["status"] = "point", np.full(len(y), Status.DONE, np.int8)
+    variables["status"] = "point", np.full(len(y), DONE, np.int8)
     attributes = {"title": "", "function": "f", "point_table": json.dumps({"parameters": list(columns)})}
     return xr.Dataset(variables, coords, attributes)
 
@@ -368,7 +367,7 @@ def test_indices_of_a_grid_without_the_part_of_the_noise(seed, sizes):
     variables = {
         "y": (tuple(axes), values, {"headline": 1}),
         "y_mc_error": (tuple(axes), errors),
-        "status": (tuple(axes), np.full(sizes, Status.DONE, np.int8)),
+        "status": (tuple(axes), np.full(sizes, DONE, np.int8)),
     }
     found = linksweep.sensitivity(xr.Dataset(variables, axes, {"title": "", "function": "f"}))
 

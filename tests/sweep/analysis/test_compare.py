@@ -7,38 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import linksweep
 from linksweep.sweep.analysis import compare as verdicts
-from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.study import printed_rounding
 from tests.conftest import COINS
+from tests.sweep.analysis.made import DONE, EXCLUDED, FAILED, MISSING, N, grid
 
 compare = verdicts.compare
 ROOT = Path(__file__).parents[3]
-N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
-
-
-def grid(value, error=None, published=None, status=None, claims=(), catalogue_error=None, **attributes):
-    """A dataset as a run leaves it: ``width`` over model x n.  ``published`` is {(model, n): text}."""
-    value = np.broadcast_to(value, (2, len(N))).astype(float)
-    axes = ("model", "n")
-    variables = {
-        "width": (axes, value, {"units": "mas"}),
-        "status": (axes, np.full(value.shape, Status.DONE, np.int8) if status is None else status),
-    }
-    for suffix, extra in (("mc_error", error), ("catalogue_error", catalogue_error)):
-        if extra is not None:
-            variables[f"width_{suffix}"] = (axes, np.broadcast_to(extra, value.shape).astype(float), {"units": "mas"})
-    if published is not None:
-        numbers, roundings = np.full(value.shape, np.nan), np.full(value.shape, np.nan)
-        for place, text in published.items():
-            numbers[place], roundings[place] = float(text), printed_rounding(text)
-        variables["width_published"] = (axes, numbers, {"units": "mas", "source": "A paper", **attributes})
-        variables["width_published_rounding"] = (axes, roundings, {"units": "mas"})
-    coordinates = {"model": np.array(["old", "new"], dtype=object), "n": N}
-    return xr.Dataset(variables, coordinates, {"study_name": "made-up", "claims": json.dumps(list(claims))})
 
 
 def claim(**keys):
@@ -71,7 +47,7 @@ VALUES = {  # value, error, published -> verdict
 @pytest.mark.parametrize("case", VALUES)
 def test_verdict(case):
     value, error, text, verdict = VALUES[case]
-    comparison = only(grid(value, error, {(1, 2): text}))
+    comparison = only(grid(value, error, published={(1, 2): text}))
     assert comparison.verdict == verdict
     assert (comparison.study, comparison.what, comparison.source, comparison.unit) == (
         *("made-up", "width", "A paper"),
@@ -79,7 +55,7 @@ def test_verdict(case):
     )
     assert comparison.where == {"model": "new", "n": 50.0}
     assert comparison.published == float(text)
-    assert comparison.allowance == pytest.approx(printed_rounding(text) + 3 * error)
+    assert comparison.allowance == pytest.approx(0.5 * 10.0 ** -len(text.partition(".")[2]) + 3 * error)
     assert comparison.difference == pytest.approx(value - float(text), nan_ok=True)
 
 
@@ -88,7 +64,9 @@ def test_verdict(case):
     [(0.604, "reproduced"), (0.64, "within tolerance"), (0.648, "NOT reproduced"), (0.56, "within tolerance")],
 )
 def test_a_tolerance_comes_on_top_of_the_allowance_and_gives_its_reason(value, verdict):
-    dataset = grid(value, None, {(0, 0): "0.60"}, tolerance=0.07, tolerance_reason="curves by eye")
+    dataset = grid(
+        value, None, published={(0, 0): "0.60"}, printed={"tolerance": 0.07, "tolerance_reason": "curves by eye"}
+    )
     comparison = only(dataset)
     assert comparison.verdict == verdict  # allowed are 0.005, and 0.042 more
     assert comparison.reason == ("7 %: curves by eye" if verdict == "within tolerance" else "")
@@ -98,27 +76,30 @@ def test_a_tolerance_comes_on_top_of_the_allowance_and_gives_its_reason(value, v
     ("value", "verdict"), [(28.0, "reproduced"), (28.4, "NOT reproduced"), (29.0, "NOT reproduced")]
 )
 def test_a_count_must_be_equal_whatever_the_tolerance(value, verdict):
-    comparison = only(grid(value, None, {(0, 0): "28"}, tolerance=0.5, tolerance_reason="none for counts"))
+    comparison = only(
+        grid(value, None, published={(0, 0): "28"}, printed={"tolerance": 0.5, "tolerance_reason": "none"})
+    )
     assert (comparison.verdict, comparison.allowance) == (verdict, 0.0)
 
 
 def test_the_catalogue_error_adds_in_quadrature():
-    comparison = only(grid(0.6, 0.003, {(0, 0): "0.60"}, catalogue_error=0.004))
+    dataset = grid(0.6, 0.003, published={(0, 0): "0.60"})
+    comparison = only(dataset.assign(width_catalogue_error=0.0 * dataset["width"] + 0.004))
     assert comparison.mc_error == pytest.approx(0.005)
     assert comparison.allowance == pytest.approx(0.02)
-    unknown = only(grid(0.6, 0.003, {(0, 0): "0.60"}, catalogue_error=np.nan))  # one catalogue
+    unknown = only(dataset.assign(width_catalogue_error=dataset["width"] * np.nan))  # one catalogue
     assert unknown.mc_error == pytest.approx(0.003)
 
 
 @pytest.mark.parametrize(
     ("code", "reason"),
-    [(Status.MISSING, "not done yet"), (Status.FAILED, "failed"), (Status.EXCLUDED, "excluded by the study")],
+    [(MISSING, "not done yet"), (FAILED, "failed"), (EXCLUDED, "excluded by the study")],
 )
 def test_a_point_that_is_not_done_is_incomplete_and_not_left_out(code, reason):
-    status = np.full((2, len(N)), Status.DONE, np.int8)
+    status = np.full((2, len(N)), DONE, np.int8)
     status[0, 1] = code
-    value = np.where(status == Status.DONE, 0.6, np.nan)
-    found = compare(grid(value, 0.001, {(0, 0): "0.60", (0, 1): "0.60", (1, 1): "0.7"}, status))
+    value = np.where(status == DONE, 0.6, np.nan)
+    found = compare(grid(value, 0.001, status=status, published={(0, 0): "0.60", (0, 1): "0.60", (1, 1): "0.7"}))
     assert [c.verdict for c in found] == ["reproduced", "incomplete", "NOT reproduced"]
     assert reason in found[1].reason
     assert np.isnan(found[1].value)
@@ -147,9 +128,9 @@ def test_a_claim_of_a_law_for_each_model():
 
 
 def test_a_slope_over_points_that_are_not_all_done_is_incomplete():
-    status = np.full((2, len(N)), Status.DONE, np.int8)
-    status[1, 3:] = Status.MISSING, Status.FAILED
-    value = np.where(status == Status.DONE, N**-0.5, np.nan)
+    status = np.full((2, len(N)), DONE, np.int8)
+    status[1, 3:] = MISSING, FAILED
+    value = np.where(status == DONE, N**-0.5, np.nan)
     found = compare(grid(value, claims=[claim(published="-0.5", slope=LAW)], status=status))
     assert [c.verdict for c in found] == ["reproduced", "incomplete"]
     assert found[1].reason == "failed: 2 of 5 points"
@@ -163,8 +144,8 @@ def ratio(top, bottom):
 
 
 def test_a_ratio_of_points_that_are_not_done_or_not_finite():
-    status = np.full((2, len(N)), Status.DONE, np.int8)
-    status[1, 0] = Status.MISSING
+    status = np.full((2, len(N)), DONE, np.int8)
+    status[1, 0] = MISSING
     value = np.array([[1.0] * 5, [np.nan, 0.0, 1.0, 1.0, 1.0]])
     claims = [claim(published="1.0", ratio=ratio({"model": "old"}, {"model": "new"}))]
     found = compare(grid(value, 0.0, claims=claims, status=status))
@@ -209,11 +190,12 @@ def test_a_claim_about_another_grid_is_incomplete_and_says_why(keys, reason):
 
 
 def test_the_tables_hold_the_same_numbers():
-    status = np.full((2, len(N)), Status.DONE, np.int8)
-    status[0, 1] = Status.MISSING
-    value = np.where(status == Status.DONE, 0.6, np.nan)
+    status = np.full((2, len(N)), DONE, np.int8)
+    status[0, 1] = MISSING
+    value = np.where(status == DONE, 0.6, np.nan)
     keys = {"tolerance": 0.1, "tolerance_reason": "by eye"}
-    found = compare(grid(value, 0.001, {(0, 0): "0.60", (0, 1): "0.60", (1, 1): "0.55", (1, 2): "0.4"}, status, **keys))
+    texts = {(0, 0): "0.60", (0, 1): "0.60", (1, 1): "0.55", (1, 2): "0.4"}
+    found = compare(grid(value, 0.001, status=status, published=texts, printed=keys))
     rows = list(csv.DictReader(verdicts.records(found).csv().splitlines()))
     assert [row["verdict"] for row in rows] == ["reproduced", "incomplete", "within tolerance", "NOT reproduced"]
     assert (rows[1]["value"], rows[2]["reason"], rows[2]["where"]) == ("", "10 %: by eye", "model=new, n=20")
@@ -268,7 +250,7 @@ def test_the_power_is_the_deviation_that_is_found_in_nineteen_of_twenty():
 
 
 def test_an_error_that_is_not_known_gives_no_verdict():
-    comparison = only(grid(0.6, np.nan, {(0, 0): "0.60"}))
+    comparison = only(grid(0.6, np.nan, published={(0, 0): "0.60"}))
     assert comparison.verdict == "incomplete"
     assert "not known" in comparison.reason
     assert json.loads(verdicts.as_json([comparison]))["comparisons"][0]["power"] is None

@@ -5,9 +5,8 @@ import math
 import pytest
 
 import linksweep
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.reader import study_from_dict
+from linksweep import SweepError
+from tests.sweep.analysis.made import FAILED, MISSING, study_from_dict
 
 AT = {"model": "gaia", "v_max": 20.0}
 GAIA = {"value": {"variable": "sigma_spin", "at": AT}}
@@ -74,10 +73,10 @@ def test_a_number_of_unknown_error_is_not_judged(dataset_of, bounds):
 def test_what_is_not_there_is_said_or_left_out(dataset_of):
     dataset = dataset_of("quasars")
     status = dataset["status"].copy(deep=True)
-    status.loc[AT] = Status.MISSING
+    status.loc[AT] = MISSING
     sentences = concluding(dataset.assign(status=status), "It is {gaia}.", gaia=GAIA)
     assert sentences == ["No conclusion yet: numbers that it needs are missing (not done yet)."]
-    status.loc[AT] = Status.FAILED
+    status.loc[AT] = FAILED
     sentences = concluding(dataset.assign(status=status), "It is {gaia}.", "Few.", gaia=GAIA)
     assert sentences == ["Few.", "No further conclusion: numbers that it needs are missing (failed)."]
     beyond = {"value": {"variable": "sigma_spin", "at": {"model": "gaia", "v_max": 21.0}}}

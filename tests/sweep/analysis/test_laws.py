@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError, find, fit_levelling, fit_power_law, interpolate, ratio
-from linksweep.sweep.planning.point_status import Status
-from tests.sweep.analysis.made import N, grid
+from tests.sweep.analysis.made import DONE, EXCLUDED, FAILED, MISSING, N, grid
 
 V = np.arange(14.0, 20.1, 0.5)
 MET = ("never", "always", "from", "up to", "several times", "left out")
@@ -51,8 +50,8 @@ def test_a_covariance_is_that_of_the_dataset_or_of_the_call_and_of_the_points_th
     law = fit_power_law(shared, "width", "n")
     assert law.attrs["errors"] == "covariance between points"
     assert law.equals(fit_power_law(grid(N**-0.5, error), "width", "n", covariance=shared["width_mc_covariance_n"]))
-    status = np.full((2, 5), Status.DONE, np.int8)
-    status[:, 0] = Status.EXCLUDED
+    status = np.full((2, 5), DONE, np.int8)
+    status[:, 0] = EXCLUDED
     without = fit_power_law(shared.assign(status=(("model", "n"), status)), "width", "n")
     assert without["points"].values.tolist() == [4.0, 4.0]
     part = fit_power_law(shared.isel(n=slice(1, None), n_other=slice(1, None)), "width", "n")
@@ -73,8 +72,8 @@ def test_common_random_numbers_without_a_covariance_have_no_error():
 
 
 def test_excluded_points_do_not_belong_to_a_line():
-    status = np.array([[Status.DONE] * 4 + [Status.EXCLUDED], [Status.EXCLUDED] * 5], dtype=np.int8)
-    value = np.where(status == Status.DONE, N**-0.5, np.nan)
+    status = np.array([[DONE] * 4 + [EXCLUDED], [EXCLUDED] * 5], dtype=np.int8)
+    value = np.where(status == DONE, N**-0.5, np.nan)
     result = fit_power_law(grid(value, 0.1, status=status), "width", "n", expected=-0.5)
     assert result["points"].values.tolist() == [4.0, 0.0]
     assert result["exponent"].values == pytest.approx([-0.5, np.nan], nan_ok=True)
@@ -167,8 +166,8 @@ def test_any_text_is_a_condition_or_a_clear_error(text):
 
 # What cannot be analysed
 
-BAD_STATUS = np.full((2, 5), Status.DONE, np.int8)
-BAD_STATUS[0, :3] = Status.MISSING, Status.FAILED, Status.FAILED
+BAD_STATUS = np.full((2, 5), DONE, np.int8)
+BAD_STATUS[0, :3] = MISSING, FAILED, FAILED
 
 
 @pytest.mark.parametrize(
@@ -184,7 +183,7 @@ BAD_STATUS[0, :3] = Status.MISSING, Status.FAILED, Status.FAILED
         (grid(N, x=N - 10.0), "width", "n", "a power law needs n above 0; there is 0"),
         (grid([1.0, np.nan, 1.0, 1.0, 1.0]), "width", "n", "width is not a finite number at model=old, n=20"),
         (grid(N, status=BAD_STATUS), "width", "n", "is incomplete: 1 missing and 2 failed of 10 points here"),
-        (grid(N, status=np.full((2, 5), Status.EXCLUDED)), "width", "n", "every point is excluded by the study"),
+        (grid(N, status=np.full((2, 5), EXCLUDED)), "width", "n", "every point is excluded by the study"),
     ],
 )
 def test_what_cannot_be_fitted(dataset, variable, over, message):

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 import xarray as xr
 from astropy.table import Table
-from click.testing import CliRunner
 
 import linksweep
-from linksweep.sweep.cli import main
-from linksweep.sweep.result import Result
+from tests.sweep.analysis.made import shown, text_of
 
 # Integers and gaps
 
@@ -28,10 +26,6 @@ def store(tmp_path_factory):
     place = tmp_path_factory.mktemp("gaps") / "large.zarr"
     linksweep.run(large, place, axes={"a": range(1, 11)}, pool="serial")
     return str(place)
-
-
-def shown(*arguments):
-    return CliRunner().invoke(main, [*arguments]).stdout
 
 
 EXPECTED = [None if a % 3 == 0 else a for a in range(1, 11)]
@@ -55,14 +49,13 @@ def test_tables_have_gaps_and_no_number_in_place_of_them(store):
     assert ecsv["small"].tolist() == EXPECTED
 
 
-def test_the_dataset_has_exact_integers_beside_gaps(store):
+def test_the_dataset_has_exact_integers_beside_gaps(store, sweep):
     found = linksweep.open(store)
     assert [None if k != k else k for k in found.k.values] == EXACT  # noqa: PLR0124 (NaN)
     assert found.small.dtype == float
     for command in ("plot", "fit"):
-        done = CliRunner().invoke(main, [command, store, "--over", "a", "--variable", "k"])
-        assert done.exit_code == 2
-        assert "no numbers to draw or to fit" in done.output
+        code, _, err = sweep(command, store, "--over", "a", "--variable", "k")
+        assert (code, "no numbers to draw or to fit" in err) == (2, True)
 
 
 def test_integers_without_gaps_are_exact(tmp_path):
@@ -148,7 +141,7 @@ def masers():
 
 
 def test_each_component_and_the_largest_correlation_are_shown_in_80_columns(masers):
-    text = Result(masers).written("text")
+    text = text_of(masers)
     assert [line.split() for line in text.splitlines() if line.startswith("omega_") and "yr" in line] == [
         ["omega_x", "0.11", "mas/yr"],
         ["omega_y", "1.59", "mas/yr"],
@@ -161,9 +154,9 @@ def test_each_component_and_the_largest_correlation_are_shown_in_80_columns(mase
 
 def test_a_bad_condition_is_warned_of_and_a_good_one_is_not(masers):
     warned = "at 1 point the condition number is up to 2e+03"
-    assert warned in Result(masers).written("text")
-    assert warned not in Result(masers.assign(condition_number=("n_obj", [3.0]))).written("text")
-    assert "omega_x" not in Result(masers.drop_vars(["sigma_mc_error"])).written("text")
+    assert warned in text_of(masers)
+    assert warned not in text_of(masers.assign(condition_number=("n_obj", [3.0])))
+    assert "omega_x" not in text_of(masers.drop_vars(["sigma_mc_error"]))
 
 
 # Units

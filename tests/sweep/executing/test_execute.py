@@ -7,11 +7,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.grid import make_grid
-from linksweep.sweep.planning.plan import Plan
-from linksweep.sweep.planning.work_queue import Pending
-from linksweep.sweep.studies.reader import study_from_dict
 from tests.sweep.deadly import FATES
 from tests.tiers import slow
 
@@ -44,17 +39,6 @@ def written(path, places):
         "sampling = { n_sim = 600, n_cat = 20, seed = 5 }\n"
     )
     return path
-
-
-def test_the_study_puts_deadly_blocks_beside_innocent_ones():
-    """What the next test needs: some blocks a point, and many points' blocks in a task."""
-    plan = Plan(make_grid(study_from_dict(document(range(20)))))
-    pending = Pending(plan, Accumulator(plan))
-    tasks = pending.take(1)
-    pending.settle(tasks[0], np.array([1e-4]))
-    tasks += pending.take(1000)
-    assert sum(len(works) for works in tasks) == 20 * 2 * 2
-    assert any(len({work.points[0].index for work in works} & set(FATES)) > 1 for works in tasks)
 
 
 @pytest.mark.slow

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from linksweep import run
-from linksweep.sweep.executing.process import captured, undisturbed
-from linksweep.sweep.interrupt import RunInterruptedError
+from tests.sweep.opening import RunInterruptedError
 from tests.tiers import slow
 
 
@@ -62,23 +61,6 @@ def test_in_the_main_thread_it_is_the_user_s(tmp_path):
     assert threading.current_thread() is threading.main_thread()
     with pytest.raises(RunInterruptedError):
         statuses(f, tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("ending", "code"),
-    [(lambda: None, 0), (sys.exit, 0), (lambda: sys.exit(3), 3), (lambda: sys.exit("why"), 1), (max, 1)],
-    ids=["returns", "exits", "exits with a code", "exits with a sentence", "raises"],
-)
-def test_a_forked_child_that_leaves_the_block_ends(ending, code, tmp_path):
-    mark = tmp_path / "went on"
-    with captured(), undisturbed(0):
-        if not (child := os.fork()):
-            ending()
-    if not child:
-        mark.touch()  # the child must never be here
-        os._exit(9)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == code
-    assert not mark.exists()
 
 
 def test_a_child_that_a_function_forks_and_forgets_does_not_go_on_with_the_run(tmp_path):

@@ -7,7 +7,7 @@ from contextlib import closing
 
 import pytest
 
-from linksweep.sweep.stores.store import open_dataset
+from tests.sweep.opening import open_dataset
 from tests.sweep.outside import Outside
 from tests.sweep.user import write_experiment, write_study
 

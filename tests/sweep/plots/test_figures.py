@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.container import ErrorbarContainer
-from matplotlib.contour import ContourSet
 
 import linksweep
 from linksweep import SweepError
@@ -106,15 +105,6 @@ def test_lines_have_points_with_errors_prediction_and_published_values(dataset_o
     assert texts(axes.get_legend()) == ["simulated", "predicted", "published"]
 
 
-def test_a_component_has_its_own_symbol_and_unit_in_every_panel(dataset_of):
-    one = dataset_of("quasars").sel(component="omega_x")
-    labels = [axes.get_ylabel() for axes in axes_of(linksweep.plot(one, variables=["sigma"]))]
-    assert labels == [r"$\sigma$($\omega_{x}$) [mas/yr]", r"$\sigma$($\omega_{x}$) [µas/yr]"]
-    problem = "sigma has components in mas and mas / yr; choose one with --at component=epsilon_x"
-    with pytest.raises(SweepError, match=problem):
-        linksweep.plot(dataset_of("sqrt-n"), variables=["sigma"])
-
-
 def test_one_point_shows_what_is_simulated_predicted_and_published(dataset_of):
     [axes] = axes_of(linksweep.plot(dataset_of("galaxies")))
     assert [text.get_text() for text in axes.get_yticklabels()] == ["simulated", "predicted", "published"]
@@ -172,26 +162,6 @@ def test_a_map_shows_the_values_in_their_places(dataset_of):
     assert axes.get_ylabel().split() == ["satellite", "error", "scale", r"$\Delta_\mathrm{sat}$"]
     assert axes.get_xlim() == pytest.approx((-0.5, 4.5))  # cells surround their points
     assert bar.get_ylabel() == r"$\sigma(\omega)$ [µas/yr]"
-
-
-@pytest.mark.parametrize(("rate", "limits"), [([1.0, 10.0, 100.0], (10.0**-0.5, 10.0**2.5)), ([3.0, 4.0], (2.5, 4.5))])
-def test_a_map_over_whole_numbers_has_ticks_at_them(rate, limits):
-    dataset = made(np.arange(3.0 * len(rate)).reshape(3, -1), n=[3, 4, 5], rate=rate)
-    axes = linksweep.plot(dataset, "map", over=["rate", "n"]).axes[0]
-    assert axes.get_xlim() == pytest.approx(limits)
-    assert all(tick == round(tick) for tick in axes.get_yticks())
-
-
-def test_contours_of_negative_numbers_are_solid_and_those_of_truth_values_not_there():
-    numbers, axis = np.linspace(-4000.0, 4000.0, 25).reshape(5, 5), np.arange(5.0)
-    axes = linksweep.plot(made(numbers, a=axis, b=axis), "map").axes[0]
-    [lines] = [one for one in axes.collections if isinstance(one, ContourSet)]
-    assert min(lines.levels) < 0.0
-    assert {style for _, style in lines.get_linestyle()} == {None}
-    assert "-2000" in [text.get_text() for text in lines.labelTexts]
-    axes, bar = linksweep.plot(made(np.tri(5, dtype=bool), a=axis, b=axis), "map").axes
-    assert not any(isinstance(one, ContourSet) for one in axes.collections)
-    assert [text.get_text() for text in bar.get_yticklabels()] == ["False", "True"]
 
 
 # Kept samples

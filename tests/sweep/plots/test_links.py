@@ -66,14 +66,6 @@ def test_the_scatter_of_the_stretched_solutions_is_the_jackknife_error(link):
     np.testing.assert_allclose(sizes**2, np.linalg.eigvalsh(covariance) * -2.0 * np.log(1.0 - 0.683), rtol=1e-9)
 
 
-def test_the_trajectory_marks_the_step_that_was_chosen(link):
-    figure = linksweep.plot(link, "trajectory")
-    upper, lower = figure.axes
-    np.testing.assert_allclose(upper.lines[0].get_ydata(), link.step_estimate.values[:, 0])
-    assert upper.lines[-1].get_xdata()[0] == int(link.step_chosen) == 1
-    assert [text.get_text() for text in lower.get_xticklabels()][1:] == list(link.step_dropped.values[1:])
-
-
 def arrows(axes):
     """The places (deg), relative lengths and directions (deg) on the paper of the arrows of a map."""
     axes.figure.draw_without_rendering()

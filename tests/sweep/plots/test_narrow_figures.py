@@ -73,13 +73,6 @@ def test_a_legend_takes_no_height_from_its_panel(dataset_of):
     assert panel.get_window_extent().height / panel.figure.dpi > 0.85
 
 
-def test_no_sign_of_the_legend_of_a_scatter_is_cut(dataset_of):
-    with settings(WIDTH):
-        signs = drawn(dataset_of("scatter")).axes[0].get_legend().get_lines()
-    assert signs
-    assert min(sign.get_window_extent().y0 for sign in signs) > 0.0
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["solution", "residuals", "weight", "ranking", "jackknife", "trajectory"])
 def test_figures_of_a_link_fit_a_column(kind):

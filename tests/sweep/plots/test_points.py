@@ -54,16 +54,6 @@ def test_pairs_have_a_panel_for_every_two_parameters(points):
     assert np.array_equal(np.sort(figure.axes[0].collections[0].get_array()), np.sort(points.y.values[:, 1]))
 
 
-def test_a_long_name_at_the_left_is_broken(tmp_path):
-    def cost(length: float = 1.0, kind: str = "steel"):
-        return length * len(kind)
-
-    table = {"length": [1.0, 2.0, 3.0], "kind": ["steel", "carbon fibre composite", "steel"]}
-    ds = linksweep.run(cost, tmp_path / "s.zarr", points=table, pool="serial")
-    panel = linksweep.plot(ds, kind="pairs").axes[0]
-    assert [text.get_text() for text in panel.get_yticklabels()] == ["steel", "carbon fibre\ncomposite"]
-
-
 @pytest.mark.parametrize(
     ("options", "problem"),
     [

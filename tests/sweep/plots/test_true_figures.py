@@ -71,24 +71,6 @@ def test_other_axes_have_the_scale_on_which_they_are_more_even(x, scale):
     assert scales(results(x))[0] == scale
 
 
-def test_results_have_the_scale_that_shows_them_all():
-    x = np.arange(10.0)
-    assert scales(results(x, LARGE))[1] == "linear"
-    assert scales(results(x, np.exp(x)))[1] == "log"
-    assert scales(results(x, [1e-9, 1e-9, *LARGE[2:]]))[1] == "linear"  # a corner where nothing is left
-    assert scales(results(x, [600.0, 610.0, 620.0, 630.0, 640.0, 1.7, 1.2, 0.9, 0.7, 0.5]))[1] == "log"
-    assert scales(results(x, 1.0 / (x - 20.0)))[1] == "linear"
-
-
-def test_panels_that_share_an_axis_share_its_scale():
-    y = np.stack([np.linspace(1.0, 2.0, 6), np.geomspace(1.0, 60.0, 6), -np.linspace(1.0, 2.0, 6)])
-    variables = {"y": (("a", "x"), y, {"headline": 1}), "status": (("a", "x"), np.ones(y.shape, dtype=int))}
-    dataset = xr.Dataset(variables, {"a": ["u", "v", "w"], "x": np.arange(6.0)}, {"title": "", "function": "f"})
-    dataset = xr.concat([dataset, dataset], "b").assign_coords(b=["i", "j"])
-    axes = linksweep.plot(dataset, "lines", over=["x"]).axes
-    assert {one.get_yscale() for one in axes} == {"linear"}  # a part of the values is negative
-
-
 # The choice of a study, of a call, and of the command
 
 

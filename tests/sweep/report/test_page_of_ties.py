@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import linksweep
-from linksweep.sweep.report.page import report_of
 from tests.core.tie.made import MAS, gaia, noise, propagated, seen_by_satellite, stars
+from tests.sweep.analysis.made import report_of
 
 KINDS = ("scaled", "jackknife", "formal")
 CLIPS = ("none", "discrepancy:3")

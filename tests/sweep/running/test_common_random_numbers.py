@@ -5,15 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from astropy import units as u
 
 from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.planning.grid import make_grid
-from linksweep.sweep.running.results import squared
-from linksweep.sweep.running.run import run_study
-from linksweep.sweep.studies.reader import study_from_dict
-from tests.tiers import slow
+from tests.sweep.opening import Resources, make_grid, run_study, study_from_dict
 
 SERIAL = Resources(pool="serial")
 
@@ -84,15 +78,6 @@ def test_a_point_does_not_know_who_shares_its_numbers(tmp_path):
         assert alone["mean"].item() == whole["mean"].sel(mixing=mixing, scale=1.0).item()
 
 
-@pytest.mark.parametrize(
-    "resources", [Resources(workers=2, pool="threads"), slow(Resources(workers=2, pool="processes"))]
-)
-def test_the_bits_are_those_of_the_serial_reference(tmp_path, resources):
-    serial = run({"mixing": MIXING, "kind": ["a", "b"]}, tmp_path / "serial.zarr")
-    other = run({"mixing": MIXING, "kind": ["a", "b"]}, tmp_path / "other.zarr", resources)
-    xr.testing.assert_identical(serial.drop_attrs(), other.drop_attrs())
-
-
 def test_a_study_that_grows_draws_again_only_for_what_is_new(tmp_path, monkeypatch):
     run({"mixing": MIXING[:2]}, tmp_path / "s.zarr", n_cat=20)
     asked = []
@@ -127,16 +112,12 @@ def test_results_with_and_without_do_not_mix(tmp_path):
         run({"mixing": MIXING}, tmp_path / "s.zarr", common_random_numbers=False)
 
 
-def test_an_experiment_must_say_what_is_shared(coins):
-    with pytest.raises(SweepError, match="the experiment 'coins' declares no parameter that leaves its random numbers"):
-        study_from_dict(coins | {"sampling": {"common_random_numbers": True}})
-
-
 @pytest.mark.slow
 def test_the_covariance_between_points_is_that_of_their_shared_numbers(tmp_path):
     dataset = run({"mixing": MIXING}, tmp_path / "s.zarr", n_cat=600)
     covariance = dataset["mean_mc_covariance_mixing"]
     assert covariance.dims == ("mixing", "mixing_other")
+    assert covariance.attrs["units"] == "m2"
     x = np.array(MIXING)
     expected = (1.0 + np.outer(x, x)) / (512 * 600)
     error = np.sqrt((expected**2 + np.outer(np.diag(expected), np.diag(expected))) / 600)  # of a sample covariance
@@ -147,8 +128,3 @@ def test_too_few_catalogues_give_no_covariance(tmp_path):
     dataset = run({"mixing": MIXING}, tmp_path / "s.zarr", n_cat=4)
     assert "mean_mc_covariance_mixing" not in dataset
     assert dataset.attrs["common_random_numbers"] == 1
-
-
-@pytest.mark.parametrize("unit", ["mas / yr", "mas yr-1", "mas", "km2 / s", "m**2 s^-2", ""])
-def test_the_unit_of_a_covariance_is_the_square_as_astropy_reads_it(unit):
-    assert u.Unit(squared(unit)) == u.Unit(unit) ** 2

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.sweep.formatting import in_words
 from linksweep.sweep.running.progress import Eta
 from tests.tiers import examples, slow
 
@@ -81,14 +80,6 @@ def test_after_a_fifth_of_the_work_it_is_right_within_a_factor_of_one_and_a_half
             assert truth / 1.5 < estimate < 1.5 * truth
 
 
-def test_results_that_travel_for_a_while_do_not_look_like_more_workers():
-    random_ = random.Random(1)
-    results = results_of([growing(random_, i / 100) for i in range(100)], 2, travel=0.5)
-    for workers in (2, None):
-        estimate, truth = at(0.2, estimates(results, workers))
-        assert truth / 1.5 < estimate < 1.5 * truth
-
-
 def test_what_is_under_way_counts_between_results():
     """Two workers at tasks of ten seconds: five seconds after a result there are five seconds less left."""
     eta = Eta(20.0, 2)
@@ -143,22 +134,6 @@ def test_never_negative_nor_nan(steps, cost, workers):
             left = eta.left(now + later)
             assert math.isfinite(left)
             assert left >= 0.0
-
-
-@pytest.mark.parametrize(
-    ("seconds", "words"),
-    [
-        (0.2, "0 s"),
-        (59.4, "59 s"),
-        (59.6, "1 min 00 s"),
-        (200.0, "3 min 20 s"),
-        (3600.0, "1 h 00 min"),
-        (7530.0, "2 h 05 min"),
-        (86400.0 * 3 + 4 * 3600, "3 d 4 h"),
-    ],
-)
-def test_durations_in_words(seconds, words):
-    assert in_words(seconds) == words
 
 
 @pytest.mark.parametrize("workers", [1, 3])

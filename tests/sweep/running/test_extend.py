@@ -7,9 +7,7 @@ import xarray as xr
 
 import linksweep
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.run import plan_study, run_study
-from linksweep.sweep.studies.reader import study_from_dict
+from tests.sweep.opening import Resources, plan_study, run_study, study_from_dict
 
 SERIAL = Resources(pool="serial")
 

@@ -1,7 +1,6 @@
 """Runs whose points fail: seen while they go on, grouped at their end, and ended where they only fail."""
 
 import io
-import json
 import re
 
 import pytest
@@ -13,7 +12,7 @@ import linksweep
 from linksweep import SweepError
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.grid import make_grid
-from linksweep.sweep.planning.point_status import Status, count_status
+from linksweep.sweep.planning.point_status import count_status
 from linksweep.sweep.running import progress
 from linksweep.sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError, failed_points
 from linksweep.sweep.running.run import run_study
@@ -231,10 +230,3 @@ def test_imports_neither_start_workers_nor_make_a_point_slow(tmp_path, sweep_her
     assert "the rest is done on" not in err
     assert "slowest" not in err
     assert not re.search(r"about \d+ s left", (tmp_path / "run.log").read_text())
-
-
-def test_failures_of_a_dataset_name_all_points(folder, sweep):
-    sweep("run", "f.py:odd", "--axis", "x=0:17:1", "-o", "s.zarr")
-    failures = json.loads(open_dataset("s.zarr").attrs["failures"])
-    assert failures == {f"x={x}": f"ValueError: no sun at {x}" for x in range(1, 18, 2)}
-    assert Status.FAILED in open_dataset("s.zarr")["status"].values

@@ -5,7 +5,6 @@ import logging
 import re
 
 import numpy as np
-import pandas as pd
 import pytest
 import xarray as xr
 from hypothesis import HealthCheck, given, settings
@@ -13,8 +12,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import Output, SweepError, experiment
-from linksweep.sweep.running.reproduce import reproduce
-from linksweep.sweep.stores.store import OpenStore
+from tests.sweep.opening import OpenStore
 from tests.tiers import examples, slow
 
 T = np.linspace(0.0, 160.0, 81)
@@ -70,21 +68,6 @@ def test_a_function_is_evaluated_once_and_its_results_are_stored_to_the_last_bit
     assert more.isel(k=slice(4)).drop_attrs().equals(ds.drop_attrs())
 
 
-@pytest.mark.parametrize("n", [20, slow(200)])
-def test_many_points_of_a_series_come_back_whole(tmp_path, n):
-    def series(a: float, b: int):
-        return xr.DataArray(np.sin(a * T) + b, {"time": ("time", T, {"units": "d"})}, name="y", attrs={"units": "m"})
-
-    axes = {"a": np.linspace(0.01, 1.0, n), "b": pd.Index(range(10))}
-    run(series, tmp_path / "s.zarr", axes=axes)
-    ds = xr.open_zarr(tmp_path / "s.zarr").load()
-    assert ds.y.dims == ("a", "b", "time")
-    assert ds.y.attrs["units"] == "m"
-    assert ds.time.attrs["units"] == "d"
-    a, b = axes["a"], np.arange(10)
-    assert np.array_equal(ds.y.values, np.sin(a[:, None, None] * T) + b[:, None])
-
-
 def test_points_that_are_not_like_the_first_fail_by_name_and_the_rest_goes_on(tmp_path, caplog):
     def fickle(k: int):
         return {0: {"y": 1.0, "z": 1}, 1: {"z": 2, "y": 3}, 2: {"y": 1.0}, 3: {"y": 1.0, "z": True}, 4: None}.get(
@@ -123,28 +106,6 @@ def test_integers_beside_points_that_failed_are_missing_there_and_exact_in_the_f
     assert exact.y.values.tolist() == [2**60, exact.y.attrs["_FillValue"], 2**60 + 2]
 
 
-def test_where_every_point_fails_the_store_says_why_and_goes_on_later(tmp_path):
-    (tmp_path / "f.py").write_text("import pathlib\ndef f(k: int):\n    return pathlib.Path('ok').read_text()\n")
-    place = tmp_path / "s.zarr"
-    ds = run(f"{tmp_path}/f.py:f", place, axes={"k": [1, 2]})
-    assert set(json.loads(ds.attrs["failures"])) == {"k=1", "k=2"}
-    again = run(f"{tmp_path}/f.py:f", place, axes={"k": [1, 2, 3]})
-    assert again.status.values.tolist() == [2, 2, 2]
-
-
-def test_sys_exit_and_exceptions_fail_their_points_alone(tmp_path):
-    def leaving(k: int):
-        if k == 1:
-            raise SystemExit("enough")
-        return {"y": 1 // k}
-
-    ds = run(leaving, tmp_path / "s.zarr", axes={"k": [0, 1, 2]})
-    failures = json.loads(ds.attrs["failures"])
-    assert failures["k=1"] == "SystemExit: enough"
-    assert failures["k=0"].startswith("ZeroDivisionError")
-    assert ds.status.values.tolist() == [2, 2, 1]
-
-
 def test_a_study_must_say_what_has_no_default_and_nothing_is_sampled(tmp_path):
     def f(a: float, b: float = 1.0):
         return a + b
@@ -156,15 +117,6 @@ def test_a_study_must_say_what_has_no_default_and_nothing_is_sampled(tmp_path):
     with pytest.raises(SweepError, match="unknown parameter 'c'"):
         run(f, tmp_path / "s.zarr", axes={"a": [1.0]}, fixed={"c": 5})
     assert not (tmp_path / "s.zarr").exists()
-
-
-def test_a_parameter_without_a_type_takes_what_the_study_writes(tmp_path):
-    ds = run(lambda x: {"y": f"{x}"}, tmp_path / "s.zarr", axes={"x": [1, 2.5]})
-    assert ds.y.values.tolist() == ["1.0", "2.5"]
-    ds = run(lambda x: {"y": x * 2}, tmp_path / "t.zarr", axes={"x": ["a", "b"]})
-    assert ds.y.values.tolist() == ["aa", "bb"]
-    with pytest.raises(SweepError, match=r"several types \(int, str\); an axis is of one"):
-        run(lambda x: x, tmp_path / "u.zarr", axes={"x": [1, "a"]})
 
 
 def test_vectorised_functions_get_arrays_and_single_points_are_to_blame(tmp_path):
@@ -310,15 +262,6 @@ def test_dimensions_come_in_the_declared_order(tmp_path):
     assert fixed.cube.sel(b=6).values.tolist() == values[:, 1, :].T.tolist()
 
 
-def test_precision_is_reached_for_means_and_quantiles(tmp_path):
-    ds = run(
-        queue, tmp_path / "q.zarr", axes={"load": [0.2, 0.5]}, sampling={"n_sim": 64, "precision": 0.06, "seed": 1}
-    )
-    for name in ("wait_mean", "wait_q95", "long_count"):
-        assert (ds[f"{name}_mc_error"] <= 0.06 * ds[name]).all(), name
-    assert (ds.n_sim_done > 64).all()
-
-
 @pytest.mark.parametrize("pool", ["serial", "threads", slow("processes")])
 def test_a_precision_takes_the_same_realisations_in_every_run(tmp_path, pool):
     """Once each: those of the first points, which say what the function returns, are not computed again."""
@@ -334,47 +277,6 @@ def test_a_precision_takes_the_same_realisations_in_every_run(tmp_path, pool):
     assert linksweep.run(queue, **study).drop_attrs().identical(ds.drop_attrs())
 
 
-def test_reproduce_computes_the_same_bits(tmp_path):
-    (tmp_path / "m.py").write_text(
-        "from linksweep import Output, experiment\n"
-        "@experiment(outputs=[Output('w', statistics=['mean', 'q90'])])\n"
-        "def m(load: float = 0.5, *, rng):\n    return {'w': rng.exponential(load)}\n"
-        "def d(load: float = 0.5):\n    return {'w': load * 2, 's': f'{load}'}\n"
-    )
-    for name, sampling in (("m", {"n_sim": 600}), ("d", None)):
-        run(f"{tmp_path}/m.py:{name}", tmp_path / name, axes={"load": [0.5, 1.0]}, sampling=sampling)
-        again = reproduce(tmp_path / name, "load=1.0")
-        assert again.differences == {}
-        assert again.stored == "done"
-
-
-def test_studies_without_a_name_do_not_share_a_store(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-    def f(a: float = 1.0):
-        return a
-
-    for axes in ([1.0, 2.0], [3.0]):
-        linksweep.run(f, axes={"a": axes}, pool="serial")
-    linksweep.run({"experiment": f, "axes": {"a": np.array([5.0])}}, pool="serial")
-    names = sorted(path.name for path in (tmp_path / "results").iterdir())
-    assert len(names) == 3
-    assert all(name.startswith("f-") for name in names)
-
-
-def test_code_of_a_session_is_known_by_what_it_refers_to(tmp_path):
-    def make(factor):
-        def f(a: float = 1.0):
-            return a * factor
-
-        return f
-
-    run(make(2.0), tmp_path / "s.zarr", axes={"a": [1.0]})
-    assert run(make(2.0), tmp_path / "s.zarr", axes={"a": [1.0, 2.0]}).f.values.tolist() == [2.0, 4.0]
-    with pytest.raises(SweepError, match=r"value factor of .*make.* is 2.0 in the store, 3.0 now"):
-        run(make(3.0), tmp_path / "s.zarr", axes={"a": [1.0, 2.0, 3.0]})
-
-
 def test_a_file_that_works_again_is_retried_in_the_store_that_knew_nothing(tmp_path, sweep):
     (tmp_path / "f.py").write_text(
         "import pathlib\ndef f(k: int):\n    return len(pathlib.Path('ok').read_text()) + k\n"
@@ -388,19 +290,6 @@ def test_a_file_that_works_again_is_retried_in_the_store_that_knew_nothing(tmp_p
     code, _, err = sweep("run", "--retry", "s.zarr", cwd=tmp_path)
     assert code == 0, err
     assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [5, 6, 7]
-
-
-WORDS = (
-    "catalogue",
-    "random number",
-    "metz",
-    "geffert",
-    "astrometr",
-    "celestial",
-    "satellite",
-    "mas / yr",
-    "extragalactic",
-)
 
 
 def test_the_dimensions_of_an_output_are_axes(tmp_path, sweep):

@@ -20,6 +20,7 @@ from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import Store
 from linksweep.sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
+from tests.sweep.outside import wait_until
 from tests.tiers import slow
 
 ENDLESS_S = 3600.0
@@ -58,19 +59,6 @@ def ended_as(body):
     except RunInterruptedError as stop:
         return stop.signal
     return None
-
-
-def test_a_held_signal_waits_for_the_end_of_the_block():
-    steps = []
-
-    def body(interruptions):
-        with interruptions.held():
-            signal.raise_signal(signal.SIGINT)
-            steps.append("written")
-        steps.append("not reached")
-
-    assert ended_as(body) == signal.SIGINT
-    assert steps == ["written"]
 
 
 def test_a_held_signal_is_raised_once():
@@ -130,26 +118,6 @@ def test_except_exception_in_a_loop_does_not_go_on_after_ctrl_c(tmp_path, start_
     assert out.splitlines() == ["began 0"]
     assert process.returncode != 0
     assert err.splitlines()[-1].endswith("interrupted; what was done is kept, the same call goes on from there")
-
-
-@pytest.mark.parametrize(
-    ("module", "code", "said"),
-    [("linksweep.sweep.cli.group", -signal.SIGINT, ""), ("linksweep.sweep.studies.document", 130, "interrupted\n")],
-    ids=["of the commands", "of a command"],
-)
-def test_interrupted_while_modules_are_imported(start_sweep, module, code, said):
-    script = (
-        "import builtins, signal, linksweep.sweep.__main__ as command\n"
-        "def interrupted(name, *others, imported=builtins.__import__):\n"
-        f"    if name == {module!r}:\n"
-        "        signal.raise_signal(signal.SIGINT)\n"
-        "    return imported(name, *others)\n"
-        "builtins.__import__ = interrupted\n"
-        "command.main()"
-    )
-    process = start_sweep(command=[sys.executable, "-c", script, "list"])
-    out, err = process.communicate(timeout=PATIENCE_S)
-    assert (process.returncode, out, err) == (code, "", said)
 
 
 def test_the_second_signal_is_answered_as_before():
@@ -256,22 +224,6 @@ def test_an_ignored_signal_stays_ignored():
         signal.signal(signal.SIGHUP, before)
 
 
-def test_outside_the_main_thread_nothing_is_watched():
-    failures = []
-
-    def run():
-        try:
-            with watched():
-                pass
-        except Exception as error:
-            failures.append(error)
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    thread.join()
-    assert not failures
-
-
 @pytest.mark.parametrize("long_write", [False, True], ids=["short write", "long write"])
 def test_interrupted_during_the_last_write(coins, tmp_path, monkeypatch, long_write):
     """A short write is finished, a long one given up; either way the run goes on to the same numbers."""
@@ -310,26 +262,12 @@ def group_of(pid):
     return found
 
 
-def check_nobody_left(pid):
-    deadline = time.monotonic() + PATIENCE_S
-    while (left := group_of(pid)) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not left
-
-
 def stopped(process, number):
     """Send a signal to a whole process group, as a terminal does, and return exit code and stderr."""
     os.killpg(process.pid, number)
     _, err = process.communicate(timeout=PATIENCE_S)
-    check_nobody_left(process.pid)
+    wait_until(lambda: not group_of(process.pid), "the end of all processes")
     return process.returncode, err
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.02)
-    assert condition()
 
 
 @pytest.mark.parametrize(
@@ -345,7 +283,7 @@ def test_long_blocks_are_not_waited_for(tmp_path, start_sweep, number, code, wor
     store = tmp_path / "s.zarr"
     process = start_sweep("run", tmp_path / "study.toml", "-o", store, *pool, start_new_session=True)
     assert "20 points" in process.stderr.readline()
-    wait_for((store / "zarr.json").exists)
+    wait_until((store / "zarr.json").exists, "it")
     time.sleep(0.5)
     returned, err = stopped(process, number)
     assert returned == code
@@ -353,31 +291,6 @@ def test_long_blocks_are_not_waited_for(tmp_path, start_sweep, number, code, wor
     assert err.splitlines()[-1] == said
     assert len(err.splitlines()) <= 2  # the other is the address of the dashboard
     assert xr.open_zarr(store).attrs["complete"] == 0
-
-
-WHILE_IMPORTING = """
-import os, signal, sys
-
-class Finder:
-    def find_spec(self, name, path=None, target=None):
-        if name == "pandas._libs.ops_dispatch":
-            os.kill(os.getpid(), signal.SIGINT)
-
-sys.meta_path.insert(0, Finder())
-from linksweep.sweep.__main__ import main
-main()
-"""
-
-
-@pytest.mark.slow
-def test_an_interruption_waits_for_an_import_that_cannot_be_repeated(tmp_path, start_sweep):
-    (tmp_path / "study.toml").write_text(sleepers(ENDLESS_S))
-    arguments = ("run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr", "--pool", "serial")
-    process = start_sweep(*arguments, command=(sys.executable, "-c", WHILE_IMPORTING))
-    _, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 130, err
-    assert "Traceback" not in err
-    assert xr.open_zarr(tmp_path / "s.zarr").attrs["complete"] == 0
 
 
 def answers_sigterm(pid):
@@ -392,7 +305,7 @@ def test_interrupted_while_the_cluster_starts(tmp_path, start_sweep, moment):
     process = start_sweep(
         "run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr", "--workers", 2, start_new_session=True
     )
-    wait_for(lambda: answers_sigterm(process.pid))
+    wait_until(lambda: answers_sigterm(process.pid), "it")
     time.sleep(moment)
     returned, err = stopped(process, signal.SIGINT)
     assert returned == 130, err
@@ -451,7 +364,7 @@ def test_what_was_finished_before_is_kept(tmp_path, start_sweep, sweep):
     (tmp_path / "study.toml").write_text(sleepers(0.3, sheep=8))
     store = tmp_path / "s.zarr"
     process = start_sweep("run", tmp_path / "study.toml", "-o", store, "--pool", "serial", start_new_session=True)
-    wait_for(lambda: any((store / "blocks").glob("rows*")))
+    wait_until(lambda: any((store / "blocks").glob("rows*")), "it")
     returned, err = stopped(process, signal.SIGTERM)
     assert returned == 143, err
     assert int(xr.open_zarr(store)["n_sim_done"].sum()) > 0

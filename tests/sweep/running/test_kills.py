@@ -9,9 +9,8 @@ import sys
 import pytest
 import xarray as xr
 
-from linksweep.sweep.studies.reader import load_study
 from tests.patience import PATIENCE_S
-from tests.sweep.opening import existing_store
+from tests.sweep.opening import existing_store, load_study
 
 pytestmark = pytest.mark.slow  # 20 kills of real runs
 

@@ -105,7 +105,6 @@ def test_attributes_count_as_they_are_when_the_run_starts(tmp_path, kind):
         return subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False).stderr
 
     assert "Error" not in run_script(first)
-    assert "Error" not in run_script(first)
     error = run_script(then)
     assert "was made by other code" in error
     assert named in error

@@ -8,9 +8,7 @@ import pytest
 
 import linksweep
 from linksweep import SweepError
-from linksweep.sweep.running.merge import MERGED, merge
-from linksweep.sweep.stores.location import Folder
-from linksweep.sweep.stores.store import OpenStore, check
+from tests.sweep.opening import MERGED, Folder, OpenStore, check, merge
 from tests.tiers import slow
 
 MODEL = (

@@ -8,8 +8,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import SweepError
-from linksweep.sweep.stores.store import OpenStore
-from linksweep.sweep.studies.study import POINT, POINT_TABLE
+from tests.sweep.opening import POINT, POINT_TABLE, OpenStore
 from tests.tiers import slow
 
 
@@ -156,23 +155,3 @@ def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(file, t
     assert [row["y"] for row in json.loads(out)["rows"]] == [1.0, 0.75, 1.0, 14.0]
     code, out, err = sweep("find", "s.zarr", "--where", "y > 0.9", "--json", cwd=tmp_path)
     assert [row["point"] for row in json.loads(out)["rows"]] == [0, 2, 3]
-
-
-def test_a_table_of_one_parameter_is_an_axis_in_any_order(tmp_path):
-    model, _ = counting()
-    ds = run(model, tmp_path / "s.zarr", points={"x": [4.0, 1.0, 2.0, 1.0, 8.0]}, fixed={"k": 0})
-    law = linksweep.fit_power_law(ds, "y", over="x")
-    assert law.exponent.item() == pytest.approx(1.0)
-    crossing = linksweep.find(ds, "y < 0.3", over="x")
-    assert crossing["first"].item() == pytest.approx(3.0)
-
-
-def test_ten_thousand_points_of_a_vectorised_function(tmp_path):
-    @linksweep.experiment(vectorised=True)
-    def many(x: float = 1.0, y: float = 1.0):
-        return {"z": x + y}
-
-    ranges = {"x": [0, 1], "y": [0, 1]}
-    ds = run(many, tmp_path / "s.zarr", points={"design": "random", "n": 10_000, "ranges": ranges})
-    assert np.array_equal(ds.z.values, ds.x.values + ds.y.values)
-    assert ds.z.mean().item() == pytest.approx(1.0, abs=0.02)

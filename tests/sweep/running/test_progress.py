@@ -15,7 +15,6 @@ from linksweep.sweep.executing.task import TaskResult
 from linksweep.sweep.formatting import in_words
 from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
-from linksweep.sweep.running.failures import failed_points
 from linksweep.sweep.running.progress import SENTENCES, TerminalProgress
 from linksweep.sweep.running.writer import Taken
 from linksweep.sweep.studies.reader import study_from_dict
@@ -128,14 +127,6 @@ def test_the_log_has_what_ended_a_run(study, tmp_path):
     assert "ERROR results/study.zarr: holds results of a different study" in (tmp_path / "run.log").read_text()
 
 
-@pytest.mark.slow
-def test_the_log_has_what_dask_says(study, tmp_path):
-    done = CliRunner().invoke(main, ["run", "study.toml", "--workers", "1", "--log", "run.log", "--set", "coins=1"])
-    assert done.exit_code == 0, done.output
-    assert "Register worker addr" in (tmp_path / "run.log").read_text()
-    assert "Register worker" not in done.stderr
-
-
 @pytest.mark.parametrize("place", ["no/such/folder/run.log", "results", "/proc/run.log", "a\0b"])
 def test_a_log_that_cannot_be_written_ends_it_before_anything_is_computed(study, tmp_path, place):
     (tmp_path / "results").mkdir()
@@ -217,15 +208,6 @@ def test_the_summary_names_the_slowest_of_many_points(coins):
 def test_points_that_took_about_as_long_are_not_called_slow(coins):
     study = study_from_dict(coins | {"axes": {"coins": {"start": 1, "stop": 50, "step": 1}}, "fixed": {}})
     assert len(summary_of(study, np.full(50, 5.0), 1)) == 1
-
-
-def test_the_end_of_a_run_tells_the_reasons_of_failures_grouped():
-    failures = {"sky=a,tilt=10": "KeyError: 'y'", "sky=a,tilt=20": "no sun", "sky=b,tilt=10": "KeyError: 'y'"}
-    expected = "3 points failed: 2 like KeyError: 'y', for example at sky=a,tilt=10; no sun, at sky=a,tilt=20"
-    assert failed_points(failures) == expected
-    many = {f"n={n}": f"reason {letter}" for n, letter in enumerate("abcdefgh")}
-    assert failed_points(many).endswith("; 3 other reasons")
-    assert len(failed_points({"n=1": "x" * 10_000 + "\nand more"})) < 300
 
 
 @pytest.mark.slow

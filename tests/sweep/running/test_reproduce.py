@@ -6,14 +6,8 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from linksweep.sweep.contract import Experiment
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.interrupt import RunInterruptedError
-from linksweep.sweep.planning.work_queue import Tuning
-from linksweep.sweep.running.run import run_study
-from linksweep.sweep.stores.store import OpenStore
-from linksweep.sweep.studies.reader import study_from_dict
 from tests.patience import PATIENCE_S
+from tests.sweep.opening import OpenStore
 
 EXPERIMENT = (Path(__file__).parents[1] / "coins.py").read_text()
 FRAGILE = EXPERIMENT.replace(
@@ -78,32 +72,6 @@ def test_retry_computes_the_failed_points_and_only_those(broken, tmp_path, sweep
     assert "no point" in err
 
 
-@pytest.mark.slow
-def test_retry_leaves_what_is_only_missing(coins, tmp_path, monkeypatch):
-    study = study_from_dict(coins)
-    compute = Experiment.compute
-    begun = []
-
-    def stopped(experiment, points, *rest):
-        begun.append(points[0])
-        if points[0]["coins"] == 1:
-            raise ValueError("no")
-        if points[0]["coins"] == 20:
-            raise KeyboardInterrupt
-        return compute(experiment, points, *rest)
-
-    monkeypatch.setattr(Experiment, "compute", stopped)
-    with pytest.raises(RunInterruptedError):
-        run_study(study, tmp_path / "s.zarr", Resources(pool="serial"), tuning=Tuning(most_blocks=1))
-    monkeypatch.undo()
-    dataset, failures = run_study(study, tmp_path / "s.zarr", Resources(pool="serial"), retry=True)
-    assert not failures
-    assert dataset["status"].values.tolist() == [[1, 1, 0], [0, 0, 0]]
-    assert dataset.attrs["complete"] == 0
-    dataset, _ = run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
-    assert (dataset["status"] == 1).all()
-
-
 def test_reproduce_gives_every_bit(broken, sweep):
     store, _ = broken
     code, out, err = sweep("reproduce", store, "--at", "metal=tin,coins=20", cwd="/")
@@ -159,19 +127,3 @@ def test_a_place_that_is_none_is_refused(broken, sweep, at, message):
     assert code == 2
     assert message in err
     assert "Traceback" not in err
-
-
-def test_an_experiment_that_is_gone_is_named(broken, tmp_path, sweep):
-    (tmp_path / "fragile.py").unlink()
-    code, _, err = sweep("run", "--retry", broken[0])
-    assert code == 2
-    assert "there is no file" in err
-
-
-def test_a_built_in_study_is_reproduced_from_its_store_alone(tmp_path, sweep):
-    few = ("--axis", "v_max=14,15", "--set", "n_sim=600", "--set", "n_cat=1", "-o", tmp_path / "q.zarr")
-    code, _, err = sweep("run", "quasars", *few)
-    assert code == 0, err
-    code, _, err = sweep("reproduce", tmp_path / "q.zarr", "--at", "v_max=14, model=gaia", cwd="/")
-    assert code == 0, err
-    assert "every bit" in err

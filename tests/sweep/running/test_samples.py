@@ -1,17 +1,11 @@
 """Samples that a study keeps."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import xarray as xr
 
-from linksweep.sweep.contract import Output, SweepError
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.planning.work_queue import Tuning
-from linksweep.sweep.running.run import run_study
-from linksweep.sweep.stores.store import Store
-from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.contract import SweepError
+from tests.sweep.opening import Resources, Store, Tuning, run_study, study_from_dict
 
 SERIAL = Resources(pool="serial")
 LINK = {
@@ -76,11 +70,3 @@ def test_keeping_samples_is_part_of_what_a_store_means(kept, tmp_path):
     without = LINK | {"sampling": {**LINK["sampling"], "keep_samples": False}}
     with pytest.raises(SweepError, match="keep_samples"):
         run_study(study_from_dict(without), tmp_path / "s.zarr", SERIAL)
-
-
-def test_the_sample_outputs_are_declared():
-    from linksweep.core.experiment import link
-
-    assert link.samples_width == 6
-    assert isinstance(link.sample_outputs[0], Output)
-    assert replace(link, samples=None, sample_outputs=()).samples_width == 0

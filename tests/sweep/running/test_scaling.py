@@ -8,9 +8,7 @@ import pytest
 import xarray as xr
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.running.run import run_study
-from linksweep.sweep.running.scaling import measure_scaling
-from linksweep.sweep.studies.reader import study_from_dict
+from tests.sweep.opening import measure_scaling, run_study, study_from_dict
 
 
 @pytest.fixture
@@ -41,14 +39,6 @@ def test_speed_up_and_efficiency_are_those_of_the_seconds(coins, slow_clock):
     assert found.attrs["weak_scaling_grows"] == "n_cat"
     assert found.attrs["title"] == "Scaling of “Coins”"
     assert max(work for work, _, _ in slow_clock) == 1600
-
-
-def test_a_study_of_one_catalogue_grows_its_realisations(coins, slow_clock):
-    study = study_from_dict(coins | {"sampling": {"n_sim": 100, "n_cat": 1, "seed": 1}})
-    found = measure_scaling(study, [1, 2], repetitions=4)
-    assert found.attrs["weak_scaling_grows"] == "n_sim"
-    assert found.attrs["study_digest"] == study.digest()
-    assert "efficiency_error" not in found
 
 
 def test_a_function_without_random_numbers_has_no_weak_scaling(tmp_path, sweep):

@@ -1,7 +1,6 @@
 """How far a run is, along each axis: counted against plain sums over the dataset."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -58,13 +57,6 @@ def test_each_axis_counts_points_and_realisations(stopped):
     assert tin["done"] == 0
 
 
-def test_a_run_that_goes_on_is_not_said_to_have_finished(stopped, sweep):
-    code, out, _ = sweep("status", stopped)
-    assert code == 0
-    assert "last written: " in out
-    assert "finished" not in out
-
-
 def test_the_ledger_is_asked_and_not_the_older_dataset(coins, tmp_path):
     tuning = Tuning(most_blocks=1, long_write_bytes=0)  # so that an interruption leaves the first dataset
     with pytest.raises(RunInterruptedError):
@@ -73,16 +65,6 @@ def test_the_ledger_is_asked_and_not_the_older_dataset(coins, tmp_path):
     report = status_report(tmp_path / "s.zarr")
     assert report["realisations done"] == 40_000
     assert [segment["done"] for segment in report["axes"]["metal"]] == [2, 0]
-
-
-def test_without_the_experiment_the_dataset_is_asked(coins, tmp_path):
-    file = tmp_path / "mine.py"
-    file.write_text(Path(coins["experiment"].rpartition(":")[0]).read_text())
-    document = coins | {"experiment": f"{file}:experiment"}
-    run_study(study_from_dict(document), tmp_path / "s.zarr", SERIAL)
-    whole = status_report(tmp_path / "s.zarr")
-    file.unlink()
-    assert status_report(tmp_path / "s.zarr") == whole
 
 
 def test_zipped_axes_are_counted_together(coins, tmp_path):
@@ -98,11 +80,6 @@ def test_zipped_axes_are_counted_together(coins, tmp_path):
         {"coins": 1, "chance": 0.3},
         {"coins": 5, "chance": 0.6},
     ]
-
-
-def test_one_point_has_no_axes(coins, tmp_path):
-    run_study(study_from_dict(coins | {"axes": {}}), tmp_path / "s.zarr", SERIAL)
-    assert status_report(tmp_path / "s.zarr")["axes"] == {}
 
 
 def test_the_command_prints_a_table_and_json_has_every_value(sweep, stopped):
@@ -171,13 +148,6 @@ sampling = {{ n_sim = 1000, n_cat = 20 }}
     assert lines["work"] == "4 blocks in about 1 task"
     assert lines["time"] == "at least 0 s of computing on 1 core of this machine"
     assert lines["store"] == "results/study.zarr"
-
-
-def test_tasks_of_a_function_whose_time_is_not_known_are_not_counted(sweep, tmp_path):
-    (tmp_path / "f.py").write_text("def f(a: float) -> float:\n    return 2.0 * a\n")
-    code, out, err = sweep("plan", "f.py:f", "--axis", "a=1,2,3", cwd=tmp_path)
-    assert code == 0, err
-    assert dict(line.split(maxsplit=1) for line in out.splitlines())["work"] == "3 blocks"
 
 
 def test_all_failed_points_are_counted_and_a_terminal_names_the_first(sweep, tmp_path):

@@ -15,8 +15,8 @@ from tests.core.tie.made import (
     DEGREE,
     MAS,
     NAMES,
-    PAIRS,
     TableOptions,
+    gaia_table,
     main,
     noise,
     parallax_factors,
@@ -26,17 +26,6 @@ from tests.core.tie.made import (
 )
 
 EPSILON, OMEGA = np.array([0.8, -1.5, 0.6]) * MAS, np.array([-0.12, 0.25, 0.07]) * MAS
-
-
-def table_of(made):
-    """Return a table of the Gaia archive's names without units, as in CSV."""
-    table = Table({"source_id": made.names, "ref_epoch": made.epoch})
-    for k, name in enumerate(NAMES):
-        table[name] = made.values[k] / (MAS if k > 1 else DEGREE)
-        table[f"{name}_error"] = made.errors[k] / MAS
-    for (i, j), row in zip(PAIRS, made.correlations, strict=True):
-        table[f"{NAMES[i]}_{NAMES[j]}_corr"] = row
-    return table
 
 
 def sky(n, seed):
@@ -49,8 +38,7 @@ def sky(n, seed):
     own = replace(truth, values=seen_by_satellite(truth, EPSILON, OMEGA), names=names, columns={})
     step = noise(rng, own)
     step[0] /= np.cos(own.values[1])
-    satellite = table_of(replace(own, values=own.values + step))
-    satellite["radial_velocity"] = truth.radial_velocity
+    satellite = gaia_table(replace(own, values=own.values + step), source_id=names)
     parts = []
     for i in range(n):
         one = truth.taken(np.array([i]))

@@ -1,12 +1,12 @@
 """Published links from the built-in tables."""
 
 import numpy as np
-import pytest
 import xarray as xr
+from click.testing import CliRunner
 
 import linksweep
 from linksweep import tie
-from linksweep.sweep.result import Result
+from tests.core.tie.made import main
 
 
 def test_icrf2_against_icrf3():
@@ -29,18 +29,16 @@ def test_timing_on_de200_against_vlbi():
 
 def test_a_link_is_written_in_one_step(tmp_path, monkeypatch):
     """An interrupted write left a folder by that name, which the next run refused."""
-    link, write = linksweep.tie("psrpi-de200", "timing-de200", "orientation"), xr.Dataset.to_zarr
+    command, write = ["tie", "psrpi-de200", "timing-de200", "-o", str(tmp_path / "link.zarr")], xr.Dataset.to_zarr
 
     def interrupted(dataset, *arguments, **options):
         write(dataset[["estimate"]], *arguments, **options)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(xr.Dataset, "to_zarr", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        Result(link).save(tmp_path / "link.zarr")
+    assert CliRunner().invoke(main, command).exit_code != 0
     monkeypatch.undo()
     assert not list(tmp_path.iterdir())
-    Result(link).save(tmp_path / "link.zarr")
-    assert linksweep.open(tmp_path / "link.zarr").estimate.values.tolist() == link.estimate.values.tolist()
-    with pytest.raises(linksweep.SweepError, match="exists already"):
-        Result(link).save(tmp_path / "link.zarr")
+    assert CliRunner().invoke(main, command).exit_code == 0
+    assert linksweep.open(tmp_path / "link.zarr").estimate.shape == (3,)
+    assert CliRunner().invoke(main, command).exit_code == 2

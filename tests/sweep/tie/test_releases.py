@@ -9,8 +9,8 @@ from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep import SweepError, forecast, load_study
-from linksweep.sweep.tie.experiment import check, tie, warn
+import linksweep
+from linksweep import SweepError, forecast
 from tests.core.tie.made import gaia, main, stars
 
 EPOCH = {"dr1": 2015.0, "dr2": 2015.5, "dr3": 2016.0, "dr4": 2017.5, "dr5": 2020.0}
@@ -108,12 +108,14 @@ def test_a_study_scales_from_the_same_release(folder):
         "n_sim = 2",
     )
     (folder / "study.toml").write_text("\n".join(lines))
-    at = tie.defaults() | load_study(str(folder / "study.toml")).fixed | {"release": "dr5"}
-    assert check(at) is None
-    assert any("scaled from dr4 (2017.5) to dr5" in note for note in warn(at))
-    sums = tie.evaluate([at], 2, np.random.default_rng(0), np.random.default_rng(0))
-    predicted = tie.summarise(sums, np.array([2.0]), np.ones(1))["sigma_predicted"][0, :6]
+    study = str(folder / "study.toml")
+    predicted = linksweep.run(study, folder / "s.zarr", pool="serial").sigma_predicted.sel(release="dr5").values[:6]
     np.testing.assert_allclose(predicted, errors_by_hand(folder, "dr4", "dr4", "dr5"), rtol=1e-9)
-    assert "scaled as if they were those of dr3" in check(at | {"from_release": "dr3"})
-    assert "dr4 already" in check(at | {"release": "dr4"})
-    assert "which is later" in check(at | {"release": "dr3"})
+    for changes, words in (
+        (["--set", "from_release=dr3"], "scaled as if they were those of dr3"),
+        (["--axis", "release=dr4"], "dr4 already"),
+        (["--axis", "release=dr3"], "which is later"),
+    ):
+        refused = CliRunner().invoke(main, ["run", study, *changes, "-o", str(folder / "t.zarr")])
+        assert refused.exit_code == 2
+        assert words in " ".join(refused.output.split())

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import MaskedColumn, Table, vstack
+from astropy.table import MaskedColumn, Table
 from astropy.time import Time
 
 from linksweep import SweepError, tie
@@ -443,17 +443,6 @@ def test_what_is_no_epoch_is_refused_with_its_row_and_once(tmp_path, epoch, mess
     with pytest.raises(SweepError, match=message) as refused:
         read_table(table_with(tmp_path / "t.ecsv", epoch))
     assert len(refused.value.problems) == 1
-
-
-def test_rows_that_repeat_another_are_said(tmp_path):
-    path = gaia(tmp_path / "rows.ecsv", stars(6))
-    table = Table.read(path)
-    later = table[:2].copy()
-    later["ref_epoch"] += 1.0
-    vstack([table, table[4:6], later], metadata_conflicts="silent").write(tmp_path / "twice.ecsv")
-    notes = tie(path, tmp_path / "twice.ecsv", "orientation", accept_misfit=True).attrs["notes"]
-    repeated = [note for note in notes if "the same numbers" in note]
-    assert repeated == ["row 7, 8 of twice.ecsv: the same numbers as another row of the source; all are used"]
 
 
 def test_a_satellite_without_positions_is_refused(tmp_path):
