@@ -61,7 +61,7 @@ def _rows(store: Path) -> int:
         manifest = json.loads((store / "blocks/zarr.json").read_text())["attributes"]["manifest"]
     except FileNotFoundError:
         return 0
-    return sum(file["records"] for file in manifest["columns"]["rows"])
+    return sum(part["records"] for part in manifest["parts"])
 
 
 def _killed(command: list[str], folder: Path, store: Path, points: int) -> float:
