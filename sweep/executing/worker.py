@@ -63,8 +63,8 @@ Who = tuple[str, str | None]
 # The experiments that were called in this process, by thread.
 _called: set[tuple[Who, int]] = set()
 
-# How points of vectorised functions depend on those beside them.
-_dependence: dict[Who, str] = {}
+# How points of vectorised functions depend on those beside them, beyond a tolerance.
+_dependence: dict[tuple[Who, float], str] = {}
 
 # The functions that returned the same twice in this process.
 _agreed: set[Who] = set()
@@ -231,7 +231,7 @@ def _points_together(experiment: Experiment, task: Task, deadlines: Deadlines) -
     and later ones.
     """
     points = [experiment.defaults() | unit.points[0] for unit in task.units]
-    who = task.experiment_reference, task.source_digest
+    who = (task.experiment_reference, task.source_digest), experiment.tolerance
     wrong = _dependence.get(who, "")
     if wrong:
         return failed(len(points), Failure("exception", wrong))

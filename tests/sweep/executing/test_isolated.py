@@ -136,18 +136,6 @@ def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, mo
     assert ds.forked.values[1:].tolist() == [False, False]
 
 
-def test_serial_is_this_process(tmp_path):
-    seen = []
-
-    def f(x: float):
-        seen.append(x)
-        return float(os.getpid())
-
-    ds = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]}, pool="serial")
-    assert set(ds.f.values) == {os.getpid()}
-    assert set(seen) == {1.0, 2.0}
-
-
 HOLDS = "__import__('re').match('(a+)+$', 'a' * 64 + 'b')"  # years, in which no other code of Python runs
 
 

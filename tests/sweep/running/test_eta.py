@@ -106,16 +106,6 @@ def test_work_that_becomes_known_during_the_run_counts():
     assert eta.left(5.0) == pytest.approx(25.0)
 
 
-def test_workers_that_are_gone_do_not_count():
-    eta = Eta(200.0)
-    for second in range(1, 11):
-        for worker in range(4):
-            eta.take(second + 0.01 * worker, 1.0, 1.0)
-    for second in range(11, 31):
-        eta.take(second + 0.0, 1.0, 1.0)
-    assert eta.left(30.0) == pytest.approx(140.0, rel=0.05)  # one of four is left
-
-
 @settings(max_examples=examples(200), derandomize=True)
 @given(
     st.lists(st.tuples(st.floats(0, 1e6), st.floats(0, 1e12), st.floats(0, 1e6), st.floats(0, 1e12)), max_size=30),
@@ -149,9 +139,3 @@ def test_first_calls_do_not_blow_up_the_estimate(workers):
         eta.take(now, 1.0, 0.01)
         truth = (1000 - workers - n - 1) * 0.01 / workers
         assert truth / 2 <= eta.left(now) <= 4 * truth
-
-
-def test_the_first_call_of_a_larger_task_is_left_out():
-    eta = Eta(1000.0, 1)
-    eta.take(8.99, 100.0, 8.99, cold=8.0, rows=100)
-    assert eta.left(8.99) == pytest.approx(9.0)

@@ -15,20 +15,6 @@ from linksweep import Output, SweepError, experiment
 from tests.sweep.opening import OpenStore
 from tests.tiers import examples, slow
 
-T = np.linspace(0.0, 160.0, 81)
-
-
-@experiment(
-    outputs=[Output("infected", dims="time", coords={"time": (T, "d")}), Output("peak", headline=True, meaning="peak")]
-)
-def sir(beta: float = 0.3, gamma: float = 0.1, n: int = 1000):
-    s, i, curve = n - 1.0, 1.0, []
-    for _ in T:
-        curve.append(i)
-        new = 2.0 * beta * s * i / n
-        s, i = s - new, i + new - 2.0 * gamma * i
-    return {"infected": np.array(curve), "peak": max(curve), "day": int(np.argmax(curve)), "phase": f"ß{beta:g}"}
-
 
 def run(function, store, **given):
     return linksweep.run(function, store=store, pool="serial", **given)
@@ -185,36 +171,6 @@ def test_statistics_are_made_of_integers_that_floats_hold_and_of_no_others(tmp_p
     assert "beyond 2**53" in json.loads(ds.attrs["failures"])["beyond=1"]
 
 
-def test_each_of_several_outputs_has_the_quantiles_of_its_own_realisations(tmp_path):
-    outputs = [
-        Output("pair", dims="k", statistics=["q10", "q90"]),
-        Output("between"),
-        Output("last", statistics=["median", "mean", "q25"]),
-    ]
-
-    @experiment(outputs=outputs)
-    def several(*, rng, n_sim):
-        pair = rng.normal((10.0, 20.0), 1.0, (n_sim, 2))
-        return {"pair": pair, "between": pair[:, 0], "last": rng.normal(-50.0, 1.0, n_sim)}
-
-    drawn = []
-
-    def noted(*, rng, n_sim):
-        drawn.append(several(rng=rng, n_sim=n_sim))
-        return {"x": drawn[-1]["last"]}
-
-    ds = run(several, tmp_path / "s", sampling={"n_sim": 700, "seed": 4})
-    run(noted, tmp_path / "n", sampling={"n_sim": 700, "seed": 4})
-    pair, last = (np.concatenate([each[name] for each in drawn]) for name in ("pair", "last"))
-    for name, level in (("q10", 0.1), ("q90", 0.9)):
-        assert np.array_equal(ds[f"pair_{name}"].values, np.quantile(pair, level, axis=0, method="hazen"))
-    for name, level in (("median", 0.5), ("q25", 0.25)):
-        assert ds[f"last_{name}"].item() == np.quantile(last, level, method="hazen")
-    assert ds.last_mean.item() == pytest.approx(last.mean(), rel=1e-12)
-    assert ds.between_mean.item() == pytest.approx(pair[:, 0].mean(), rel=1e-12)
-    assert (ds.pair_q10_mc_error < 0.2).all()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "draw", "truth"),
@@ -292,24 +248,6 @@ def test_a_file_that_works_again_is_retried_in_the_store_that_knew_nothing(tmp_p
     assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [5, 6, 7]
 
 
-def test_the_dimensions_of_an_output_are_axes(tmp_path, sweep):
-    run(sir, tmp_path / "s.zarr", axes={"beta": [0.2, 0.3, 0.4]})
-    ds = linksweep.open(tmp_path / "s.zarr")
-    crossing = linksweep.find(ds, "infected > 100", over="time")
-    for k, beta in enumerate((0.2, 0.3, 0.4)):
-        curve = sir(beta)["infected"]
-        first = np.argmax(curve > 100.0)
-        assert T[first - 1] < crossing["first"].values[k] < T[first]
-    assert linksweep.plot(ds, variables=["infected"], over=["time"]).axes
-    assert linksweep.plot(ds.isel(beta=0), variables=["infected"]).axes
-    code, out, _ = sweep("show", "s.zarr", "--json", cwd=tmp_path)
-    told = json.loads(out)
-    assert code == 0
-    assert told["rows"][1]["infected"] == sir(0.3)["infected"].tolist()
-    assert told["arrays"]["infected"]["coordinates"]["time"] == T.tolist()
-    assert told["units"]["time"] == "d"
-
-
 def test_an_imported_function_is_declared_in_a_script_also_for_worker_processes(tmp_path, monkeypatch):
     (tmp_path / "pairs.py").write_text("FACTOR = 3.0\n\n\ndef pair(x: float):\n    return FACTOR * x, x\n")
     monkeypatch.syspath_prepend(tmp_path)
@@ -368,17 +306,6 @@ def test_integers_and_floats_are_joined_whatever_the_order_and_the_runs(tmp_path
             assert ds[name].dtype == own[0].dtype
     for message in json.loads(ds.attrs["failures"]).values():
         assert re.fullmatch(r"numbers: 'big' is \d+, which is beyond 2\*\*53, and other points have floats", message)
-
-
-def test_workers_join_as_one_process_does(tmp_path):
-    def half(k: int):
-        return k // 2 if k % 2 == 0 else k / 2
-
-    serial = run(half, tmp_path / "serial.zarr", axes={"k": range(12)})
-    for pool in ("threads", "processes"):
-        other = linksweep.run(half, tmp_path / f"{pool}.zarr", axes={"k": range(12)}, pool=pool, workers=2)
-        xr.testing.assert_identical(other.drop_attrs(), serial.drop_attrs())
-    assert serial.half.values.tolist() == [k / 2 for k in range(12)]
 
 
 def test_a_store_of_integers_goes_on_with_floats(tmp_path):

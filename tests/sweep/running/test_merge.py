@@ -141,20 +141,6 @@ def test_other_bits_of_the_same_point_are_refused(tmp_path):
     assert not (tmp_path / "c.zarr").exists()
 
 
-def test_the_command_merges_and_the_result_is_reproduced(run, tmp_path, sweep):
-    run("a.zarr", axes={"x": [1.0]}, fixed={"k": 2})
-    run("b.zarr", axes={"x": [2.0]}, fixed={"k": 2})
-    code, out, err = sweep("merge", "a.zarr", "b.zarr", "-o", "c.zarr", "--json", cwd=tmp_path)
-    assert code == 0, err
-    assert [row["y"] for row in json.loads(out)["rows"]] == [2.0, 4.0]
-    assert err.endswith("wrote c.zarr\n")
-    code, out, err = sweep("reproduce", "c.zarr", "--at", "x=2", cwd=tmp_path)
-    assert (code, err) == (0, "every bit as in c.zarr\n")
-    code, out, err = sweep("merge", "a.zarr", "b.zarr", "-o", "c.zarr", cwd=tmp_path)
-    assert (code, out) == (2, "")
-    assert "holds a store already" in err
-
-
 class Killed(BaseException):
     """The end of a process before an operation on a file."""
 

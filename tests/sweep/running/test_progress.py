@@ -77,16 +77,6 @@ def test_the_end_of_a_run_says_what_it_took_and_how_to_look_closer(study):
     assert "metal" in done.stdout
 
 
-def test_a_finished_study_has_nothing_to_say_but_its_table(study):
-    run("--set", "coins=1")
-    again = run("--set", "coins=1")
-    assert again.exit_code == 0
-    assert again.stderr.splitlines() == [
-        "2 points, 2 of them in the store already; 0 realisations to do on one process",
-        "wrote results/study.zarr; next: sweep plot study, sweep report study",
-    ]
-
-
 def test_quiet_prints_the_table_and_errors(study):
     good = run("--quiet", "--set", "coins=1", "-o", "good.zarr")
     assert good.exit_code == 0
@@ -119,12 +109,6 @@ def test_the_log_has_everything_with_times_and_tracebacks_and_grows(study, tmp_p
     assert "realisations/s" in first
     run("--log", "run.log")
     assert (tmp_path / "run.log").read_text().startswith(first)
-
-
-def test_the_log_has_what_ended_a_run(study, tmp_path):
-    run()
-    assert run("--log", "run.log", "--set", "seed=5").exit_code == 2
-    assert "ERROR results/study.zarr: holds results of a different study" in (tmp_path / "run.log").read_text()
 
 
 @pytest.mark.parametrize("place", ["no/such/folder/run.log", "results", "/proc/run.log", "a\0b"])
@@ -203,11 +187,6 @@ def test_the_summary_names_the_slowest_of_many_points(coins):
     expected = [f"coins={int(i) + 1} {in_words(seconds[i])}" for i in np.argsort(-seconds)[:3]]
     assert lines[1] == f"slowest: {'; '.join(expected)}"
     assert f"{seconds.sum():,.1f} s of work" in lines[0]
-
-
-def test_points_that_took_about_as_long_are_not_called_slow(coins):
-    study = study_from_dict(coins | {"axes": {"coins": {"start": 1, "stop": 50, "step": 1}}, "fixed": {}})
-    assert len(summary_of(study, np.full(50, 5.0), 1)) == 1
 
 
 @pytest.mark.slow

@@ -103,15 +103,6 @@ def test_reproduce_opens_the_debugger_where_a_point_raises(broken, start_sweep):
     assert process.returncode == 1
 
 
-def test_reproduce_says_what_differs(broken, tmp_path, sweep):
-    store, _ = broken
-    (tmp_path / "fragile.py").write_text(FRAGILE.replace("0.1 *", "0.11 *"))
-    code, _, err = sweep("reproduce", store, "--at", "metal=tin,coins=20")
-    assert code == 1
-    assert "differs from" in err
-    assert "share: " in err
-
-
 @pytest.mark.parametrize(
     ("at", "message"),
     [

@@ -57,16 +57,6 @@ def test_each_axis_counts_points_and_realisations(stopped):
     assert tin["done"] == 0
 
 
-def test_the_ledger_is_asked_and_not_the_older_dataset(coins, tmp_path):
-    tuning = Tuning(most_blocks=1, long_write_bytes=0)  # so that an interruption leaves the first dataset
-    with pytest.raises(RunInterruptedError):
-        run_study(study_from_dict(coins), tmp_path / "s.zarr", SERIAL, Impatient(8), tuning=tuning)
-    assert int(open_dataset(tmp_path / "s.zarr")["n_sim_done"].sum()) == 0
-    report = status_report(tmp_path / "s.zarr")
-    assert report["realisations done"] == 40_000
-    assert [segment["done"] for segment in report["axes"]["metal"]] == [2, 0]
-
-
 def test_zipped_axes_are_counted_together(coins, tmp_path):
     document = coins | {
         "axes": {"coins": [1, 5], "chance": [0.3, 0.6]},
