@@ -556,5 +556,5 @@ def layout_of_record(record: Mapping[str, Any]) -> Layout | None:
     layout = record.get("function", {}).get("layout")
     try:
         return None if layout is None else results.layout_of_json(layout)
-    except (KeyError, TypeError) as error:
+    except ValueError as error:
         raise SweepError(f"the record of its experiment cannot be read ({error})") from error

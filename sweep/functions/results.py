@@ -90,10 +90,13 @@ class Layout:
 
 
 def layout_of_json(document: Mapping[str, Any]) -> Layout:
-    """Return the layout that was recorded as a dictionary."""
-    fields = tuple(Field(**{**one, "dims": tuple(one["dims"])}) for one in document["fields"])
-    coordinates = tuple(Coordinate(**{**one, "values": tuple(one["values"])}) for one in document["coordinates"])
-    return Layout(fields, coordinates)
+    """Return the layout that was recorded as a dictionary; raises ValueError for one that is no layout."""
+    from pydantic import TypeAdapter  # here: workers, which read no records, need not import it
+
+    layout: Layout = TypeAdapter(Layout).validate_python(document)
+    if strange := [dim for field in layout.fields for dim in field.dims if dim not in layout.sizes]:
+        raise ValueError(f"the dimension {shown(strange[0])} has no coordinate")
+    return layout
 
 
 @lru_cache(maxsize=256)
