@@ -34,6 +34,8 @@ CHUNKS = "chunk_checksums"
 ANOTHER = "it is whole, but of another writing or another store"
 MISSING = "it is missing"
 
+DEEPEST = 32  # lists and objects inside each other in a document; what linksweep writes has less than half
+
 MOST_VALUES = 2**20
 """The most values of a chunk of results, 8 MB of floats.  Values are counted and not bytes, so that results on the same
 axes have the same chunks whatever their types, as Dask wants.
@@ -117,10 +119,22 @@ def _digest(file: str, document: Mapping[str, Any]) -> str:
 # What the documents may say: every field that is read, with its type and its limits.  A store may come from a stranger,
 # and a checksum can be forged; nothing else needs to look twice at what it has read.
 
+
+def _flat_enough(document: Any) -> Any:
+    """Return a document; raises ValueError for one that readers, which go down by recursion, might not get through."""
+    level = [document]
+    for _ in range(DEEPEST):
+        if not level:
+            return document
+        inner = [one.values() if isinstance(one, dict) else one for one in level]
+        level = [value for values in inner for value in values if isinstance(value, dict | list)]
+    raise ValueError("it is nested too deeply")
+
+
 Model = TypeVar("Model", bound=BaseModel)
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Size = Annotated[int, Field(gt=0, lt=2**48)]
-Object = dict[str, Any]
+Object = Annotated[dict[str, Any], AfterValidator(_flat_enough)]
 Texts = dict[str, str]
 Name = Annotated[str, Field(pattern=r"^[^/]+$", max_length=255)]
 FileName = Annotated[str, Field(pattern=r"^[a-z]+\.\d{1,18}\.\d{1,9}$")]
