@@ -142,10 +142,11 @@ def test_an_interrupted_start_leaves_no_process_in_a_session():
 
 
 @pytest.mark.slow
-def test_a_dashboard_of_local_workers_opens(link_study, tmp_path, start_sweep):
+def test_a_dashboard_of_local_workers_opens(tmp_path, start_sweep):
     pytest.importorskip("bokeh")
-    run = ("run", link_study, "--set", "n_sim=20000", "-o", tmp_path / "s.zarr", "--workers", 1, "--dashboard")
-    process = start_sweep(*run)
+    (tmp_path / "f.py").write_text("import time\ndef f(x: float):\n    time.sleep(3600.0)\n    return x\n")
+    run = ("run", "f.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--workers", 1, "--dashboard")
+    process = start_sweep(*run, cwd=tmp_path)
     [address] = [line.split()[-1] for line in iter(process.stderr.readline, "") if "dashboard" in line][:1]
     with urlopen(address) as page:
         assert page.status == 200
