@@ -51,7 +51,10 @@ ONLY_IN = {
     },  # there for a type
     "bokeh": {"linksweep.sweep.report"},
     "jinja2": {"linksweep.sweep.report"},
-    "pydantic": {"linksweep.sweep.studies", "linksweep.sweep.stores", "linksweep.sweep.executing"},
+    "pydantic": {
+        *("linksweep.sweep.studies", "linksweep.sweep.stores", "linksweep.sweep.executing"),
+        "linksweep.sweep.functions.results",  # of records alone, inside a function
+    },
     "astropy": {
         *(
             "linksweep.sweep.contract.units",
