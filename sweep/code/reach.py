@@ -43,6 +43,8 @@ TREE = "__linksweep_tree__"
 LONGEST = 40
 
 # Objects of a value that are followed: about a second.
+LONG_FORM = 200  # characters
+
 MOST_OBJECTS = 500_000
 
 PLAIN = (bool, int, float, complex, str, bytes)
@@ -258,7 +260,9 @@ class Reach:
             else:
                 pieces = value if kind in (list, tuple, set, frozenset) else self._pieces(value)
                 forms = [self._form(one, known) for one in pieces]
-            text = f"{label_of(kind)} {sorted(forms) if kind in (set, frozenset) else forms}"
+            inside = ", ".join(sorted(forms) if kind in (set, frozenset) else forms)
+            # Digested where it is long: objects that share parts would else repeat their text at each level.
+            text = f"{label_of(kind)} [{inside if len(inside) < LONG_FORM else digest_of(inside)}]"
         except Exception:  # whatever keeps an object from being taken apart; also where it is too deep
             text = label_of(kind)
             if self._value:
