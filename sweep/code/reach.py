@@ -42,9 +42,10 @@ TREE = "__linksweep_tree__"
 # Characters of a value that a store records as it is; of a longer one it records a digest.
 LONGEST = 40
 
-# Objects of a value that are followed: about a second.
-LONG_FORM = 200  # characters
+# Characters of a form that is kept as it is.
+LONG_FORM = 200
 
+# Objects of a value that are followed: about a second.
 MOST_OBJECTS = 500_000
 
 PLAIN = (bool, int, float, complex, str, bytes)

@@ -169,10 +169,10 @@ async def _kind_of_server(address: str, options: dict[str, Any]) -> str:
 
 
 def tls(ca: Path, cert: Path, key: Path) -> Security:
-    """Return what a TLS scheduler asks of its clients; raises SweepError for files that cannot be used."""
-    security = Security(
-        tls_ca_file=str(ca), tls_client_cert=str(cert), tls_client_key=str(key), require_encryption=True
-    )
+    """Return what the ends of a TLS connection ask of each other; raises SweepError for files that cannot be used."""
+    pair = {"cert": str(cert), "key": str(key)}
+    roles = {f"tls_{role}_{name}": pair[name] for role in ("client", "scheduler", "worker") for name in pair}
+    security = Security(tls_ca_file=str(ca), require_encryption=True, **roles)
     try:
         security.get_connection_args("client")
     except OSError as error:  # ssl.SSLError is one
@@ -187,14 +187,15 @@ def _key_in_files(folder: Path) -> Iterator[Security]:
     """
     with tempfile.TemporaryDirectory(prefix=".linksweep-key-", dir=folder, ignore_cleanup_errors=True) as private:
         made = Security.temporary()
-        texts = {"ca_file": made.tls_ca_file, "cert": made.tls_client_cert, "key": made.tls_client_key}
-        files = {name: str(Path(private, name)) for name in texts}
-        for name, text in texts.items():
-            Path(files[name]).write_text(text)
-        roles = {
-            f"tls_{role}_{name}": files[name] for role in ("client", "scheduler", "worker") for name in ("cert", "key")
-        }
-        yield Security(tls_ca_file=files["ca_file"], require_encryption=True, **roles)
+        files = [Path(private, name) for name in ("ca.pem", "cert.pem", "key.pem")]
+        for file, text in zip(files, (made.tls_ca_file, made.tls_client_cert, made.tls_client_key), strict=True):
+            file.write_text(text)
+        yield tls(*files)
+
+
+def _takes(kind: Any, option: str) -> bool:
+    """Return whether a class of clusters, or one of its bases, has a parameter of this name."""
+    return any(option in inspect.signature(base).parameters for base in kind.__mro__[:-1])
 
 
 @contextmanager
@@ -217,12 +218,10 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
                 defaults["security"] = True
                 os.environ[SAFE_PATH] = "1"
                 resource_tracker.ensure_running()  # its start would unblock signals in the thread that starts workers
-        elif "scheduler_options" in (
-            parameters := {n for b in kind.__mro__[:-1] for n in inspect.signature(b).parameters}
-        ):
+        elif _takes(kind, "scheduler_options"):
             defaults = {"scheduler_options": dashboard | dict(options.get("scheduler_options", {})), "security": True}
             options = {key: value for key, value in options.items() if key != "scheduler_options"}
-            if "shared_temp_directory" in parameters and not {"protocol", "security"} & options.keys():
+            if _takes(kind, "shared_temp_directory") and not {"protocol", "security"} & options.keys():
                 shared = options.get("shared_temp_directory", ".")
                 defaults["security"] = stack.enter_context(_key_in_files(Path(shared).expanduser().resolve()))
         if "protocol" in options:
