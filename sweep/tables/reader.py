@@ -259,8 +259,11 @@ def _rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequence[An
 
 
 def _nullable(dtype: Any) -> str:
-    """Return the name of the pandas type that stands for a NumPy type and allows missing values."""
-    numbers = {"i": "Int", "u": "UInt", "f": "Float"}
+    """Return the name of the pandas type that stands for a NumPy type and allows missing values.
+
+    Floats have NaN for these: pandas rounds text that it reads as its own `Float64`.
+    """
+    numbers = {"i": "Int", "u": "UInt", "f": "float"}
     return {"b": "boolean", "U": "string"}.get(dtype.kind) or f"{numbers[dtype.kind]}{8 * dtype.itemsize}"
 
 
