@@ -84,6 +84,10 @@ class _Group(click.Group):
         except RunInterruptedError as stop:
             click.echo(how_ended(stop.signal.name), err=True)
             end_stopped(stop.signal)
+        except click.UsageError as error:
+            click.echo(f"error: {error.format_message()}", err=True)
+            click.echo(f"see {error.ctx.command_path if error.ctx else ctx.command_path} --help", err=True)
+            sys.exit(error.exit_code)
         except SweepError as error:
             where, problems = f"{error.where}: " if error.where else "", error.problems
             click.echo(f"error: {where}{problems[0] if len(problems) == 1 else f'{len(problems)} problems'}", err=True)

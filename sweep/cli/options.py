@@ -44,9 +44,21 @@ def arg(**more: Any) -> Any:
     return lambda name: click.Argument([name], **more)
 
 
+class _Choice(click.Choice[str]):
+    def convert(self, value: Any, param: Parameter | None, ctx: Context | None) -> str:
+        from linksweep.sweep.contract import suggest
+
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter as error:
+            near = suggest(str(value), list(self.choices))
+            error.message = error.message.rstrip(".") + (near if "did you mean" in near else ".")
+            raise
+
+
 def choice(help: str, choices: Iterable[str], *names: str, **more: Any) -> Any:  # noqa: A002
     """Declare an option with one of some words as its value."""
-    return opt(help, *names, type=click.Choice(list(choices)), **more)
+    return opt(help, *names, type=_Choice(list(choices)), **more)
 
 
 def output(help: str, **more: Any) -> Any:  # noqa: A002

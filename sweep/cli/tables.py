@@ -112,17 +112,19 @@ def params(
         click.echo(json.dumps(study_schema(declared), indent=1, ensure_ascii=False))
         return
     rows = [
-        {"name": p.name, "unit": p.unit, "default": p.default, "allowed": p.allowed(), "meaning": p.meaning}
+        {name: getattr(p, name) for name in ("name", "unit", "default", "required", "meaning")}
+        | {"allowed": p.allowed()}
         for p in declared.parameters
     ]
     if as_json:
         click.echo(to_json(rows))
         return
     for row in rows:
-        default = "see below" if row["default"] is None else row["default"]
+        default = f"default: {row['default']}" if row["default"] is not None else "required" if row["required"] else ""
         unit = f" [{row['unit']}]" if row["unit"] else ""
-        click.echo(f"{row['name']}{unit}  default: {default}")
-        group.print_wrapped(f"{row['meaning']}; {row['allowed']}", "    ", "    ")
+        click.echo(f"{row['name']}{unit}  {default}".rstrip())
+        meaning = "" if row["meaning"] == row["name"] else f"{row['meaning']}; "
+        group.print_wrapped(f"{meaning}{row['allowed']}", "    ", "    ")
 
 
 def _by_table(option: str, items: Sequence[Any], tables: Sequence[str]) -> dict[str, dict[str, str]]:

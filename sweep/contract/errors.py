@@ -58,6 +58,11 @@ class DefinitionError(ValueError):
 
 def suggest(word: str, known: Sequence[str]) -> str:
     """Return '; did you mean ...?' for a misspelt word, or the list of known words if it is short."""
-    if close := difflib.get_close_matches(word, known, n=1, cutoff=0.65):
-        return f"; did you mean {close[0]!r}?"
+    near = difflib.get_close_matches(word, known, n=1, cutoff=0.65)
+    # One that is in the other: `heatmap` is no map, and `decay` may be decay.zarr.
+    near += sorted(
+        (one for one in known if word and min(len(word), len(one)) > 2 and (one in word or word in one)), key=len
+    )
+    if near:
+        return f"; did you mean {near[0]!r}?"
     return f"; known are {', '.join(sorted(known))}" if len(known) <= FEW else ""

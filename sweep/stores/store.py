@@ -30,7 +30,7 @@ from zarr.buffer import cpu
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import SweepError, suggest
 from linksweep.sweep.contract.reducer import EXACT_INT, lost_integers
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
@@ -326,7 +326,8 @@ def read_root(location: Location) -> dict[str, Any]:
     """Return the root document; raises SweepError unless a whole linksweep store of a known format is there."""
     root = find_root(location)
     if root is None:
-        raise SweepError("no store there", str(location))
+        beside = [path.name for path in location.path.parent.glob("*.zarr")] if isinstance(location, Folder) else []
+        raise SweepError(f"no store there{suggest(location.name, beside) if beside else ''}", str(location))
     return root
 
 

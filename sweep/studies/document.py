@@ -45,7 +45,8 @@ def find_study(name_or_path: str) -> Path:
     """Return the file of a built-in name or a path; raises SweepError where there is none."""
     built_in = built_in_studies()
     if name_or_path not in built_in and not os.path.exists(name_or_path):
-        hint = "" if Path(name_or_path).suffix else suggest(name_or_path, list(built_in))
+        files = [str(path) for end in ("toml", "py") for path in Path(name_or_path).parent.glob(f"*.{end}")]
+        hint = suggest(name_or_path, [*built_in, *files])
         raise SweepError(f"no study {shown(name_or_path)}: neither a file nor a built-in study{hint}")
     return built_in.get(name_or_path, Path(name_or_path))
 

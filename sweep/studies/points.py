@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linksweep.sweep.code.load import Code
-from linksweep.sweep.contract import Array, Experiment, Parameter, SweepError, Value, shown
+from linksweep.sweep.contract import Array, Experiment, Parameter, SweepError, Value, shown, suggest
 from linksweep.sweep.contract.units import factor_between, is_quantity
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.document import Place, Problems
-from linksweep.sweep.studies.study import PointsForm, number_at
+from linksweep.sweep.studies.study import PointsForm, Sampling, number_at
 from linksweep.sweep.tables.columns import rows_listed
 from linksweep.sweep.tables.file import table_file
 from linksweep.sweep.tables.reader import read_table
@@ -50,7 +50,7 @@ class Values:
     def one(self, place: Place, name: str, raw: object, which: str = "") -> Value:
         """Return the value at a place, None if it is wrong; problems begin with ``which``."""
         with self.problems.at(place, which):
-            parameter = self.experiment.parameter(name)
+            parameter = self._parameter(name)
             value = parameter.parse(raw)
             if parameter.kind != "file":
                 return value
@@ -60,11 +60,23 @@ class Values:
                 raise ValueError(f"{shown(raw)}: {error}") from error
         return None
 
+    def _parameter(self, name: str) -> Parameter:
+        """Return the declared parameter; raises ValueError, also for what is set in [sampling]."""
+        known = [parameter.name for parameter in self.experiment.parameters]
+        if name in Sampling.model_fields and name not in known:
+            raise ValueError(f"is set in [sampling], to one value: --set {name}=VALUE")
+        if name not in known:
+            near = suggest(name, [*known, *Sampling.model_fields])
+            raise ValueError(
+                f"unknown parameter {shown(name)}{near if 'did you mean' in near else suggest(name, known)}"
+            )
+        return self.experiment.parameter(name)
+
     def axis(self, name: str, spec: object) -> tuple[Value, ...] | None:
         """Return the values of an axis, a list or a range of them; None if any is wrong."""
         place = ("axes", name)
         with self.problems.at(place):
-            parameter = self.experiment.parameter(name)
+            parameter = self._parameter(name)
             if not parameter.may_be_axis:
                 raise ValueError(f"a {parameter.kind} cannot be an axis")
             if not (raw_values := axis_values(spec, whole=parameter.kind == "int")):

@@ -453,3 +453,25 @@ def test_a_damaged_store_is_named(here, finished, damage):
     goes_on = ("run", "study.toml", "-o", "s.zarr", "--pool", "serial")
     for command in [goes_on] if damage in GOING_ON else [("show", "s.zarr"), ("status", "s.zarr")]:
         check_refused(here, command, "s.zarr")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (("run", "quasars", "--set", "n_sims=4"), "'n_sim'"),
+        (("run", "quasars", "--axis", "n_sim=4,5"), "--set n_sim="),
+        (("run", "quasars", "--axis", "v_max=14:16"), "14:16:0.5"),
+        (("run", "quasars.toml"), "'quasars'"),
+        (("run", "decay"), "'decay.py'"),
+        (("show", "decay"), "'decay.zarr'"),
+        (("plot", "decay.zarr", "--kind", "heatmap"), "'map'"),
+    ],
+)
+def test_a_typical_mistake_gets_a_hint_that_solves_it(sweep_here, tmp_path, monkeypatch, arguments, hint):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "decay.py").touch()
+    (tmp_path / "decay.zarr").mkdir()
+    code, out, err = sweep_here(*arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith("error: ")
+    assert hint in err

@@ -112,7 +112,7 @@ def test_contradictions_are_refused(link_study, tmp_path, sweep_here, options):
     (tmp_path / "cluster.toml").write_text(LOCAL + "scale = 1\n")
     code, _, err = sweep_here("run", link_study, "-o", tmp_path / "s.zarr", *options, tmp_path / "cluster.toml")
     assert code == 2
-    assert "Error: " in err
+    assert "error: " in err
     assert not (tmp_path / "s.zarr").exists()
 
 
