@@ -52,8 +52,8 @@ class _Choice(click.Choice[str]):
             return super().convert(value, param, ctx)
         except click.BadParameter as error:
             near = suggest(str(value), list(self.choices))
-            error.message = error.message.rstrip(".") + (near if "did you mean" in near else ".")
-            raise
+            said = error.message.rstrip(".") + (near if "did you mean" in near else ".")
+            raise click.BadParameter(said, ctx, param) from error
 
 
 def choice(help: str, choices: Iterable[str], *names: str, **more: Any) -> Any:  # noqa: A002
