@@ -106,7 +106,7 @@ def backwards(reference, workers, limits):
             for job in reversed(jobs):
                 yield job, compute(job.task(limits, 0.0))
 
-    yield Place("this process, the last job first", 1), execute
+    yield Place("in this process, the last job first", 1), execute
 """
 
 TOYS = [

@@ -186,8 +186,8 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str, all_
         return f"One {noun} has a value: {number(0)} at {place(0)}."
     if some[low] == some[high]:
         return f"It is {number(low)} at {'all ' if all_done else ''}{counted(len(known), noun)}."
-    ends = f"from {number(low)}, at {place(low)}, to {number(high)}, at {place(high)}"
-    return f"Over {counted(len(known), noun)} it goes {ends}."
+    ends = f"{number(low)} ({place(low)}) and {number(high)} ({place(high)})"
+    return f"It is between {ends}, over {counted(len(known), noun)}."
 
 
 def _what_changes_it(dims: Sequence[str], values: Array) -> str:

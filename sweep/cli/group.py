@@ -178,7 +178,7 @@ def _leave_at_once(number: int, _frame: FrameType | None) -> NoReturn:
     with suppress(OSError):
         # A progress bar hides the cursor.
         show_cursor = "\x1b[?25h" if os.isatty(2) else ""
-        os.write(2, f"{show_cursor}stopped at once\n".encode())
+        os.write(2, f"{show_cursor}stopped immediately\n".encode())
     os._exit(128 + number)
 
 

@@ -302,7 +302,8 @@ def plan(
     lines += [("memory", f"{memory}: {result} of results, {ledger} of ledger")]
     if "seconds" in report:
         cores = counted(report["cores"], "core")
-        lines += [("time", f"at least {in_words(report['seconds'])} of computing on {cores} of this machine")]
+        seconds = f"at least {in_words(report['seconds'])}" if report["seconds"] >= 1.0 else "less than a second"
+        lines += [("time", f"{seconds} of computing on {cores} of this machine")]
     for key, text in [*lines, ("store", report["store"]), *(("warning", text) for text in report["warnings"])]:
         group.print_wrapped(text, f"{key:14}", 14 * " ")
 

@@ -94,7 +94,7 @@ def dask_workers(reference: str, resources: Resources, say: Say) -> Iterator[tup
             client = stack.enter_context(_client_of(local, "--dashboard"))
         driver = DaskDriver(client, words, reference, resources.limits, say)
         driver.prepare()
-        yield Place(words, dashboard=_link(client)), driver
+        yield Place(f"on {words}", dashboard=_link(client)), driver
 
 
 def _link(client: Client) -> str:

@@ -82,7 +82,7 @@ def processes(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Itera
     import psutil
 
     limits = Limits(limits.time_s, limits.memory or psutil.virtual_memory().total // workers)
-    words = f"{workers} local worker {'process' if workers == 1 else 'processes'}"
+    words = f"on {workers} local worker {'process' if workers == 1 else 'processes'}"
     with threadpool_limits(1), Children(reference, workers, limits) as children:
         yield Place(words, workers), children
 
@@ -90,7 +90,7 @@ def processes(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Itera
 @contextmanager
 def threads(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on threads of this process; with limits jobs run in a child process for each."""
-    place = Place(f"{workers} local {'thread' if workers == 1 else 'threads'}", workers)
+    place = Place(f"on {workers} local {'thread' if workers == 1 else 'threads'}", workers)
     if limits:
         with Children(reference, workers, limits) as children:
             yield place, children
@@ -145,7 +145,7 @@ def serial(
         while jobs := take(1):
             yield jobs[0], compute(jobs[0].task(limits, 0.0))
 
-    place = Place("one process" if apart else "this process", 1)
+    place = Place("in one process" if apart else "in this process", 1)
     with threadpool_limits(1):  # sums of products must not depend on the number of cores
         if apart or limits:
             with Children(reference, 1, limits) as child:
@@ -182,7 +182,7 @@ def _measured_first(study: Study, cost: float, say: Say) -> Iterator[tuple[Place
                 return
             first.close()
             there, executor = stack.enter_context(processes(study.experiment_reference, available_cores()))
-            say(f"the first points took long enough: the rest is done on {there.words}")
+            say(f"the first points took some time: the rest runs {there.words}")
             yield from executor(take)
 
         yield Place(place.words), execute

@@ -194,8 +194,8 @@ class Executor(Protocol):
 
 @dataclass(frozen=True)
 class Place:
-    """Where a run is, in words: how many workers if that is known, the Dask dashboard if there is one, and how many
-    ``threads`` there are as it begins.
+    """Where a run is, in ``words`` such as "on 2 local threads": how many workers if that is known, the Dask dashboard
+    if there is one, and how many ``threads`` there are as it begins.
     """
 
     words: str

@@ -472,7 +472,7 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
     figure, (left, *right) = style.new_figure(width, 1.6, 1, columns, style.INSIDE_WIDTH)
     colours = [style.COLOURS[1] if name in chosen else style.COLOURS[0] for name in names]
     left.barh(range(len(order)), 100.0 * gain[order], 0.75, color=colours)
-    left.set_xlabel(f"error of {about['goal']} less by [%]\nif this source alone is observed")
+    left.set_xlabel(f"reduction of the error of {about['goal']} [%]\nby this source alone")
     for axes in right:
         left.set_title("orange: chosen")
         steps = dataset["step_error"].values

@@ -169,7 +169,13 @@ class TerminalProgress(_Watch):
         kept += failed_before(survey.failed)
         if total.points == pending.points and total.blocks > pending.blocks:
             kept += ", part of the realisations too"
-        self.say(f"{counted(total.points, 'point')}{kept}; {self._counted(pending)} to do on {where}")
+        points = counted(total.points, "point")
+        if not pending.blocks and not survey.failed:
+            self.say(f"{points}, all of them in the store already")
+        elif self._once and total.points == pending.points:
+            self.say(f"{points} to do {where}")
+        else:
+            self.say(f"{points}{kept}; {self._counted(pending)} to do {where}")
         if self._with_bar and pending.blocks:
             self._bar = Live(get_renderable=self._drawn, console=self._console, transient=True)
             self._bar.start()
@@ -336,7 +342,7 @@ class NotebookProgress(_Watch):
 
         self._shown = time.monotonic()
         count, points = self._count, str(self._count)
-        words = [escape(word) for word in state or self._left() or [f"on {self._where}"]]
+        words = [escape(word) for word in state or self._left() or [self._where]]
         if failed := count.failed_in_words:
             words = [*([escape(count.reason)] if count.reason else []), *words]
             points = points.replace(failed, f'<span style="color: #d03030">{failed}</span>')

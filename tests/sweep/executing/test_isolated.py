@@ -93,7 +93,7 @@ def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sw
     code, out, err = sweep("run", reference, "--axis", "x=0:3:1", "-o", "s.zarr", cwd=tmp_path)
     assert code == 0, err
     assert "wrote s.zarr" in err
-    assert "f: Over 4 points it goes from 0, at x=0, to 6" in out
+    assert "f: It is between 0 (x=0) and 6" in out
     assert xr.open_zarr(tmp_path / "s.zarr")["f"].values.tolist() == [0.0, 2.0, 4.0, 6.0]
 
 

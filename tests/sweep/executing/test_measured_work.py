@@ -84,5 +84,5 @@ def test_work_that_turns_out_long_moves_to_worker_processes(coins, tmp_path, mon
     monkeypatch.setattr(executor, "JUDGED_S", -1.0)
     dataset, failures = run_study(study, tmp_path / "s.zarr", ANY_RESOURCES, watcher)
     assert not failures
-    assert any("the rest is done on" in text and "local worker process" in text for text in watcher.said)
+    assert any("the rest runs on" in text and "local worker process" in text for text in watcher.said)
     xr.testing.assert_identical(dataset.drop_attrs(), whole.drop_attrs())

@@ -313,10 +313,10 @@ def test_a_caption_explains_the_signs_that_are_there(store_of, tmp_path, sweep, 
 
 def test_a_description_gives_the_range_of_what_is_drawn(store_of, tmp_path, sweep):
     _, text = described(sweep, tmp_path, store_of("quasars"), "--variable", "sigma_orientation")
-    assert "Over 26 points it goes from" in text
+    assert "It is between" in text
     assert "sigma_spin" not in text
     _, text = described(sweep, tmp_path, store_of("quasars"), "--variable", "sigma", "--at", "component=omega_x")
-    assert re.search(r"sigma \(.*\): Over 26 points it goes from [\d.]+ ± [\d.]+ µas/yr, at", text)
+    assert re.search(r"sigma \(.*\): It is between [\d.]+ ± [\d.]+ µas/yr \(", text)
 
 
 # Plain functions
@@ -355,5 +355,5 @@ def test_words_beside_a_picture_are_about_what_it_draws(store, tmp_path, sweep):
         "decay. short: It is True at 4 of 6 points.\n\n"
         "Alternative text: Short against half life. short: It is True at 4 of 6 points.\n"
     )
-    text = "Alternative text: Rest dim 0 against half life, coloured by rest. rest: Over "
+    text = "Alternative text: Rest dim 0 against half life, coloured by rest. rest: It is between "
     assert text in words("rest")

@@ -45,7 +45,7 @@ VALUES = [[8.0, 4.0, 2.0], [80.0, 20.0, 10.0]]
 
 def test_the_answer_names_range_places_and_what_changes_it():
     text = sentences(grid(VALUES))
-    assert "Over 6 points it goes from 2 mas, at kind=one, size=4, to 80 mas, at kind=two, size=1." in text
+    assert "It is between 2 mas (kind=one, size=4) and 80 mas (kind=two, size=1), over 6 points." in text
     # 80 / 8 = 10 across kinds; 80 / 10 = 8 across sizes
     assert "What changes it: kind by a factor of up to 10, size by a factor of up to 8, all else being equal." in text
 
@@ -62,7 +62,7 @@ def test_the_answer_adds_the_parts_of_an_error_and_counts_what_agrees_with_the_p
 def test_what_is_missing_is_said_and_does_not_count():
     status = [[Status.DONE, Status.FAILED, Status.MISSING], [Status.DONE, Status.DONE, Status.EXCLUDED]]
     dataset = grid([[8.0, np.nan, np.nan], [7.0, 5.0, np.nan]], status)
-    assert "Over 3 points it goes from 5 mas, at kind=two, size=2, to 8 mas, at kind=one, size=1." in sentences(dataset)
+    assert "It is between 5 mas (kind=two, size=2) and 8 mas (kind=one, size=1), over 3 points." in sentences(dataset)
     assert completeness(dataset) == [
         "Incomplete: 3 of 5 points are done, 1 missing and 1 failed. What follows is about those that are done."
     ]
@@ -92,7 +92,7 @@ def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
         (np.full((2, 3), np.nan), "No point has a value yet."),
         (np.full((2, 3), 7.0), "It is 7 mas at all 6 points."),
         ([[np.nan, np.nan, 3.0], [np.nan] * 3], "One point has a value: 3 mas at kind=one, size=4."),
-        ([[1.0, -1.0, 0.0], [0.0] * 3], "it goes from -1 mas, at kind=one, size=2, to 1 mas"),
+        ([[1.0, -1.0, 0.0], [0.0] * 3], "between -1 mas (kind=one, size=2) and 1 mas"),
         ([[1.0, np.inf, 2.0], [1.0] * 3], "It is not a finite number at 1 point."),
     ],
 )
@@ -109,8 +109,8 @@ def test_each_component_has_its_own_answer_and_unit():
     dataset = dataset.assign_coords(side=["left", "right"], side_unit=("side", ["mas", "uas"]))
     left, right = answers(dataset)
     assert (left.name, right.name) == ("part (left)", "part (right)")
-    assert "from 2 mas, at kind=one, size=4" in left.sentences[0]
-    assert "from 2 mas, at kind=one, size=4" in right.sentences[0]
+    assert "between 2 mas (kind=one, size=4)" in left.sentences[0]
+    assert "between 2 mas (kind=one, size=4)" in right.sentences[0]
 
 
 def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(dataset_of):

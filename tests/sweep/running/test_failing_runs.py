@@ -226,7 +226,7 @@ def test_imports_neither_start_workers_nor_make_a_point_slow(tmp_path, sweep_her
     (tmp_path / "f.py").write_text(SLOW_FIRST.format(module=module, call=call))
     code, _, err = sweep_here("run", "f.py:f", "--axis", "x=0:11:1", "--log", "run.log", cwd=tmp_path)
     assert code == 0, err
-    assert "on one process" in err
-    assert "the rest is done on" not in err
+    assert "in one process" in err
+    assert "the rest runs on" not in err
     assert "slowest" not in err
     assert not re.search(r"about \d+ s left", (tmp_path / "run.log").read_text())

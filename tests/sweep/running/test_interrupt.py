@@ -356,7 +356,7 @@ def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
     assert process.poll() is None  # a short write is waited for
     returned, err = stopped(process, signal.SIGINT)
     assert returned == 130
-    assert err.endswith("stopped at once\n")
+    assert err.endswith("stopped immediately\n")
     assert "Traceback" not in err
 
 

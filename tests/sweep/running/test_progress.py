@@ -60,7 +60,7 @@ def test_the_end_of_a_run_says_what_it_took_and_how_to_look_closer(study):
     done = run()
     assert done.exit_code == 1
     first, at_once, summary, wrote, failed = done.stderr.splitlines()
-    assert first == "4 points; 40 realisations to do on this process"
+    assert first == "4 points; 40 realisations to do in this process"
     assert at_once == "failed at metal=gold,coins=5: ZeroDivisionError: no coins left"
     assert re.fullmatch(
         r"2 points and 20 realisations done, 2 failed, in [\d.e-]+ s: "
