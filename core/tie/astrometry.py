@@ -18,9 +18,15 @@ from linksweep.core.frames import ARCSEC, Array, Flags, Indices, triad
 # The two parameters of each correlation, in the order of the Gaia archive.
 PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))
 
+# What the path of a star may have beside them: acceleration (rad/yr2), its derivative (rad/yr3) at the epoch, and the
+# semi-axis of an orbit (rad) whose other elements are known.
+FURTHER = ("accel_ra", "accel_dec", "deriv_accel_ra", "deriv_accel_dec", "semi_major_axis")
+
 J2000 = 2451545.0
 DAYS_PER_YEAR = 365.25
 KEPT_EPOCHS = 10_000
+# Steps of Newton's method for Kepler's equation, from the start of Danby 1987 (Celest. Mech. 40, 303).
+KEPLER = 12
 
 
 @dataclass(frozen=True)
@@ -33,6 +39,9 @@ class Astrometry:
     unknown; ``names`` (N,); ``columns`` are further numbers by name; ``apparent`` (N,) marks positions of a single
     epoch, which the parallax displaces; ``frame`` (N,) is 0 for rows in the reference's frame and the number of a
     mission, from 1, for those in a frame of its own.
+
+    ``further`` (2, 5, N) are values and errors of the parameters `FURTHER` of stars whose paths are not straight, zero
+    for those that a star lacks, with the correlations (10, 10, N) of all ten; ``orbit`` (7, N) as in `bends`.
     """
 
     values: Array
@@ -44,6 +53,9 @@ class Astrometry:
     columns: Mapping[str, Array] = field(default_factory=dict)
     apparent: Flags = None  # type: ignore[assignment]  # none of them by default
     frame: Indices = None  # type: ignore[assignment]  # the reference's by default
+    further: Array | None = None
+    further_correlations: Array | None = None
+    orbit: Array | None = None
 
     def __post_init__(self) -> None:
         # broadcast arrays take no memory, however many rows there are
@@ -71,8 +83,14 @@ class Astrometry:
         return replace(self, **arrays, columns={name: some(column) for name, column in self.columns.items()})
 
     def covariance(self) -> Array:
-        """Return the covariance of the five parameters, zero where one is missing; shape (N, 5, 5)."""
+        """Return the covariance of the five parameters, zero where one is missing; shape (N, 5, 5).
+
+        With further parameters it is that of all ten, (N, 10, 10).
+        """
         sigma = np.where(self.present, self.errors, 0.0).T
+        if self.further is not None and self.further_correlations is not None:
+            sigma = np.concatenate([sigma, self.further[1].T], axis=1)
+            return np.asarray(np.moveaxis(self.further_correlations, -1, 0) * sigma[:, :, None] * sigma[:, None, :])
         covariance = np.zeros((len(self), 5, 5))
         covariance[:, range(5), range(5)] = sigma**2
         if self.correlations is not None:
@@ -194,6 +212,28 @@ def parallax_factors(ra: Array, dec: Array, epoch: Array) -> Array:
     return np.stack([np.sum(p * to_barycentre, axis=0), np.sum(q * to_barycentre, axis=0)])
 
 
+def bends(years: Array, orbit: Array | None = None) -> Array:
+    """Return the derivatives of (ra, dec, parallax, pmra, pmdec) by the parameters `FURTHER`; shape (N, 5, 5).
+
+    ``years`` (N,) since the star's epoch; ``orbit`` (7, N) has period (yr), eccentricity, periastron (years since the
+    epoch) and the Thiele-Innes elements A, B, F, G for a semi-axis of 1, NaN for none.  An orbit displaces positions;
+    its motion is not that of years.  Source: Binnendijk 1960, Properties of Double Stars.
+    """
+    bend = np.zeros((len(years), 5, 5))
+    bend[:, 0, 0] = bend[:, 1, 1] = bend[:, 3, 2] = bend[:, 4, 3] = 0.5 * years**2
+    bend[:, 3, 0] = bend[:, 4, 1] = years
+    bend[:, 0, 2] = bend[:, 1, 3] = years**3 / 6.0
+    if orbit is not None:
+        period, e, periastron, a, b, f, g = np.where(np.isfinite(orbit).all(axis=0), orbit, [[1.0]] + 6 * [[0.0]])
+        mean = (((years - periastron) / period + 0.5) % 1.0 - 0.5) * 2.0 * np.pi
+        anomaly = mean + 0.85 * e * np.sign(mean)
+        for _ in range(KEPLER):
+            anomaly -= (anomaly - e * np.sin(anomaly) - mean) / (1.0 - e * np.cos(anomaly))
+        x, y = np.cos(anomaly) - e, np.sqrt(1.0 - e**2) * np.sin(anomaly)
+        bend[:, 0, 4], bend[:, 1, 4] = b * x + g * y, a * x + f * y
+    return bend
+
+
 def offsets(ra: Array, dec: Array, from_ra: Array, from_dec: Array) -> Array:
     """Return (d alpha*, d dec) of positions as seen from others, in their tangent plane; shape (2, N), rad.
 
@@ -205,10 +245,15 @@ def offsets(ra: Array, dec: Array, from_ra: Array, from_dec: Array) -> Array:
     return np.stack([east, north])
 
 
+def from_tangent_plane(x: Array, y: Array, ra: Array, dec: Array) -> Array:
+    """Return (ra, dec) of points (x, y) in the tangent planes of positions, x to the east; shape (2, N), rad."""
+    return np.stack(erfa.tpsts(x, y, ra, dec))
+
+
 @dataclass(frozen=True)
 class Differences:
     """R rows: ``values`` f (R, 5), zero where absent, ``partials`` M (R, 5, 5), ``covariance`` V (R, 5, 5) and which
-    of the five are ``present`` (R, 5).
+    of the five are ``present`` (R, 5).  M is (R, 5, 10) where sources have parameters `FURTHER`.
 
     ``by_frames`` (R, 5, 5 F) are the derivatives of f by the changes of the source's five parameters in the satellite's
     frame, and then in those of F - 1 further missions: M, and -M for the mission's frame that the row is in.
@@ -257,13 +302,18 @@ def differences(
         values[:2, at] -= factors * moved[2, at]
     if spin is not None:
         values -= np.einsum("rij,jr->ir", partials, spin[:, source])
+    if star.further is not None:
+        bend = bends(years, star.orbit)
+        bend[~apparent, :, 4] = 0.0  # like the parallax, an orbit is not seen in mean positions
+        partials = np.concatenate([partials, bend], axis=2)
+        values -= np.einsum("rij,jr->ir", bend, star.further[0])
     partials = partials * present.T[:, :, None]
-    by_frames = partials
+    by_frames = partials[..., :5]
     if frames > 1:
-        by_frames = np.concatenate([partials, np.zeros((len(rows), 5, 5 * frames - 5))], axis=2)
+        by_frames = np.concatenate([by_frames, np.zeros((len(rows), 5, 5 * frames - 5))], axis=2)
         for number in range(1, frames):
             here = rows.frame == number
-            by_frames[here, :, 5 * number : 5 * number + 5] = -partials[here]
+            by_frames[here, :, 5 * number : 5 * number + 5] = -partials[here, :, :5]
     return Differences(
         values=np.where(present, values, 0.0).T,
         partials=partials,

@@ -153,7 +153,10 @@ def _groups(problem: Problem, solution: Solution, tables: Sequence[str]) -> list
     differences = problem.differences()
     design = differences.by_frames @ problem.unknowns.matrix(*problem.objects(star))[source]
     variance = np.einsum("rii->ri", differences.whole(star.covariance()[source]))
-    usable = differences.present & ~(np.abs(differences.partials) @ (~star.present).T[source][..., None] > 0.0)[..., 0]
+    usable = (
+        differences.present
+        & ~(np.abs(differences.partials[..., :5]) @ (~star.present).T[source][..., None] > 0.0)[..., 0]
+    )
     with np.errstate(invalid="ignore", divide="ignore"):
         squares = (differences.values - design @ solution.estimate) ** 2 / variance
         means = 1.0 - np.einsum("rik,kl,ril->ri", design, solution.covariance, design) / variance

@@ -168,7 +168,7 @@ def _observed(
     used = np.flatnonzero(present.any(axis=0))
     if not len(used):
         return
-    partials, present = rows.partials[places].reshape(n, size, 5)[:, used], present[:, used]
+    partials, present = rows.partials[places].reshape(n, size, -1)[:, used], present[:, used]
     whole = partials @ covariance[sources] @ partials.swapaxes(1, 2)
     for row in range(n_rows):
         here = np.flatnonzero(used // 5 == row)
@@ -252,7 +252,7 @@ def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array |
     """
     pair, absent = ((3, 4), (0, 1, 2)) if np.all(np.isfinite(rows.errors[3])) else ((0, 1), (2, 3, 4))
     inside, not_inside = list(pair), list(absent)
-    complete = np.all(rows.present[inside]) and np.all(satellite.present[inside])
+    complete = np.all(rows.present[inside]) and np.all(satellite.present[inside]) and satellite.further is None
     if not complete or np.any(np.isfinite(rows.errors[not_inside])) or np.any(rows.frame):
         return None
     if pair == (0, 1):

@@ -430,7 +430,7 @@ def add_separations(largest: Array, source: Indices, rows: Differences, covarian
     ``covariance`` (R, 5, 5) is that of the satellite's parameters, ``free`` (R, 5) says which of them it lacks.
     """
     whole = rows.whole(covariance)
-    depends = np.einsum("rij,rj->ri", np.abs(rows.partials), free.astype(np.float64)) > 0.0
+    depends = np.einsum("rij,rj->ri", np.abs(rows.partials[..., :5]), free.astype(np.float64)) > 0.0
     for pair, chosen in (((0, 1), rows.present[:, 0]), ((3, 4), ~rows.present[:, 0])):
         at = np.flatnonzero(chosen & rows.present[:, pair].all(axis=1) & ~depends[:, pair].any(axis=1))
         d = rows.values[at][:, pair]
