@@ -30,21 +30,6 @@ def design_matrix(ra, dec, pmra, pmdec, corrections=True, glide=False):
     return design if glide else design[..., :6]
 
 
-def paper_design_matrix(ra, dec, mu_alpha, mu_delta):
-    """The paper's matrix for mu_alpha = d(alpha)/dt *without* cos dec; shape (4, N, 6).
-
-    Its third observable is ``(mu_alpha,ref - mu_alpha,sat) cos(dec_ref)``, not a difference of mu_alpha*.
-    Source: Metz & Geffert 2004, Eqs. 11-13.  A21 as printed is right; Eq. 9 has ``cos^2 dec`` for ``1/cos^2 dec``.
-    """
-    design = design_matrix(ra, dec, mu_alpha, mu_delta, corrections=False)
-    sin_ra, cos_ra, sin_dec, cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
-    design[2, :, 0] = -cos_ra / cos_dec * mu_delta + sin_dec * sin_ra * mu_alpha
-    design[2, :, 1] = -sin_ra / cos_dec * mu_delta - sin_dec * cos_ra * mu_alpha
-    design[3, :, 0] = cos_ra * mu_alpha
-    design[3, :, 1] = sin_ra * mu_alpha
-    return design
-
-
 def solve(design, differences, sigma, weighting="inverse-variance"):
     """Solution for a design (4, N, K), differences and their errors (4, N); for equal weights its covariance is the
     sandwich G diag(sigma^2) G^T, and chi2 is not at its minimum.

@@ -12,7 +12,6 @@ from linksweep import SweepError
 from tests.core.points import (
     MISSIONS,
     Function,
-    LinkError,
     Named,
     evaluated,
     link,
@@ -121,10 +120,7 @@ def test_files_without_a_problem_can_be_computed(contents, changes, tmp_path):
     ("changes", "problem"),
     [
         ({"catalogue": "quasars", "v_max": 12.0}, "v_max = 12 mag is outside the quasar counts"),
-        (
-            {"catalogue": "quasars", "n_obj": 89, "v_max": 15.0},
-            "n_obj = 89: only 88 quasars are brighter than v_max = 15 mag",
-        ),
+        ({"catalogue": "quasars", "n_obj": 89, "v_max": 15.0}, "n_obj = 89: only 88 quasars are brighter than v_max"),
         ({"n_obj": None}, "n_obj: a synthetic catalogue needs a number of objects"),
         ({"v_max": 5.0}, "v_max = 5 mag: must be fainter than the brightest object, v_min = 5 mag"),
         ({"catalogue": "file"}, "file: catalogue = 'file' needs a file"),
@@ -132,10 +128,7 @@ def test_files_without_a_problem_can_be_computed(contents, changes, tmp_path):
         ({"catalogue": "radio-stars", "v_max": 9.0}, "v_max: the radio stars have no limiting magnitude"),
         ({"catalogue": "radio-stars", "aberration": True}, "aberration: the glide is that of extragalactic objects"),
         ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': the synthetic catalogue has no errors"),
-        (
-            {"catalogue": "quasars", "reference_errors": "catalogue"},
-            "reference_errors = 'catalogue': the quasars catalogue has no errors of its own",
-        ),
+        ({"catalogue": "quasars", "reference_errors": "catalogue"}, "reference_errors = 'catalogue': the quasars"),
         ({"satellite_errors": "normal", "satellite_sigma_pm": 1e-10}, "errors of 1 mas and 1e-10 mas/yr: must be from"),
         ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
         ({"model": "gaia-2001", "v_max": 21.5}, "v_max = 21.5 mag: the curve of 'gaia-2001' ends at 21 mag"),
@@ -190,73 +183,13 @@ def test_correlated_errors_of_a_file_cannot_be_projected(tmp_path):
     computes(projected)
 
 
-def test_an_object_without_any_error_beside_others_with_errors_is_a_problem(tmp_path):
-    sigma = np.array([0.1, 0.1, 0.0, 0.1, 0.1, 0.1])
-    table = gaia_table(tmp_path, **{f"{name}_error": sigma for name in ("ra", "dec", "pmra", "pmdec")})
-    exact = from_file(table, satellite_errors="catalogue")
-    with pytest.raises(LinkError, match="zero standard error beside non-zero ones"):
-        evaluated(1, exact)
-    assert link.check(exact) is not None
-
-
-@pytest.mark.parametrize(
-    ("contents", "columns", "problem"),
-    [
-        ({}, (("ra", "alpha"),), "no column 'alpha'"),
-        ({"pmra": np.array([1, 2, np.nan, 4, 5, 6])}, (), "no pmra in row 3"),
-    ],
-)
-def test_what_is_wrong_in_a_table_is_a_problem_of_the_point(contents, columns, problem, tmp_path):
-    assert problem in link.check(from_file(gaia_table(tmp_path, **contents), columns=columns))
-
-
 def test_a_limit_for_objects_without_magnitudes_is_a_problem_of_the_magnitudes(tmp_path):
     table = gaia_table(tmp_path, magnitudes=False)
     assert "magnitude column" in link.check(from_file(table, v_max=12.0, satellite_errors="none"))
 
 
-def test_check_of_a_magnitude_where_the_curve_overflows():
-    assert link.check(point(v_max=1000.0)) is not None
-
-
-class Watched(dict):
-    """A point that notes what is looked at, and is never copied."""
-
-    def __init__(self, point):
-        super().__init__(point)
-        self.read = set()
-
-    def __getitem__(self, name):
-        self.read.add(name)
-        return super().__getitem__(name)
-
-    def __iter__(self):
-        raise AssertionError("copied")
-
-    keys = items = values = copy = __or__ = __iter__
-
-
-FILE_ONLY = {"columns", "units", "pmra_cos_dec"}
-SIGMAS = {f"{side}_sigma_{what}" for side in ("reference", "satellite") for what in ("pos", "pm")}
 NEVER = {"mean_pm", "pm_distribution", "epsilon", "omega", "epsilon_size", "omega_size", "directions", "glide"}
 NEVER |= {"corrections", "arithmetic"}
-
-
-@pytest.mark.parametrize(
-    ("changes", "not_for_check", "not_for_cost"),
-    [
-        ({}, FILE_ONLY | SIGMAS | {"counts"}, SIGMAS | {"counts"}),
-        ({"satellite_errors": "normal"}, {"model", "mission_length"}, {"model", "mission_length", "v_max"}),
-        ({"satellite_errors": "none"}, SIGMAS | {"model", "mission_length", "error_scale"}, SIGMAS | {"error_scale"}),
-        ({"catalogue": "quasars", "n_obj": None}, SIGMAS, SIGMAS),
-        ({"catalogue": "radio-stars"}, SIGMAS | {"counts"}, SIGMAS | {"v_min", "v_max"}),
-    ],
-)
-def test_check_and_cost_look_only_at_what_matters(changes, not_for_check, not_for_cost):
-    for function, spared in ((link.check, not_for_check), (link.cost, not_for_cost)):
-        watched = Watched(point(**changes))
-        assert function(watched) == function(point(**changes))
-        assert not watched.read & (spared | NEVER | {"weighting"}), function.__name__
 
 
 def test_a_mission_so_short_that_its_errors_overflow_is_a_problem():
@@ -267,20 +200,6 @@ def test_a_mission_so_short_that_its_errors_overflow_is_a_problem():
 def own(table, function=None):
     value, identity = mission_from_table(table, lambda reference: function)
     return Named("mine", json.dumps(identity), value)
-
-
-MINE = {"nominal_length": 4.0, "sigma_pm": [[9.0, 0.1], [17.0, 3.2]], "position_ratio": 0.5}
-
-
-def test_a_mission_of_the_study_has_the_numbers_of_its_table():
-    exponential = {"at": 15.0, "sigma": 0.01496, "slope": 0.443}
-    mine = own(
-        {"nominal_length": 5.0, "sigma_pm": [exponential], "position_ratio": 1.15, "floor_pm": 3e-3, "floor_pos": 3e-3}
-    )
-    theirs, ours = (evaluated(20, point(model=model, mission_length=3.0)) for model in ("gaia", mine))
-    for name in link.sums:
-        np.testing.assert_array_equal(ours[name], theirs[name])
-    assert link.cost(point(model=mine)) == link.cost(point(model="gaia"))
 
 
 @pytest.mark.parametrize(
@@ -313,28 +232,16 @@ def problems(axes=None, exclude=(), **fixed):
     ("fixed", "sentence"),
     [
         ({"catalogue": "quasars", "mean_pm": 5.0}, "mean_pm = 5.0 changes nothing: it is for catalogue = 'synthetic'"),
-        (
-            {"n_obj": 9, "reference_sigma_pm": 2.0},
-            "reference_sigma_pm = 2.0 changes nothing: it is for reference_errors",
-        ),
+        ({"n_obj": 9, "reference_sigma_pm": 2.0}, "reference_sigma_pm = 2.0 changes nothing: it is for"),
         ({"n_obj": 9, "satellite_errors": "normal", "model": "gaia"}, "model = 'gaia' changes nothing: it is for sate"),
-        (
-            {"catalogue": "quasars", "positions": "own"},
-            "positions = 'own' changes nothing: it is for catalogue = 'radi",
-        ),
-        (
-            {"n_obj": 9, "pm_distribution": "constant"},
-            "pm_distribution = 'constant' changes nothing: it is for objects",
-        ),
+        ({"catalogue": "quasars", "positions": "own"}, "positions = 'own' changes nothing: it is for catalogue ="),
+        ({"n_obj": 9, "pm_distribution": "constant"}, "pm_distribution = 'constant' changes nothing: it is for"),
         ({"n_obj": 9, "pmra_cos_dec": True}, "pmra_cos_dec = True changes nothing: it is for catalogue = 'file'"),
         (
             {"n_obj": 9, "glide": [0.0, 0.0, 4.0]},
             "glide = (0.0, 0.0, 4.0) changes nothing: it is for aberration = true",
         ),
-        (
-            {"n_obj": 9, "satellite_errors": "none", "weighting": "equal"},
-            "weighting = 'equal' changes nothing: without",
-        ),
+        ({"n_obj": 9, "satellite_errors": "none", "weighting": "equal"}, "weighting = 'equal' changes nothing:"),
         (
             {"n_obj": 9, "directions": "random", "epsilon_size": 1.0, "epsilon": [0.0, 0.0, 1.0]},
             "epsilon = (0.0, 0.0, 1.0) changes nothing: its direction is random",

@@ -59,13 +59,6 @@ def test_the_error_of_a_bias_that_is_none():
         assert_covers(dataset["bias"] / dataset["bias_mc_error"], dof=np.inf if n_cat == 1 else n_cat - 1)
 
 
-def test_few_catalogues_have_no_error():
-    for n_cat in (2, 3, 4):
-        dataset = copies(n_cat, 64)
-        for name in ("bias_mc_error", "sigma_catalogue_error", "sigma_spin_catalogue_error"):
-            assert np.all(np.isnan(dataset[name]))
-
-
 @pytest.mark.parametrize("precision", [0.05, 0.02])
 def test_the_error_at_which_a_precision_stops(tmp_path, precision):
     """Stopping at an error that is itself estimated moves neither the value nor its error by what can be seen."""

@@ -13,10 +13,8 @@ from tests.core.points import (
     drawn,
     evaluated,
     link,
-    of_objects,
     point,
     random_covariances,
-    run,
     scenario,
     set_up,
 )
@@ -84,23 +82,6 @@ def test_simulated_errors_are_normal_around_zero(side):
     assert all(stats.kstest(component, "norm").pvalue > 1e-3 for component in error.T)
     chi2 = np.array([block["chi2"][0] for block in blocks])
     assert stats.kstest(chi2, stats.chi2(4 * 3 - 6).cdf).pvalue > 1e-3
-
-
-@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize(
-    ("satellite", "reference", "scale"),
-    [("catalogue", "none", 1.0), ("catalogue", "normal", 0.3), ("normal", "catalogue", 3.0)],
-)
-def test_correlated_errors_come_out_as_predicted(satellite, reference, scale, weighting):
-    n_sim, objects = 4000, with_own_errors(3)
-    sides = {"satellite_errors": satellite, "reference_errors": reference, "reference_error_scale": scale}
-    physics = scenario(point(weighting=weighting, **sides))
-    sums = run(of_objects(objects, physics), n_sim)
-    predicted, realised = sums["predicted_variance"] / n_sim, np.diag(sums["error_products"]) / n_sim
-    assert np.all(np.abs(realised / predicted - 1.0) < 4 * np.sqrt(2 / n_sim))
-    assert np.all(np.abs(sums["error"] / n_sim) < 4 * np.sqrt(predicted / n_sim))
-    alone = of_objects(replace(objects, own=OwnErrors(objects.own.sigma)), physics)
-    assert np.any(np.abs(run(alone, 1)["predicted_variance"] / predicted - 1.0) > 0.1)  # so the correlations were there
 
 
 @pytest.mark.parametrize("reference_errors", ["none", "normal"])

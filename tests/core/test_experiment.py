@@ -38,18 +38,6 @@ def merged(blocks):
     return {name: sum(block[name] for block in blocks) for name in link.sums}
 
 
-def test_evaluate_returns_one_row_a_point_as_if_alone():
-    points = [point(), point(model="gaia", solve_glide=True), point(reference_errors="normal")]
-    together = evaluated(5, *points)
-    assert {name: values.shape for name, values in together.items()} == {n: (3, *s) for n, s in link.sums.items()}
-    for k, one in enumerate(points):
-        alone = evaluated(5, one)
-        assert np.isnan(alone["glide_error"]).all() != one["solve_glide"]
-        np.testing.assert_allclose(alone["batch_mean_squares"], alone["error"] ** 2 / 5, rtol=1e-15)
-        for name, values in alone.items():
-            np.testing.assert_array_equal(together[name][k], values[0])
-
-
 @pytest.mark.parametrize("changes", [{}, {"reference_errors": "normal"}, {"solve_glide": True}])
 def test_samples_are_the_estimates_that_evaluate_adds_up(changes):
     points, n_sim = [point(**changes), point(n_obj=7, omega=(4.0, 0.0, -2.0), **changes)], 3000
@@ -230,15 +218,6 @@ def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
     together, alone = simulate(both, 30, *generators()), simulate(both[:1], 30, *generators())
     np.testing.assert_array_equal(together[0]["error"], alone[0]["error"])
     np.testing.assert_array_equal(together[0]["predicted_variance"], alone[0]["predicted_variance"])
-
-
-def test_sharing_makes_the_difference_of_two_points_certain():
-    """sigma of the same draw scales with the errors exactly; of separate draws it does to Monte-Carlo error."""
-    points = [point(satellite_errors="normal"), point(satellite_errors="normal", error_scale=2.0)]
-    error = link.samples(points, 300, *generators())["estimate"] - 1.0
-    np.testing.assert_allclose(error[1], 2.0 * error[0], atol=1e-7)  # the bias is of second order, 5e-9 mas
-    apart = link.samples([points[1]], 300, *generators(9))["estimate"] - 1.0
-    assert np.abs(np.std(apart) / np.std(error[0]) - 2.0) > 1e-3
 
 
 # catalogues that are computed together

@@ -74,17 +74,6 @@ def test_units_are_converted_and_those_that_are_not_there_are_the_usual_ones(wri
         assert f"column '{name}' is in {unit}, not convertible to {UNITS[name]}" in said
 
 
-def test_hours_and_seconds_of_time(write):
-    hours = write(GAIA | {"ra": RA / 15.0}, ".csv")
-    assert "column 'ra' has no unit and lies within 0.666667 to 23.9333: hours, degrees" in problem(hours)
-    assert is_the_four(read(hours, units=(("ra", "hourangle"),)))
-    np.testing.assert_allclose(read(hours, units=(("ra", "deg"),)).ra, RA / 15.0 * DEGREE, rtol=1e-14)
-    second = 15e3 * np.cos(np.radians(DEC))  # mas of ra*, which an ra in time does not have
-    timed = {name: (ANONYMOUS | ERRORS)[name] / second for name in ("pmra", "ra_error", "pmra_error")}
-    units = UNITS | {"pmra": "s / yr", "pmra_error": "s / yr", "ra_error": "s"}
-    assert is_the_four(read(write(ANONYMOUS | ERRORS | timed, units=units)), errors=True)
-
-
 @pytest.mark.parametrize("missing", [np.nan, np.inf, None])
 @pytest.mark.parametrize("suffix", [".ecsv", ".csv", ".vot"])
 def test_missing_values_are_named_by_their_rows(missing, suffix, write):

@@ -57,19 +57,6 @@ def reference_differences(ra, dec, pmra, pmdec, epsilon, omega):
 extended = pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="needs 80-bit or longer long doubles")
 
 
-def test_triad_is_orthonormal_and_right_handed():
-    p, q, r = triad(*sky()[:2])
-    axes = np.stack([p, q, r])
-    gram = np.einsum("ixn,jxn->nij", axes, axes)
-    np.testing.assert_allclose(gram, np.broadcast_to(np.eye(3), gram.shape), atol=ROUNDING)
-    np.testing.assert_allclose(np.cross(p, q, axis=0), r, atol=ROUNDING)
-
-
-def test_position_inverts_triad_for_any_length():
-    ra, dec = sky()[:2]
-    np.testing.assert_allclose(position(7.0 * triad(ra, dec).r), (ra, dec), atol=1e-12)
-
-
 def test_position_never_returns_a_full_turn():
     ra, _ = position(np.array([1.0, -1e-20, 0.0]))
     assert 0.0 <= ra < 2.0 * np.pi
@@ -88,19 +75,6 @@ def test_rotation_minus_identity_keeps_all_digits_of_a_small_angle(angle):
     np.testing.assert_allclose(antisymmetric[[2, 0, 1], [1, 2, 0]], vector, rtol=1e-12)
 
 
-@pytest.mark.parametrize("size", [1e-9, 1e-3, 1.0])
-def test_satellite_catalogue_is_undone_by_the_inverse_rotation(size):
-    catalogue = sky()
-    epsilon, omega = size * np.array([0.3, -0.8, 0.5]), size * np.array([-0.2, 0.1, 0.4])
-    there = satellite_catalogue(*catalogue, epsilon, omega)
-    spin_seen_from_satellite = -rotation_matrix(epsilon).T @ omega
-    back = satellite_catalogue(*there, -epsilon, spin_seen_from_satellite)
-    np.testing.assert_allclose(triad(*back[:2]).r, triad(*catalogue[:2]).r, atol=2 * ROUNDING)
-    turn = np.abs(np.tan(catalogue[1])) + np.abs(np.tan(there[1])) + 1.0  # rounding in ra turns the triad
-    motion = size + np.hypot(*catalogue[2:])
-    assert np.all(np.abs(np.array(back[2:]) - catalogue[2:]) < 4 * ROUNDING * turn * motion)
-
-
 def test_satellite_catalogue_obeys_the_vector_equations():
     ra, dec, pmra, pmdec = sky()
     epsilon, omega = np.array([0.3, -0.8, 1.1]), np.array([0.1, 0.2, -0.3])
@@ -111,13 +85,6 @@ def test_satellite_catalogue_obeys_the_vector_equations():
     v_ref = reference.p * pmra + reference.q * pmdec
     v_sat = satellite.p * pmra_sat + satellite.q * pmdec_sat
     np.testing.assert_allclose(v_ref, turn.apply(v_sat.T).T + np.cross(omega, reference.r.T).T, atol=2 * ROUNDING)
-
-
-def test_exact_and_stored_differences_agree_at_finite_angles():
-    catalogue, epsilon, omega = sky(), np.array([0.3, -0.8, 1.1]), np.array([0.01, 0.02, -0.03])
-    exact, stored = (f(*catalogue, epsilon, omega) for f in (exact_differences, stored_differences))
-    dec_sat = satellite_catalogue(*catalogue, epsilon, omega)[1]
-    np.testing.assert_array_less(np.abs(exact - stored), np.broadcast_to(5 * ROUNDING / np.cos(dec_sat), exact.shape))
 
 
 @extended
@@ -213,14 +180,6 @@ def test_orientation_equals_the_best_exact_rotation(sigma):
     exact, _ = Rotation.align_vectors(reference.T, satellite.T)
     np.testing.assert_allclose(estimate, exact.as_rotvec(), rtol=0.0, atol=0.01 * MICROARCSEC)
     assert sigma == 0.0 or np.abs(estimate - epsilon).max() > 1.0 * MICROARCSEC  # the noise is really there
-
-
-@pytest.mark.parametrize("size", [1e-4, 1e-3])
-def test_small_angle_link_departs_from_the_exact_rotation_to_second_order(size):
-    estimate, reference, satellite = noisy_link(size * np.array([0.6, -0.8, 0.0]), 0.0)
-    exact, _ = Rotation.align_vectors(reference.T, satellite.T)
-    departure = np.abs(estimate - exact.as_rotvec()).max()
-    assert 1e-3 * size**2 < departure < size**2
 
 
 # FK5 against Hipparcos in ERFA: an orientation and a spin that somebody else published and coded

@@ -158,18 +158,6 @@ def test_a_table_is_log_linear_and_constant_on_the_bright_side():
     assert own.faint_limit_mag == 18.0
 
 
-def test_forms_can_be_mixed_and_a_function_is_in_the_unit():
-    own = mission(
-        {"nominal_length": 1.0, "unit": "uas", "sigma_pm": "curves.py:power", "sigma_pos": [[9, 50], [20, 80]]}
-    )
-    np.testing.assert_allclose(own.sigma_pm_mas_yr(V), 1e-3 * 10.0 ** (0.2 * (V - 15.0)), rtol=1e-14)
-    assert own.sigma_pos_mas(np.array([5.0]))[0] == pytest.approx(0.05, rel=1e-14)
-    assert own.faint_limit_mag == 20.0
-    ratio = mission({"nominal_length": 1.0, "sigma_pm": "curves.py:power", "position_ratio": 2.0})
-    np.testing.assert_allclose(ratio.sigma_pos_mas(V), 2.0 * 10.0 ** (0.2 * (V - 15.0)), rtol=1e-14)
-    assert ratio.faint_limit_mag == math.inf
-
-
 def test_identity_is_what_decides_the_numbers():
     in_uas = {**TABLE, "unit": "uas", "sigma_pm": [[9.0, 100], [13.0, 400], [18, 3200]]}
     same = [TABLE, in_uas, TABLE | {"source": "a paper"}, TABLE | {"faint_limit": 18}, TABLE | {"nominal_length": 4}]
@@ -251,20 +239,6 @@ def test_a_range_and_a_floor_of_ones_own():
 
 
 # functions
-
-
-def test_the_function_gets_one_dimension_of_its_own():
-    seen = []
-
-    def spoil(v):
-        seen.append(v.shape)
-        v[:] = 99.0
-        return np.ones(len(v))
-
-    v_mag = np.full((2, 3), 15.0)
-    FunctionCurve(Function(spoil))(v_mag)
-    assert seen == [(6,)]
-    np.testing.assert_array_equal(v_mag, 15.0)
 
 
 def leave(v):

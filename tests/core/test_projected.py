@@ -1,21 +1,15 @@
 """The projected method: the distribution of the catalogue method, and the bound of what it leaves out."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import stats
 
 from tests.core import points
 from tests.core.points import (
-    MAS,
     LinkError,
-    OwnErrors,
     design_of,
     link,
     neglected,
-    of_objects,
-    random_covariances,
     scenario,
     set_up,
 )
@@ -63,37 +57,8 @@ def test_estimates_have_the_distribution_of_the_catalogue_method(changes):
     assert np.all(np.abs(covariances[0] - covariances[1]) < 4.5 * mc_error)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"n_obj": 2},
-        *(
-            pytest.param(c, marks=pytest.mark.slow)
-            for c in ({}, {"weighting": "equal"}, {"reference_errors": "normal"})
-        ),
-    ],
-)
-def test_chi2_has_the_distribution_of_the_catalogue_method(changes):
-    """One realisation at a time: only their sum comes out of a block."""
-
-    def chi2(method):
-        rng = np.random.default_rng(7)
-        return [
-            link.evaluate([point(method=method, **changes)], 1, rng, np.random.default_rng(2))["chi2"][0]
-            for _ in range(1500)
-        ]
-
-    assert stats.ks_2samp(chi2("catalogue"), chi2("projected")).pvalue > 1e-3
-
-
 def link_methods():
     return link.parameter("method").choices
-
-
-def test_error_free_data_return_the_truth():
-    exact = run(point(method="projected", satellite_errors="none"), 3)
-    np.testing.assert_allclose(exact["estimate"], np.ones((3, 6)), rtol=1e-6)
 
 
 def test_it_costs_nothing_more_for_many_objects():
@@ -153,27 +118,3 @@ def test_errors_of_an_arcsecond_may_be_projected_and_much_larger_ones_not():
         else:
             with pytest.raises(LinkError, match=r"would neglect .* of sigma"):
                 run(one, 2)
-
-
-def test_a_truth_far_beyond_the_errors_is_refused():
-    with pytest.raises(LinkError, match=r"would neglect .* of sigma"):
-        run(point(method="projected", reference_errors="normal", epsilon_size=1e7), 2)
-
-
-def test_no_reference_error_neglects_nothing():
-    np.testing.assert_array_equal(neglected(design_of(setup_of(point()))), 0.0)
-
-
-def test_correlated_errors_are_refused():
-    physics, (sigma, correlation) = (
-        scenario(point(method="projected", satellite_errors="catalogue")),
-        random_covariances(12),
-    )
-    objects = scenario(point()).draw_catalogue(np.random.default_rng(2))
-    for own in (OwnErrors(sigma * MAS, correlation), OwnErrors(sigma * MAS)):
-        here = of_objects(replace(objects, own=own), physics)
-        if own.correlation is None:
-            points.run(here, 1)
-            continue
-        with pytest.raises(LinkError, match="uncorrelated"):
-            points.run(here, 1)

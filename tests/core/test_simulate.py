@@ -22,7 +22,6 @@ from tests.core.points import (
     design_of,
     drawn,
     exact_differences,
-    neglected,
     of_objects,
     point,
     random_covariances,
@@ -37,7 +36,6 @@ from tests.core.reference import design_matrix, solve
 from tests.tiers import examples, slow
 
 TRUTH = {"epsilon": (1.0, -0.7, 0.4), "omega": (-0.5, 0.9, 1.2)}
-TRUTH_MAS = np.concatenate(list(TRUTH.values()))
 GLIDE_UAS = (300.0, -200.0, 500.0)
 NORMAL = {"satellite_errors": "normal"}
 NOISY = {"reference_errors": "normal", "reference_sigma_pos": 0.4, "reference_sigma_pm": 0.7}
@@ -171,25 +169,6 @@ def test_an_object_that_its_error_carries_over_the_pole_is_named():
         run(physics, 512)
 
 
-@pytest.mark.parametrize("mean_pm", [0.0, 500.0])
-@pytest.mark.parametrize("n_obj", [2, 50])
-@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-def test_error_free_data_return_the_truth(mean_pm, n_obj, weighting):
-    sums = run(physics_of(n_obj=n_obj, mean_pm=mean_pm, satellite_errors="none", weighting=weighting), 3)
-    assert np.all(np.abs(sums["error"] / 3) < 1e-6 * np.abs(TRUTH_MAS))  # epsilon^2 mu is 1e-8 of omega
-    np.testing.assert_array_equal(sums["predicted_variance"], 0.0)
-
-
-def test_corrections_matter_for_objects_with_motions_alone():
-    def spin_error(corrections):
-        physics = physics_of(n_obj=300, mean_pm=500.0, satellite_errors="none", corrections=corrections)
-        return np.linalg.norm([run(physics, 1, catalogue_seed=k)["error"][3:] for k in range(10)])
-
-    assert spin_error(corrections=False) > 100 * spin_error(corrections=True)
-    still = [run(physics_of(n_obj=20, corrections=c), 100)["error_products"] for c in (True, False)]
-    np.testing.assert_array_equal(*still)
-
-
 def test_stored_angles_leave_the_floor_of_double_precision():
     def errors(arithmetic, size=1.0):
         truth = {name: tuple(size * np.array(vector)) for name, vector in TRUTH.items()}
@@ -204,8 +183,8 @@ def test_stored_angles_leave_the_floor_of_double_precision():
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize(("reference", "n_sim"), [({}, 20_000), (NOISY, 5000)], ids=["fixed", "noisy"])
-@pytest.mark.parametrize("solve_glide", [False, True])
+@pytest.mark.parametrize(("reference", "n_sim"), [({}, 10_000), (NOISY, 3000)], ids=["fixed", "noisy"])
+@pytest.mark.parametrize("solve_glide", [slow(False), True])
 def test_realised_errors_are_the_predicted_ones(weighting, reference, n_sim, solve_glide):
     sums = run(physics_of(n_obj=40, mean_pm=50.0, weighting=weighting, solve_glide=solve_glide, **reference), n_sim)
     sigma = np.sqrt(np.diag(sums["error_products"]) / n_sim)
@@ -215,12 +194,6 @@ def test_realised_errors_are_the_predicted_ones(weighting, reference, n_sim, sol
     dof = 4 * 40 - (9 if solve_glide else 6)
     if weighting == "inverse-variance":
         assert abs(sums["chi2"] / n_sim - dof) < 4 * np.sqrt(2 * dof / n_sim)  # the variance of chi2 is 2 dof
-
-
-def test_errors_of_arcseconds_do_not_bias_the_estimate():
-    arcsec = {"reference_sigma_pos": 1000.0, "reference_sigma_pm": 1000.0, "reference_errors": "normal"}
-    error = run(physics_of(n_obj=50, mean_pm=1e4, **NORMAL, **arcsec), 4000)["estimate"] - TRUTH_MAS
-    assert np.all(np.abs(error.mean(axis=0) / error.std(axis=0)) < 4.5 / np.sqrt(4000))
 
 
 @pytest.mark.parametrize(("reference", "few", "many"), [({}, 2, 8), (NOISY, 2, 4)], ids=["fixed", "noisy"])
@@ -324,20 +297,3 @@ def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covari
         part = slice(4 * k, 4 * k + 4)
         whole[part, part] = correlation[k] * np.outer(sigma[k], sigma[k]) * MAS**2
     np.testing.assert_allclose(found, np.diag(gain @ whole @ gain.T), rtol=1e-9)
-
-
-def test_the_bound_of_what_is_projected_contains_the_mean_change():
-    """All objects in one quarter: the means of q's turn with the errors of ra add up, their scatter does not."""
-    rng, n, sigma = np.random.default_rng(5), 80_000, 200.0
-    zero = np.zeros(n)
-    quarter = Catalogue(rng.uniform(0.0, 0.5 * np.pi, n), rng.uniform(0.3, 0.7, n), zero, zero, zero)
-    errors = {"reference_errors": "normal", "reference_sigma_pos": sigma, "reference_sigma_pm": sigma}
-    bound = neglected(design_of(set_up(quarter, physics_of(**NORMAL, **errors))))
-    variance = (sigma**2 + 1.0) * MAS**2
-    size = np.tan(quarter.dec) * (sigma * MAS) ** 2 / variance
-    mean = np.array([np.sum(size * np.sin(quarter.ra)), -np.sum(size * np.cos(quarter.ra)), 0.0, 0.0, 0.0, 0.0])
-    a = np.moveaxis(design_matrix(quarter.ra, quarter.dec, zero, zero), 0, 1).reshape(-1, 6)
-    covariance = variance * np.linalg.inv(a.T @ a)
-    shift = np.abs(covariance @ mean) / np.sqrt(np.diag(covariance))
-    assert np.all(bound >= shift * (1 - 1e-9))
-    assert np.all(bound[:2] < 1.5 * shift[:2])  # so that the mean decides here

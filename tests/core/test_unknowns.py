@@ -112,17 +112,6 @@ def test_a_rate_moves_the_position_of_a_source_with_another_epoch():
     np.testing.assert_array_equal(matrix[:, 3:, :3], 0.0)
 
 
-def test_harmonics_leave_out_what_stands_beside_them():
-    together = parse_unknowns("spin,glide,vsh_motion:3")
-    assert len(together) == 6 + 2 * 5 + 2 * 7
-    assert len(parse_unknowns("vsh_motion:3")) == 2 * (3 + 5 + 7)
-    assert len(parse_unknowns("spin,vsh_motion:1")) == 6
-    assert len(parse_unknowns("vsh_position:2-2")) == 10
-    matrix = together.matrix(sky(200))
-    assert np.linalg.matrix_rank(matrix.reshape(-1, len(together))) == len(together)
-    assert len(set(together.labels)) == len(together)
-
-
 def test_a_spin_for_each_bin_acts_in_its_bin_alone():
     objects = sky(4)
     columns = {"mag": np.array([5.0, 6.0, 7.9, 12.0])}

@@ -32,19 +32,10 @@ WRONG = {
     ),
     "labels that repeat": ({"coordinates": {"axis": ("x", "x")}}, "coordinates['axis']: 'x' is listed twice"),
     "labels as one text": ({"coordinates": {"axis": "xyz"}}, "coordinates['axis'] = 'xyz': must be a tuple of str"),
-    "a dimension like a parameter": (
-        {"coordinates": {"rate": ("x",)}},
-        "dimension 'rate': is the name of another parameter",
-    ),
-    "an output like a dimension": (
-        {"coordinates": {"mean": ("x",)}},
-        "dimension 'mean': is the name of another output",
-    ),
+    "a dimension like a parameter": ({"coordinates": {"rate": ("x",)}}, "dimension 'rate': is the name of another par"),
+    "an output like a dimension": ({"coordinates": {"mean": ("x",)}}, "dimension 'mean': is the name of another outpu"),
     "an output twice": ({"outputs": (Output("mean", "", "x"),) * 2}, "output 'mean': is the name of another output"),
-    "a parameter twice": (
-        {"parameters": (Parameter("rate", "float", 1.0, "x"),) * 2},
-        "parameter 'rate': is the name of another parameter",
-    ),
+    "a parameter twice": ({"parameters": (Parameter("rate", "float", 1.0, "x"),) * 2}, "parameter 'rate': is the name"),
     "an output named status": ({"outputs": (Output("status", "", "x"),)}, "'status': the platform gives this name"),
     "a name for what is published": (
         {"outputs": (Output("mean", "", "x"), Output("mean_published", "", "x"))},
@@ -141,10 +132,7 @@ RESULTS = {
         {"sums": '{"total": (5,)}', "evaluate": '{"total": [[1.0] * 4 for p in points]}'},
         "evaluate: the sum 'total' has the shape (1, 4), expected (1, 5)",
     ),
-    "text": (
-        {"evaluate": '{"total": ["many" for p in points]}'},
-        "the sum 'total' is of type <U4, expected real numbers",
-    ),
+    "text": ({"evaluate": '{"total": ["many" for p in points]}'}, "the sum 'total' is of type <U4, expected real numb"),
     "complex": ({"evaluate": '{"total": [1j for p in points]}'}, "of type complex128, expected real numbers"),
     "nothing": ({"evaluate": "None"}, "evaluate returns a NoneType, not a mapping of sums by name"),
     "a misspelt sum": (

@@ -2,7 +2,6 @@
 
 import csv
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -164,14 +163,6 @@ def test_a_component_of_a_result():
     assert {(c.value, c.mc_error, c.unit, c.quantity) for c in found} == {(2.0, 0.2, "s", "shift[y]")}
 
 
-def test_a_ratio_along_zipped_axes():
-    dataset = grid(np.array([N, N]), claims=[claim(published="5", ratio=ratio({"size": 3.0}, {"size": 1.0}))])
-    dataset = dataset.assign_coords(size=("n", np.arange(1.0, 6.0)))
-    found = compare(dataset)
-    assert [c.where for c in found] == [{"model": "old"}, {"model": "new"}]
-    assert [c.value for c in found] == [5.0, 5.0]
-
-
 @pytest.mark.parametrize(
     ("keys", "reason"),
     [
@@ -187,25 +178,6 @@ def test_a_claim_about_another_grid_is_incomplete_and_says_why(keys, reason):
 
 
 # Tables
-
-
-def test_the_tables_hold_the_same_numbers():
-    status = np.full((2, len(N)), DONE, np.int8)
-    status[0, 1] = MISSING
-    value = np.where(status == DONE, 0.6, np.nan)
-    keys = {"tolerance": 0.1, "tolerance_reason": "by eye"}
-    texts = {(0, 0): "0.60", (0, 1): "0.60", (1, 1): "0.55", (1, 2): "0.4"}
-    found = compare(grid(value, 0.001, status=status, published=texts, printed=keys))
-    rows = list(csv.DictReader(verdicts.records(found).csv().splitlines()))
-    assert [row["verdict"] for row in rows] == ["reproduced", "incomplete", "within tolerance", "NOT reproduced"]
-    assert (rows[1]["value"], rows[2]["reason"], rows[2]["where"]) == ("", "10 %: by eye", "model=new, n=20")
-    document = json.loads(verdicts.as_json(found, ["a remark"]))
-    assert [c["value"] for c in document["comparisons"]] == [0.6, None, 0.6, 0.6]
-    assert document["comparisons"][2]["where"] == {"model": "new", "n": 20.0}
-    assert document["summary"]["not_reproduced"] == 1
-    assert document["remarks"] == ["a remark"]
-    assert verdicts.summary_line(found) == "1 reproduced, 1 within tolerance, 1 not reproduced, 1 incomplete"
-    assert "made-up: width: A paper" in verdicts.notes(found)
 
 
 # Power
@@ -257,39 +229,6 @@ def test_an_error_that_is_not_known_gives_no_verdict():
 
 
 # The table for reading
-
-LONG = {"mission": "hipparcos", "reference_error_scale": 0.25, "satellite_errors": "magnitude", "weighting": "equal"}
-
-
-def compared(value=0.000601, where=None, what="width", source="A paper, Table 1", reason="", published=0.0006):
-    ours = verdicts.Measured({"model": "gaia", "v_max": 14.5} if where is None else where, value, 2e-6)
-    printed = verdicts.PublishedNumber(published, 5e-6, source)
-    return replace(verdicts.judged("coins", what, what, "mas / yr", ours, printed), reason=reason)
-
-
-def lines_of(comparisons, width=80):
-    return verdicts.table(comparisons).fitting(width)[0].text(width).splitlines()
-
-
-@pytest.mark.parametrize("width", [80, 140])
-def test_no_line_is_longer_than_asked_for_and_no_place_is_cut(width):
-    text = "A claim about what a mission finds with so many objects, which is as long as some of the paper's are"
-    found = [compared(where=LONG, what=text), compared(0.0007, where=LONG | {"weighting": "own"}, what=text)]
-    found.append(compared(where=LONG, what=text, source="B", reason="a reason that goes on and on, as they do " * 3))
-    lines = lines_of(found, width)
-    assert max(map(len, lines)) <= width
-    whole = " ".join(" ".join(lines).split())
-    assert all(f"{name}={value}" in whole for name, value in LONG.items())
-    assert ("allowance" in lines[0]) == (width == 140)
-
-
-def test_numbers_are_in_the_unit_that_reads_best_and_colours_are_for_terminals():
-    lines = lines_of([compared(), compared(0.0007, where={"model": "gaia", "v_max": 15.0})])
-    assert lines[2:4] == ["coins: width [uas/yr], model=gaia", "A paper, Table 1"]
-    assert lines[4].split() == ["reproduced", "v_max=14.5", "0.6010", "±", "0.0020", "0.60", "+0.2", "%", "2.4", "%"]
-    styled, plain = (verdicts.table([compared()]).text(80, styled=styled) for styled in (True, False))
-    assert f"{verdicts.VERDICTS['reproduced']}reproduced" in styled
-    assert "\x1b" not in plain
 
 
 # From a study to its verdicts

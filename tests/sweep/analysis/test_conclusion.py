@@ -134,15 +134,3 @@ def test_bad_conclusions_are_refused_when_the_study_is_read(dataset_of, sentence
         concluding(dataset_of("quasars"), sentence, gaia=value)
     assert problem in str(error.value)
     assert "conclusion" in str(error.value)
-
-
-def test_a_number_with_another_as_its_error_has_one_unit(dataset_of):
-    other = {"value": {"variable": "sigma_spin_mc_error", "at": AT}}
-    count = {"value": {"variable": "n_obj", "at": AT}}
-    dataset = dataset_of("quasars")
-    value, error = (1000.0 * float(dataset[name].sel(AT)) for name in ("sigma_spin", "sigma_spin_mc_error"))
-    (sentence,) = concluding(dataset, "{a} ± {b}", a=GAIA, b=other)
-    decimals = 1 - math.floor(math.log10(error))
-    assert sentence == f"{value:.{decimals}f} ± {error:.{decimals}f} uas/yr"
-    (sentence,) = concluding(dataset, "{a} ± {b}", a=GAIA, b=count)  # of other units, each has its own
-    assert sentence.endswith(" uas/yr ± 15,533")

@@ -1,6 +1,5 @@
 """Sobol indices beside closed forms and independent quadrature, within the errors that they state."""
 
-import itertools
 import json
 
 import numpy as np
@@ -13,7 +12,6 @@ from linksweep.sweep.analysis.sensitivity import (
     first_order,
     indices_of_grid,
     saltelli_indices,
-    weights_of_order,
 )
 from linksweep.sweep.studies.points import DESIGNS
 from tests.tiers import slow
@@ -200,19 +198,6 @@ def test_crossed_axes_and_dimensions_of_an_output_have_indices_each(tmp_path):
         linksweep.plot(found)
 
 
-def test_noise_of_the_points_is_taken_out_of_the_indices_of_a_grid(tmp_path):
-    def noisy(a: float, b: float, *, rng, n_sim):
-        return {"y": a + 2.0 * b + 3.0 * rng.standard_normal(n_sim)}
-
-    axes = {"a": [0.0, 1.0, 2.0, 3.0], "b": [0.0, 1.0, 2.0, 3.0]}
-    ds = run(noisy, tmp_path / "s.zarr", axes=axes, sampling={"n_sim": 20, "seed": 1})
-    found = sensitivity(ds, "y_mean")
-    for name in ("first", "total"):
-        ok, deviations = agrees(found, name, np.array([0.2, 0.8]), most=3.0)
-        assert ok, deviations
-    assert float(found.total_error.min()) > 0.01
-
-
 def test_what_has_no_indices_says_why(tmp_path):
     def f(a: float, b: float = 1.0):
         if a > 0.9:
@@ -254,13 +239,6 @@ def test_the_command_prints_writes_and_draws(tmp_path, sweep):
         code, out, err = sweep("sensitivity", "s.zarr", "-o", name, cwd=tmp_path)
         assert (code, out) == (2, "")
         assert said in err
-
-
-def test_weights_of_higher_order_integrate_polynomials_exactly():
-    for n, order in itertools.product((3, 5, 8, 20), (3, 5, 7)):
-        x = (np.arange(n) + 0.5) / n
-        for power in range(min(order, n)):
-            assert weights_of_order(order, n) @ x**power == pytest.approx(1.0 / (power + 1.0)), (n, order)
 
 
 def covered(estimates, errors, truth, sigmas=2.0):
@@ -332,17 +310,6 @@ def test_a_result_that_does_not_vary_is_said_to(design, said, tmp_path):
     found = sensitivity(linksweep.run(flat, tmp_path / "flat.zarr", pool="serial", **run))
     assert ("flat does not vary" in found.attrs["notes"]) == said
     assert np.isnan(next(iter(found.data_vars.values()))).all() == said  # effects of morris are known to be 0
-
-
-def only_one(x: float, y: float):
-    return 2.0 * x
-
-
-def test_indices_that_are_rounding_are_zero(tmp_path):
-    axes = {"x": [0.1, 0.7, 1.3], "y": [0.3, 1.1]}
-    found = sensitivity(linksweep.run(only_one, tmp_path / "one.zarr", pool="serial", axes=axes))
-    assert found["first"].values.tolist() == [1.0, 0.0]
-    assert found["total"].values[1] == 0.0
 
 
 def flat(x: float, y: float):

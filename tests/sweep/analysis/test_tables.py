@@ -58,21 +58,6 @@ def test_the_dataset_has_exact_integers_beside_gaps(store, sweep):
         assert (code, "no numbers to draw or to fit" in err) == (2, True)
 
 
-def test_integers_without_gaps_are_exact(tmp_path):
-    dataset = linksweep.run(large, tmp_path / "s.zarr", axes={"a": [1, 2]}, pool="serial")
-    assert dataset.k.values.tolist() == [LARGE + 1, LARGE + 2]
-    assert f"it goes from {LARGE + 1}, at a=1, to {LARGE + 2}" in " ".join(linksweep.answer(dataset).sentences)
-    rows = json.loads(shown("show", str(tmp_path / "s.zarr"), "--json"))["rows"]
-    assert [row["k"] for row in rows] == [LARGE + 1, LARGE + 2]
-
-
-def test_a_figure_has_no_points_without_values(store):
-    figure = linksweep.plot(linksweep.open(store))
-    drawn = [y for axes in figure.axes for line in axes.lines for y in np.atleast_1d(line.get_ydata())]
-    assert drawn
-    assert all(y != y or y >= 0.0 for y in drawn)  # noqa: PLR0124 (NaN)
-
-
 def test_excluded_points_meet_no_condition_and_have_no_ratio(tmp_path):
     def k(a: int, b: int):
         return a * b
@@ -94,21 +79,6 @@ def test_an_integer_beyond_those_of_floats_chooses_its_own_point(tmp_path):
     linksweep.run(f, tmp_path / "s.zarr", axes={"a": [2**53, 2**53 + 1]}, pool="serial")
     (row,) = json.loads(shown("show", str(tmp_path / "s.zarr"), "--at", f"a={2**53 + 1}", "--json"))["rows"]
     assert row["f"] == (2**53 + 1) % 10
-
-
-def test_a_list_at_each_name_is_told(tmp_path):
-    def curve(town: str):
-        return [1.0 * len(town), 2.5]
-
-    linksweep.run(curve, tmp_path / "s.zarr", axes={"town": ["a", "bb"]}, pool="serial")
-    (sentence,) = linksweep.answer(linksweep.open(tmp_path / "s.zarr")).sentences
-    assert "it goes from 1, at town=a" in sentence
-
-
-def test_chosen_points_that_are_done_are_not_incomplete(store):
-    done = linksweep.open(store).sel(a=[1, 2])
-    assert not linksweep.answer(done).sentences[0].startswith("Incomplete")
-    assert linksweep.answer(linksweep.open(store)).sentences[0].startswith("Incomplete")
 
 
 # Components
@@ -160,13 +130,3 @@ def test_a_bad_condition_is_warned_of_and_a_good_one_is_not(masers):
 
 
 # Units
-
-
-def test_a_component_has_the_unit_that_suits_it(store_of, sweep):
-    rows = [line.split() for line in sweep("show", store_of("quasars"), "--at", "model=gaia")[1].splitlines()]
-    stored = linksweep.open(store_of("quasars")).sel(model="gaia", v_max=14.0)
-    (row,) = [row for row in rows if row[:1] == ["14"]]
-    assert float(row[1]) == pytest.approx(1000.0 * stored["sigma_spin"].item(), rel=1e-2)
-    components = [row for row in rows if row[:1] == ["omega_x"]]
-    assert {row[2] for row in components} == {"uas/yr"}
-    assert float(components[0][1]) == pytest.approx(1000.0 * stored["sigma"].sel(component="omega_x").item(), rel=1e-2)

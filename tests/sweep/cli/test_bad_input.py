@@ -190,18 +190,6 @@ n_sim = 0
     assert len(said.splitlines()) == 7
 
 
-def test_all_reasons_of_a_grid_are_reported(here):
-    (here / "study.toml").write_text(axis("[12.0, 16.0, 21.0]").replace("[20, 50]", "[20, 1000]"))
-    check_refused(
-        here,
-        ("run", "study.toml"),
-        "3 problems",
-        "v_max = 12 mag is outside the quasar counts: the brightest object has V = 12.8, the counts end at V = 20 (2 p",
-        "n_obj = 1000: only 315 quasars are brighter than v_max = 16 mag (1 point)",
-        "v_max = 21 mag is outside",
-    )
-
-
 @pytest.mark.parametrize(
     ("content", "phrase"),
     [
@@ -422,37 +410,6 @@ def attributes(store, change):
     metadata = json.loads((store / "zarr.json").read_text())
     change(metadata)
     (store / "zarr.json").write_text(json.dumps(metadata))
-
-
-def flip(folder, files="*"):
-    for chunk in [path for path in folder.rglob(files) if path.is_file() and path.name != "zarr.json"]:
-        content = bytearray(chunk.read_bytes())
-        content[len(content) // 2] ^= 0xFF
-        chunk.write_bytes(content)
-
-
-GOING_ON = {
-    "identity lost": lambda store: attributes(store, lambda root: root["attributes"].pop("study_meaning")),
-    "identity garbled": lambda store: attributes(store, lambda root: root["attributes"].update(study_meaning="{")),
-    "ledger's metadata": lambda store: (store / "blocks" / "zarr.json").write_text("{"),
-    "ledger": lambda store: flip(store / "blocks", "rows.*"),
-}
-READING = {
-    "variable lost": lambda store: (
-        attributes(store, lambda root: root.pop("consolidated_metadata", None)),
-        shutil.rmtree(store / "status"),
-    ),
-    "variable": lambda store: flip(store / "sigma_spin"),
-}
-
-
-@pytest.mark.parametrize("damage", [*GOING_ON, *READING])
-def test_a_damaged_store_is_named(here, finished, damage):
-    shutil.copytree(finished, here, dirs_exist_ok=True)
-    (GOING_ON | READING)[damage](here / "s.zarr")
-    goes_on = ("run", "study.toml", "-o", "s.zarr", "--pool", "serial")
-    for command in [goes_on] if damage in GOING_ON else [("show", "s.zarr"), ("status", "s.zarr")]:
-        check_refused(here, command, "s.zarr")
 
 
 @pytest.mark.parametrize(

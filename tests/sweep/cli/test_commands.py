@@ -60,43 +60,6 @@ def test_plan_writes_nothing(sweep, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
-def test_overrides_on_the_command_line_are_those_in_the_file(sweep, link_study, tmp_path):
-    sweep("run", link_study, "-o", tmp_path / "a.zarr", "--set", "n_sim=100", "--axis", "v_max=14:15:0.5")
-    text = (
-        link_study.read_text()
-        .replace("n_sim = 2000", "n_sim = 100")
-        .replace("[14.0, 15.0, 16.0]", "[14.0, 14.5, 15.0]")
-    )
-    link_study.write_text(text)
-    sweep("run", link_study, "-o", tmp_path / "b.zarr")
-    a, b = (xr.open_zarr(tmp_path / name).load() for name in ("a.zarr", "b.zarr"))
-    xr.testing.assert_identical(a.drop_attrs(), b.drop_attrs())
-    assert a.attrs["study_digest"] == b.attrs["study_digest"]
-    assert a.attrs["study_overrides"] == "--set n_sim=100 --axis v_max=14:15:0.5"
-
-
-@pytest.mark.slow
-def test_the_four_axis_grid_runs(sweep, tmp_path):
-    code, _, err = sweep("run", "grid", "-o", tmp_path / "s.zarr", "--set", "n_sim=20", "--set", "n_cat=4", "--json")
-    assert code == 0, err
-    dataset = xr.open_zarr(tmp_path / "s.zarr").load()
-    grid = {name: dataset.sizes[name] for name in dataset["status"].dims}
-    assert grid == {"model": 2, "v_max": 5, "n_obj": 5, "error_scale": 4}
-    assert dataset["status"].size >= 200
-    off = (dataset["sigma_spin"] - dataset["sigma_spin_predicted"]) / dataset["sigma_spin_mc_error"]
-    assert abs(off).max() < 4.5  # 200 points
-
-
-@pytest.mark.slow
-def test_no_number_is_cut_on_a_narrow_terminal(sweep, link_study, tmp_path):
-    sweep("run", link_study, "-o", tmp_path / "s.zarr", "--set", "n_sim=20")
-    command = f"stty cols 40; {sys.executable} -m linksweep show {tmp_path}/s.zarr"
-    shown = subprocess.run(["script", "-qec", command, "/dev/null"], capture_output=True, text=True, check=True).stdout
-    assert "sigma_spin" in shown
-    assert "…" not in shown
-
-
 def test_the_help_has_every_command_in_one_section_with_a_whole_sentence(sweep):
     code, out, _ = sweep("--help")
     assert code == 0
@@ -124,13 +87,6 @@ def test_what_is_printed_fits_80_columns(sweep, tmp_path, monkeypatch, commands)
     assert json.loads(sweep("list", "--json")[1])["quasars"]["question"].endswith("?")
 
 
-@pytest.mark.slow
-def test_a_table_that_is_too_wide_says_what_it_leaves_out(store_of, sweep):
-    out = sweep("show", store_of("aberration"))[1]
-    assert "left out to fit 80 columns: " in out
-    assert max(map(len, out.splitlines())) <= 80
-
-
 def test_one_thing_has_one_name_in_all_commands():
     """An option has one long spelling; -o is always --output; a script asks for JSON with --json alone."""
     for name, command in main.commands.items():
@@ -147,11 +103,6 @@ def test_two_formats_are_refused(sweep, store_of, command):
     code, out, err = sweep(command, store_of("quasars"), "--json", "--format", "csv")
     assert (code, out) == (2, "")
     assert "--json and --format csv are two formats; name one" in err
-
-
-@pytest.mark.slow
-def test_params_of_a_study_are_those_of_its_experiment(sweep):
-    assert sweep("params", "icrf2-icrf3") == sweep("params", "linksweep.sweep.tie.experiment:tie")
 
 
 # Parts of a grid that --at names: those that the study excludes are not shown as if they were empty.

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.sweep.opening import Column, Table, harmless, sealed
+from tests.tiers import slow
 
 MARK = "\x1b]0;owned\x07\x9b2J\u202e\x1b[31m\r\x08"
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
@@ -95,22 +96,20 @@ def test_json_is_exact(store, folder, sweep):
     assert {row["kind"] for row in rows} == set(STUDY["axes"]["kind"])
 
 
-def test_a_terminal_gets_styles_of_ours_alone(store, folder):
-    for look in (["show", "s.zarr"], ["compare", "s.zarr"], ["status", "s.zarr"], ["list"]):
-        ours, theirs = pty.openpty()
-        environment = os.environ | {"TERM": "xterm"}
-        with subprocess.Popen(
-            [sys.executable, "-m", "linksweep", *look], cwd=folder, stdout=theirs, stderr=theirs, env=environment
-        ):
-            os.close(theirs)
-            said = b""
-            while part := _read(ours):
-                said += part
-        os.close(ours)
-        text = said.decode()
-        assert look[0] == "compare" or "\x1b[1m" in text or look[0] == "status"
-        assert not found(OURS.sub("", text)), look
-        assert "31m" not in text.replace("u001b[31m", "")
+@pytest.mark.parametrize("look", ["show", slow("compare"), slow("status")])
+def test_a_terminal_gets_styles_of_ours_alone(store, folder, look):
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "linksweep", look, "s.zarr"]
+    with subprocess.Popen(command, cwd=folder, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm"}):
+        os.close(theirs)
+        said = b""
+        while part := _read(ours):
+            said += part
+    os.close(ours)
+    text = said.decode()
+    assert look != "show" or "\x1b[1m" in text
+    assert not found(OURS.sub("", text))
+    assert "31m" not in text.replace("u001b[31m", "")
 
 
 def _read(descriptor):

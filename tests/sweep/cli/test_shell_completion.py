@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-import linksweep
 from tests.tiers import slow
 
 BIN = Path(sys.executable).parent
@@ -51,11 +50,6 @@ def test_a_study_is_built_in_or_a_file(tmp_path, command):
     assert "option: -o default" in offered(tmp_path, "sweep", command, "folder/qu")  # bash looks for files itself
 
 
-@pytest.mark.slow
-def test_a_store_is_a_directory(tmp_path):
-    assert "option: -o dirnames" in offered(tmp_path, "sweep", "show", "res")
-
-
 def test_keys_of_the_study_that_is_named_before(tmp_path):
     assert {"v_max=", "model=", "catalogue=", "n_sim="} <= set(
         offered(tmp_path, "sweep", "run", "quasars", "--set", "")
@@ -69,11 +63,6 @@ def test_a_bad_study_offers_what_every_study_has(tmp_path, content):
     if content is not None:
         (tmp_path / "bad.toml").write_bytes(content)
     assert "n_sim=" in offered(tmp_path, "sweep", "run", "bad.toml", "--set", "n")
-
-
-def test_it_knows_the_keys_of_the_sampling(tmp_path):
-    offers = {offer.removesuffix("=") for offer in offered(tmp_path, "sweep", "run", "none.toml", "--set", "")}
-    assert offers - {""} == set(type(linksweep.load_study("quasars").sampling).model_fields)
 
 
 def test_nothing_heavy_is_imported():

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import xarray as xr
 
-import linksweep
 from tests.conftest import run_sweep
 from tests.core.tie.made import EPSILON, MAS, OMEGA, gaia, missions
 
@@ -126,23 +125,6 @@ def test_show_prints_what_the_command_printed_and_formats_for_programs(stored):
     assert run_sweep("show", folder / "plan.zarr", "--format", "csv")[1].startswith("unknown,unit,error_now")
 
 
-def test_python_opens_it(stored):
-    folder, _, _ = stored
-    np.testing.assert_allclose(linksweep.open(folder / "tie.zarr").estimate[1], -13.06, atol=0.01)
-    assert linksweep.open(str(folder / "plan.zarr")).attrs["result"] == "forecast"
-
-
-@pytest.mark.slow
-def test_figures_are_drawn(stored):
-    folder, _, _ = stored
-    code, _, err = run_sweep("tie", *LINK, "--figures", folder / "figures")
-    assert code == 0, err
-    names = {path.stem for path in (folder / "figures").iterdir()}
-    assert names == {"solution", "residuals", "separations", "weight", "ranking", "jackknife", "trajectory"}
-    assert run_sweep("plot", folder / "tie.zarr", "--kind", "weight", "-o", folder / "weight.png")[0] == 0
-    assert (folder / "weight.png").read_bytes() == (folder / "figures" / "weight.png").read_bytes()
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -181,10 +163,3 @@ def test_the_report_has_the_table_the_sign_and_the_figures(stored):
     assert "all observed at 2030" in page
     assert page.count("<figure>") == 7 + 2
     assert "undefined" not in page.partition("<script>")[0]
-
-
-def test_a_report_without_a_clip_says_so(tmp_path):
-    made = ("tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "-o", tmp_path / "tie.zarr")
-    assert run_sweep(*made)[0] == 0
-    assert run_sweep("report", tmp_path / "tie.zarr", "-o", tmp_path / "tie.html")[0] == 0
-    assert "matched by name; clip none;" in (tmp_path / "tie.html").read_text()

@@ -165,35 +165,6 @@ def test_a_worker_with_another_version_that_joins_later_stops_the_run(
 
 
 @pytest.mark.slow
-def test_other_differences_are_told_and_no_more(link_study, tmp_path, sweep, outside):
-    outside.start_worker(**other_version(tmp_path, "msgpack", "0.0.9"))
-    code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address)
-    assert code == 0, err
-    assert err.count(f"warning: msgpack is {version('msgpack')} here, 0.0.9 there") == 1
-    assert quiet(err), err
-
-
-@pytest.mark.slow
-def test_a_worker_reads_an_experiment_again_that_was_edited_meanwhile(tmp_path, sweep, outside):
-    outside.start_worker()
-    file = tmp_path / "coins.py"
-    study = tmp_path / "coins.toml"
-    study.write_text(
-        'title = "Coins"\nexperiment = "coins.py:experiment"\naxes = { coins = [1, 2] }\nsampling = { n_sim = 10 }\n'
-    )
-    source = (Path(__file__).parents[1] / "coins.py").read_text()
-    for text in (source, source.replace("0.1 * catalogue_rng", "0.2 * catalogue_rng")):
-        file.write_text(text)
-        stores = (tmp_path / f"{len(text)}-{text is source}-{pool}.zarr" for pool in ("dask", "serial"))
-        for store, place in zip(stores, (("--scheduler", outside.address), ("--pool", "serial")), strict=True):
-            code, _, err = sweep("run", study, "-o", store, *place)
-            assert code == 0, err
-    shares = {store.name: xr.open_zarr(store)["share"].values.tolist() for store in tmp_path.glob("*.zarr")}
-    assert len(shares) == 4
-    assert len({tuple(values) for values in shares.values()}) == 2
-
-
-@pytest.mark.slow
 def test_a_scheduler_that_dies_ends_the_run_and_loses_nothing(
     link_study, tmp_path, start_sweep, sweep, outside, reference
 ):

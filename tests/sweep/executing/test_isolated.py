@@ -55,7 +55,7 @@ def sweep(start_sweep):
     return sweep
 
 
-@pytest.mark.parametrize("deed", ENDINGS)
+@pytest.mark.parametrize("deed", [key if key == "SIGSEGV" else slow(key) for key in ENDINGS])
 @pytest.mark.parametrize("resources", ["", slow("--workers 1"), slow("--pool serial --time-limit 60")])
 def test_a_function_that_ends_its_process_at_its_first_points_fails_these_alone(tmp_path, sweep, deed, resources):
     import xarray as xr
@@ -83,9 +83,7 @@ HARMLESS = {
 """What a function may do to its process without failing its own point."""
 
 
-@pytest.mark.parametrize(
-    "deed", [key if key in ("the folder", "a thread", "modules") else slow(key) for key in HARMLESS]
-)
+@pytest.mark.parametrize("deed", [key if key == "modules" else slow(key) for key in HARMLESS])
 def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sweep, deed):
     import xarray as xr
 
@@ -139,7 +137,7 @@ def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, mo
 HOLDS = "__import__('re').match('(a+)+$', 'a' * 64 + 'b')"  # years, in which no other code of Python runs
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("number", [slow(signal.SIGINT), signal.SIGKILL])
 def test_a_child_does_not_outlive_its_run(tmp_path, start_sweep, number):
     reference = written(tmp_path, f"open('begun', 'w').close(); {HOLDS}", (2,))
     process = start_sweep("run", reference, "--axis", "x=0:4:1", "-o", "s.zarr", cwd=tmp_path)

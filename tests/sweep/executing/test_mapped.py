@@ -95,6 +95,7 @@ def let_versions_be_others():
     load.version_of = lambda name: "0.1"
 
 
+@pytest.mark.slow
 def test_one_that_joins_later_is_compared_too(monkeypatch):
     with own_cluster(LocalCluster, ONE) as cluster:
 
@@ -111,6 +112,7 @@ def test_one_that_joins_later_is_compared_too(monkeypatch):
             doubled(cluster, 20)
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_goes_is_told():
     with (
         own_cluster(LocalCluster, ONE) as own,

@@ -43,17 +43,6 @@ def test_a_point_that_raises_anything_fails_alone(error, said, tmp_path):
     assert said in failures
 
 
-def test_a_keyboard_interrupt_that_is_the_function_s_fails_its_point(tmp_path):
-    def f(x: float):
-        if x == 2.0:
-            raise KeyboardInterrupt
-        return x
-
-    found, failures = statuses(f, tmp_path, pool="threads", workers=1)
-    assert found == [1, 2, 1]
-    assert "KeyboardInterrupt" in failures
-
-
 def test_in_the_main_thread_it_is_the_user_s(tmp_path):
     def f(x: float):
         raise KeyboardInterrupt

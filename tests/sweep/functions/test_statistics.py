@@ -117,19 +117,6 @@ def test_errors_of_a_law_of_two_values_hold_the_truth_exactly_as_often(kind, n):
         np.testing.assert_allclose(of_count, n * of_mean, rtol=1e-12)
 
 
-def test_the_error_of_the_spread_of_two_values_is_made_of_the_interval_of_their_share():
-    n = 100
-    value, error = one("std", two_values(False, True, n))
-    for highs in (1, 20, 45, 50, 55, 99):
-        share, likely = highs / n, (highs + 2) / (n + 4)
-        of_share = np.sqrt(likely * (1.0 - likely) / n)
-        between = np.linspace(max(0.0, share - 2.0 * of_share), min(1.0, share + 2.0 * of_share), 100_001)
-        spreads = np.sqrt(between * (1.0 - between))
-        expected = np.sqrt(((spreads.max() - value[highs]) ** 2 + (value[highs] - spreads.min()) ** 2) / 8.0)
-        assert value[highs] == pytest.approx(np.sqrt(share * (1.0 - share) * n / (n - 1)), rel=1e-12)
-        assert error[highs] == pytest.approx(expected, rel=1e-6)
-
-
 def test_rare_truth_values_have_an_error_and_alike_numbers_have_none_that_is_known():
     """None of 50 happened, and the chance is 5 %: an error of 0 would be wrong 1 of 13 times."""
     value, error = one("mean", two_values(False, True, 50))
@@ -235,8 +222,8 @@ def test_the_error_of_a_standard_deviation_is_made_of_the_unbiased_kurtosis():
 
 
 def test_errors_of_many_realisations_are_those_of_the_central_limit():
-    n = 400_000
+    n = 100_000
     expected = {"mean": 1.0, "std": np.sqrt(0.5), "median": np.sqrt(np.pi / 2.0)}
     *found, _ = measured(drawn(LAWS["normal"], n, 1), *expected)
     for (_, error), scale in zip(found, expected.values(), strict=True):
-        assert error[0] == pytest.approx(scale / np.sqrt(n), rel=0.06)
+        assert error[0] == pytest.approx(scale / np.sqrt(n), rel=0.1)

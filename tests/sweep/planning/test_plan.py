@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
+from linksweep.sweep.contract import Experiment, Output, Parameter
 from linksweep.sweep.contract.block import KEY_BYTES, Block, BlockRows, ledger_key
 from linksweep.sweep.planning import plan as planning
 from linksweep.sweep.planning.accumulator import Accumulator
@@ -71,12 +71,6 @@ def row(sums, accumulator):
 def keys_of(plan):
     tasks = Pending(plan, Accumulator(plan)).take(10**6)
     return [ledger_key(point.digest, work.block) for task in tasks for work in task for point in work.points]
-
-
-def test_a_grid_of_too_many_points_is_refused_with_its_size():
-    axes = {"coins": list(range(1, 5002)), "chance": [0.2 + 0.0001 * k for k in range(2000)]}
-    with pytest.raises(SweepError, match=r"the grid has 10,002,000 points \(coins 5,001 x chance 2,000\); at most 10,"):
-        plan_of({"axes": axes})
 
 
 @settings(max_examples=examples(100), derandomize=True)
@@ -203,19 +197,6 @@ def test_what_a_worker_did_not_come_to_is_pending_again():
     assert [work.points[0].index for work in left] == list(range(8, 200))
 
 
-def test_work_that_is_put_back_is_shared_among_all_like_other_work():
-    """Tasks after it are as large as without it: it counts as left, and comes in its own order."""
-    for put_back in (0, 60):
-        pending = pending_points(2000)
-        [first] = pending.take(1)
-        pending.settle(first, np.array([0.02]))
-        for number in range(put_back):  # again and again: nothing of it is lost
-            [task] = pending.take(1)
-            assert [work.points[0].index for work in task] == list(range(1 + number, 1 + number + len(task)))
-            assert pending.settle(task, np.full(1, 0.02)) == task[:1]
-        assert len(pending.take(1)[0]) == pytest.approx(50, abs=1)
-
-
 def test_work_of_points_that_share_a_draw_is_put_back_whole():
     """A worker that stops inside of it has not done it: there is a second for each point."""
     plan = Plan(make_grid(load_study("quasars", ["n_cat=3", "n_sim=64", "common_random_numbers=true"])))
@@ -225,20 +206,6 @@ def test_work_of_points_that_share_a_draw_is_put_back_whole():
     assert points > 1
     assert pending.settle([first, second, third], np.full(2 * points - 1, 1e-3)) == [first]
     assert [work for task in pending.take(2) for work in task][:2] == [second, third]
-
-
-@pytest.mark.parametrize("common", [False, True])
-@pytest.mark.parametrize("groups", [0, 3])
-def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, groups):
-    """By which the time left is estimated: points that share a draw cost less than each alone."""
-    study = load_study("quasars", ["n_cat=5", "n_sim=777", f"common_random_numbers={str(common).lower()}"])
-    plan = Plan(make_grid(study))
-    blocks = [(point, block) for point in plan.grid.points() for block in plan.blocks(plan.cost(point.parameters))]
-    keys = [ledger_key(point.digest, block) for point, block in blocks if block.group < groups]
-    accumulator = Accumulator(plan, BlockRows(keys), np.ones(len(keys), study.experiment.reducer.dtype))
-    works = [work for task in Pending(plan, accumulator).take(10**6) for work in task]
-    assert works
-    assert accumulator.survey.pending.cost == pytest.approx(sum(work.cost for work in works))
 
 
 @pytest.mark.parametrize(("most", "parts"), [(64, 1), (65, 2), (129, 3), (512, 4), (513, 5), (1025, 6)])
@@ -316,14 +283,6 @@ def test_a_failed_point_is_given_out_no_more_and_never_done(taken_before):
     assert accumulator.status[first.index] == Status.FAILED
 
 
-def test_the_ledger_knows_a_block_by_all_that_decides_its_sums():
-    block = Block(0, 0, 0, 1, 100)
-    others = [block._replace(**{name: 7}) for name in ("group", "part", "n_cat", "n_sim")]
-    keys = {ledger_key(bytes(16), each) for each in (block, *others)} | {ledger_key(bytes([1] * 16), block)}
-    assert len(keys) == 6
-    assert {len(key) for key in keys} == {KEY_BYTES}
-
-
 KEYS = st.integers(1, 6).map(lambda number: number.to_bytes(KEY_BYTES, "little"))
 
 
@@ -341,13 +300,6 @@ def test_rows_of_a_ledger_are_found_as_a_dictionary_finds_them(first, further, w
     rows.remove(removed)
     assert all(place == -1 for place in rows.find(removed))
     assert len(rows) == len(expected) - len(removed)
-
-
-def test_keys_of_one_hash_are_told_apart():
-    same = [bytes(8) + bytes([number]) + bytes(23) for number in range(1, 5)]  # the hash leaves out these bytes
-    rows = BlockRows(same[:3])
-    assert rows.find(same).tolist() == [0, 1, 2, -1]
-    assert len(rows) == 3
 
 
 SEEDS = st.sampled_from([0, 5, 2**32, 2**64 - 1]) | st.integers(0, 2**64 - 1)

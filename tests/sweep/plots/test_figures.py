@@ -5,7 +5,6 @@ import re
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.container import ErrorbarContainer
 
 import linksweep
 from linksweep import SweepError
@@ -19,16 +18,6 @@ def axes_of(figure):
 
 def texts(legend):
     return [text.get_text() for text in legend.get_texts()]
-
-
-def made(values, headline="y", **coords):
-    """Results without errors over the axes ``coords``, as `linksweep.open` returns them."""
-    values = np.asarray(values)
-    variables = {
-        headline: (tuple(coords), values, {"headline": 1}),
-        "status": (tuple(coords), np.ones(values.shape, int)),
-    }
-    return xr.Dataset(variables, coords, {"title": "", "function": "f"})
 
 
 # Which picture suits
@@ -74,19 +63,6 @@ def test_incomplete_stores_say_so_in_the_title(dataset_of):
     assert "INCOMPLETE: 1 of 7 points are not done" in linksweep.plot(dataset, "lines").get_suptitle()
 
 
-def test_a_series_keeps_its_colour_where_another_has_no_values(dataset_of):
-    dataset = dataset_of("mission-length")
-    gone = (dataset["n_obj"] == dataset["n_obj"][0]) & (dataset["model"] == dataset["model"][1])
-    figure = linksweep.plot(dataset.assign(sigma_spin=dataset["sigma_spin"].where(~gone)), "lines")
-    colours = []
-    for axes in axes_of(figure):
-        series = zip(*axes.get_legend_handles_labels(), strict=True)
-        colours.append({text: one[0].get_color() for one, text in series if isinstance(one, ErrorbarContainer)})
-    whole, part = (set(panel.items()) for panel in colours)
-    assert len(whole - part) == 1
-    assert part < whole
-
-
 # Lines
 
 
@@ -109,22 +85,6 @@ def test_one_point_shows_what_is_simulated_predicted_and_published(dataset_of):
     [axes] = axes_of(linksweep.plot(dataset_of("galaxies")))
     assert [text.get_text() for text in axes.get_yticklabels()] == ["simulated", "predicted", "published"]
     assert any("0.16 mas/yr" in text.get_text() for text in axes.texts)
-
-
-@pytest.mark.parametrize(
-    ("name", "shown"),
-    [
-        ("omega_x", r"$\omega_{x}$"),
-        ("chi2", r"$\chi^2$"),
-        ("x12", r"$x_{\mathrm{12}}$"),
-        ("beta2_left", r"$\beta_{\mathrm{2,left}}$"),
-        ("n_obj", r"$n_{\mathrm{obj}}$"),
-        ("mean_pm", "mean pm"),
-    ],
-)
-def test_names_become_symbols(name, shown):
-    [axes] = linksweep.plot(made([1.0, 2.0, 4.0], name, x=[1.0, 2.0, 3.0])).axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("$x$", shown)
 
 
 # Laws
@@ -294,23 +254,6 @@ def described(sweep, folder, store, *options):
     return (folder / "a.txt").read_text().strip().split("\n\n")
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "signs"),
-    [
-        (
-            "quasars",
-            ["--at", "model=gaia"],
-            "Dashes are predicted in closed form. Open symbols are published: Metz & Geffert 2004",
-        ),
-        ("galaxies", [], "The prediction is in closed form. Open symbols are published: Metz & Geffert 2004"),
-    ],
-)
-def test_a_caption_explains_the_signs_that_are_there(store_of, tmp_path, sweep, name, options, signs):
-    words, _ = described(sweep, tmp_path, store_of(name), *options)
-    assert f"Points are simulated, with one-sigma errors. {signs}" in words
-    assert ("Bands are the one-sigma errors of the predictions." in words) == (name == "quasars")
-
-
 def test_a_description_gives_the_range_of_what_is_drawn(store_of, tmp_path, sweep):
     _, text = described(sweep, tmp_path, store_of("quasars"), "--variable", "sigma_orientation")
     assert "It is between" in text
@@ -344,16 +287,3 @@ def test_a_list_at_each_point_of_an_axis_is_a_map_over_both(decayed):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("half life", "rest dim 0")
     shown = np.asarray(axes.collections[0].get_array()).reshape(11, 6)
     assert shown == pytest.approx(decayed["rest"].values.T)
-
-
-def test_words_beside_a_picture_are_about_what_it_draws(store, tmp_path, sweep):
-    def words(variable):
-        assert sweep("plot", store, "--variable", variable, "--caption", "-o", tmp_path / "a.svg")[0] == 0
-        return (tmp_path / "a.txt").read_text()
-
-    assert words("short") == (
-        "decay. short: It is True at 4 of 6 points.\n\n"
-        "Alternative text: Short against half life. short: It is True at 4 of 6 points.\n"
-    )
-    text = "Alternative text: Rest dim 0 against half life, coloured by rest. rest: It is between "
-    assert text in words("rest")

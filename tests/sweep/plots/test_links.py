@@ -32,6 +32,7 @@ def test_a_link_has_the_figures_that_its_content_allows(link):
         linksweep.plot(link, variables=["estimate"])
 
 
+@pytest.mark.slow
 def test_a_command_draws_every_figure_of_a_link_and_their_captions(tmp_path, sweep):
     link = tmp_path / "tie.zarr"
     code, _, err = sweep("tie", "psrpi-de200", "timing-de200", "-o", link, "--figures", tmp_path / "all")
@@ -42,28 +43,6 @@ def test_a_command_draws_every_figure_of_a_link_and_their_captions(tmp_path, swe
     words = (tmp_path / "weight.txt").read_text()
     assert words.startswith("Discrepancy of each source per observation, against its share of the weight: ")
     assert "reference" in words
-
-
-def test_the_legend_of_weights_covers_no_points(link):
-    figure = linksweep.plot(link, "weight")
-    figure.draw_without_rendering()
-    [legend] = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["kept", "dropped, of no weight", "10 %"]
-    assert not any(legend.get_window_extent().overlaps(axes.get_window_extent()) for axes in figure.axes)
-    assert figure.axes[0].get_title() == "8 kept, 1 dropped"
-
-
-@pytest.mark.slow
-def test_the_scatter_of_the_stretched_solutions_is_the_jackknife_error(link):
-    axes = linksweep.plot(link, "jackknife").axes[0]
-    points = axes.lines[0].get_xydata()
-    assert len(points) == 8
-    expected = link.errors.sel(error_kind="jackknife").values[:2]
-    np.testing.assert_allclose(points.std(axis=0), expected, rtol=1e-9)
-    ellipse = axes.patches[0]  # of the first kind: 68.3 % of a normal law in two dimensions
-    covariance = link.covariance.values[:2, :2]
-    sizes = np.sort([ellipse.width, ellipse.height]) / 2.0
-    np.testing.assert_allclose(sizes**2, np.linalg.eigvalsh(covariance) * -2.0 * np.log(1.0 - 0.683), rtol=1e-9)
 
 
 def arrows(axes):
@@ -128,12 +107,3 @@ def test_a_forecast_has_its_epochs_and_ranking(plan):
     np.testing.assert_allclose(bars[-1], 100.0 * (1.0 - plan.criterion_alone.values.min() / now))
     with pytest.raises(SweepError, match="--add"):
         linksweep.plot(linksweep.forecast("psrpi", "psrpi", "orientation"))
-
-
-def test_unknowns_have_symbols():
-    link = linksweep.tie("icrf3", "icrf2", degree=2)
-    names = [text.get_text() for text in linksweep.plot(link).axes[0].get_xticklabels()]
-    labels = dict(zip(link.unknown.values.tolist(), names, strict=True))
-    assert labels["epsilon_x"] == r"$\epsilon_x$"
-    assert labels["vsh_position_t_2_1_im"] == r"$t_{2,1}^\mathrm{Im}$"
-    assert labels["position_glide_z"] == "$G_z$"

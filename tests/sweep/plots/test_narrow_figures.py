@@ -2,7 +2,6 @@
 
 from itertools import combinations, pairwise
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.text import Text
@@ -40,15 +39,6 @@ def test_letters_have_their_size_at_the_width_of_print(dataset_of, name, width):
         figure = drawn(dataset_of(name))
         assert figure.get_figwidth() == pytest.approx(width / 25.4)
         assert min(letters(figure)) >= 6.0
-
-
-@pytest.mark.slow
-def test_a_talk_has_large_letters_and_the_users_own_settings_stay(dataset_of):
-    dataset = dataset_of("sqrt-n")
-    with settings(style="talk"):
-        assert min(letters(drawn(dataset))) >= 11.0
-    with mpl.rc_context({"axes.labelsize": 13.0}), settings(WIDTH):
-        assert drawn(dataset).axes[0].yaxis.label.get_fontsize() == 13.0
 
 
 @pytest.mark.usefixtures("narrow")

@@ -1,6 +1,5 @@
 """The card of results: what a script prints, and what a notebook shows."""
 
-import builtins
 import re
 
 import pytest
@@ -36,20 +35,6 @@ def test_a_notebook_shows_question_answer_and_a_picture_with_its_words(results):
 def test_whatever_a_study_says_is_text(results):
     page = linksweep.answer(results.assign_attrs(question="<script>alert(1)</script>"))._repr_html_()
     assert "<script>" not in page
-
-
-def test_without_a_figure_there_is_a_sentence(results, monkeypatch):
-    real = builtins.__import__
-
-    def without_matplotlib(name, *rest):
-        if name.startswith("linksweep.sweep.plots"):
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", without_matplotlib)
-    page = linksweep.answer(results)._repr_html_()
-    assert "<img" not in page
-    assert "linksweep[plot]" in page
 
 
 def test_incomplete_results_say_so_first(results):

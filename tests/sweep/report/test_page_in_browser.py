@@ -192,35 +192,6 @@ def test_controls_change_the_plot(show, store_of):
     assert complaints(driver) == []
 
 
-def test_hover_reads_values(show, store_of):
-    from selenium.webdriver import ActionChains
-
-    driver = show([store_of("scatter")], width=1000)  # one point, in the middle of the plot
-    plot = driver.find_element("css selector", ".plot")
-    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", plot)
-    tooltip = f"""
-      {EVERYTHING}
-      return everything(document).filter((e) => e.className === "bk-tooltip-content").map((e) => e.textContent).join();
-    """
-    place = driver.execute_script("""
-      const view = [...Bokeh.index.roots].find((v) => v.model.type === "Figure");
-      const point = view.model.renderers.find((r) => "value" in r.data_source.data);
-      const frame = view.frame, box = view.canvas_view.el.getBoundingClientRect();
-      const x = point.data_source.data.x[0], y = point.data_source.data.y[0];
-      return [box.x + frame.x_scale.compute(x), box.y + frame.y_scale.compute(y)].map(Math.round);
-    """)
-    actions = ActionChains(driver)
-    actions.w3c_actions.pointer_action.move_to_location(*place)
-    actions.w3c_actions.pointer_action.move_to_location(place[0] + 1, place[1])
-    actions.perform()
-    deadline = time.monotonic() + PATIENCE_S
-    dataset = linksweep.open(store_of("scatter"))
-    value = f"sigma_spin [mas/yr]: {dataset['sigma_spin'].item():.2g}"[:-1]  # the last digit is rounded with the error
-    while value not in (text := driver.execute_script(tooltip)):
-        assert time.monotonic() < deadline, text
-        time.sleep(0.05)
-
-
 def test_the_button_changes_the_theme_of_page_figures_and_view(show, store_of):
     driver = show([store_of("quasars")])
     style = "getComputedStyle(document.querySelector(s))"
@@ -268,36 +239,6 @@ def test_hostile_texts_are_shown_as_text(show, evil_store):
     assert complaints(driver) == []
     assert [url for url in requests(driver) if not url.startswith(("file://", "data:"))] == []
     assert driver.execute_script("return document.documentElement.scrollWidth") <= 375
-
-
-def test_paper_has_everything_unfolded_and_no_controls(show, store_of):
-    driver = show([store_of("quasars")])
-    driver.execute_script("window.dispatchEvent(new Event('beforeprint'))")
-    hint = "return document.querySelector('details table caption').innerText"
-    assert driver.execute_script(hint) == "Click a heading to sort"
-    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
-    assert driver.execute_script(hint) == ""
-    shown = "return [...document.querySelectorAll(arguments[0])].some((e) => e.checkVisibility())"
-    assert not driver.execute_script(shown, "header button, .controls, select")
-    assert driver.execute_script(shown, "dl.provenance dd")
-    assert driver.execute_script(shown, "details pre")
-    boxes = "[...document.querySelectorAll('.scroll, pre')]"
-    overflows = driver.execute_script(f"return {boxes}.map((box) => getComputedStyle(box).overflowX)")
-    assert set(overflows) == {"visible"}  # nothing is cut
-    driver.execute_script("window.dispatchEvent(new Event('afterprint'))")
-    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
-    assert not driver.execute_script(shown, "details pre")
-
-
-@pytest.mark.parametrize("width", [1400, 1024, 390])
-def test_no_column_is_cut_and_nothing_is_wider_than_the_page(show, store_of, width):
-    driver = show([store_of("quasars"), store_of("algorithm")], width=width)
-    driver.execute_script("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-    time.sleep(0.5)  # the event that a part was opened comes later
-    wide = "[...document.querySelectorAll('table')].filter((t) => t.scrollWidth > t.parentElement.clientWidth + 1)"
-    assert driver.execute_script(f"return {wide}.map((t) => t.parentElement.ariaLabel)") == []
-    page = driver.execute_script("return [document.documentElement.scrollWidth, document.documentElement.clientWidth]")
-    assert page[0] <= page[1]
 
 
 def test_a_view_stands_in_the_address(show, store_of):

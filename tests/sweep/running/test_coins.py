@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.contract import Experiment, Outcome
+from linksweep.sweep.contract import Experiment
 from tests.sweep.opening import Resources, generators, make_grid, plan_study, run_study, study_from_dict
 
 SERIAL = Resources(pool="serial")
@@ -78,19 +78,6 @@ def test_excluded_points_are_labelled_and_not_computed(coins, tmp_path):
     assert dataset.attrs["points"] == 4
 
 
-def test_zipped_axes_share_a_dimension(coins, tmp_path):
-    zipped = coins | {
-        "axes": {"coins": [1, 5], "chance": [0.3, 0.6]},
-        "fixed": {},
-        "grid": {"zip": [["coins", "chance"]]},
-    }
-    dataset, _ = run(zipped, tmp_path / "s.zarr")
-    assert dataset["share"].dims == ("coins",)
-    assert dataset["chance"].dims == ("coins",)
-    crossed, _ = run(zipped | {"grid": {}}, tmp_path / "crossed.zarr")
-    assert dataset["share"].sel(coins=5).item() == crossed["share"].sel(coins=5, chance=0.6).item()
-
-
 def test_a_larger_study_keeps_the_numbers_of_the_smaller_one(coins, tmp_path):
     small = coins | {"axes": {"coins": [1, 5]}, "sampling": coins["sampling"] | {"n_cat": 16, "n_sim": 512}}
     run(small, tmp_path / "s.zarr")
@@ -107,10 +94,3 @@ def test_a_finished_study_is_not_computed_again(coins, tmp_path, monkeypatch):
     again, failures = run(coins, tmp_path / "s.zarr")
     assert not failures
     xr.testing.assert_identical(first.drop_attrs(), again.drop_attrs())
-
-
-def test_a_point_of_nothing_but_nan_has_failed(coins, tmp_path, monkeypatch):
-    monkeypatch.setattr(Experiment, "compute", lambda *arguments: [Outcome((np.nan, np.nan))])
-    dataset, failures = run(coins, tmp_path / "s.zarr")
-    assert set(failures.values()) == {"share is NaN"}
-    assert (dataset["status"] == 2).all()

@@ -48,35 +48,6 @@ def test_growth_of_any_kind_in_any_order_gives_the_bits_of_a_fresh_run(coins, tm
             xr.testing.assert_identical(grown.drop_attrs(), fresh.drop_attrs())
 
 
-def test_a_new_axis_with_the_old_value_keeps_the_old_points(coins, tmp_path):
-    run(coins | {"fixed": {"chance": 0.4}}, tmp_path / "s.zarr")
-    wider = coins | {"axes": coins["axes"] | {"chance": [0.3, 0.4]}, "fixed": {}}
-    assert pending(wider, tmp_path / "s.zarr").points == 6
-    run(wider, tmp_path / "s.zarr")
-
-
-def test_more_realisations_leave_whole_blocks(coins, tmp_path):
-    run(coins | {"sampling": {"n_sim": 1024, "n_cat": 16, "seed": 7}}, tmp_path / "s.zarr")
-    more = coins | {"sampling": {"n_sim": 1536, "n_cat": 16, "seed": 7}}
-    assert pending(more, tmp_path / "s.zarr").realisations == 6 * 16 * 512
-
-
-@pytest.mark.parametrize(
-    ("change", "difference"),
-    [
-        ({"sampling": {"n_sim": 1000, "n_cat": 20, "seed": 8}}, "seed: 7 in the store, 8 in the study"),
-        ({"fixed": {"chance": 0.5}}, "fixed.chance: 0.4 in the store, 0.5 in the study"),
-    ],
-)
-def test_a_change_of_meaning_is_refused_with_the_differences(coins, tmp_path, change, difference):
-    run(coins, tmp_path / "s.zarr")
-    with pytest.raises(SweepError) as refused:
-        run(coins | change, tmp_path / "s.zarr")
-    assert "give another store with -o" in refused.value.problems[0]
-    assert difference in refused.value.problems
-    run(coins | change, tmp_path / "other.zarr")
-
-
 def test_another_version_of_the_experiment_is_refused(coins, tmp_path, monkeypatch):
     from dataclasses import replace
 

@@ -14,7 +14,7 @@ from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.point_status import count_status
 from linksweep.sweep.running import progress
-from linksweep.sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError, failed_points
+from linksweep.sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_of_function
@@ -168,19 +168,6 @@ def test_a_limit_that_is_none_is_refused(folder, sweep, wrong):
     assert not (folder / "results").exists()
     with pytest.raises(SweepError, match="max_failures = True: must be"):
         linksweep.run("f.py:odd", axes={"x": [0]}, max_failures=True)
-
-
-def test_reasons_are_grouped_by_what_they_have_in_common():
-    failures = {
-        f"sky={sky},x={x}": f"ValueError: no root in {sky} for x = {x / 7!r}" for sky in "ab" for x in range(40)
-    }
-    failures["sky=a,x=9"] = "KeyError: 'b'"
-    expected = (
-        "80 points failed: 79 like ValueError: no root in a for x = 0.0, for example at sky=a,x=0; "
-        "KeyError: 'b', at sky=a,x=9"
-    )
-    assert failed_points(failures) == expected
-    assert "2 other reasons" in failed_points({f"x={n}": f"{letter}: wrong" for n, letter in enumerate("abcdefg")})
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.one_of(st.none(), st.integers(0, 30), st.floats(0, 100)))

@@ -171,32 +171,6 @@ def test_statistics_are_made_of_integers_that_floats_hold_and_of_no_others(tmp_p
     assert "beyond 2**53" in json.loads(ds.attrs["failures"])["beyond=1"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("law", "draw", "truth"),
-    [
-        ("exponential", lambda rng, n: rng.exponential(size=n), (1.0, 1.0, np.log(10.0))),
-        ("lognormal", lambda rng, n: rng.lognormal(size=n), (1.6487213, 2.1611974, 3.6022245)),
-        ("two values", lambda rng, n: rng.random(n) < 0.3, (0.3, 0.4582576, None)),
-    ],
-)
-def test_errors_of_two_thousand_points_of_a_store_hold_the_truth(tmp_path, law, draw, truth):
-    """Of 600 realisations, which are of two blocks."""
-
-    @experiment(outputs=[Output("w", statistics=["mean", "std", "q90"])])
-    def drawn(copy: int = 0, *, rng, n_sim):
-        return {"w": draw(rng, n_sim)}
-
-    ds = run(drawn, tmp_path / "s", axes={"copy": range(2000)}, sampling={"n_sim": 600, "seed": 9})
-    for name, is_ in zip(("mean", "std", "q90"), truth, strict=True):
-        value, error = ds[f"w_{name}"].values, ds[f"w_{name}_mc_error"].values
-        if is_ is None:
-            assert np.isnan(error).all()
-        else:
-            assert np.isfinite(error).mean() > 0.99
-            assert 0.935 < np.mean(np.abs(value - is_) <= 2.0 * error) < 0.97, name
-
-
 def test_dimensions_come_in_the_declared_order(tmp_path):
     """Of three, where the way there is not the way back."""
     values = np.arange(24.0).reshape(2, 3, 4)
@@ -231,21 +205,6 @@ def test_a_precision_takes_the_same_realisations_in_every_run(tmp_path, pool):
     assert len(keys) == len(set(keys))
     assert ds.n_sim_done.values.tolist() == [3584, 1536, 1536]
     assert linksweep.run(queue, **study).drop_attrs().identical(ds.drop_attrs())
-
-
-def test_a_file_that_works_again_is_retried_in_the_store_that_knew_nothing(tmp_path, sweep):
-    (tmp_path / "f.py").write_text(
-        "import pathlib\ndef f(k: int):\n    return len(pathlib.Path('ok').read_text()) + k\n"
-    )
-    command = ("run", "f.py:f", "--axis", "k=1,2,3", "-o", "s.zarr")
-    code, _, err = sweep(*command, cwd=tmp_path)
-    assert code == 1
-    assert "3 points failed: 3 like FileNotFoundError" in err
-    assert sweep(*command, cwd=tmp_path)[0] == 1
-    (tmp_path / "ok").write_text("1234")
-    code, _, err = sweep("run", "--retry", "s.zarr", cwd=tmp_path)
-    assert code == 0, err
-    assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [5, 6, 7]
 
 
 def test_an_imported_function_is_declared_in_a_script_also_for_worker_processes(tmp_path, monkeypatch):
@@ -308,20 +267,6 @@ def test_integers_and_floats_are_joined_whatever_the_order_and_the_runs(tmp_path
         assert re.fullmatch(r"numbers: 'big' is \d+, which is beyond 2\*\*53, and other points have floats", message)
 
 
-def test_a_store_of_integers_goes_on_with_floats(tmp_path):
-    def steps(k: int):
-        return {"n": k, "half": k / 2 if k % 2 else 2**53 + k if k > 8 else k // 2}
-
-    first = run(steps, tmp_path / "s.zarr", axes={"k": [0, 2, 10]})
-    assert (first.half.dtype, first.half.values.tolist()) == (np.int64, [0, 1, 2**53 + 10])
-    ds = run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 2, 3, 10]})
-    assert ds.half.values[:4].tolist() == [0.0, 0.5, 1.0, 1.5]
-    assert "beyond 2**53" in json.loads(ds.attrs["failures"])["k=10"]
-    assert ds.n.values[:4].tolist() == [0, 1, 2, 3]
-    whole = run(steps, tmp_path / "whole.zarr", axes={"k": [0, 1, 2, 3, 10]})
-    xr.testing.assert_identical(ds.drop_attrs(), whole.drop_attrs())
-
-
 def test_killed_before_the_rows_have_the_types_of_the_record_no_integer_is_rounded(tmp_path, monkeypatch):
     def steps(k: int):
         return k / 2 if k % 2 else 2**53 + k if k > 8 else k // 2
@@ -337,15 +282,6 @@ def test_killed_before_the_rows_have_the_types_of_the_record_no_integer_is_round
     ds = run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 10]})
     assert ds.status.values.tolist() == [1, 1, 2]
     assert "beyond 2**53" in json.loads(ds.attrs["failures"])["k=10"]
-
-
-def test_a_first_integer_does_not_decide_for_realisations(tmp_path):
-    def draws(k: int, rng):
-        return 0 if k == 0 else rng.normal() if k == 1 else 3
-
-    ds = run(draws, tmp_path / "s.zarr", axes={"k": [0, 1, 2]}, sampling={"n_sim": 50})
-    assert not json.loads(ds.attrs["failures"])
-    assert ds.draws_mean.values[[0, 2]].tolist() == [0.0, 3.0]
 
 
 def test_realisations_in_another_order_are_refused_by_name(tmp_path):

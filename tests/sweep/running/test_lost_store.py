@@ -68,7 +68,7 @@ def removed(store, part):
     ("change", "lost"),
     [
         pytest.param(lambda store: removed(store, ""), "s.zarr", id="removed"),
-        pytest.param(lambda store: removed(store, "blocks"), "blocks/", id="blocks"),
+        pytest.param(lambda store: removed(store, "blocks"), "blocks/", id="blocks", marks=SLOW),
         pytest.param(lambda store: store.rename(store.with_name("moved")), "s.zarr", id="moved", marks=SLOW),
         pytest.param(lambda store: (store / MANIFEST).unlink(), MANIFEST, id="manifest", marks=SLOW),
         pytest.param(lambda store: (store / "zarr.json").write_text("{}"), "", id="root", marks=SLOW),

@@ -6,16 +6,12 @@ import sys
 
 import pytest
 
-from linksweep.sweep.contract import SweepError
 from tests.conftest import COINS
 from tests.sweep.opening import (
     Resources,
     Silent,
     load_study,
-    parts_of,
-    repair,
     run_study,
-    status_report,
     study_from_dict,
 )
 
@@ -86,16 +82,3 @@ def test_a_finished_store_starts_no_process_and_imports_no_executor(tmp_path):
     started, imported = json.loads(done.stderr.splitlines()[-1])
     assert set(started) <= {"git"}  # which a checkout of linksweep is asked for its commit by
     assert imported == []
-
-
-def test_the_status_of_a_store_whose_ledger_has_lost_some_counts_what_is_left(tmp_path, study):
-    run_study(study, tmp_path / "s.zarr", SERIAL)
-    assert status_report(tmp_path / "s.zarr")["complete"]
-    [name] = parts_of(tmp_path / "s.zarr")
-    (tmp_path / "s.zarr" / name).unlink()
-    with pytest.raises(SweepError, match=f"{name} is damaged"):
-        status_report(tmp_path / "s.zarr")
-    repair(tmp_path / "s.zarr")
-    lost = status_report(tmp_path / "s.zarr")
-    assert not lost["complete"]
-    assert lost["points"]["done"] == 0

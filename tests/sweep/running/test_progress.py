@@ -12,7 +12,6 @@ from click.testing import CliRunner
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract.block import Block
 from linksweep.sweep.executing.task import TaskResult
-from linksweep.sweep.formatting import in_words
 from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
 from linksweep.sweep.running.progress import SENTENCES, TerminalProgress
@@ -54,27 +53,6 @@ def study(tmp_path, monkeypatch):
 
 def run(*options):
     return CliRunner().invoke(main, ["run", "study.toml", "--pool", "serial", *options])
-
-
-def test_the_end_of_a_run_says_what_it_took_and_how_to_look_closer(study):
-    done = run()
-    assert done.exit_code == 1
-    first, at_once, summary, wrote, failed = done.stderr.splitlines()
-    assert first == "4 points; 40 realisations to do in this process"
-    assert at_once == "failed at metal=gold,coins=5: ZeroDivisionError: no coins left"
-    assert re.fullmatch(
-        r"2 points and 20 realisations done, 2 failed, in [\d.e-]+ s: "
-        r"[\d,.]+ realisations/s, [\d.]+ s of work by all workers together",
-        summary,
-    )
-    assert wrote == "wrote results/study.zarr"
-    assert failed == (
-        "2 points failed: 2 like ZeroDivisionError: no coins left, for example at metal=gold,coins=5; "
-        "`sweep status results/study.zarr` names them and says why, "
-        "`sweep run --retry results/study.zarr` tries them again, "
-        "`sweep reproduce results/study.zarr --at POINT` runs one here"
-    )
-    assert "metal" in done.stdout
 
 
 def test_quiet_prints_the_table_and_errors(study):
@@ -164,29 +142,6 @@ def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeyp
     assert gaps[-1] in (600, 601)
     assert len(spoken) < 200
     assert told[1] == "0/6 points (0 % of the work), about 23 h 59 min left, 1 realisations/s"
-
-
-def summary_of(study, seconds, blocks):
-    """What is said at the end of a run whose points took so many seconds, in so many blocks each."""
-    progress = TerminalProgress(study)
-    size = PlanSize(len(seconds), len(seconds) * blocks, 0, 1.0)
-    progress.start(Survey(size, PlanSize(0, 0, 0, 0.0), size), "this process", 1)
-    for point in make_grid(study).points():
-        work = Work((point,), Block(0, 0, 0, 1, 1), 1.0)
-        for _ in range(blocks):
-            result = TaskResult(np.array([seconds[point.index] / blocks]))
-            taken = Taken(PlanSize(1, 1, 1, 1.0), PlanSize(0, 0, 0, 0.0), (), {})
-            progress.advance([work], result, taken)
-    return progress.summary(100.0)
-
-
-def test_the_summary_names_the_slowest_of_many_points(coins):
-    document = coins | {"axes": {"coins": {"start": 1, "stop": 500, "step": 1}}, "fixed": {}}
-    seconds = (np.random.default_rng(5).permutation(500) + 1.0) ** 2
-    lines = summary_of(study_from_dict(document), seconds, 2)
-    expected = [f"coins={int(i) + 1} {in_words(seconds[i])}" for i in np.argsort(-seconds)[:3]]
-    assert lines[1] == f"slowest: {'; '.join(expected)}"
-    assert f"{seconds.sum():,.1f} s of work" in lines[0]
 
 
 @pytest.mark.slow

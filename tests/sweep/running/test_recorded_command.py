@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linksweep.sweep.formatting import without_secrets
+from tests.tiers import slow
 
 SECRET = "hunter2"
 
@@ -28,7 +29,7 @@ def everything_in(folder):
     return b"".join(file.read_bytes() for file in folder.rglob("*") if file.is_file() and file.suffix != ".py")
 
 
-@pytest.mark.parametrize("name", ["script.py", "sweep", "sweep.py"])
+@pytest.mark.parametrize("name", ["script.py", slow("sweep"), slow("sweep.py")])
 def test_nothing_of_a_scripts_own_options(tmp_path, sweep, name):
     (tmp_path / name).write_text(SCRIPT)
     command = [sys.executable, name, "--password", SECRET, f"--token={SECRET}"]

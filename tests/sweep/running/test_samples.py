@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+import linksweep
 from linksweep.sweep.contract import SweepError
 from tests.sweep.opening import Resources, Store, Tuning, run_study, study_from_dict
 
@@ -16,11 +17,17 @@ LINK = {
 }
 
 
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    """The store of a study that keeps its samples; only read."""
+    store = tmp_path_factory.mktemp("samples") / "s.zarr"
+    assert not run_study(study_from_dict(LINK), store, SERIAL)[1]
+    return store
+
+
 @pytest.fixture
-def kept(tmp_path):
-    dataset, failures = run_study(study_from_dict(LINK), tmp_path / "s.zarr", SERIAL)
-    assert not failures
-    return dataset
+def kept(store):
+    return linksweep.open(store)
 
 
 def test_samples_are_the_realisations_behind_the_results(kept):
@@ -66,7 +73,7 @@ def test_an_experiment_without_samples_cannot_keep_them(coins):
         study_from_dict(coins | {"sampling": {"keep_samples": True}})
 
 
-def test_keeping_samples_is_part_of_what_a_store_means(kept, tmp_path):
+def test_keeping_samples_is_part_of_what_a_store_means(store):
     without = LINK | {"sampling": {**LINK["sampling"], "keep_samples": False}}
     with pytest.raises(SweepError, match="keep_samples"):
-        run_study(study_from_dict(without), tmp_path / "s.zarr", SERIAL)
+        run_study(study_from_dict(without), store, SERIAL)

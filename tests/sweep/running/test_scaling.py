@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from linksweep.sweep.contract import SweepError
-from tests.sweep.opening import measure_scaling, run_study, study_from_dict
+from tests.sweep.opening import measure_scaling, study_from_dict
 
 
 @pytest.fixture
@@ -101,15 +100,3 @@ def test_bad_input_is_refused_and_writes_nothing(arguments, words, tmp_path, swe
     assert status == 2
     assert words in err
     assert not list(tmp_path.iterdir())
-
-
-def test_a_point_that_fails_ends_it(coins, monkeypatch):
-    study = study_from_dict(coins | {"sampling": {"n_sim": 10, "n_cat": 1, "seed": 1}})
-
-    def failing(*arguments):
-        dataset, _ = run_study(*arguments)
-        return dataset, {"metal=tin,coins=1": "ZeroDivisionError: no coins left"}
-
-    monkeypatch.setattr("linksweep.sweep.running.scaling.run_study", failing)
-    with pytest.raises(SweepError, match=r"1 points fail, e\.g\. metal=tin,coins=1: ZeroDivisionError"):
-        measure_scaling(study, [1], "threads")

@@ -57,47 +57,6 @@ def test_each_axis_counts_points_and_realisations(stopped):
     assert tin["done"] == 0
 
 
-def test_zipped_axes_are_counted_together(coins, tmp_path):
-    document = coins | {
-        "axes": {"coins": [1, 5], "chance": [0.3, 0.6]},
-        "fixed": {},
-        "grid": {"zip": [["coins", "chance"]]},
-    }
-    run_study(study_from_dict(document), tmp_path / "s.zarr", SERIAL)
-    report = status_report(tmp_path / "s.zarr")
-    assert list(report["axes"]) == ["coins"]
-    assert [segment["at"] for segment in report["axes"]["coins"]] == [
-        {"coins": 1, "chance": 0.3},
-        {"coins": 5, "chance": 0.6},
-    ]
-
-
-def test_the_command_prints_a_table_and_json_has_every_value(sweep, stopped):
-    code, out, err = sweep("status", stopped)
-    assert code == 0, err
-    lines = [line.rstrip() for line in out.splitlines()]
-    start = lines.index("metal  points done  realisations  excluded")
-    assert lines[start : start + 8] == [
-        "metal  points done  realisations  excluded",
-        "gold           3/3         100 %",
-        "tin            0/2          40 %         1",
-        "",
-        "coins  points done  realisations  excluded",
-        "1              1/2          90 %",
-        "5              1/1         100 %         1",
-        "20             1/2          50 %",
-    ]
-    assert "running: no" in lines
-    assert any(line.startswith("last written: 20") for line in lines)
-    code, out, _ = sweep("status", stopped, "--json")
-    document = json.loads(out)
-    assert [row["at"] for row in document["axes"]["coins"]] == [{"coins": 1}, {"coins": 5}, {"coins": 20}]
-    assert document["axes"]["metal"][0] == {
-        **{"at": {"metal": "gold"}, "points": 3, "done": 3, "failed": 0, "excluded": 0},
-        **{"realisations_done": 60_000, "realisations": 60_000},
-    }
-
-
 def test_a_long_axis_is_folded_where_nothing_happens():
     """A run that is in the middle of a thousand values."""
     status = np.array([Status.DONE] * 400 + [Status.MISSING] * 600, dtype=np.int8)
@@ -117,27 +76,6 @@ def test_a_long_axis_is_folded_where_nothing_happens():
         1,
     )
     assert len(folded(mixed["x"])) == MOST_LINES
-
-
-def test_a_plan_is_told_in_words_with_units(sweep, coins, tmp_path):
-    text = f"""
-title = "Coins"
-experiment = "{coins["experiment"]}"
-axes.coins = [1, 5]
-sampling = {{ n_sim = 1000, n_cat = 20 }}
-"""
-    (tmp_path / "study.toml").write_text(text)
-    sweep("run", "study.toml", "--set", "coins=1", cwd=tmp_path)
-    code, out, err = sweep("plan", "study.toml", cwd=tmp_path)
-    assert code == 0, err
-    lines = dict(line.split(maxsplit=1) for line in out.splitlines())
-    assert lines["study"] == "Coins"
-    assert lines["grid"] == "coins 2"
-    assert lines["points"] == "2, 1 of them done"
-    assert lines["realisations"] == "40,000, 20,000 of them done"
-    assert lines["work"] == "4 blocks in about 1 task"
-    assert lines["time"] == "less than a second of computing on 1 core of this machine"
-    assert lines["store"] == "results/study.zarr"
 
 
 def test_all_failed_points_are_counted_and_a_terminal_names_the_first(sweep, tmp_path):

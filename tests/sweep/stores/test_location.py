@@ -13,32 +13,6 @@ from linksweep import SweepError
 from tests.sweep.opening import Folder, files_of, located, short_name, store_named
 
 
-def test_files_come_back_as_they_were_put(place):
-    location = located(place)
-    assert location.is_free()
-    assert location.get("a/b") is None
-    location.put("a/b", b"one")
-    location.put("a/b", b"two")
-    location.put_all({f"c/{i}": bytes([i]) for i in range(20)})
-    assert location.get("a/b") == b"two"
-    assert location.keys() == sorted(["a/b", *(f"c/{i}" for i in range(20))])
-    assert location.keys("a/") == ["a/b"]
-    assert location.get_all(["c/7", "none"]) == {"c/7": b"\x07", "none": None}
-    assert not location.is_free()
-    for _ in range(2):
-        location.delete("a/b")
-        assert location.get("a/b") is None
-
-
-def test_the_place_around_a_store_is_beside_it(place):
-    location = located(place)
-    location.put("zarr.json", b"{}")
-    location.parent.put(location.name + ".lock", b"me")
-    assert location.keys() == ["zarr.json"]
-    assert location.parent.keys() == ["s.zarr.lock", "s.zarr/zarr.json"]
-    assert str(located(str(location))) == str(location) == place
-
-
 def test_only_one_of_many_creates_or_swaps_a_file(place):
     location = located(place)
     with ThreadPoolExecutor(8) as pool:

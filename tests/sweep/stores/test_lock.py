@@ -11,8 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, replace
 
 import pytest
-import xarray as xr
-import zarr
 
 from linksweep import SweepError
 from tests.patience import PATIENCE_S
@@ -70,18 +68,6 @@ def can_be_taken(place, **options):
     with locked(place, **options):
         assert holder(place).pid == os.getpid()
     return lock_file(place) is None
-
-
-def test_it_is_beside_the_store_and_gone_afterwards(place):
-    assert holder(place) is None
-    with locked(place):
-        assert holder(place).pid == os.getpid()
-        assert located(place).keys() == []
-        assert lock_file(place) is not None
-    assert lock_file(place) is None
-    with pytest.raises(ZeroDivisionError), locked(place):
-        raise ZeroDivisionError
-    assert lock_file(place) is None
 
 
 def test_the_second_is_told_who_has_it(place, hold):
@@ -200,15 +186,6 @@ def test_a_holder_whose_lock_was_broken_leaves_that_of_the_next(place):
     assert holder(place) == other
 
 
-def test_a_system_without_proc_asks_for_the_process(tmp_path, monkeypatch):
-    monkeypatch.setattr(opening.location, "_start_of", lambda pid: "")
-    place = tmp_path / "s.zarr"
-    with locked(place):
-        assert holder(place).pid == os.getpid()
-    held_by(place)
-    assert holder(place) is None
-
-
 def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, start_sweep, sweep):
     store = tmp_path / "s.zarr"
     long = ("--set", "n_sim=20000", "--set", "n_cat=20", "--pool", "serial")
@@ -227,12 +204,3 @@ def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, 
     assert not (tmp_path / "s.zarr.lock").exists()
     code, out, err = sweep("status", store)
     assert "running: no" in out
-
-
-def test_plain_readers_do_not_see_the_lock(tmp_path, coins):
-    store = tmp_path / "s.zarr"
-    opening.run(coins, store)
-    with locked(store):
-        names = {name for name, _ in zarr.open_group(store, mode="r").members()}
-        assert "share" in names
-        assert set(xr.open_zarr(store).data_vars) <= names

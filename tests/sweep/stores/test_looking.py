@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import main
-from tests.sweep.opening import Folder, forge, run, sealed
+from tests.sweep.opening import forge, run, sealed
 
 COINS = (Path(__file__).parents[1] / "coins.py").read_text()
 MARKING = 'from pathlib import Path\nPath({marker!r}).write_text("was here")\n'
@@ -91,16 +91,6 @@ def test_no_command_runs_what_a_store_names(evil, sweep, tmp_path, command):
         assert marker.exists()
 
 
-def test_status_of_a_store_needs_only_the_store(evil, sweep):
-    store, _ = evil
-    code, out, err = sweep("status", store, "--json")
-    assert code == 0, err
-    report = json.loads(out)
-    assert report["points"]["done"] == 6
-    assert report["complete"]
-    assert "note" not in report
-
-
 def test_a_store_from_elsewhere_asks_once(tmp_path, coins, sweep):
     (tmp_path / "x.py").write_text(COINS)
     run(coins | {"experiment": f"{tmp_path / 'x.py'}:experiment"}, tmp_path / "s.zarr")
@@ -145,14 +135,6 @@ def test_a_store_without_a_record_says_what_it_cannot(tmp_path, coins, sweep):
     forge(tmp_path / "s.zarr", lambda told: told.pop("experiment_record"))
     code, _, err = sweep("status", tmp_path / "s.zarr")
     assert (code, "has no record of its experiment" in err) == (2, True)
-
-
-def test_the_root_document_is_read_once(tmp_path, coins, monkeypatch, sweep):
-    run(coins, tmp_path / "s.zarr")
-    get, reads = Folder.get, []
-    monkeypatch.setattr(Folder, "get", lambda place, key: (reads.append(key), get(place, key))[1])
-    sweep("status", tmp_path / "s.zarr")
-    assert reads.count("zarr.json") == 1
 
 
 def _fields(value, path=()):

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import threading
 import time
-import warnings
 
 import numpy as np
 import pytest
@@ -59,24 +58,6 @@ def test_the_ledger_grows_over_parts_in_few_files(path, coins):
         keys, sums = rows(size, start)
         assert np.array_equal(again.read()[[again.rows[k] for k in keys]], sums)
     assert len(files_of(path)) < 40
-
-
-def test_rows_that_the_manifest_does_not_know_do_not_count(path, coins):
-    """As a process leaves them that is killed before it writes the manifest."""
-    manifest = path / "blocks" / "zarr.json"
-    store = create_or_resume(path, coins)
-    keys, sums = rows(6)
-    store.append(keys[:2], sums[:2])
-    store.flush()
-    before = manifest.read_bytes()
-    store.append(keys[2:], sums[2:])
-    store.flush()
-    manifest.write_bytes(before)
-    again = create_or_resume(path, coins)
-    assert set(again.rows) == set(keys[:2])
-    again.append(keys[4:], sums[4:])
-    again.flush()
-    assert np.array_equal(create_or_resume(path, coins).read(), sums[[0, 1, 4, 5]])
 
 
 def test_what_a_kill_before_the_first_results_leaves_is_gone_on_with(path, coins):
@@ -144,13 +125,6 @@ def test_another_format_is_explained(path, coins, version, age):
             read(path)
 
 
-def test_plain_xarray_opens_a_store_without_a_warning(path, coins):
-    run(coins, path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert xr.open_zarr(path)["metal"].values.tolist() == ["gold", "tin"]
-
-
 def test_results_on_the_same_axes_have_the_same_chunks(path, monkeypatch):
     monkeypatch.setattr("linksweep.sweep.stores.integrity.MOST_VALUES", 9)
 
@@ -198,16 +172,6 @@ def test_the_ends_of_so_many_tracebacks_are_kept_and_every_message(path, coins):
     assert sum(map(bool, texts)) == most
     assert texts[0].endswith("éthe end")
     assert length - 2 < len(texts[0].encode()) <= length
-
-
-@pytest.mark.parametrize("failures", [{"xy": {}}, {"00": {}}, {digest(1).hex(): "text"}, ["list"]])
-def test_a_forged_record_of_failures_is_named(path, coins, failures, monkeypatch):
-    store = create_or_resume(path, coins)
-    store.fail(digest(1), record(1))
-    monkeypatch.setattr(opening.ledger, "_recorded", lambda known: failures)
-    store.flush()
-    with pytest.raises(SweepError, match=r"blocks/failures\.\d+\.0 is damaged \(failures"):
-        create_or_resume(path, coins)
 
 
 READ = """

@@ -1,7 +1,5 @@
 """Values of a parameter that a study defines: names, identity, stores, and everything that can be wrong in them."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -141,13 +139,6 @@ def test_points_are_known_by_the_curve_and_not_by_its_name(here, done):
     assert done() == 4
 
 
-def test_one_curve_under_two_names_is_one_value(here):
-    copy = STUDY[STUDY.index("[define.model.small]") : STUDY.index("[define.model.coded]")].replace("small", "copy")
-    edited(here, ("[fixed]", f"{copy}[fixed]"), ('"small", "coded"', '"small", "copy"'))
-    with pytest.raises(SweepError, match="duplicate values 'small'"):
-        linksweep.load_study("own.toml")
-
-
 def test_a_store_is_reproduced_from_itself(here, sweep):
     dataset = run()
     assert dataset["model"].values.tolist() == ["gaia", "small", "coded"]
@@ -192,45 +183,6 @@ def test_a_smaller_study_leaves_a_larger_store_as_it_is(here):
     assert linksweep.open("s.zarr")["model"].values.tolist() == ["small"]
 
 
-def test_another_curve_as_fixed_value_is_another_study(here, sweep):
-    fixed = (("model = [", "# "), ("[fixed]", '[fixed]\nmodel = "small"'))
-    edited(here, *fixed)
-    run()
-    edited(here, *fixed, ("150.0", "151.0"))
-    status, _, err = sweep("run", "own.toml", "-o", "s.zarr", cwd=here)
-    assert status == 2
-    assert "fixed.model: 'sha256:" in err
-
-
-def test_claims_exclusions_and_published_numbers_speak_of_names(here, sweep):
-    (here / "p.csv").write_text("model,v_max,sigma_spin\nsmall,16,0.004\n")
-    more = """
-[[exclude]]
-model = "coded"
-v_max = 15.0
-
-[published]
-file = "p.csv"
-source = "nobody"
-
-[[claim]]
-text = "brighter is worse"
-source = "nobody"
-published = "0.8"
-ratio = { variable = "sigma_spin", of = { v_max = 16.0 }, to = { v_max = 15.0 } }
-where = { model = "small" }
-"""
-    edited(here, ("n_cat = 2", f"n_cat = 2{more}"))
-    dataset = run()
-    assert dataset["sigma_spin_published"].sel(model="small", v_max=16.0) == 0.004
-    assert np.isnan(dataset["sigma_spin"].sel(model="coded", v_max=15.0))
-    _, out, _ = sweep("compare", "s.zarr", "--json", cwd=here)
-    claim = next(c for c in json.loads(out)["comparisons"] if c["what"] == "brighter is worse")
-    spin = dataset["sigma_spin"].sel(model="small")
-    assert claim["where"] == {"model": "small"}
-    assert claim["value"] == pytest.approx(spin.sel(v_max=16.0).item() / spin.sel(v_max=15.0).item(), rel=1e-6)
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -255,11 +207,7 @@ where = { model = "small" }
         ("25.0", "-25.0", "small.sigma_pm (line 10): row 2, sigma: -25.0: must be a number from 1e-06 to 1e+10"),
         ("curves.py:motions", "curve.py:motions", "define.model.coded.sigma_pm (line 15): there is no file "),
         ("curves.py:motions", "curves.py:motion", "'curves.py:motion': the module has no attribute 'motion'"),
-        (
-            "curves.py:motions",
-            "curves.py:number",
-            "'curves.py:number': the module has a int, not a function, at 'number'",
-        ),
+        ("curves.py:motions", "curves.py:number", "'curves.py:number': the module has a int, not a function, at"),
         ("curves.py:motions", "curves", "'curves': write module:attribute or file.py:attribute"),
         ("[15.0, 16.0]", "[15.0, 16.5]", "v_max = 16.5 mag: the curve of 'small' ends at 16 mag (1 point)"),
     ],

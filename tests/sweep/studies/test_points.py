@@ -113,10 +113,7 @@ MISSING = pd.DataFrame({"k": pd.array([1, None, 2], dtype="Int64")})
         (sobol(ranges={"beta": 2}), "write [low, high]"),
         (sobol(ranges={"solver": ["a", "b"]}), "write { values = [...] }"),
         (sobol(ranges={"q": [1, 2]}), "unknown parameter 'q'"),
-        (
-            sobol(ranges={"k": {"low": 0, "high": 9, "spacing": "log"}}),
-            "log spacing needs numbers above 0, not 0 and 9",
-        ),
+        (sobol(ranges={"k": {"low": 0, "high": 9, "spacing": "log"}}), "log spacing needs numbers above 0, not 0"),
         (sobol(design="morris", ranges={"solver": {"values": ["a", "b"]}}), "steps between 4 numbers"),
         (sobol(design="morris", ranges={"k": [1, 3]}), "steps between 4 numbers"),
         (sobol(design="saltelli", n=10**6), "makes 3,000,000 points"),
