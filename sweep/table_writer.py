@@ -192,8 +192,8 @@ def _wrapped(text: str, width: int) -> list[str]:
 
 def _safe(value: Any) -> Any:
     """Return a value as a cell of CSV: no NaN, no control character, and a quote before what would be computed."""
-    if isinstance(value, list):
-        return json.dumps(value)
+    if isinstance(value, list | np.ndarray):
+        return json.dumps(np.asarray(value).tolist())
     if not isinstance(value, str):
         return "" if is_missing(value) else value
     with suppress(ValueError):

@@ -71,7 +71,10 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
         return made
     first = said_first(dataset)
     for variable in dict.fromkeys([*first, *quantity.headlines(dataset)]):
-        meaning, values = meaning_beside(variable, dataset[variable].attrs), dataset[variable].values.astype(float)
+        meaning, values = (
+            meaning_beside(variable, dataset[variable].attrs),
+            dataset[variable].values.astype(float, copy=False),
+        )
         finite = values[np.isfinite(values)]
         if made and variable not in first and finite.size > 1 and finite.min() == finite.max():
             continue  # a number that is the same everywhere answers nothing
@@ -113,7 +116,7 @@ def _with_errors(dataset: xr.Dataset, variable: str, errors: list[str]) -> str:
     """Return the range of each component that has values, and of each kind of error in each unit."""
     ranges, by_kind = [], {name: dict[str, list[float]]() for name in errors}
     for name, unit, part in _components(dataset, variable):
-        if np.isfinite(values := part[variable].values.astype(float)).any():
+        if np.isfinite(values := part[variable].values.astype(float, copy=False)).any():
             ranges.append(f"{name.removeprefix(f'{variable} (').removesuffix(')')} {_range_of(values, unit)}")
             for error, by_unit in by_kind.items():
                 by_unit.setdefault(unit, []).extend(part[error].values.ravel().tolist())
@@ -137,7 +140,7 @@ def _range_of(values: Array, unit: str) -> str:
 def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     """Yield sentences about a variable in a unit; '' for a sentence with nothing to say."""
     array = part[variable].transpose(*part["status"].dims, ...)
-    values, error = array.values.astype(float), quantity.standard_error(part, variable)
+    values, error = array.values.astype(float, copy=False), quantity.standard_error(part, variable)
     errors = (xr.zeros_like(array, dtype=float) if error is None else error.transpose(*array.dims)).values
     finite = np.isfinite(values)
     if not finite.any():
@@ -167,7 +170,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
 
 def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str, all_done: bool) -> str:
     values = quantity.exact(array.values)  # integers are compared exactly
-    known = np.flatnonzero(np.isfinite(values.astype(float)))
+    known = np.flatnonzero(np.isfinite(values.astype(float, copy=False)))
     some = values.reshape(-1)[known]
     noun = "point" if array.ndim == part["status"].ndim else "value"
 

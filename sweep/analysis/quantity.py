@@ -392,12 +392,12 @@ def require_done(dataset: xr.Dataset) -> None:
 
 def exact(values: NDArray[Any]) -> NDArray[Any]:
     """Return integers and truth values as they are, to be shown to the last digit, and others as floats."""
-    return values if values.dtype.kind in "biu" else values.astype(float)
+    return values if values.dtype.kind in "biu" else values.astype(float, copy=False)
 
 
 def listed(dataset: xr.Dataset, name: str, dimensions: Sequence[str], rows: Any = slice(None)) -> list[Any]:
     """Return a variable as Python objects, one for each combination along some dimensions in C order, or for the
-    ``rows`` among them: a list where the variable has further dimensions, NaN where an integer or a truth value is
+    ``rows`` among them: an array where the variable has further dimensions, NaN where an integer or a truth value is
     missing, times as texts.
     """
     variable = dataset[name].variable
@@ -410,7 +410,8 @@ def listed(dataset: xr.Dataset, name: str, dimensions: Sequence[str], rows: Any 
     shape = {d: dataset.sizes[d] for d in dimensions} | {d: variable.sizes[d] for d in own}
     whole: xr.Variable = xr.Variable(variable.dims, values).set_dims(shape)  # type: ignore[no-untyped-call]
     whole = whole.transpose(*dimensions, *own)
-    return list(whole.values.reshape(-1, *(shape[d] for d in own))[rows].tolist())
+    chosen = whole.values.reshape(-1, *(shape[d] for d in own))[rows]
+    return list(chosen) if own else list(chosen.tolist())  # objects for each number of an image would take gigabytes
 
 
 # Units that read well

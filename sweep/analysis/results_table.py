@@ -92,7 +92,7 @@ def _columns_of(dataset: xr.Dataset, columns: dict[str, Column], name: str, rows
     """Yield the columns of one result."""
     main = columns[name]
     if name in quantity.array_outputs(dataset):
-        yield replace(main, cells=list(map(_span, main.values)), values=list(map(str, main.values)))
+        yield replace(main, cells=list(map(_span, main.values)))
         return
     error = quantity.standard_error(dataset, name)
     errors = [0.0] * len(rows)
@@ -129,7 +129,7 @@ def _is_exact(dataset: xr.Dataset, name: str) -> bool:
 
 def _span(values: Any) -> str:
     """Return the array of one point in short: its smallest and its largest number."""
-    flat = np.array(values).reshape(-1)
+    flat = np.ravel(values)
     if flat.dtype.kind not in "biuf":
         return first_of(flat.tolist(), 1)
     known = quantity.exact(flat[np.isfinite(flat)])

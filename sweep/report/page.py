@@ -289,5 +289,8 @@ def _sortable(table: Table, left_out: int = 0) -> dict[str, Any]:
         whole = repeated[column.name] > 1 and column.quantity != column.name
         name = f"{column.quantity} {column.name}" if whole else column.name
         headings.append(f"{name} [{written(column.unit)}]" if column.unit else name)
-    cells = [zip(column.shown, column.values, strict=True) for column in table.columns]
+    cells = [
+        [(text, text if hasattr(by, "tolist") else by) for text, by in zip(c.shown, c.values, strict=True)]
+        for c in table.columns
+    ]
     return {"headings": headings, "rows": list(zip(*cells, strict=True)), "left_out": left_out}

@@ -61,16 +61,15 @@ class Values:
         return None
 
     def _parameter(self, name: str) -> Parameter:
-        """Return the declared parameter; raises ValueError, also for what is set in [sampling]."""
-        known = [parameter.name for parameter in self.experiment.parameters]
-        if name in Sampling.model_fields and name not in known:
-            raise ValueError(f"is set in [sampling], to one value: --set {name}=VALUE")
-        if name not in known:
-            near = suggest(name, [*known, *Sampling.model_fields])
-            raise ValueError(
-                f"unknown parameter {shown(name)}{near if 'did you mean' in near else suggest(name, known)}"
-            )
-        return self.experiment.parameter(name)
+        """Return the declared parameter; raises ValueError, with a hint for what is set in [sampling]."""
+        try:
+            return self.experiment.parameter(name)
+        except ValueError as error:
+            settings = list(Sampling.model_fields)
+            hint = f"; --set {name}=VALUE sets it, to one value" if name in settings else suggest(name, settings)
+            if not str(error).startswith("unknown") or "did you mean" in str(error) or hint.startswith("; known"):
+                raise
+            raise ValueError(f"{error}{hint}") from error
 
     def axis(self, name: str, spec: object) -> tuple[Value, ...] | None:
         """Return the values of an axis, a list or a range of them; None if any is wrong."""

@@ -97,7 +97,7 @@ def test_without_a_conclusion_the_range_answers(dataset_of):
     dataset = dataset_of("sqrt-n")
     del dataset.attrs["conclusion"]
     (sentence,) = said(dataset)
-    assert sentence.startswith("sigma_spin (RMS error of the spin, over its components): Over 7 points it goes from")
+    assert sentence.startswith("sigma_spin (RMS error of the spin, over its components): It is between")
     nothing = dataset.assign({n: dataset[n] * math.nan for n in dataset if str(n).startswith("sigma_spin")})
     assert said(nothing)[0].endswith("No point has a value yet.")
     dataset.attrs["conclusion"] = "{"
