@@ -41,7 +41,7 @@ class Astrometry:
     mission, from 1, for those in a frame of its own.
 
     ``further`` (2, 5, N) are values and errors of the parameters `FURTHER` of stars whose paths are not straight, zero
-    for those that a star lacks, with the correlations (10, 10, N) of all ten; ``orbit`` (7, N) as in `bends`.
+    for those that a star lacks, with their correlations (10, 5, N) with all ten; ``orbit`` (7, N) as in `bends`.
     """
 
     values: Array
@@ -88,14 +88,18 @@ class Astrometry:
         With further parameters it is that of all ten, (N, 10, 10).
         """
         sigma = np.where(self.present, self.errors, 0.0).T
-        if self.further is not None and self.further_correlations is not None:
+        if self.further is not None:
             sigma = np.concatenate([sigma, self.further[1].T], axis=1)
-            return np.asarray(np.moveaxis(self.further_correlations, -1, 0) * sigma[:, :, None] * sigma[:, None, :])
-        covariance = np.zeros((len(self), 5, 5))
-        covariance[:, range(5), range(5)] = sigma**2
+        covariance = np.zeros((len(self), *2 * sigma.shape[1:]))
+        covariance[:, range(5), range(5)] = sigma[:, :5] ** 2
         if self.correlations is not None:
             for correlation, (i, j) in zip(self.correlations, PAIRS, strict=True):
                 covariance[:, i, j] = covariance[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
+        if self.further_correlations is not None:
+            covariance[:, :, 5:] = (
+                np.moveaxis(self.further_correlations, -1, 0) * sigma[:, :, None] * sigma[:, None, 5:]
+            )
+            covariance[:, 5:, :5] = covariance[:, :5, 5:].swapaxes(1, 2)
         return covariance
 
 
@@ -216,7 +220,7 @@ def bends(years: Array, orbit: Array | None = None) -> Array:
     """Return the derivatives of (ra, dec, parallax, pmra, pmdec) by the parameters `FURTHER`; shape (N, 5, 5).
 
     ``years`` (N,) since the star's epoch; ``orbit`` (7, N) has period (yr), eccentricity, periastron (years since the
-    epoch) and the Thiele-Innes elements A, B, F, G for a semi-axis of 1, NaN for none.  An orbit displaces positions;
+    epoch) and the Thiele-Innes elements A, B, F, G for a semi-axis of 1, zero for none.  An orbit displaces positions;
     its motion is not that of years.  Source: Binnendijk 1960, Properties of Double Stars.
     """
     bend = np.zeros((len(years), 5, 5))
@@ -224,8 +228,8 @@ def bends(years: Array, orbit: Array | None = None) -> Array:
     bend[:, 3, 0] = bend[:, 4, 1] = years
     bend[:, 0, 2] = bend[:, 1, 3] = years**3 / 6.0
     if orbit is not None:
-        period, e, periastron, a, b, f, g = np.where(np.isfinite(orbit).all(axis=0), orbit, [[1.0]] + 6 * [[0.0]])
-        mean = (((years - periastron) / period + 0.5) % 1.0 - 0.5) * 2.0 * np.pi
+        period, e, periastron, a, b, f, g = orbit
+        mean = (((years - periastron) / np.where(period > 0.0, period, 1.0) + 0.5) % 1.0 - 0.5) * 2.0 * np.pi
         anomaly = mean + 0.85 * e * np.sign(mean)
         for _ in range(KEPLER):
             anomaly -= (anomaly - e * np.sin(anomaly) - mean) / (1.0 - e * np.cos(anomaly))
