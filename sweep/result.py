@@ -65,6 +65,16 @@ class Result:
         what = "Forecast of the link" if self.kind == "forecast" else "Link"
         return f"{what} of {Path(str(about['satellite'])).name} and {Path(str(about['reference'])).name}"
 
+    @property
+    def subtitle(self) -> str:
+        """How it was made, where figures say that below the title."""
+        about = self.dataset.attrs
+        if "sign" in about:
+            return f"{about['sign'].replace('-', ' − ')}, epoch {about['epoch']:.2f}, clip {about['clip']}"
+        if "sensitivity_method" in about:
+            return f"sensitivity of {about['output']}, by {about['sensitivity_method']}"
+        return ""
+
     def tables(self) -> list[Table]:
         """Return its tables for reading."""
         return list(self._made("tables"))

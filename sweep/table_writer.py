@@ -12,20 +12,17 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
-from rich.cells import cell_len
+from rich import cells, console, table, text
 
 from linksweep.sweep.formatting import ESCAPED, WIDTH, harmless, in_ascii, is_missing, plain, to_json
 
 GAP = 2  # blanks between two columns
 LONG_NAME = 13  # column names longer than this are broken into two lines at an underscore
 FORMULA = tuple("=+-@＝＋－＠")  # how a cell of CSV begins that a spreadsheet would compute
-
-# styles of a terminal: headings, titles, and the end of a style
-BOLD, ITALIC, PLAIN = "\x1b[1m", "\x1b[3m", "\x1b[0m"
+ENDLESS = 10**6  # columns of a terminal that has room for everything
 
 
 @dataclass(frozen=True)
@@ -35,7 +32,7 @@ class Column:
 
     A table that is too wide leaves out the columns of the largest ``rank`` first, by the ``quantity`` that they belong
     to, and never those of rank 0.  A column that may ``wrap`` takes several lines where there is no room, and is then
-    at least so many characters wide.  ``styles`` are those of cells on a terminal.
+    at least so many characters wide.
     """
 
     name: str
@@ -46,7 +43,6 @@ class Column:
     rank: int = 0
     left: bool = False
     wrap: int = 0
-    styles: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def shown(self) -> Sequence[str]:
@@ -65,26 +61,21 @@ class Column:
 
     def width(self, least: bool = False) -> int:
         """Return how many characters the column takes, or at ``least`` takes where it wraps."""
-        texts = self.texts
-        whole = max(map(_length, [*self.heading, *texts]))
+        whole = max(map(cells.cell_len, [*self.heading, *self.texts]))
         if not (least and self.wrap):
             return whole
-        words = max((_length(word) for text in texts for word in text.split(" ")), default=0)
-        return min(whole, max([self.wrap, words, *map(_length, self.heading)]))
+        words = " ".join([*self.heading, *self.texts]).split(" ")
+        return min(whole, max(self.wrap, *map(cells.cell_len, words)))
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of one length under a title; ``about`` is said beside them in JSON, ``meta`` in the head of ECSV.
-
-    ``between`` has sentences for reading, each with its style, above the row of that number.
-    """
+    """Columns of one length under a title; ``about`` is said beside them in JSON, ``meta`` in the head of ECSV."""
 
     columns: Sequence[Column]
     title: str = ""
     about: Mapping[str, Any] = field(default_factory=dict)
     meta: Mapping[str, Any] = field(default_factory=dict)
-    between: Mapping[int, Sequence[tuple[str, str]]] = field(default_factory=dict)
 
     @property
     def rows(self) -> Iterable[tuple[Any, ...]]:
@@ -109,39 +100,27 @@ class Table:
 
         Columns that may wrap do so to fit into ``width`` characters.  ``styled`` is for terminals.
         """
-        widths = [column.width() for column in self.columns]
-        for i, column in enumerate(self.columns):
-            if column.wrap and width is not None:
-                room = width - sum(widths) - GAP * (len(widths) - 1) + widths[i]
-                widths[i] = max(column.width(least=True), min(widths[i], room))
-
-        def sentence(text: str, style: str) -> str:
-            indent = " " * (len(text) - len(text.lstrip()))
-            filled = textwrap.fill(harmless(text), width or WIDTH, subsequent_indent=indent)
-            return f"{style}{filled}{PLAIN}" if styled and style else filled
-
-        lines = [sentence(line, ITALIC) for line in self.title.split("\n") if self.title]
-        depth = max(len(column.heading) for column in self.columns)
-        for heading in zip(*([""] * (depth - len(c.heading)) + c.heading for c in self.columns), strict=True):
-            line = self._line(heading, widths)
-            lines += [f"{BOLD}{line}{PLAIN}" if styled else line] if line else []
-        rows = list(zip(*(column.texts for column in self.columns), strict=True))
-        for number, row in enumerate(rows):
-            lines += [sentence(*words) for words in self.between.get(number, ())]
-            parts = [
-                _wrapped(cell, w) if c.wrap else [cell] for cell, w, c in zip(row, widths, self.columns, strict=True)
-            ]
-            lines += [self._line(line, widths, styled) for line in zip_longest(*parts, fillvalue="")]
-        return "\n".join([*lines, *(sentence(*words) for words in self.between.get(len(rows), ()))])
-
-    def _line(self, cells: Sequence[str], widths: Sequence[int], styled: bool = False) -> str:
-        parts = []
-        for cell, width, column in zip(cells, widths, self.columns, strict=True):
-            blanks = " " * (width - _length(cell))
-            style = column.styles.get(cell, "") if styled else ""
-            text = f"{style}{cell}{PLAIN}" if style else cell
-            parts.append(text + blanks if column.left or column.wrap else blanks + text)
-        return (" " * GAP).join(parts).rstrip()
+        grid = table.Table(box=None, padding=(0, GAP, 0, 0), pad_edge=False, header_style="bold")
+        headings = [column.heading for column in self.columns]
+        depth = max(map(len, headings))
+        for column, lines in zip(self.columns, headings, strict=True):
+            grid.add_column(
+                text.Text("\n".join([""] * (depth - len(lines)) + lines)),
+                justify="left" if column.left or column.wrap else "right",
+                min_width=column.width(least=True),
+                no_wrap=not column.wrap,
+            )
+        for row in zip(*(column.texts for column in self.columns), strict=True):
+            grid.add_row(*map(text.Text, row))
+        # the height, too: a terminal that is "dumb" would else be 80 columns wide
+        room = max(width or ENDLESS, sum(column.width(least=True) + GAP for column in self.columns))
+        terminal = console.Console(width=room, height=25, color_system="standard" if styled else None)
+        with terminal.capture() as capture:
+            if self.title:
+                lines = [textwrap.fill(harmless(line), width or WIDTH) for line in self.title.split("\n")]
+                terminal.print(text.Text("\n".join(lines), "italic"), soft_wrap=True)
+            terminal.print(grid)
+        return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
     def csv(self) -> str:
         """Return CSV; a missing value is an empty cell, units stand in the header as ``name [unit]``."""
@@ -177,17 +156,6 @@ class Table:
         rows = ",\n".join(textwrap.indent(to_json(dict(zip(names, row, strict=True))), "  ") for row in self.rows)
         frame = to_json({**self.about, "rows": []})
         return frame.removesuffix("[]\n}") + f"[\n{rows}\n ]\n}}" if rows else frame
-
-
-def _length(text: str) -> int:
-    """Return how many columns of a terminal a text takes, of which a Chinese letter needs two."""
-    return len(text) if text.isascii() else cell_len(text)
-
-
-def _wrapped(text: str, width: int) -> list[str]:
-    return (
-        textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) if _length(text) > width else [text]
-    )
 
 
 def _safe(value: Any) -> Any:

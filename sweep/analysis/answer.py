@@ -1,7 +1,7 @@
 """The answer to a study's question in words: its conclusion with values, and sentences about any results."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from string import Formatter
 
@@ -71,18 +71,14 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
         return made
     first = said_first(dataset)
     for variable in dict.fromkeys([*first, *quantity.headlines(dataset)]):
-        meaning, values = (
-            meaning_beside(variable, dataset[variable].attrs),
-            dataset[variable].values.astype(float, copy=False),
-        )
-        finite = values[np.isfinite(values)]
-        if made and variable not in first and finite.size > 1 and finite.min() == finite.max():
+        meaning, values = meaning_beside(variable, dataset[variable].attrs), dataset[variable].astype(float, copy=False)
+        if made and variable not in first and values.size > 1 and values.min() == values.max():
             continue  # a number that is the same everywhere answers nothing
         if errors := quantity.errors_beside(dataset, variable):
             made.append(Answer(variable, meaning, [_with_errors(dataset, variable, errors)]))
             continue
         for name, unit, part in _components(dataset, variable):
-            made.append(Answer(name, meaning, list(filter(None, _sentences(part, variable, unit)))))
+            made.append(Answer(name, meaning, list(_sentences(part, variable, unit))))
     return made
 
 
@@ -101,133 +97,109 @@ def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, 
     """Yield name, unit and dataset of a variable, or of each of its components, with one value per point; the values of
     a function along a dimension of its own stay together.
     """
-    unit, own = units_of(dataset[variable].attrs), quantity.own_dimensions(dataset, variable)
-    if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in own):
-        own = []
-    for place in quantity.places_along(dataset, own):
+    unit, dims = units_of(dataset[variable].attrs), quantity.own_dimensions(dataset, variable)
+    if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in dims):
+        dims = []
+    for place in quantity.places_along(dataset, dims):
         part = dataset.isel(place)
         labels = [str(part[d].item()) if d in part.coords else str(i) for d, i in place.items()]
-        units = [str(part[f"{d}_unit"].item()) for d in own if f"{d}_unit" in part.coords]
+        units = [str(part[f"{d}_unit"].item()) for d in dims if f"{d}_unit" in part.coords]
         each = units[0] if "," in unit and len(units) == 1 else unit
-        yield f"{variable} ({', '.join(labels)})" if own else variable, each, part
+        yield f"{variable} ({', '.join(labels)})" if dims else variable, each, part
 
 
 def _with_errors(dataset: xr.Dataset, variable: str, errors: list[str]) -> str:
     """Return the range of each component that has values, and of each kind of error in each unit."""
     ranges, by_kind = [], {name: dict[str, list[float]]() for name in errors}
     for name, unit, part in _components(dataset, variable):
-        if np.isfinite(values := part[variable].values.astype(float, copy=False)).any():
-            ranges.append(f"{name.removeprefix(f'{variable} (').removesuffix(')')} {_range_of(values, unit)}")
+        if text := _range_of(part[variable].values, unit):
+            ranges.append(f"{name.removeprefix(f'{variable} (').removesuffix(')')} {text}")
             for error, by_unit in by_kind.items():
                 by_unit.setdefault(unit, []).extend(part[error].values.ravel().tolist())
-    known = {
-        error: " and ".join(filter(None, (_range_of(np.array(values), unit) for unit, values in by_unit.items())))
-        for error, by_unit in by_kind.items()
-    }
-    return "; ".join([", ".join(ranges), *(f"{error} {text or 'not known'}" for error, text in known.items())]) + "."
+    texts = {e: [_range_of(np.array(v), u) for u, v in by_unit.items()] for e, by_unit in by_kind.items()}
+    known = [f"{error} {' and '.join(filter(None, some)) or 'not known'}" for error, some in texts.items()]
+    return "; ".join([", ".join(ranges), *known]) + "."
 
 
 def _range_of(values: Array, unit: str) -> str:
     """Return the smallest and the largest of some numbers in one unit; '' if none is finite."""
-    known = values[np.isfinite(values)]
+    known = values[np.isfinite(values.astype(float, copy=False))]
     if not known.size:
         return ""
     chosen = prefixed(known, unit)
     ends = dict.fromkeys(in_short(end * chosen.factor) for end in (known.min().item(), known.max().item()))
-    return " ".join(filter(None, [" to ".join(ends), in_ascii(chosen.unit)]))
+    return f"{' to '.join(ends)} {in_ascii(chosen.unit)}".rstrip()
 
 
 def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
-    """Yield sentences about a variable in a unit; '' for a sentence with nothing to say."""
-    array = part[variable].transpose(*part["status"].dims, ...)
-    values, error = array.values.astype(float, copy=False), quantity.standard_error(part, variable)
-    errors = (xr.zeros_like(array, dtype=float) if error is None else error.transpose(*array.dims)).values
-    finite = np.isfinite(values)
-    if not finite.any():
+    """Yield sentences about a variable in a unit."""
+    array, error = part[variable].transpose(*part["status"].dims, ...), quantity.standard_error(part, variable)
+    known = np.isfinite(array.astype(float, copy=False))
+    if not known.any():
         yield NOTHING_YET
         return
     if is_truth(array):
-        true, count = int(values[finite].sum()), int(finite.sum())
-        yield f"It is True at {true:,} of {counted(count, 'point')}." if count > 1 else f"It is {bool(true)}."
+        points = counted(int(known.sum()), "point")
+        yield f"It is True at {int(array.where(known).sum()):,} of {points}."
         return
-    unfinished = bool(part["status"].isin([Status.MISSING, Status.FAILED]).any())
-    yield _range(part, array, errors, unit, all_done=not unfinished)
+    errors = xr.zeros_like(array, dtype=float) if error is None else error.transpose(*array.dims)
+    yield _range(part, array, errors, unit)
     if array.ndim > part["status"].ndim:
         return
-    values = np.where(finite, values, np.nan)
-    yield "" if unfinished else _what_changes_it(list(map(str, array.dims)), values)
-    for whole in quantity.unknown_parts(part, variable):
-        sentence = whole.removeprefix(f"{variable}: ")
+    status, values = part["status"].transpose(*array.dims), array.astype(float, copy=False).where(known)
+    if not status.isin([Status.MISSING, Status.FAILED]).any():
+        yield from _what_changes_it(values)
+    for words in quantity.unknown_parts(part, variable):
+        sentence = words.removeprefix(f"{variable}: ")
         yield f"{sentence[0].upper()}{sentence[1:]}."
     if (predicted := part.get(quantity.prediction_name(part, variable))) is not None:
         whole_name, errors_alone = (f"{variable}_{suffix}" for suffix in quantity.PREDICTION_SUFFIXES)
         without_bias = whole_name not in part and errors_alone in part and "bias" in part
-        left_out = ", which leaves a bias out" if without_bias else ""
-        yield _agreement(values, errors, predicted.transpose(*array.dims).values, left_out)
-    if infinite := int(np.sum((part["status"].transpose(*array.dims).values == Status.DONE) & ~finite)):
+        yield from _agreement(values, errors, predicted, ", which leaves a bias out" if without_bias else "")
+    if infinite := int(((status == Status.DONE) & ~known).sum()):
         yield f"It is not a finite number at {counted(infinite, 'point')}."
 
 
-def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str, all_done: bool) -> str:
-    values = quantity.exact(array.values)  # integers are compared exactly
+def _range(part: xr.Dataset, array: xr.DataArray, errors: xr.DataArray, unit: str) -> str:
+    values, sigmas = quantity.exact(array.values).reshape(-1), errors.values.reshape(-1)  # integers are exact
     known = np.flatnonzero(np.isfinite(values.astype(float, copy=False)))
-    some = values.reshape(-1)[known]
-    noun = "point" if array.ndim == part["status"].ndim else "value"
-
-    def number(end: int) -> str:
-        flat = known[end]
-        return with_unit(values.reshape(-1)[flat].item(), float(errors.reshape(-1)[flat]), unit)
-
-    def place(end: int) -> str:
-        index = dict(zip(map(str, array.dims), map(int, np.unravel_index(known[end], values.shape)), strict=True))
-        return quantity.place_in_words(quantity.place_at(part, index))
-
-    low, high = int(np.argmin(some)), int(np.argmax(some))
+    low, high = (known[end(values[known])] for end in (np.argmin, np.argmax))
+    number = [with_unit(values[flat].item(), float(sigmas[flat]), unit) for flat in (low, high)]
     if values.size == 1:
-        return f"It is {number(0)}."
-    if len(known) == 1:
-        return f"One {noun} has a value: {number(0)} at {place(0)}."
-    if some[low] == some[high]:
-        return f"It is {number(low)} at {'all ' if all_done else ''}{counted(len(known), noun)}."
-    ends = f"{number(low)} ({place(low)}) and {number(high)} ({place(high)})"
-    return f"It is between {ends}, over {counted(len(known), noun)}."
+        return f"It is {number[0]}."
+    indices = (map(int, np.unravel_index(flat, array.shape)) for flat in (low, high))
+    places = [quantity.place_at(part, dict(zip(map(str, array.dims), i, strict=True))) for i in indices]
+    least, largest = map(quantity.place_in_words, places)
+    points = counted(len(known), "point" if array.ndim == part["status"].ndim else "value")
+    if values[low] == values[high]:
+        return f"It is {number[0]} at {points if len(known) > 1 else least}."
+    return f"It is between {number[0]} ({least}) and {number[1]} ({largest}), over {points}."
 
 
-def _what_changes_it(dims: Sequence[str], values: Array) -> str:
-    """Return by what factor a quantity above 0 changes at most along each axis, all else being equal."""
-    if values.ndim == 0 or not np.nanmin(values) > 0.0:
-        return ""
-    factors = {}
-    for axis, dim in enumerate(dims):
-        if dim == POINT:
-            continue  # its points differ in several parameters at once
-        lines = np.moveaxis(values, axis, -1).reshape(-1, values.shape[axis])
-        seen = lines[np.isfinite(lines).sum(axis=1) > 1]
-        factor = float(np.max(np.nanmax(seen, axis=1) / np.nanmin(seen, axis=1))) if len(seen) else 1.0
-        if factor >= VISIBLE_FACTOR:
-            factors[dim] = factor
-    order = sorted(factors, key=lambda dim: -factors[dim])
-    words = [f"{dim} by a factor of up to {in_short(factors[dim])}" for dim in order]
-    equal = ", all else being equal" if len(dims) > 1 else ""
-    return f"What changes it: {', '.join(words)}{equal}." if words else ""
+def _what_changes_it(values: xr.DataArray) -> Iterator[str]:
+    """Yield by what factor a quantity above 0 changes at most along each axis, all else being equal."""
+    if not values.min() > 0.0:
+        return
+    axes = [str(d) for d in values.dims if d != POINT]  # points differ in several parameters at once
+    factors = {d: float((values.max(d) / values.min(d)).max()) for d in axes}
+    order = sorted((d for d in axes if factors[d] >= VISIBLE_FACTOR), key=lambda d: -factors[d])
+    words = [f"{d} by a factor of up to {in_short(factors[d])}" for d in order]
+    if words:
+        yield f"What changes it: {', '.join(words)}{', all else being equal' if values.ndim > 1 else ''}."
 
 
-def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) -> str:
-    both = np.isfinite(values) & np.isfinite(predicted) & (predicted != 0.0)
-    if not both.any():
-        return ""
-    farthest = float(np.max(np.abs(values[both] / predicted[both] - 1.0)))
-    if farthest < ROUNDING:
-        return f"It equals its prediction{left_out}, except for rounding."
-    text = f"at most {100.0 * farthest:.2g} %"
-    if not (errors[both] > 0.0).all():
-        return f"It differs from its prediction{left_out} by {text}."
-    deviations = np.abs(values[both] - predicted[both]) / errors[both]
-    within, n = int(np.sum(deviations <= ERRORS_ALLOWED)), deviations.size
-    return (
-        f"{within:,} of {n:,} values are within {ERRORS_ALLOWED:g} of their errors of the prediction{left_out}; "
-        f"the largest difference is {deviations.max():.1f} errors, {text}."
-    )
+def _agreement(values: xr.DataArray, errors: xr.DataArray, predicted: xr.DataArray, left_out: str) -> Iterator[str]:
+    apart, relative = abs(values - predicted), abs(values / predicted.where(predicted != 0.0) - 1.0)
+    if (farthest := float(relative.max())) < ROUNDING:
+        yield f"It equals its prediction{left_out}, except for rounding."
+    elif math.isfinite(farthest):
+        deviations = (apart / errors).where(relative.notnull())
+        text = f"It differs from its prediction{left_out} by at most {100.0 * farthest:.2g} %"
+        if math.isfinite(largest := float(deviations.max())):
+            text += f" and {largest:.1f} of its errors"
+        if far := int((deviations > ERRORS_ALLOWED).sum()):
+            text += f", at {counted(far, 'point')} by more than {ERRORS_ALLOWED:g} of them"
+        yield f"{text}."
 
 
 # Conclusions

@@ -9,7 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import xarray as xr
@@ -18,18 +18,11 @@ from linksweep.sweep.analysis import fits, laws, quantity
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import finite_or, in_ascii, prefixed, rounded, to_json, units_of, with_error
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.study import Claim, Derived, Ratio, Reading, Slope, printed_rounding
-from linksweep.sweep.table_writer import BOLD, LONG_NAME, Column, Table
+from linksweep.sweep.studies.study import Derived, Ratio, Reading, Slope, printed_rounding
+from linksweep.sweep.table_writer import Column, Table
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete"]
-# the verdicts, and their colours on a terminal
-VERDICTS: Mapping[Verdict, str] = {
-    "reproduced": "\x1b[32m",
-    "within tolerance": "\x1b[33m",
-    "NOT reproduced": "\x1b[1;31m",
-    "not comparable": "\x1b[2m",
-    "incomplete": "\x1b[33m",
-}
+VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
 MC_ERRORS_ALLOWED = 3.0
 FINDS = 1.6449  # a deviation this many errors beyond what is allowed is found with a probability of 95 %
 MOST_UNSEEN = 1.0 / 3.0  # no verdict is given that would miss a larger deviation, relative to the published number
@@ -173,23 +166,6 @@ def _why(codes: set[int], subject: str) -> str:
 
 
 @dataclass(frozen=True)
-class PublishedNumber:
-    """One number that was published, with its ``rounding`` and its relative ``tolerance``.
-
-    ``null`` is the value expected without the effect that the number shows: a verdict must tell the two apart.
-    ``not_comparable`` says why there can be no verdict.
-    """
-
-    number: float
-    rounding: float
-    source: str
-    tolerance: float = 0.0
-    reason: str = ""
-    null: float | None = None
-    not_comparable: str = ""
-
-
-@dataclass(frozen=True)
 class Comparison:
     """One published number beside ours, in ``unit``; ``where`` is its place on the axes.
 
@@ -226,88 +202,97 @@ def compare(dataset: xr.Dataset) -> list[Comparison]:
 
 def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
     """Yield the comparisons of NAME with NAME_published, point by point."""
-    study = str(dataset.attrs.get("study_name", ""))
     for name in (n for n in map(str, dataset.data_vars) if f"{n}_published" in dataset):
-        table, unit = dataset[f"{name}_published"], units_of(dataset[name].attrs)
-        about, exact = table.attrs, quantity.standard_error(dataset, name) is None
+        table, is_exact = dataset[f"{name}_published"], quantity.standard_error(dataset, name) is None
+        about = _about(dataset, name, name, units_of(dataset[name].attrs), str(table.attrs["source"]))
+        tolerance, reason = float(table.attrs.get("tolerance", 0.0)), str(table.attrs.get("tolerance_reason", ""))
         for index in np.argwhere(np.isfinite(table.values)):
             here = dict(zip(map(str, table.dims), map(int, index), strict=True))
             number, rounding = float(table[here]), float(dataset[f"{name}_published_rounding"][here])
-            tolerance, reason = float(about.get("tolerance", 0.0)), str(about.get("tolerance_reason", ""))
-            if rounding == 0.5 and number.is_integer() and exact:
-                rounding, tolerance = 0.0, 0.0  # a count
-            printed = PublishedNumber(number, rounding, str(about["source"]), tolerance, reason)
             ((_, ours),) = _values(dataset, name, here)
-            yield judged(study, name, name, unit, ours, printed)
+            if rounding == 0.5 and number.is_integer() and is_exact:  # a count
+                yield judged(about, ours, number, 0.0)
+            else:
+                yield judged(about, ours, number, rounding, tolerance, reason)
 
 
 def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:
-    study = str(dataset.attrs.get("study_name", ""))
     for claim in quantity.claims_of(dataset):
         derived = claim.quantity()
         try:
             measured = list(measure(dataset, claim, derived))
         except OutsideGridError as error:
             measured = [Measured(claim.where, missing=str(error))]
+        about = _about(dataset, claim.text, in_words(derived), unit_of(dataset, derived), claim.source)
+        number, rounding = float(claim.published), 0.0 if claim.exact else printed_rounding(claim.published)
+        allowed = claim.tolerance or 0.0, claim.tolerance_reason or ""
         for one in measured:
-            yield judged(study, claim.text, in_words(derived), unit_of(dataset, derived), one, _published(claim))
+            yield judged(about, one, number, rounding, *allowed, claim.null, claim.not_comparable or "")
 
 
-def _published(claim: Claim) -> PublishedNumber:
-    return PublishedNumber(
-        number=float(claim.published),
-        rounding=0.0 if claim.exact else printed_rounding(claim.published),
-        source=claim.source,
-        tolerance=claim.tolerance or 0.0,
-        reason=claim.tolerance_reason or "",
-        null=claim.null,
-        not_comparable=claim.not_comparable or "",
-    )
+def _about(dataset: xr.Dataset, what: str, derived: str, unit: str, source: str) -> dict[str, str]:
+    study = str(dataset.attrs.get("study_name", ""))
+    return {"study": study, "what": what, "quantity": derived, "unit": unit, "source": source}
 
 
-def judged(study: str, what: str, derived: str, unit: str, ours: Measured, published: PublishedNumber) -> Comparison:
-    """Return the comparison of our number with the published one."""
-    number, rounding = published.number, published.rounding
-    allowance = rounding + MC_ERRORS_ALLOWED * ours.error
-    detectable, power = allowance + published.tolerance * abs(number) + FINDS * ours.error, math.nan
-    if published.not_comparable or not math.isfinite(ours.value):
-        detectable = math.nan
-    if number:
-        power = detectable / abs(number)
-    name, value, error, apart = derived, ours.value, ours.error, ours.value - number
-    verdict, reason = _verdict(ours, published, allowance)
-    numbers = (value, error, number, rounding, allowance, apart, detectable, power)
-    return Comparison(study, what, name, ours.where, unit, *numbers, verdict, published.source, reason)
+def judged(
+    about: Mapping[str, Any],
+    ours: Measured,
+    number: float,
+    rounding: float,
+    tolerance: float = 0.0,
+    reason: str = "",
+    null: float | None = None,
+    not_comparable: str = "",
+) -> Comparison:
+    """Return the comparison of our number with a published one, its ``rounding`` and its relative ``tolerance``.
 
-
-def _verdict(  # noqa: PLR0911 (one return for each verdict)
-    ours: Measured, published: PublishedNumber, allowance: float
-) -> tuple[Verdict, str]:
-    """Return the verdict and the reason for it: numbers agree only if a disagreement would have been found."""
-    if ours.missing:
-        return "incomplete", ours.missing
-    if ours.broken or not math.isfinite(ours.value):
-        return "NOT reproduced", ours.broken or "the result is not a finite number"
-    if published.not_comparable:
-        return "not comparable", published.not_comparable
-    if not math.isfinite(ours.error):
-        return "incomplete", "the error of our number is not known (docs/errors.md)"
-    number, tolerance = published.number, published.tolerance * abs(published.number)
+    ``null`` is the value expected without the effect that the number shows: a verdict must tell the two apart.
+    ``not_comparable`` says why there can be no verdict.
+    """
+    # numbers agree only if a disagreement would have been found
+    allowance, allowed = rounding + MC_ERRORS_ALLOWED * ours.error, tolerance * abs(number)
+    detectable = allowance + allowed + FINDS * ours.error
     off = abs(ours.value - number) - ARITHMETIC * abs(number)
-    if off > allowance + tolerance:
-        return "NOT reproduced", ""
     limits = [MOST_UNSEEN * abs(number)] if number else []
-    limits += [] if published.null is None else [abs(number - published.null)]
-    most = min(limits, default=math.inf)
+    most = min([*limits, *([] if null is None else [abs(number - null)])], default=math.inf)
     apart = f"more than {most:.3g}, which the verdict must find"
-    if (passes := published.rounding + tolerance) > most:
-        return "not comparable", f"rounding and tolerance let pass a deviation of {passes:.3g}, {apart}"
-    if (passes := allowance + tolerance + FINDS * ours.error) > most:
-        needed = "more realisations or catalogues are needed"
-        return "incomplete", f"our Monte-Carlo error lets pass a deviation of {passes:.3g}, {apart}: {needed}"
-    if off <= allowance:
-        return "reproduced", ""
-    return "within tolerance", f"{100.0 * published.tolerance:g} %: {published.reason}"
+    verdict: Verdict = "reproduced"
+    if ours.missing:
+        verdict, reason = "incomplete", ours.missing
+    elif ours.broken or not math.isfinite(ours.value):
+        verdict, reason = "NOT reproduced", ours.broken or "the result is not a finite number"
+    elif not_comparable:
+        verdict, reason = "not comparable", not_comparable
+    elif not math.isfinite(ours.error):
+        verdict, reason = "incomplete", "the error of our number is not known (docs/errors.md)"
+    elif off > allowance + allowed:
+        verdict, reason = "NOT reproduced", ""
+    elif (passes := rounding + allowed) > most:
+        verdict, reason = "not comparable", f"rounding and tolerance let pass a deviation of {passes:.3g}, {apart}"
+    elif detectable > most:
+        passing = f"our Monte-Carlo error lets pass a deviation of {detectable:.3g}, {apart}"
+        verdict, reason = "incomplete", f"{passing}: more realisations or catalogues are needed"
+    elif off > allowance:
+        verdict, reason = "within tolerance", f"{100.0 * tolerance:g} %: {reason}"
+    else:
+        reason = ""
+    if not_comparable or not math.isfinite(ours.value):
+        detectable = math.nan
+    return Comparison(
+        **about,
+        where=ours.where,
+        value=ours.value,
+        mc_error=ours.error,
+        published=number,
+        rounding=rounding,
+        allowance=allowance,
+        difference=ours.value - number,
+        detectable=detectable,
+        power=detectable / abs(number) if number else math.nan,
+        verdict=verdict,
+        reason=reason,
+    )
 
 
 def summary(comparisons: Sequence[Comparison]) -> dict[Verdict, int]:
@@ -343,47 +328,41 @@ def remarks(dataset: xr.Dataset) -> list[str]:
 # Tables of comparisons
 
 
+def tables(comparisons: Sequence[Comparison]) -> Iterator[Table]:
+    """Yield a table for reading of each thing that is compared, under where it was published."""
+    readable = list(map(in_readable_unit, comparisons))
+    for group in dict.fromkeys((c.study, c.what, c.unit, c.source) for c in readable):
+        some = [c for c in readable if (c.study, c.what, c.unit, c.source) == group]
+        places = {
+            axis: [c.where.get(axis, "") for c in some] for axis in dict.fromkeys(a for c in some for a in c.where)
+        }
+        common = {axis: values[0] for axis, values in places.items() if len(set(values)) == 1}
+        what, _, verdict, *numbers = table(some).columns
+        title = ", ".join(filter(None, [f"{group[0]}: {what.values[0]}", quantity.place_in_words(common)]))
+        along = [Column(axis, values) for axis, values in places.items() if axis not in common]
+        yield Table([verdict, *along, *numbers[:-1]], f"{title}\n{group[3]}")
+
+
 def table(comparisons: Sequence[Comparison]) -> Table:
-    """Return comparisons for reading: one row each below what is compared, with reasons; a single row where all places
-    agree exactly.
-    """
-    rows: list[tuple[str, ...]] = []
-    between: dict[int, list[tuple[str, str]]] = {}
-    groups: dict[tuple[str, ...], list[Comparison]] = {}
-    for c in map(in_readable_unit, comparisons):
-        heading = f"{c.study}: {c.what}" + (f" [{in_ascii(c.unit)}]" if c.unit else "")
-        # a long name of an axis, if in a column of its own, would leave no room for numbers
-        long = quantity.place_in_words({k: v for k, v in c.where.items() if len(k) > LONG_NAME})
-        groups.setdefault((heading, c.source, long), []).append(c)
-    cited = None
-    for (heading, source, _), some in groups.items():
-        common = {k: v for k, v in some[0].where.items() if all(c.where.get(k) == v for c in some)}
-        whole = ", ".join(filter(None, [heading, quantity.place_in_words(common)]))
-        lines = [("", ""), (whole, BOLD), *([(source, "\x1b[2m")] if source != cited else [])]
-        cited = source
-        between.setdefault(len(rows), []).extend(lines)
-        if len(some) > 1 and all(c.difference == 0.0 and c.verdict == some[0].verdict for c in some):
-            rows.append(
-                (some[0].verdict, f"all {len(some)} places", "exactly", "", "none", power_in_words(some[0]), "")
-            )
-        else:
-            rows += [_row(c, common) for c in some]
-        reasons = dict.fromkeys(f"{c.verdict}: {c.reason}" for c in some if c.reason)
-        between[len(rows)] = [(reason, "") for reason in reasons]
-    between.setdefault(len(rows), []).extend([("", ""), (POWER, "")])
-    names = ("verdict", "at", "computed", "published", "difference", "power", "allowance")
-    cells = list(zip(*rows, strict=True)) or [()] * len(names)
-    ranks = {"power": 1, "allowance": 2}
-    columns = [Column(n, c, c, quantity=n, rank=ranks.get(n, 0)) for n, c in zip(names, cells, strict=True)]
-    columns[0] = replace(columns[0], left=True, styles={str(verdict): colour for verdict, colour in VERDICTS.items()})
-    columns[1] = replace(columns[1], wrap=len("v_max=14.5"))
-    return Table(columns, between=between)
-
-
-def _row(c: Comparison, common: Mapping[str, Any]) -> tuple[str, ...]:
-    value, published, difference, percent, allowance = numbers_in_words(c)
-    place = quantity.place_in_words({k: v for k, v in c.where.items() if k not in common})
-    return c.verdict, place, value, published, percent or difference, power_in_words(c), allowance
+    """Return one table of comparisons for reading."""
+    readable = list(map(in_readable_unit, comparisons))
+    numbers = {
+        "computed": [c.value for c in readable],
+        "published": [c.published for c in readable],
+        "difference": [c.difference / abs(c.published or 1.0) for c in readable],
+        "power": [c.power if c.published else c.detectable for c in readable],
+        "allowance": [c.allowance for c in readable],
+    }
+    columns = zip(numbers.items(), zip(*map(_in_words, readable), strict=True), (0, 0, 0, 1, 2), strict=True)
+    return Table(
+        [
+            Column("what", [f"{c.what} [{in_ascii(c.unit)}]" if c.unit else c.what for c in readable]),
+            Column("where", [quantity.place_in_words(c.where) for c in readable]),
+            Column("verdict", [c.verdict for c in readable], left=True),
+            *(Column(name, values, cells, rank=rank) for (name, values), cells, rank in columns),
+            Column("source", [c.source for c in readable]),
+        ]
+    )
 
 
 def records(comparisons: Sequence[Comparison]) -> Table:
@@ -401,10 +380,9 @@ def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> s
 
 
 def notes(comparisons: Sequence[Comparison]) -> list[str]:
-    """Return the lines below a table: where each number was published, and the reasons for verdicts."""
-    sources = dict.fromkeys(f"{c.study}: {c.what}: {c.source}" for c in comparisons)
+    """Return the lines below a table: the reasons for verdicts, and what a column means."""
     reasons = dict.fromkeys(f"{c.study}: {c.what}: {c.verdict}: {c.reason}" for c in comparisons if c.reason)
-    return [*sources, *reasons]
+    return [*reasons, *([POWER] if comparisons else [])]
 
 
 def in_readable_unit(comparison: Comparison) -> Comparison:
@@ -414,8 +392,10 @@ def in_readable_unit(comparison: Comparison) -> Comparison:
     return replace(comparison, unit=unit, **{name: factor * getattr(comparison, name) for name in numbers})
 
 
-def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
-    """Return value, published number, difference (also in percent) and allowance, with significant digits only."""
+def _in_words(c: Comparison) -> tuple[str, str, str, str, str]:
+    """Return value, published number, difference, power and allowance, with significant digits only: the difference
+    and the power in percent of the published number, or as they are if that is 0.
+    """
     published = min(f"{c.published:g}", rounded(c.published, c.mc_error), key=len)  # no more digits than ours has
     if c.rounding > 0.0:  # half a unit of the last printed digit
         decimals = math.floor(math.log10(2.0 * c.rounding) + 1e-9)
@@ -425,17 +405,9 @@ def numbers_in_words(c: Comparison) -> tuple[str, str, str, str, str]:
     sigma = c.mc_error if c.mc_error > 0.0 else 0.0 if float(c.value).is_integer() else c.rounding
     value = with_error(c.value, c.mc_error) if c.mc_error > 0.0 else rounded(c.value, sigma)
     allowance = f"{c.allowance:.2g}" if c.allowance > 0.0 else "none"
-    if c.difference == 0.0:
-        return value, published, "none", "", allowance
-    sign = "+" if c.difference > 0.0 else ""
-    percent = f"{100.0 * c.difference / abs(c.published):+.1f} %" if c.published else ""
-    return value, published, sign + rounded(c.difference, sigma), percent, allowance
-
-
-def power_in_words(c: Comparison) -> str:
-    """Return the deviation that the verdict finds: relative to the published number, or absolute if that is 0."""
-    if not math.isfinite(c.detectable):
-        return ""
-    if c.detectable == 0.0:
-        return "any"
-    return f"{100.0 * c.power:.2g} %" if c.published else f"{c.detectable:.2g}"
+    if c.published:
+        difference, power = f"{100.0 * c.difference / abs(c.published):+.1f} %", f"{100.0 * c.power:.2g} %"
+    else:
+        difference, power = f"{'+' * (c.difference > 0.0)}{rounded(c.difference, sigma)}", f"{c.detectable:.2g}"
+    power = "any" if c.detectable == 0.0 else power if math.isfinite(c.detectable) else ""
+    return value, published, difference if c.difference else "none", power, allowance

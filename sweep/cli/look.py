@@ -448,7 +448,7 @@ def compare(
         for sentence in remarks:
             click.echo(sentence, err=True)
     else:
-        tables = [verdicts.table(comparisons)] if comparisons else []
-        group.print_tables(tables, [*remarks, verdicts.summary_line(comparisons)])
+        below = [*verdicts.notes(comparisons), *remarks, verdicts.summary_line(comparisons)]
+        group.print_tables(verdicts.tables(comparisons), ["", *below])
     if not verdicts.all_is_well(comparisons):
         sys.exit(EXIT_FAILED_POINTS)

@@ -293,7 +293,7 @@ class Target:
             except OSError as error:
                 raise SweepError(f"cannot draw there: {error.strerror or error}", str(self.figures)) from error
             with style.settings():
-                for kind, figure in all_figures(result).items():
+                for kind, figure in all_figures(Result(result)).items():
                     style.save(figure, self.figures / f"{kind}.png")
                     click.echo(f"wrote {self.figures / f'{kind}.png'}", err=True)
         group.print_result(result, "json" if self.as_json else "text")

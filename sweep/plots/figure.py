@@ -4,7 +4,6 @@ for those who cannot see it.
 
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import xarray as xr
@@ -55,42 +54,40 @@ def draw_figure(
     A link or a forecast has its own kinds.
     Raises SweepError for a kind that the dataset cannot have, naming those that it can.
     """
-    what = Result(dataset).kind
-    if what == "grid":
+    result = Result(dataset)
+    if result.kind == "grid":
         return _study_figure(style.with_scales(dataset, log, linear), kind, list(variables), over)
     if variables or over or log or linear:
-        raise SweepError(f"a figure of a {what} has no variables, axes and scales to choose, only its kind")
-    if not (kinds := KINDS.get(what, {})):
-        raise SweepError(f"there is no figure of a {what}")
-    # the first that is possible; if none is, the first says what is missing
-    kind = kind or next(iter(all_figures(dataset)), next(iter(kinds)))
-    if kind not in kinds:
-        raise SweepError(f"no kind {shown(kind)} of a {what}{suggest(kind, list(kinds))}")
-    return _titled(dataset, what, kind)
+        raise SweepError(f"a figure of a {result.kind} has no variables, axes and scales to choose, only its kind")
+    if not (kinds := KINDS.get(result.kind, {})):
+        raise SweepError(f"there is no figure of a {result.kind}")
+    if kind is not None and kind not in kinds:
+        raise SweepError(f"no kind {shown(kind)} of a {result.kind}{suggest(kind, list(kinds))}")
+    problems = []
+    for name in [kind] if kind else kinds:  # the first that is possible; if none is, the first says what is missing
+        try:
+            return _titled(result, name)
+        except SweepError as problem:
+            problems.append(problem)
+    raise problems[0]
 
 
-def all_figures(dataset: xr.Dataset, titled: bool = True) -> dict[str, Figure]:
+def all_figures(result: Result, titled: bool = True) -> dict[str, Figure]:
     """Return all figures that a result other than that of a study can have, by kind."""
-    figures, what = {}, Result(dataset).kind
-    for name in KINDS[what]:
+    figures = {}
+    for name in KINDS[result.kind]:
         with suppress(SweepError):  # says what the dataset lacks
-            figures[name] = _titled(dataset, what, name, titled)
+            figures[name] = _titled(result, name, titled)
     return figures
 
 
-def _titled(dataset: xr.Dataset, what: str, kind: str, titled: bool = True) -> Figure:
-    """Return a figure with its title: of a link or a forecast its tables, of others their own."""
-    about = dataset.attrs
-    title = str(about.get("title", ""))
-    if "satellite" in about:
-        title = f"{Path(about['satellite']).name} and {Path(about['reference']).name}"
-    if "sign" in about:
-        title += f"\n{about['sign'].replace('-', ' − ')}, epoch {about['epoch']:.2f}, clip {about['clip']}"
-    if what == "sensitivity":
-        title += f"\nsensitivity of {style.symbol(about['output'])}, by {about['sensitivity_method']}"
-    figure: Figure = KINDS[what][kind].load()(dataset)
-    figure.set_label(kind)  # for the caption
-    style.complete(figure, title.strip() if titled else "")
+def _titled(result: Result, kind: str, titled: bool = True) -> Figure:
+    """Return a figure with its title, and with what it shows as its label, for the caption."""
+    one = KINDS[result.kind][kind]
+    figure: Figure = one.load()(result.dataset)
+    title = "\n".join(filter(None, [result.title, result.subtitle]))
+    figure.set_label(": ".join(filter(None, [one.caption, title.replace("\n", "; ")])))
+    style.complete(figure, title if titled else "")
     return figure
 
 
@@ -144,10 +141,10 @@ def _draw(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], 
     figure: Figure = KINDS["grid"][kind].load().draw(part, variables, over)
     axes = [str(n) for n, c in part.coords.items() if not c.dims and not str(n).endswith("_unit")]
     shared = ", ".join(style.value_text(part, name, part[name].item()) for name in axes)
-    status = part["status"].values
-    missing = int(np.sum((status != Status.DONE) & (status != Status.EXCLUDED)))
-    words = f"INCOMPLETE: {missing:,} of {status.size:,} points are not done" if missing else ""
-    style.complete(figure, "\n".join(filter(None, (str(whole.attrs.get("title", "")), shared, words))))
+    missing = int((~part["status"].isin([Status.DONE, Status.EXCLUDED])).sum())
+    words = f"INCOMPLETE: {missing:,} of {part['status'].size:,} points are not done" if missing else ""
+    figure.set_label(title := str(whole.attrs.get("title", "")))
+    style.complete(figure, "\n".join(filter(None, (title, shared, words))))
     return figure
 
 
@@ -183,7 +180,8 @@ def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> s
     """Return the caption: the title, what the signs mean, and on request the answer of the study, or else the ranges
     of what is drawn.
     """
-    parts = [_title(figure, dataset), *_signs(figure, dataset)]
+    title = str(figure.get_label())
+    parts = [f"{title}." if title and not title.endswith((".", "?", "!")) else title, *_signs(figure, dataset)]
     if with_answer and "status" in dataset:
         sentences = answer.conclusion_in_words(dataset) or _ranges(figure, dataset)
         parts += map(formatting.with_micro_signs, [*answer.completeness(dataset), *sentences])
@@ -192,49 +190,38 @@ def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> s
 
 def description(figure: Figure, dataset: xr.Dataset) -> str:
     """Return what is seen: the panels, what each draws against what, and the range of values."""
-    bars = [axes.get_ylabel() for axes in figure.axes if axes.get_label() == "<colorbar>" and axes.get_ylabel()]
-    panels = style.panels_of(figure)
-    titles = [axes.get_title() for axes in panels if axes.get_title()]
-    signs = list(style.legend_entries(figure))
+    panels, signs = style.panels_of(figure), list(style.legend_entries(figure))
+    bars = [axes.get_ylabel() for axes in figure.axes if axes not in panels and axes.get_ylabel()]
+    drawn = (" against ".join(filter(None, [_label(axes, "y"), _label(axes, "x")])) or "a picture" for axes in panels)
     parts = [
-        f"{len(panels)} panels, " if len(panels) > 1 else "",
-        formatting.first_of(list(dict.fromkeys(map(_panel_in_words, panels))), MOST_PANELS, "; "),
-        f" ({formatting.first_of(titles, MOST_PANELS, '; ')})" if titles else "",
-        f", coloured by {' and '.join(bars)}" if bars else "",
-        ".",
-        f" Legend: {', '.join(signs)}." if len(signs) > 1 else "",
+        formatting.first_of(list(dict.fromkeys(drawn)), MOST_PANELS, "; "),
+        f"{len(panels)} panels: {formatting.first_of([a.get_title() for a in panels], MOST_PANELS, '; ')}"
+        if len(panels) > 1
+        else "",
+        f"colours: {' and '.join(bars)}" if bars else "",
+        f"legend: {', '.join(signs)}" if len(signs) > 1 else "",
     ]
-    ranges = map(formatting.with_micro_signs, _ranges(figure, dataset))
-    whole = " ".join([style.plain("".join(parts)), *ranges])
-    return whole[:1].upper() + whole[1:]
-
-
-def _title(figure: Figure, dataset: xr.Dataset) -> str:
-    """Return the title of results as a sentence, or what the kind of a figure of a link shows, and of which tables."""
-    title = str(dataset.attrs.get("title", ""))
-    if dataset.attrs.get("result") in KINDS:
-        kind = KINDS[dataset.attrs["result"]].get(str(figure.get_label()))
-        tables = figure.get_suptitle().replace("\n", "; ")
-        title = ": ".join(filter(None, (kind.caption if kind else title, tables)))
-    return title if not title or title.endswith((".", "?", "!")) else f"{title}."
+    sentences = [f"{text[:1].upper()}{text[1:]}." for text in map(style.plain, filter(None, parts))]
+    return " ".join([*sentences, *map(formatting.with_micro_signs, _ranges(figure, dataset))])
 
 
 def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
     """Return a sentence for each kind of sign in a figure that its labels do not explain."""
     entries = style.legend_entries(figure)
     labels = {artist.get_label() for axes in figure.axes for artist in axes.get_children()}
-    with_bars = [str(axes.get_label()) for axes in figure.axes if axes.get_label() in dataset and _has_error_bars(axes)]
+    drawn = dict.fromkeys(str(axes.get_label()) for axes in figure.axes if _has_error_bars(axes))
+    names = [name for name in drawn if name in dataset]
     sentences = []
-    if any(quantity.standard_error(dataset, name) is not None for name in with_bars):
+    if any(quantity.standard_error(dataset, name) is not None for name in names):
         sentences.append("Points are simulated, with one-sigma errors.")
-    declared = dict.fromkeys(bars[0] for name in with_bars if (bars := quantity.errors_beside(dataset, name)))
+    declared = dict.fromkeys(bars[0] for name in names if (bars := quantity.errors_beside(dataset, name)))
     sentences += [f"Error bars are {name}." for name in declared]
     if style.PREDICTED in entries:
         dashes = isinstance(entries[style.PREDICTED], Line2D)
         sentences.append(f"{'Dashes are predicted' if dashes else 'The prediction is'} in closed form.")
     if style.PUBLISHED in entries:
         sources = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
-        sentences.append("Open symbols are published" + (f": {'; '.join(sources)}." if sources else "."))
+        sentences.append(": ".join(filter(None, ["Open symbols are published", "; ".join(sources)])) + ".")
     return sentences + [words for label, words in UNLABELLED.items() if label in labels]
 
 
@@ -251,18 +238,13 @@ def _ranges(figure: Figure, dataset: xr.Dataset) -> list[str]:
     for drawn in dict.fromkeys(str(axes.get_label()) for axes in figure.axes if axes.get_label() in dataset):
         alone = dataset.assign({name: array.assign_attrs(headline=name == drawn) for name, array in variables})
         for one in answer.answers(alone):
-            meaning = f" ({one.meaning})" if one.meaning not in ("", one.name) else ""
+            meaning = f" ({one.meaning})" if one.meaning else ""
             sentences += [f"{one.name}{meaning}: {sentence}" for sentence in one.sentences[:1]]
     return sentences[:MOST_RANGES]
-
-
-def _panel_in_words(axes: Axes) -> str:
-    what, over = _label(axes, "y"), _label(axes, "x")
-    return f"{what} against {over}" if what and over else what or over or "a picture"
 
 
 def _label(axes: Axes, which: str) -> str:
     """Return the label of an axis, or that of the axes that share it and have one."""
     siblings = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
     labels = (getattr(one, f"get_{which}label")() for one in (axes, *siblings))
-    return style.plain(next(filter(None, labels), ""))
+    return next(filter(None, labels), "")

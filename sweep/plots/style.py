@@ -4,6 +4,7 @@ import io
 import json
 import math
 import re
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -128,17 +129,10 @@ def panel_size(axes: Axes) -> tuple[float, float]:
 
 def in_lines(text: str, inches: float, least: int = 12) -> str:
     """Return a text in lines that are as long as a width allows, but of at least ``least`` letters."""
+    # mathematical markup is not seen, but counts as letters: lines are rather too short than too long
     letters = max(int(inches / in_letters(LETTER_WIDTH)), least)
-    lines: list[str] = []
-    for part in text.split("\n"):
-        lines.append("")
-        for word in part.split(" "):  # textwrap would count the letters of mathematical markup
-            line = f"{lines[-1]} {word}".lstrip()
-            if lines[-1] and len(plain(line)) >= letters:
-                lines.append(word)
-            else:
-                lines[-1] = line
-    return "\n".join(lines)
+    lines = (textwrap.wrap(line, letters, break_long_words=False, break_on_hyphens=False) for line in text.split("\n"))
+    return "\n".join("\n".join(line) for line in lines)
 
 
 def require_format(path: Path) -> None:
@@ -330,14 +324,10 @@ def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
     """Put names at 0, 1, 2, ... of an axis: in lines that fit, or below it turned where no lines would."""
     # a report makes figures smaller, not their letters; beside an axis there is an inch
     room = 0.78 * panel_size(axes)[0] / len(names) if which == "x" else 1.1
-    broken, letter, look = [in_lines(name, room, 1) for name in names], in_letters(LETTER_WIDTH), dict[str, Any]()
-    if which == "x" and letter * max(len(line) for name in broken for line in name.split("\n")) > room:
-        broken, angle = list(names), 45.0 if room > in_letters(1.4) else 90.0
-        look = {"rotation": angle, "rotation_mode": "anchor", "ha": "right", "va": "center"}
-        figure, place = axes.get_figure(), axes.get_subplotspec()
-        if figure and place and place.is_last_row() and place.is_first_col():  # once, so that panels keep their height
-            high = letter * max(map(len, names)) * math.sin(math.radians(angle))
-            figure.set_figheight(figure.get_figheight() + high)  # type: ignore[union-attr]
+    broken, look = [in_lines(name, room, 1) for name in names], dict[str, Any]()
+    if which == "x" and in_letters(LETTER_WIDTH) * max(map(len, "\n".join(broken).split("\n"))) > room:
+        broken, look = list(names), {"rotation": 45.0, "rotation_mode": "anchor", "ha": "right", "va": "center"}
+        look["rotation"] = 45.0 if room > in_letters(1.4) else 90.0
     getattr(axes, f"set_{which}ticks")(range(len(names)), broken, **look)
     axes.set(**{f"{which}lim": (-0.5, len(names) - 0.5)})
 

@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
 from matplotlib.transforms import Bbox
@@ -28,7 +27,6 @@ SKY_WIDTH = 45.0  # letters that a map of the sky is wide at least
 RANKED = 20  # sources in a ranking
 MANY_ROWS = "they are not kept for tables with so many rows"
 
-BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "frameon": False}
 MARK: dict[str, Any] = {"color": "0.4", "linestyle": "dotted", "linewidth": 1.0, "label": f"{100.0 * LARGE_SHARE:g} %"}
 
 
@@ -165,7 +163,6 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
             axes.plot(steps, line, color=colour, label=symbols[k], **dots)
             axes.fill_between(steps, line - error, line + error, color=colour, **style.BAND)
         axes.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
-        axes.legend(**BESIDE)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = dataset["step_chi2"] / dataset["step_dof"]
     last = grid[-1]
@@ -179,8 +176,9 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
     if any(dropped) and len(steps) <= RANKED:
         last.set_xticks(steps, ["all", *dropped[1:]], rotation=90, fontsize=7)
     last.set_xlabel("sources dropped, one after the other" if any(dropped) else "iteration of the clip")
-    title = f"clip {dataset.attrs['clip']}; dashed: the step of the solution; bands: scaled errors"
-    grid[0].set_title(style.in_lines(title, figure.get_figwidth()))
+    words = "dashed: the step of the solution; bands: scaled errors"
+    grid[0].set_title(style.in_lines(words, style.panel_size(grid[0])[0]))
+    style.legend(figure)
     return figure
 
 
@@ -357,7 +355,7 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
     if not rows:
         raise SweepError("no residuals on the sky: no row has a position or a motion")
     projection = {"projection": "mollweide"}
-    figure, grid = style.new_figure(11.0, 3.3 * len(rows) + 0.3, len(rows), 2, SKY_WIDTH, subplot_kw=projection)
+    figure, grid = style.new_figure(11.0, 3.0 * len(rows), len(rows), 2, SKY_WIDTH, subplot_kw=projection)
     for row, (what, pair, number) in enumerate(rows):
         both = [_arrows(dataset, name, pair) for name in ("difference", "residual")]
         scales = [_typical(arrows) for arrows in both]
@@ -415,7 +413,7 @@ def _draw_arrows(axes: Any, arrows: Arrows, scale: float, unit: str) -> str:
     key = float(f"{factor * scale:.0e}")  # of one digit
     small: Any = {"size": 8}
     place: Any = {"labelpos": "E", "coordinates": "axes", "fontproperties": small}
-    axes.quiverkey(drawn, 0.04, 0.02, key / factor / scale, f"{key:g} {readable_unit}", angle=0.0, **place)
+    axes.quiverkey(drawn, 0.78, 0.02, key / factor / scale, f"{key:g} {readable_unit}", angle=0.0, **place)
     n_cut = np.sum(length > LONGEST * scale)
     words = f"; {formatting.counted(int(n_cut), 'arrow')} cut" if n_cut else ""
     return words + (f"; {np.sum(dropped)} dropped in red" if np.any(dropped) else "")
@@ -440,18 +438,15 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
             axes.plot(epochs, factor * errors_then[:, k], **style.marks(number, 4.0, label=symbols[k]))
             for _, errors, line in stages:
                 axes.axhline(factor * errors[k], color=style.COLOURS[number], linestyle=line, linewidth=0.9)
-        width = style.panel_size(axes)[0]
-        axes.set_xlabel(style.in_lines("epoch of the new position of each source [yr]", width))
+        axes.set_xlabel(style.in_lines("epoch of the new position of each source [yr]", style.panel_size(axes)[0]))
         axes.set_ylabel(f"formal error [{unit}]")
         axes.ticklabel_format(axis="x", useOffset=False)
         if len(epochs) <= 8:
             axes.set_xticks(epochs, [f"{epoch:g}" for epoch in epochs])
         axes.set_ylim(bottom=0.0)
-        above = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "columnspacing": 1.0, "frameon": False}
-        axes.legend(ncols=4 if width > 2.0 else 2, **above)
-    lines = [Line2D([], [], color="0.3", linestyle=line, linewidth=0.9) for _, _, line in stages]
-    names = [str(stage) for stage, _, _ in stages]
-    figure.legend(lines, names, ncols=len(lines), loc="outside lower center", frameon=False)
+    for stage, _, line in stages:
+        axes.plot([], [], color="0.3", linestyle=line, linewidth=0.9, label=str(stage))
+    style.legend(figure, below=True)
     return figure
 
 

@@ -35,7 +35,7 @@ from linksweep.sweep.result import Result, open_result
 from linksweep.sweep.stores.location import Where, located
 from linksweep.sweep.studies.record import CITATION
 from linksweep.sweep.studies.study import POINT_TABLE
-from linksweep.sweep.table_writer import Column, Table
+from linksweep.sweep.table_writer import Table
 
 # The beginning of every report: a file that does not begin with it is not replaced.
 MARK = "<!doctype html>\n<!-- linksweep report -->\n"
@@ -212,7 +212,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         ),
         "caption": "Headline results, ± their one-sigma errors",
         "tables": tables,
-        "comparison": _sortable(_comparison(comparisons)) if comparisons else None,
+        "comparison": _sortable(compare.table(sorted(comparisons, key=_severity))) if comparisons else None,
         "notes": [*warnings, *compare.notes(comparisons), *compare.remarks(dataset)],
         "failures": failures,
         "failures_not_named": count_status(dataset["status"].values)[Status.FAILED] - len(failures),
@@ -223,30 +223,12 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
     }
 
 
-def _comparison(comparisons: Sequence[compare.Comparison]) -> Table:
-    """Return the published numbers and claims, the worst first, by their difference in units of what is allowed."""
-
-    def severity(c: compare.Comparison) -> tuple[int, float]:
-        known = c.allowance > 0.0 and math.isfinite(c.difference)
-        return SEVERITY.index(c.verdict), -abs(c.difference) / c.allowance if known else 0.0
-
-    shown = list(map(compare.in_readable_unit, sorted(comparisons, key=severity)))
-    cells = list(zip(*map(compare.numbers_in_words, shown), strict=True))
-    numbers = {
-        "computed": [c.value for c in shown],
-        "published": [c.published for c in shown],
-        "difference": [c.difference for c in shown],
-        "in percent": [c.difference / abs(c.published or 1.0) for c in shown],
-        "allowance": [c.allowance for c in shown],
-    }
-    return Table(
-        [
-            Column("what", [f"{c.what} [{written(c.unit)}]" if c.unit else c.what for c in shown]),
-            Column("where", [quantity.place_in_words(c.where) for c in shown]),
-            Column("verdict", [c.verdict for c in shown]),
-            *(Column(name, values, texts) for (name, values), texts in zip(numbers.items(), cells, strict=True)),
-        ]
-    )
+def _severity(c: compare.Comparison) -> tuple[int, float]:
+    """Return by what comparisons are sorted, the worst first: the verdict, and the difference in units of what is
+    allowed.
+    """
+    known = c.allowance > 0.0 and math.isfinite(c.difference)
+    return SEVERITY.index(c.verdict), -abs(c.difference) / c.allowance if known else 0.0
 
 
 # Links of real tables and forecasts
@@ -262,7 +244,7 @@ def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
         "store": store,
         "title": result.title,
         "answers": answers,
-        "pictures": link_pictures(result.dataset, number),
+        "pictures": link_pictures(result, number),
         "explorer": {"quantities": []},
         "results": _sortable(first),
         "caption": "Every unknown, with every kind of error",

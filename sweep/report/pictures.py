@@ -86,13 +86,13 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     return found
 
 
-def link_pictures(dataset: xr.Dataset, number: int) -> list[Picture]:
+def link_pictures(result: Result, number: int) -> list[Picture]:
     """Return all figures that a link or a forecast can have; ``number`` as for `pictures`."""
     found = []
     with _inside_a_page(str(number)):
-        for i, (kind, figure) in enumerate(all_figures(dataset, titled=False).items()):
+        for i, (kind, figure) in enumerate(all_figures(result, titled=False).items()):
             mpl.rcParams["svg.hashsalt"] = f"linksweep-{number}-{i}"
-            name = KINDS[Result(dataset).kind][kind].caption
+            name = KINDS[result.kind][kind].caption
             found.append(Picture(name, _svg(figure), 72.0 * figure.get_figwidth()))
     return found
 

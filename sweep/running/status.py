@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Mapping, Sequence
-from itertools import groupby, pairwise
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -167,18 +167,14 @@ def by_axis(
 
 
 def folded(rows: AxisRows, most: int = MOST_LINES) -> list[AxisRows]:
-    """Join neighbours, down to ``most`` groups: first those all finished or all untouched, then the shortest."""
-    groups = [[row] for row in rows]
-    if len(rows) > most:
-        groups = []
-        states = groupby(rows, key=lambda r: (r["done"] == r["points"], not (r["realisations_done"] or r["failed"])))
-        for state, alike in states:
-            groups += [list(alike)] if any(state) else [[row] for row in alike]
-    while len(groups) > most:
-        sizes = [len(a) + len(b) for a, b in pairwise(groups)]
-        at = sizes.index(min(sizes))
-        groups[at : at + 2] = [groups[at] + groups[at + 1]]
-    return groups
+    """Join neighbours that are all finished, all begun or all untouched if these are at most ``most`` groups, or else
+    groups of the same length.
+    """
+    if len(rows) <= most:
+        return [[row] for row in rows]
+    states = groupby(rows, key=lambda r: (r["done"] == r["points"], not (r["realisations_done"] or r["failed"])))
+    groups = [list(alike) for _, alike in states]
+    return groups if len(groups) <= most else [part.tolist() for part in np.array_split(np.array(rows), most)]
 
 
 def axis_table(dimension: AxisRows, units: Mapping[str, str]) -> table_writer.Table:

@@ -60,7 +60,7 @@ def test_a_column_that_may_wrap_takes_several_lines_and_loses_no_word():
 
 
 def test_styles_are_ours_alone():
-    table = Table([Column("verdict", ["good", "\x1b[31mbad"], styles={"good": "\x1b[32m"})])
-    assert "\x1b[32mgood\x1b[0m" in table.text(styled=True)
+    table = Table([Column("verdict", ["good", "\x1b[31mbad"])], "Coins")
+    assert "\x1b[1m" in table.text(styled=True)
     assert "\x1b" not in table.text()
     assert "\\u001b[31mbad" in table.text(styled=True)

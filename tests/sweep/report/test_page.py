@@ -54,7 +54,7 @@ def test_the_answer_adds_the_parts_of_an_error_and_counts_what_agrees_with_the_p
     predicted = np.array(VALUES) * [[1.0, 1.1, 1.0], [1.0, 1.0, 1.25]]  # off by 1 / 1.1 and 1 / 1.25
     text = sentences(grid(VALUES, mc_error=error, catalogue_error=4.0 / 3.0 * error, predicted=predicted))
     # in errors of 5 %: 0.1 / 0.05 = 2.0 and 0.25 / 0.05 = 5.0
-    assert "5 of 6 values are within 3 of their errors of the prediction; the largest difference is 5.0 errors" in text
+    assert "It differs from its prediction by at most 20 % and 5.0 of its errors, at 1 point by more than 3" in text
     assert "at most 20 %" in text
 
 
