@@ -235,15 +235,17 @@ class AskedStudy:
 
 def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
     """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""
-    from linksweep.sweep.running.code import require_trust_of_study
+    from linksweep.sweep.contract import SweepError
+    from linksweep.sweep.stores.integrity import ROOT
     from linksweep.sweep.studies.document import find_study, reference_in
     from linksweep.sweep.studies.reader import load_study
 
     # Before anything is read: a study or a function inside a store came with the store, from whoever sent that.
-    if (function := reference_in(study)) is None:
-        require_trust_of_study(find_study(study), trust)
-    elif (file := function.rpartition(":")[0]).endswith(".py"):
-        require_trust_of_study(Path(file), trust)
+    place = find_study(study) if (function := reference_in(study)) is None else Path(function.rpartition(":")[0])
+    store = next((folder for folder in place.resolve().parents if (folder / ROOT).is_file()), None)
+    if store is not None and not trust and (function is None or place.suffix == ".py"):
+        reason = f"lies inside the store {store}, and would run what it names"
+        raise SweepError(f"{reason}; inspect it, and give --trust if it may run", str(place))
     return load_study(study, *overrides)
 
 

@@ -9,6 +9,7 @@ import importlib.abc
 import importlib.machinery
 import importlib.util
 import io
+import itertools
 import json
 import logging
 import os
@@ -18,12 +19,14 @@ import re
 import subprocess
 import sys
 import traceback
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections import ChainMap
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cache, cached_property, lru_cache
 from pathlib import Path, PurePosixPath
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar, TypeVar
 from weakref import WeakKeyDictionary
 
 from threadpoolctl import threadpool_info
@@ -41,19 +44,20 @@ SESSION = "session"
 
 DECIDING = ("linksweep", "numpy", "scipy")
 OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
-SUFFIXES = (".py", *importlib.machinery.EXTENSION_SUFFIXES)
-DIGEST = re.compile("[0-9a-f]{24}")
+SUFFIXES = ("/__init__.py", ".py", *importlib.machinery.EXTENSION_SUFFIXES)  # as Python prefers them
+DIGESTS = re.compile("[0-9a-f]{24}")
 # Fields of an experiment that its code does not depend on, or that count by themselves.
 DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
 
 log = logging.getLogger("linksweep")
+
+AnyCode = TypeVar("AnyCode", "LocalFiles", "Live")
 
 # Code by its path or reference and its digest, also what another process has sent: the file may be missing here, or be
 # another. Without a digest: as this process has it now.
 _codes: dict[tuple[str, str | None], "LocalFiles | Live"] = {}
 
 _places: dict[str, str] = {}
-_warned: set[str] = set()
 
 
 class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
@@ -66,59 +70,57 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     """
 
     def __init__(self, path: Path) -> None:
-        """Read the files; raises OSError where the first cannot be read."""
-        self.path, self.contents = str(path), {path.name: path.read_bytes()}
+        """Read the files; raises SweepError where there is none, and OSError where one cannot be read."""
+        if not path.exists():
+            raise SweepError(f"there is no file {shown(str(path))}")
+        self.path, self.contents = str(path), dict[str, bytes]()
         # All that could be imported is read now, also by statements inside of functions: a file that changes during a
         # run must not mix its versions, and workers may not have it at all.
         todo = [path.name]
         for file in todo:
-            for other in _imported(path.parent, file, self.contents[file]):
-                if other not in self.contents:
-                    self.contents[other] = (path.parent / other).read_bytes()
-                    todo.append(other)
+            self.contents[file] = (path.parent / file).read_bytes()
+            for stem in _imported(file, self.contents[file]):
+                found = [stem + suffix for suffix in SUFFIXES if (path.parent / (stem + suffix)).is_file()]
+                todo += [one for one in found[:1] if one not in todo]
         self.digest = digest_of(repr(sorted(self.contents.items())))
         self.package = reach.PREFIX + digest_of(f"{path} {self.digest}")
-        self.files = {_dotted(file): file for file in self.contents}
+        # By the names of modules; the folders that they are in count as packages, without a file.
+        stems = {next(file.removesuffix(end) for end in SUFFIXES if file.endswith(end)): file for file in todo}
+        folders = {"" if str(one) == "." else str(one): "" for stem in stems for one in PurePosixPath(stem).parents}
+        self.files = {stem.replace("/", "."): file for stem, file in (folders | stems).items()}
 
     def module(self) -> ModuleType:
         """Return the module of the file, executed once; raises whatever it raises."""
-        if not any(isinstance(one, LocalFiles) and one.package == self.package for one in sys.meta_path):
+        if self.package not in sys.modules:
             sys.meta_path.insert(0, self)
         return importlib.import_module(f"{self.package}.{Path(self.path).stem}")
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> importlib.machinery.ModuleSpec | None:
         """Return how Python loads a module of the package."""
         package, _, name = fullname.partition(".")
-        if package != self.package:
+        if package != self.package or (file := self.files.get(name)) is None:
             return None
-        if (file := self.files.get(name)) is None:
-            is_folder = not name or any(known.startswith(f"{name}.") for known in self.files)
-            return importlib.machinery.ModuleSpec(fullname, None, is_package=True) if is_folder else None
-        return importlib.util.spec_from_file_location(
-            fullname,
-            Path(self.path).parent / file,
-            loader=self if file.endswith(".py") else None,  # else Python's own for extensions
-            submodule_search_locations=[] if file.endswith("__init__.py") else None,
-        )
+        loader = None if file.endswith(tuple(importlib.machinery.EXTENSION_SUFFIXES)) else self  # else Python's own
+        inside: list[str] | None = [] if file.endswith("__init__.py") or not file else None
+        place = Path(self.path).parent / (file or name.replace(".", "/"))
+        return importlib.util.spec_from_file_location(fullname, place, loader=loader, submodule_search_locations=inside)
 
     def exec_module(self, module: ModuleType) -> None:
         """Execute a module of the package."""
         name, place = module.__name__.partition(".")[2], str(module.__file__)
-        tree = ast.parse(self.contents[self.files[name]], place)
+        tree = ast.parse(self.contents.get(self.files[name], b""), place)
         # A file random.py may import Python's module random, as it does where it is run as a script.
-        itself = {name} if "/" not in self.files[name] else set()
-        local = {known.partition(".")[0] for known in self.files} - itself
+        local = {known.partition(".")[0] for known in self.files} - ({name} if "/" not in self.files[name] else set())
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 node.names = [one for alias in node.names for one in self._localised(alias, local)]
-            elif isinstance(node, ast.ImportFrom) and node.level and itself:
-                raise ImportError("attempted relative import with no known parent package")
             elif isinstance(node, ast.ImportFrom) and not node.level and str(node.module).partition(".")[0] in local:
                 node.module = f"{self.package}.{node.module}"
-        vars(module)[reach.TREE] = tree
-        exec(compile(tree, place, "exec", dont_inherit=True), vars(module))
+        code = compile(tree, place, "exec", dont_inherit=True)
+        vars(module)[reach.TREE] = reach.without_docstrings(tree)
+        exec(code, vars(module))
 
-    def _localised(self, alias: ast.alias, local: Collection[str]) -> list[ast.alias]:
+    def _localised(self, alias: ast.alias, local: set[str]) -> list[ast.alias]:
         top, _, below = alias.name.partition(".")
         if top not in local:
             return [alias]
@@ -129,30 +131,17 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         return [ast.alias(whole, "_", **place), ast.alias(f"{self.package}.{top}", top, **place)]
 
 
-def _imported(folder: Path, file: str, content: bytes) -> Iterator[str]:
-    """Yield the files of a folder that the import statements of one of them name."""
-    try:
+def _imported(file: str, content: bytes) -> Iterator[str]:
+    """Yield what import statements in a file of a folder may name there, without the ending."""
+    package, nodes = PurePosixPath(file).parent.parts, list[ast.AST]()
+    with suppress(SyntaxError, ValueError, RecursionError):  # reported when the file is executed
         nodes = list(ast.walk(ast.parse(content))) if file.endswith(".py") else []
-    except (SyntaxError, ValueError, RecursionError):  # reported when the file is executed
-        return
-    package = PurePosixPath(file).parent.parts
     for node in nodes:
-        modules: list[str] = []
-        if isinstance(node, ast.Import):
-            modules = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = package[: len(package) - node.level + 1] if node.level else ()
-            modules = [".".join([*base, *filter(None, [node.module]), alias.name]) for alias in node.names]
-        for parts in (module.split(".") for module in modules if module.partition(".")[0] != OURS):
-            for end in range(1, len(parts) + 1):
-                stem = "/".join(parts[:end])
-                files = [f"{stem}/__init__.py", *(f"{stem}{suffix}" for suffix in SUFFIXES)]  # as Python prefers them
-                yield from [one for one in files if one != file and (folder / one).is_file()][:1]
-
-
-def _dotted(file: str) -> str:
-    stem = file.removesuffix(next(suffix for suffix in SUFFIXES if file.endswith(suffix)))
-    return stem.removesuffix("/__init__").replace("/", ".")
+        level, module = getattr(node, "level", 0), getattr(node, "module", None)
+        base = package[: len(package) - level + 1] if level else ()
+        for alias in node.names if isinstance(node, reach.IMPORTS) else ():
+            parts = ".".join(filter(None, [*base, module, alias.name])).split(".")
+            yield from itertools.accumulate(parts, "{}/{}".format) if parts[0] != OURS else ()
 
 
 class Live:
@@ -160,8 +149,9 @@ class Live:
 
     def __init__(self, value: Callable[..., Any] | Experiment) -> None:
         self.value, self.reach = value, _reach(value)
-        self.parts, self.digest = self.reach.parts, _digest(self.reach.parts)
+        self.parts, self.digest, self.paths = self.reach.parts, _digest(self.reach.parts), sys.path
         self.name = value.name if isinstance(value, Experiment) else name_of(value)
+        self.acting = [name for name in self.reach.acting if name != "__main__"]
         self.path = _importable(value) or f"{SESSION}:{self.name}-{self.digest}"
 
     @cached_property
@@ -176,7 +166,7 @@ class Live:
             # By value, since workers may not have these modules, or not as they are in this session.
             for module in mine:
                 cloudpickle.register_pickle_by_value(module)
-            _by_value(file, self.reach).dump(self.value)
+            _pickler(file, self.reach).dump(self.value)
         except Exception as error:  # whatever keeps an object from being pickled
             raise SweepError(
                 f"the function {self.name} cannot be sent to workers "
@@ -189,37 +179,37 @@ class Live:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state with the function pickled once; raises SweepError as `pickled`."""
-        acting = [name for name in self.reach.acting if name != "__main__"]
-        same = {name: vars(self)[name] for name in ("parts", "digest", "name", "path")}
-        return {**same, "pickled": self.pickled, "paths": sys.path, "acting": acting}
+        return {"pickled": self.pickled} | {k: v for k, v in vars(self).items() if k not in ("value", "reach")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore the state, and the function from its bytes."""
         vars(self).update(state)
         # Where this session finds what the function imports when it is called.
-        sys.path += [path for path in state["paths"] if path not in sys.path]
-        for name in state["acting"]:
+        sys.path += [path for path in self.paths if path not in sys.path]
+        for name in self.acting:
             importlib.import_module(name)
         self.value = pickle.loads(self.pickled)
 
 
-def _by_value(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
+def _pickler(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
     """Return a pickler of functions as they are: with the attributes of modules that they take, without caches."""
     import cloudpickle
 
+    reducers: dict[type, Callable[[Any], Any]] = {
+        # In Python 3.11 a cached property holds a lock, which has no pickle.
+        cached_property: lambda value: (cached_property, (value.func,), {"attrname": value.attrname}),
+        WeakKeyDictionary: lambda value: (WeakKeyDictionary, ()),
+        type(_kernels): lambda value: (_cached, (value.__wrapped__, value.cache_parameters())),
+    }
+
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
+        dispatch_table: ClassVar = ChainMap(reducers, cloudpickle.Pickler.dispatch_table)
+
         def reducer_override(self, value: Any) -> Any:
             if isinstance(value, ModuleType) and value.__name__ in cloudpickle.list_registry_pickle_by_value():
                 # cloudpickle fails where a function in a module refers to the module.
                 taken = reached.taken.get(value.__name__, set()) & vars(value).keys()
                 return ModuleType, (value.__name__,), {name: vars(value)[name] for name in taken}
-            # In Python 3.11 a cached property holds a lock, which has no pickle.
-            if isinstance(value, cached_property):
-                return cached_property, (value.func,), {"attrname": value.attrname}
-            if isinstance(value, WeakKeyDictionary):
-                return WeakKeyDictionary, ()
-            if isinstance(value, type(_function)) and distributions_of(value.__module__) is None:
-                return _cached, (value.__wrapped__, value.cache_parameters())
             return super().reducer_override(value)
 
     return Pickler(file)
@@ -247,12 +237,11 @@ class SourceFunction:
 
 
 @lru_cache(maxsize=16)
-def _function(wanted: SourceFunction) -> Callable[..., Any]:
+def _function(wanted: SourceFunction) -> Any:
     value = _find(wanted.reference)
-    if not callable(value) or _digest(_reach(value).parts) != wanted.digest:
+    if _digest(_reach(value).parts) != wanted.digest:
         raise SweepError(f"{wanted.reference}: its code is not that with which the study was read")
-    function: Callable[..., Any] = value
-    return function
+    return value
 
 
 class Code:
@@ -272,9 +261,8 @@ class Code:
         """Return the function at a reference; raises SweepError as `load_experiment`."""
         self.check(reference)
         absolute = absolute_reference(reference, folder)
-        value = _find(absolute, afresh=self.afresh)
-        if not callable(value):
-            raise _is_no("a function", reference, value)
+        value = _find(reference, folder, afresh=self.afresh)
+        _require(callable(value), "a function", reference, value)
         return SourceFunction(absolute, absolute.rpartition(":")[2], _digest(_reach(value).parts))
 
 
@@ -289,23 +277,38 @@ def load_experiment(
     is something else.
     """
     value = _find(reference, folder, digest, afresh)
-    if isinstance(value, Experiment):
-        return value
-    if not is_plain_function(value):
-        raise _is_no("an Experiment or a function", reference, value)
-    return experiment_of(value)
+    _require(isinstance(value, Experiment) or is_plain_function(value), "an Experiment or a function", reference, value)
+    return value if isinstance(value, Experiment) else experiment_of(value)
+
+
+def _require(is_wanted: bool, wanted: str, reference: str, value: object) -> None:
+    if not is_wanted:
+        kind = "has no attribute" if value is None else f"has a {type(value).__name__}, not {wanted}, at"
+        raise SweepError(f"{shown(reference)}: the module {kind} {shown(reference.rpartition(':')[2])}")
 
 
 def keep(function: Callable[..., Any] | Experiment) -> str:
     """Make a function available in this process, as it is now, by the reference that is returned."""
-    known = None if isinstance(function, Experiment) else _importable(function)
+    known = _importable(function)
     if known is not None and distributions_of(function.__module__) is not None:
         return known
     return _remember(Live(function)).path
 
 
-def _remember(code: "LocalFiles | Live") -> "LocalFiles | Live":
-    _codes[code.path, None] = _codes[code.path, code.digest] = code
+def _importable(function: Callable[..., Any] | Experiment) -> str | None:
+    """Return the reference by which a function can be imported anywhere, None for one of this session."""
+    module, name = sys.modules.get(getattr(function, "__module__", None) or ""), getattr(function, "__qualname__", "")
+    if module is None or module.__name__ == "__main__" or getattr(module, name, None) is not function:
+        return None
+    file = getattr(module, "__file__", None) or ""
+    is_beside = file.endswith(".py") and "." not in module.__name__ and distributions_of(module.__name__) is None
+    return f"{Path(file).resolve() if is_beside else module.__name__}:{name}"
+
+
+def _remember(code: AnyCode) -> AnyCode:
+    parts_of.cache_clear()
+    _codes[code.path, None] = code
+    provide(code)
     return code
 
 
@@ -321,40 +324,16 @@ def sources_of(reference: str, digest: str | None = None) -> "LocalFiles | Live 
 
 def source_digest(reference: str) -> str | None:
     """Return the digest of a loaded reference; None where that is a module."""
-    sources = sources_of(reference)
-    return None if sources is None else sources.digest
+    return getattr(sources_of(reference), "digest", None)
 
 
 def sendable(reference: str, digest: str | None = None) -> "LocalFiles | Live | None":
     """Return what to send to a process that is to load a loaded reference; None where it can only import it itself.
 
-    Raises SweepError for a function of this session that cannot be pickled.
+    Raises SweepError for a function of this session that cannot be pickled: here, once.
     """
     sources = sources_of(reference, digest)
-    if isinstance(sources, Live):
-        sources.pickled  # noqa: B018 (what can fail is done here, once)
-    return sources
-
-
-@cache
-def unsteady(reference: str) -> frozenset[str]:
-    """Return the names of values that two new processes of the same code have otherwise, such as a time; say so."""
-    code = f"import json; from linksweep.sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
-    files: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    processes = [new_process(code, **files) for _ in range(2)]
-    one, other = (json.loads((each.communicate()[0].splitlines() or [b"{}"])[-1]) for each in processes)
-    differing = frozenset(name for name in one if one[name] != other.get(name))
-    for name in sorted(differing):
-        log.warning("%s differs from process to process; its changes are not noticed", name)
-    return differing
-
-
-def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
-    """Start a process of Python that finds modules where this one does, and not in the present folder if this one does
-    not: it may be a stranger's.
-    """
-    around = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
-    return subprocess.Popen([sys.executable, "-P", "-c", f"import linksweep; {code}"], env=around, **options)
+    return sources if getattr(sources, "pickled", True) else None
 
 
 def absolute_reference(reference: str, folder: Path) -> str:
@@ -363,43 +342,79 @@ def absolute_reference(reference: str, folder: Path) -> str:
     return f"{(folder / place).resolve()}:{attribute}" if place.endswith(".py") else reference
 
 
+def _find(reference: str, folder: Path | None = None, digest: str | None = None, afresh: bool = False) -> Any:
+    """Return the object that a reference names, None where its module has no such attribute."""
+    absolute = absolute_reference(reference, folder or Path.cwd())
+    place, _, attribute = absolute.rpartition(":")
+    if not place or not attribute:
+        raise SweepError(f"{shown(reference)}: write module:attribute or file.py:attribute")
+    if afresh and place != SESSION:
+        parts_of.cache_clear()
+        for path in (absolute, place):
+            _codes.pop((path, None), None)
+    code = sources_of(absolute, digest)
+    if isinstance(code, Live):
+        return code.value
+    if place == SESSION:
+        raise SweepError(
+            f"the function {shown(attribute.rpartition('-')[0])} was defined in a script or notebook, not in a module; "
+            "compute with it from there"
+        )
+    try:
+        if place.endswith(".py"):
+            module = (code or _remember(LocalFiles(Path(place)))).module()
+        else:
+            module = importlib.import_module(place)
+        return getattr(module, attribute, None)
+    except SweepError as error:
+        raise SweepError(error.problems, error.where and f"{reference}, {error.where}") from error
+    except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
+        text = reach.without_package(error.msg if isinstance(error, SyntaxError) else str(error))
+        message = f"{type(error).__name__}{f': {text}' if text else ''}{_line_of(error)}"
+        missing = f"{getattr(error, 'name', None) or place}."  # also of a relative import
+        if isinstance(error, ImportError) and f"{place}.".startswith(missing):
+            message += "; name a function of a package by its module, and put the package's folder in PYTHONPATH"
+        raise SweepError(f"{shown(reference)}: cannot be imported: {message}") from error
+
+
+def _line_of(error: BaseException) -> str:
+    """Return the file and line of a user's code at which an exception was raised, in brackets."""
+    frames = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+    frames = [
+        one for one in frames if one[0].is_absolute() and reach.distributions_at(str(one[0]), one[0].stem) is None
+    ]
+    if isinstance(error, SyntaxError) and error.filename:
+        frames = [(Path(error.filename), error.lineno)]
+    return f" ({frames[-1][0]}, line {frames[-1][1]})" if frames else ""
+
+
+def file_of(reference: str) -> str:
+    """Return the file that a reference names, or its module where there is none; imports nothing."""
+    place = reference.rpartition(":")[0]
+    spec = None if place.endswith(".py") else importlib.machinery.PathFinder.find_spec(place.partition(".")[0])
+    return place if place.endswith(".py") else getattr(spec, "origin", None) or f"the module {place}"
+
+
 def code_of(reference: str, experiment: Experiment, digest: str | None = None) -> dict[str, str]:
     """Return what determines the results of a loaded experiment besides its version, by kind and name: see `Reach`.
 
     Experiments that come with linksweep are identified by their own version alone.
     """
-    declared = {f"package {name}": version_of(name) for name in experiment.packages}
-    place = reference.rpartition(":")[0]
-    if place.partition(".")[0] == OURS and distributions_of(place) == ():
-        return declared
-    defaults = {f"default of {p.name}": json.dumps(p.written_default(), default=str) for p in experiment.parameters}
-    return {**parts_of(reference, digest), **defaults, **declared}
-
-
-def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
-    """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
-    phrases = []
-    for name in sorted(name for name in {*old, *new} if old.get(name) != new.get(name)):
-        before, after = old.get(name), new.get(name)
-        place = f"{name} ({_places[name]})" if name in _places else name
-        if before is None or after is None:
-            phrases.append(f"{place} is only {was if after is None else now}")
-        elif name.startswith(("function ", "class ", "module ", "file ")) or DIGEST.fullmatch(before + after):
-            phrases.append(f"{place} has changed")
-        else:
-            phrases.append(f"{place} is {before} {was}, {after} {now}")
-    return phrases
-
-
-def parts_of(reference: str, digest: str | None = None) -> Mapping[str, str]:
-    """Return the parts of what a loaded reference names, as `Reach` has them."""
-    sources = sources_of(reference, digest)
-    return sources.parts if isinstance(sources, Live) else _parts(reference, digest or source_digest(reference))
+    place, code = reference.rpartition(":")[0], dict[str, str]()
+    if place.partition(".")[0] != OURS or distributions_of(place) != ():
+        code |= parts_of(reference, digest or source_digest(reference))
+        code |= {f"default of {p.name}": json.dumps(p.written_default(), default=str) for p in experiment.parameters}
+    packages = {name for name in code if name.startswith("package ")} | {
+        f"package {one}" for one in experiment.packages
+    }
+    return code | {name: version_of(name.removeprefix("package ")) for name in packages}  # of this process
 
 
 @lru_cache(maxsize=64)  # the attributes of modules count as they are when a run starts
-def _parts(reference: str, digest: str | None) -> Mapping[str, str]:
-    return _reach(_find(reference, digest=digest)).parts
+def parts_of(reference: str, digest: str | None = None) -> Mapping[str, str]:
+    """Return the parts of what a loaded reference names, as `Reach` has them."""
+    sources = sources_of(reference, digest)
+    return sources.parts if isinstance(sources, Live) else _reach(_find(reference, digest=digest)).parts
 
 
 def _reach(value: Any) -> Reach:
@@ -411,9 +426,7 @@ def _reach(value: Any) -> Reach:
     reached = reach.reach_of(roots)
     _places.update(reached.places)
     for name, kind in reached.unnoticed.items():
-        if name not in _warned:
-            _warned.add(name)
-            log.warning("changes of %s, a %s, are not noticed", name, kind)
+        _warn(f"changes of {name}, a {kind}, are not noticed")
     folder = Path(getattr(sys.modules.get(value.__module__), "__file__", None) or "x").parent
     for name in getattr(getattr(value, ATTRIBUTE, None), "reads", ()):
         file = folder / name
@@ -421,92 +434,57 @@ def _reach(value: Any) -> Reach:
     return reached
 
 
-def file_of(reference: str) -> str:
-    """Return the file that a reference names, or its module where there is none; imports nothing."""
-    place = reference.rpartition(":")[0]
-    if place.endswith(".py"):
-        return place
-    spec = importlib.machinery.PathFinder.find_spec(place.partition(".")[0])
-    return spec.origin if spec is not None and spec.origin else f"the module {place}"
+@cache  # a process says it once
+def _warn(sentence: str) -> None:
+    log.warning("%s", sentence)
 
 
 def _digest(parts: Mapping[str, str]) -> str:
     return digest_of(repr(sorted(parts.items())))
 
 
-def _find(reference: str, folder: Path | None = None, digest: str | None = None, afresh: bool = False) -> Any:
-    """Return the object that a reference names, None where its module has no such attribute."""
-    place, _, attribute = reference.rpartition(":")
-    if not place or not attribute:
-        raise SweepError(f"{shown(reference)}: write module:attribute or file.py:attribute")
-    if afresh and place != SESSION:
-        _codes.pop((reference, None), None)
-        _parts.cache_clear()
-    live = _codes.get((reference, digest))
-    if isinstance(live, Live):
-        return live.value
-    if place == SESSION:
-        raise SweepError(
-            f"the function {shown(attribute.rpartition('-')[0])} was defined in a script or notebook, not in a module; "
-            "compute with it from there"
-        )
-    try:
-        is_file = place.endswith(".py")
-        module = _files(place, folder, digest, afresh).module() if is_file else importlib.import_module(place)
-        return getattr(module, attribute, None)
-    except SweepError as error:
-        if not error.where:
-            raise
-        raise SweepError(error.problems, f"{reference}, {error.where}") from error  # an error in a declaration
-    except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
-        text = reach.without_package(error.msg if isinstance(error, SyntaxError) else str(error))
-        message = f"{type(error).__name__}{f': {text}' if text else ''}{_line_of(error)}"
-        missing = f"{getattr(error, 'name', None) or place}."  # also of a relative import
-        if isinstance(error, ImportError) and f"{place}.".startswith(missing):
-            message += "; name a function of a package by its module, and put the package's folder in PYTHONPATH"
-        raise SweepError(f"{shown(reference)}: cannot be imported: {message}") from error
+def changes_of_code(code: Mapping[str, str], reference: str, experiment: Experiment) -> list[str]:
+    """Return a phrase for each difference between the code that a store has recorded and that of a loaded reference."""
+    now = code_of(reference, experiment)
+    changed = {name for name in {*code, *now} if code.get(name) != now.get(name)}
+    if changed and not reference.startswith(f"{SESSION}:") and all(name.startswith("value ") for name in changed):
+        now |= {name: code[name] for name in changed & _unsteady(reference) & code.keys()}
+    return code_differences(code, now, "in the store", "now")
 
 
-def _files(place: str, folder: Path | None, digest: str | None, afresh: bool) -> LocalFiles:
-    path = ((folder or Path.cwd()) / place).resolve()
-    files = _codes.get((str(path), digest))
-    if isinstance(files, LocalFiles) and not afresh:
-        return files
-    try:
-        files = LocalFiles(path)
-    except FileNotFoundError:
-        raise SweepError(f"there is no file {shown(str(path))}") from None
-    except OSError as error:
-        raise SweepError(f"{path} cannot be read: {error.strerror or error}") from error
-    _remember(files)
-    return files
+@cache
+def _unsteady(reference: str) -> frozenset[str]:
+    """Return the names of values that two new processes of the same code have otherwise, such as a time; say so."""
+    code = f"import json; from linksweep.sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    processes = [new_process(code, **pipes) for _ in range(2)]
+    one, other = (json.loads((each.communicate()[0].splitlines() or [b"{}"])[-1]) for each in processes)
+    differing = frozenset(name for name in one if one[name] != other.get(name))
+    for name in sorted(differing):
+        _warn(f"{name} differs from process to process; its changes are not noticed")
+    return differing
 
 
-def _importable(function: Callable[..., Any] | Experiment) -> str | None:
-    """Return the reference by which a function can be imported anywhere, None for one of this session."""
-    module = sys.modules.get(getattr(function, "__module__", None) or "")
-    name = getattr(function, "__qualname__", "")
-    if module is None or module.__name__ == "__main__" or getattr(module, name, None) is not function:
-        return None
-    file = getattr(module, "__file__", None)
-    if file is None or "." in module.__name__ or distributions_of(module.__name__) is not None:
-        return f"{module.__name__}:{name}"
-    return f"{Path(file).resolve()}:{name}" if file.endswith(".py") else None
+def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
+    """Start a process of Python that finds modules where this one does, and not in the present folder if this one does
+    not: it may be a stranger's.
+    """
+    around = {**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)}
+    return subprocess.Popen([sys.executable, "-P", "-c", f"import linksweep; {code}"], env=around, **options)
 
 
-def _line_of(error: BaseException) -> str:
-    """Return the file and line of a user's code at which an exception was raised, in brackets."""
-    if isinstance(error, SyntaxError) and error.filename:
-        return f" ({error.filename}, line {error.lineno})"
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if Path(frame.filename).is_absolute()]
-    theirs = [frame for frame in frames if reach.distributions_at(frame.filename, Path(frame.filename).stem) is None]
-    return f" ({theirs[-1].filename}, line {theirs[-1].lineno})" if theirs else ""
-
-
-def _is_no(wanted: str, reference: str, value: object) -> SweepError:
-    attribute = reference.rpartition(":")[2]
-    kind = "has no attribute" if value is None else f"has a {type(value).__name__}, not {wanted}, at"
-    return SweepError(f"{shown(reference)}: the module {kind} {shown(attribute)}")
+def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
+    """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
+    phrases = []
+    for name in sorted(name for name in {*old, *new} if old.get(name) != new.get(name)):
+        place = f"{name} ({_places[name]})" if name in _places else name
+        if name not in old or name not in new:
+            phrases.append(f"{place} is only {was if name in old else now}")
+        elif name.startswith(("value ", "default ", "package ")) and not DIGESTS.fullmatch(old[name] + new[name]):
+            phrases.append(f"{place} is {old[name]} {was}, {new[name]} {now}")
+        else:
+            phrases.append(f"{place} has changed")
+    return phrases
 
 
 @dataclass(frozen=True)
@@ -519,13 +497,7 @@ class Identity:
 
 def identity(reference: str, digest: str | None = None) -> Identity:
     """Return with what this process would compute an experiment; raises SweepError as `load_experiment`."""
-    digest = digest or source_digest(reference)
-    return _identity.__wrapped__(reference, None) if digest is None else _identity(reference, digest)
-
-
-@lru_cache(maxsize=64)  # workers compare it with every task; not that of a module, which may be reloaded
-def _identity(reference: str, digest: str | None) -> Identity:
-    experiment = load_experiment(reference, digest=digest)
+    experiment = load_experiment(reference, digest=digest or source_digest(reference))
     code = code_of(reference, experiment, digest).items()
     deciding = {name: version_of(name) for name in DECIDING}
     deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
@@ -545,19 +517,3 @@ def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
     """Return a phrase for everything that differs between two processes."""
     pairs = {name: (here.get(name, "unknown"), there.get(name, "unknown")) for name in {**here, **there}}
     return [f"{name} is {one} here, {other} there" for name, (one, other) in pairs.items() if one != other]
-
-
-def require_same(expected: Mapping[str, str], answers: Mapping[str, Any]) -> None:
-    """Raise SweepError with a list of the workers, by their addresses, that have answered with an exception or with an
-    `Identity` in which something that decides the numbers is not as ``expected``.
-
-    A worker that has gone meanwhile (OSError) is left out: should it return, it is compared with its first task.
-    """
-    problems = []
-    for worker, what in sorted(answers.items()):
-        if isinstance(what, BaseException) and not isinstance(what, OSError):
-            problems.append(f"{worker}: {type(what).__name__}: {what}")
-        elif isinstance(what, Identity):
-            problems += [f"{worker}: {text}" for text in differences(expected, what.deciding)]
-    if problems:
-        raise SweepError(problems, "workers that would not compute what this process would")

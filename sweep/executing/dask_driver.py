@@ -17,7 +17,7 @@ from typing import Any
 from distributed import Client, Future, KilledWorker, WorkerPlugin, get_worker
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code.load import Identity, differences, identity, provide, require_same, sendable, source_digest
+from linksweep.sweep.code.load import Identity, differences, identity, provide, sendable, source_digest
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.pools import Limits
@@ -169,10 +169,15 @@ class DaskDriver:
             raise
         except Exception as error:  # whatever keeps a worker from importing what it is sent
             raise (self._unable(error) if self.client.status == "running" else self._gone()) from error
+        problems = []
         for worker, answer in sorted(answers.items()):
             if isinstance(answer, Identity):
                 self._warn(worker, differences(self._expected.others, answer.others))
-        require_same(self._expected.deciding, answers)
+                problems += [f"{worker}: {text}" for text in differences(self._expected.deciding, answer.deciding)]
+            elif not isinstance(answer, OSError):  # else it has gone; should it return, its first task is compared
+                problems.append(f"{worker}: {type(answer).__name__}: {answer}")
+        if problems:
+            raise SweepError(problems, "workers that would not compute what this process would")
         self._look()
 
     def _register(self, plugin: WorkerPlugin) -> None:

@@ -20,7 +20,7 @@ from linksweep.sweep.functions.results import differences as layout_differences
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.plan import Plan
-from linksweep.sweep.running.code import CodeRecord, as_json, records_of
+from linksweep.sweep.running.code import records_of
 from linksweep.sweep.running.reproduce import study_of
 from linksweep.sweep.running.writer import Writer, create_store, differences, find_store, open_store, replace_store
 from linksweep.sweep.stores.ledger import Ledger, Record
@@ -86,7 +86,7 @@ def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, t
             store.fail(digest, record)
         store.flush()
         if records := _codes(sources, rows):
-            store.record({CODE: as_json(records)})
+            store.record({CODE: json.dumps(records)})
         accumulator = Accumulator(plan, store.rows, store.read(), store.failures, samples=store.samples)
         return Writer(accumulator, store, further=told).write(final=True)
 
@@ -132,7 +132,7 @@ def _require_alike(one: _Source, other: _Source, accept_code: bool) -> None:
         codes = [records_of(source.attributes) for source in (one, other)]
         if all(codes):
             was, now = f"in {one.location}", f"in {other.location}"
-            found += code_differences(codes[0][-1].code, codes[1][-1].code, was, now)
+            found += code_differences(codes[0][-1]["code"], codes[1][-1]["code"], was, now)
     if one.layout is not None and other.layout is not None:
         found += layout_differences(one.layout, other.layout)
         types = {} if found else lost_integers(one.held, other.held.dtype) | lost_integers(other.held, one.held.dtype)
@@ -236,18 +236,18 @@ def _fill(store: Store, sources: Sequence[_Source], rows: Sequence[Sequence[byte
             store.append(part, converted(source.held[[at[key] for key in part]], dtype), samples)
 
 
-def _codes(sources: Sequence[_Source], rows: Sequence[Sequence[bytes]]) -> list[CodeRecord]:
+def _codes(sources: Sequence[_Source], rows: Sequence[Sequence[bytes]]) -> list[dict[str, Any]]:
     """Return which code made which rows of the new ledger."""
-    found: list[CodeRecord] = []
+    found: list[dict[str, Any]] = []
     before = 0
     for source, keys in zip(sources, rows, strict=True):
         at = source.ledger.rows
         numbers = [at[key] for key in keys]
         for record in records_of(source.attributes):
-            first = before + int(np.searchsorted(numbers, record.first_row))
-            found = [earlier for earlier in found if earlier.first_row < first]
-            if not found or found[-1].code != record.code:
-                found.append(CodeRecord(first, record.code))
+            first = before + int(np.searchsorted(numbers, record["first_row"]))
+            found = [earlier for earlier in found if earlier["first_row"] < first]
+            if not found or found[-1]["code"] != record["code"]:
+                found.append(record | {"first_row": first})
         before += len(keys)
     return found
 

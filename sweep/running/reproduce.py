@@ -13,6 +13,7 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
+from linksweep.sweep.code.load import Code, file_of
 from linksweep.sweep.contract import ResultError, SweepError, shown, suggest
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.task import Task, TaskResult
@@ -20,14 +21,14 @@ from linksweep.sweep.executing.worker import run_task
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.running.code import asking, differences_of_code, ours_alone, records_of
+from linksweep.sweep.running.code import differences_of_code
 from linksweep.sweep.running.run import Session
-from linksweep.sweep.stores.location import Where, located
-from linksweep.sweep.stores.store import OpenStore
+from linksweep.sweep.stores.location import Folder, Where, located
+from linksweep.sweep.stores.store import OpenStore, was_written_here
 from linksweep.sweep.studies.document import parse_places, parse_value
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.record import as_recorded
-from linksweep.sweep.studies.study import POINT, Study
+from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Study
 
 MOST_NAMED = 10
 
@@ -66,15 +67,26 @@ class Reproduction:
 def study_of(store: Where, *, trust: bool = False) -> Study:
     """Return the study whose results a store holds, with its experiment imported.
 
-    Raises SweepError if there is none or it cannot be made again, and where its code needs the user's ``trust`` (see
-    `sweep.running.code`).
+    Looking at a store loads nothing that it names (see `sweep.studies.record.Recorded`); computing from it does.
+    Raises SweepError if there is no study or it cannot be made again, and where its code needs the user's ``trust``: it
+    lies inside the store, or the store was not written here.
     """
     return _study_of(OpenStore(store), trust)
 
 
 def _study_of(store: OpenStore, trust: bool) -> Study:
-    code = asking(store.location, store.attributes, trust)
-    return study_of_attributes(store.attributes, str(store.location), code)
+    def check(reference: str) -> None:
+        if not trust and reference != DEFAULT_EXPERIMENT:
+            file = file_of(reference)
+            place = store.location.path.resolve() if isinstance(store.location, Folder) else None
+            inside = place is not None and Path(file).resolve().is_relative_to(place)
+            if inside or not was_written_here(store.location, store.attributes):
+                here = "and the store was not written here: by this user, on this host, at this place"
+                reason = "which lies inside the store" if inside else here
+                problem = f"would run {file}, {reason}; inspect it, and give --trust if it may run"
+                raise SweepError(problem, str(store.location))
+
+    return study_of_attributes(store.attributes, str(store.location), Code(check))
 
 
 def study_to_look_at(store: Where) -> Study:
@@ -82,7 +94,12 @@ def study_to_look_at(store: Where) -> Study:
 
     Raises SweepError for another experiment, and where the study names functions in files.
     """
-    return study_of_attributes(OpenStore(store).attributes, str(store), ours_alone())
+
+    def check(reference: str) -> None:
+        if reference != DEFAULT_EXPERIMENT:
+            raise SweepError(f"only stores of the link alone can be drawn so; this one names {shown(reference)}")
+
+    return study_of_attributes(OpenStore(store).attributes, str(store), Code(check))
 
 
 @dataclass(frozen=True)
@@ -113,7 +130,7 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     if status == Status.DONE:
         pairs = {name: (stored[name].values, result[name].values) for name in map(str, result) if name in stored}
         differences = {name: pair for name, pair in pairs.items() if not _equal(*pair)}
-    other_code = differences_of_code(records_of(opened.attributes), study)
+    other_code = differences_of_code(opened.attributes, study)
     return Reproduction(describe(study, place), result, status.word, differences, other_code)
 
 
