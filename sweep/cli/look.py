@@ -203,33 +203,6 @@ def paper_studies(published: bool) -> "list[Study]":
     return [load_study(name) for name in (*PAPER_ORDER, *others) if name in names]
 
 
-def is_finished(study: "Study", store: "Location") -> bool:
-    """Return whether a store has all of a study as it is now: its text, without overrides."""
-    from linksweep.sweep.stores.location import reading
-    from linksweep.sweep.stores.store import OpenStore
-
-    with reading(store):
-        if store.is_free():
-            return False
-    attributes = OpenStore(store).attributes
-    # The text, too: a new title or published number changes what a page says, though not the digest.
-    same = attributes.get("study_digest") == study.digest() and attributes.get("study") == study.text
-    return same and bool(attributes.get("complete"))
-
-
-def lacking_package(study: "Study") -> str:
-    """Return which optional package must be installed to run a study; '' if none."""
-    from linksweep.sweep.contract import SweepError
-    from linksweep.sweep.planning.grid import make_grid
-
-    try:
-        make_grid(study)
-    except SweepError as error:
-        if all("pip install" in problem for problem in error.problems):
-            return error.problems[0]
-    return ""
-
-
 @dataclass(frozen=True)
 class AskedStores:
     """The stores that a command is about: those that it names, or with --all those of the whole paper."""
@@ -253,31 +226,34 @@ class AskedStores:
             raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without")
 
     def whole(self, published: bool = False) -> "Sequence[Location]":
-        """Return the stores; with --all, first run the unfinished studies: all, or those with something published.
+        """Return the stores; with --all, first run the studies: all, or those with something published.  One that is
+        finished takes no time.
 
         Raises SweepError, before anything runs, for a study whose store cannot be continued.
         """
         if not self.everything:
             return self.stores
+        from linksweep.sweep.contract import SweepError
         from linksweep.sweep.running.run import plan_study
         from linksweep.sweep.stores.location import RESULTS, located
 
-        stores, pending = [], []
+        places = {}
         for study in paper_studies(published):
             store = located((self.results or RESULTS) / f"{study.name}.zarr")
             # All stores are looked at before the first study runs: an hour later is late for a refusal.
-            if not is_finished(study, store):
-                if problem := lacking_package(study):
-                    click.echo(f"left out: {study.name}: {problem}", err=True)
-                    continue
+            try:
                 plan_study(study, store)
-                pending.append((study, store))
-            stores.append(store)
-        for study, store in pending:
+            except SweepError as error:
+                if not all("pip install" in problem for problem in error.problems):
+                    raise
+                click.echo(f"left out: {study.name}: {error.problems[0]}", err=True)
+            else:
+                places[study.name] = study, store
+        for name, (study, store) in places.items():
             if not self.watching.quiet:
-                click.echo(f"{study.name}:", err=True)
+                click.echo(f"{name}:", err=True)
             run_with_progress(study, store, Running(self.resources, self.watching, None, False, False, None))
-        return stores
+        return [store for _, store in places.values()]
 
 
 @command("Look", "Write one HTML page with everything")
