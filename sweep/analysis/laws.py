@@ -212,13 +212,14 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
 
 def _units(dataset: xr.Dataset, variable: str, others: Sequence[str]) -> list[str]:
     """Return the unit of each line: that of the variable, or of the components that its own unit lists."""
-    unit = units_of(dataset[variable].attrs)
-    listed = [c.variable.astype(object) for n, c in dataset.coords.items() if str(n).endswith("_unit")]
-    parts = [part for part in listed if set(part.dims) <= set(others)] if "," in unit else []
-    whole = xr.Variable(others, np.full([dataset.sizes[d] for d in others], "" if parts else unit, dtype=object))
-    for part in parts:
-        whole = whole + (part if len(parts) == 1 else "(" + part + ") ")
-    return [str(each).strip() for each in whole.values.reshape(-1)]
+    unit, parts = units_of(dataset[variable].attrs), []
+    if "," in unit:
+        parts = [c for n, c in dataset.coords.items() if str(n).endswith("_unit") and set(c.dims) <= set(others)]
+    units = []
+    for place in quantity.places_along(dataset, others):
+        words = [str(part.isel({d: place[str(d)] for d in part.dims}).item()) for part in parts] or [unit]
+        units.append(words[0] if len(words) == 1 else " ".join(f"({word})" for word in words))
+    return units
 
 
 def _errors_in_words(dataset: xr.Dataset, known: bool, correlated: bool, samples: float) -> str:
@@ -323,7 +324,7 @@ def fit_levelling(
     for row, line in zip(rows, made.lines, strict=True):
         row["conclusion"] = _levelling_in_words(row, line.x[-1], made.over_unit) if row["points"] else EXCLUDED
     formula = f"{variable}^2 = plateau^2 + c exp(-rate x {over}); errors are scaled where chi2 > dof"
-    shown = ["plateau", "p_value", "end_fall", "points", "chi2", "dof", "conclusion"]
+    shown = ["plateau", "p_value", "points", "chi2", "dof", "conclusion"]
     return made.dataset(rows, shown, _notes(formula, made, rows), law="levelling", fall=fall)
 
 
@@ -574,15 +575,11 @@ def interpolate(
         [0.59264, 0.00097]
     """
     made = lines(dataset, variable, over, covariance)
-    if isinstance(at, bool | int | float | np.number):
-        at = float(at)
-    else:  # a text may be meant in another unit
+    if not isinstance(at, bool | int | float | np.number):  # a text may be meant in another unit
         raise SweepError(f"{over} = {shown(at)}: must be a number, in the unit of the axis")
-    rows = np.full((len(made.lines), 2), np.nan)
-    for row, line in zip(rows, made.lines, strict=True):
+    at, rows = float(at), np.full((len(made.lines), 2), np.nan)
+    for row, line in ((row, line) for row, line in zip(rows, made.lines, strict=True) if len(line.x)):
         x = line.x
-        if not len(x):
-            continue
         if not x[0] <= at <= x[-1]:
             raise SweepError(f"{over} = {at:g} is beyond the points, which go from {x[0]:g} to {x[-1]:g}")
         i = min(max(int(np.searchsorted(x, at)) - 1, 0), len(x) - 2)
@@ -592,13 +589,13 @@ def interpolate(
         fraction = (z - scale[i]) / (scale[i + 1] - scale[i])
         value, error = _mix(fraction, u, spread, line.samples)
         row[:] = (np.exp(value), np.exp(value) * error) if logarithm else (value, error)
-    shape = [made.grid.sizes[d] for d in made.dims]
-    attributes = dataset[variable].attrs
+    attributes, rows = dataset[variable].attrs, rows.T.reshape(2, *(made.grid.sizes[d] for d in made.dims))
     of_error = described(units_of(attributes), f"one-sigma error of {variable}")
-    result = made.grid.drop_attrs(deep=False).assign_coords({over: xr.Variable((), at, dataset[over].attrs)})
-    result[variable] = made.dims, rows[:, 0].reshape(shape), attributes
-    result[f"{variable}_mc_error"] = made.dims, rows[:, 1].reshape(shape), of_error
-    return result
+    return (
+        made.grid.drop_attrs(deep=False)
+        .assign_coords({over: xr.Variable((), at, dataset[over].attrs)})
+        .assign({variable: (made.dims, rows[0], attributes), f"{variable}_mc_error": (made.dims, rows[1], of_error)})
+    )
 
 
 def _cross(line: Line, limit: Limit, threshold: float, over_unit: str) -> dict[str, Any]:
@@ -667,8 +664,10 @@ def _levelling_in_words(row: Mapping[str, float], last: float, unit: str) -> str
         return "no plateau: falls by more everywhere"
     place = f"{with_error(limit, row['limit_error'])} {unit}".rstrip()
     words = f"falls by less from {place}" if limit <= last else f"no plateau yet: not before {place}, by the law"
-    significant = row["rate"] > RATE_WANTED * row["rate_error"]
-    return words if significant else f"{words}; the levelling off is not significant"
+    per = f" per {unit}" if unit else ""
+    end = f"at the end it falls by {with_error(100.0 * row['end_fall'], 100.0 * row['end_fall_error'])} %{per}"
+    doubt = [] if row["rate"] > RATE_WANTED * row["rate_error"] else ["the levelling off is not significant"]
+    return "; ".join([words, end, *doubt])
 
 
 def _crossing_in_words(row: Mapping[str, Any], unit: str, value_unit: str) -> str:

@@ -285,10 +285,11 @@ def print_styled(text: str, **style: bool) -> None:
 def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
     """Print tables with the columns for which there is room, and sentences below them; no number is cut."""
     # A file or a pipe has no width: the same bytes whatever terminal the command was typed in.
-    width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if sys.stdout.isatty() else WIDTH
+    is_terminal = sys.stdout.isatty()
+    width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if is_terminal else WIDTH
     for number, table in enumerate(tables):
         kept, left_out = table.fitting(width)
-        text = kept.text(width, styled=True)
+        text = kept.text(width, styled=is_terminal)
         click.echo(f"\n{text}" if number else text, file=getattr(sys.stdout, "unescaped", None))
         if left_out:
             print_wrapped(f"left out to fit {width} columns: {left_out}; --json has them")
@@ -327,10 +328,25 @@ def drawing_styles() -> Any:
     return style
 
 
-def save_figure(dataset: Any, path: Path) -> None:
-    """Draw a dataset into a file, in the way that suits it."""
-    from linksweep.sweep.plots import style
-    from linksweep.sweep.plots.figure import draw_figure
+def require_writable(path: Path) -> None:
+    """Raise an error unless `save_result` can write there, as far as is known before there are results."""
+    from linksweep.sweep.result import require_free
 
-    with style.settings():
-        style.save(draw_figure(dataset), path)
+    if path.suffix.lower() == ".zarr":
+        require_free(path)
+    else:
+        drawing_styles().require_format(path)
+
+
+def save_result(dataset: Any, path: Path) -> None:
+    """Write results as a Zarr store, or draw them in the way that suits them if the path is that of a picture."""
+    from linksweep.sweep.result import Result
+
+    if path.suffix.lower() == ".zarr":
+        Result(dataset).save(path)
+    else:
+        from linksweep.sweep.plots.figure import draw_figure
+
+        with (styles := drawing_styles()).settings():
+            styles.save(draw_figure(dataset), path)
+    click.echo(f"wrote {path}", err=True)

@@ -370,22 +370,14 @@ def sensitivity(
     sweep sensitivity results/sir.zarr --variable peak -o peak.png
     """
     from linksweep.sweep.analysis.sensitivity import sensitivity as indices_of
-    from linksweep.sweep.result import Result, require_free
 
-    suffix = "" if output is None else output.suffix.lower()
+    if output is not None:
+        group.require_writable(output)
     with part_of(store, at) as dataset:
-        if output is not None and suffix == ".zarr":
-            require_free(output)
-        elif output is not None:
-            group.drawing_styles().require_format(output)
         result = indices_of(dataset, variable)
-    if output is not None and suffix == ".zarr":
-        Result(result).save(output)
-    elif output is not None:
-        group.save_figure(result, output)
     print_result(result, "json" if as_json else "text")
     if output is not None:
-        click.echo(f"wrote {output}", err=True)
+        group.save_result(result, output)
 
 
 @command("Compare", "Compare with published numbers and claims")

@@ -336,23 +336,19 @@ def scaling(
     \b
     sweep scaling quasars --workers 1,2 --figure scaling.svg
     """
-    if figure is not None:
-        group.drawing_styles().require_format(figure)
-    from linksweep.sweep.result import Result, require_free
     from linksweep.sweep.running.scaling import measure_scaling
     from linksweep.sweep.stores.location import default_store
 
     loaded = options.load_trusted(study, trust, settings, axes)
-    path = output or default_store(f"{loaded.name}-scaling")
-    # Before minutes of measuring.
-    require_free(path)
+    paths = [output or default_store(f"{loaded.name}-scaling"), *([figure] if figure else [])]
+    for path in paths:
+        # Before minutes of measuring.
+        group.require_writable(path)
     with group.a_signal_ends_the_command():
         dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
     group.print_result(dataset, "json" if as_json else "text")
-    Result(dataset).save(path)
-    if figure is not None:
-        group.save_figure(dataset, figure)
-    click.echo(f"wrote {path}" + (f" and {figure}" if figure is not None else ""), err=True)
+    for path in paths:
+        group.save_result(dataset, path)
 
 
 @command("Store care", "Say how far a run is, and what failed")

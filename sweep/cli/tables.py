@@ -268,12 +268,11 @@ class Target:
     def check(self) -> None:
         """Raise an error unless a store can be written and figures be drawn, before anything is computed."""
         from linksweep.sweep.contract import SweepError
-        from linksweep.sweep.result import require_free
 
         if self.output is not None and self.output.suffix != ".zarr":
             raise SweepError("a result is written to a store whose name ends in .zarr", str(self.output))
         if self.output is not None:
-            require_free(self.output)
+            group.require_writable(self.output)
         if self.figures is not None:
             group.drawing_styles()
 

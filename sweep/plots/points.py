@@ -11,7 +11,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 from scipy.special import chdtri
 
@@ -159,20 +158,17 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
     main = dataset[quantity.main_quantity(dataset)].attrs if quantity.quantities(dataset) else {}
     alike = [name for name in known if units[name] == main.get("units")]
     chosen = list(over or (alike if len(alike) > 1 else known)[:2])
-    below = style.is_narrower_than(6.0)  # the numbers stand below the picture, not beside it
-    figure, (axes,) = style.new_figure(*((4.4, 6.4) if below else (7.4, 4.4)))
-    _draw_samples(axes, dataset, variable, {name: units[name] for name in chosen}, dimension, below)
+    figure, (axes,) = style.new_figure(5.2, 4.8)
+    _draw_samples(axes, dataset, variable, {name: units[name] for name in chosen}, dimension)
     return figure
 
 
-def _draw_samples(
-    axes: Axes, dataset: xr.Dataset, variable: str, components: dict[str, str], dimension: str, below: bool
-) -> None:
+def _draw_samples(axes: Axes, dataset: xr.Dataset, variable: str, components: dict[str, str], dimension: str) -> None:
     """Draw the samples of two components, given with their units, against each other, with ellipses of 68 and 95 % of a
     normal distribution.
 
-    Where the dataset has a ``bias``, the truth (mean estimate - bias) is a cross.  The standard deviations stand in the
-    legend with their errors, sigma/sqrt(2 n), beside the picture or ``below`` it.
+    Where the dataset has a ``bias``, the truth (mean estimate - bias) is a cross.  The standard deviations stand above
+    the legend with their errors, sigma/sqrt(2 n).
     """
     names, units = list(components), list(components.values())
     both = np.stack([dataset[variable].sel({dimension: name}).values.astype(float) for name in names])
@@ -192,15 +188,10 @@ def _draw_samples(
     dots["markersize"] = float(np.clip(100.0 / np.sqrt(n), 2.0, 5.0))
     axes.plot(*both, ".", label=f"{n} estimates", **dots)
     for confidence, line in ((0.683, "solid"), (0.954, "dashed")):
-        look = {
-            "edgecolor": style.COLOURS[1],
-            "linestyle": line,
-            "label": f"{100 * confidence:.0f} % of their normal law",
-        }
-        axes.add_patch(confidence_ellipse(mean, covariance, confidence, **look))
-    point: dict[str, Any] = {"color": style.COLOURS[1], "marker": "o", "markersize": 3.0, "linestyle": "none"}
-    error = sigma / np.sqrt(n)
-    axes.errorbar(mean[0], mean[1], xerr=error[0], yerr=error[1], label="mean", **point)
+        words = f"{100 * confidence:.0f} % of their normal law"
+        ellipse = confidence_ellipse(mean, covariance, confidence, linestyle=line, label=words)
+        axes.add_patch(ellipse).set_edgecolor(style.COLOURS[1])
+    axes.errorbar(*mean, *(sigma / np.sqrt(n))[::-1], label="mean", **style.marks(1, 3.0))
     if "bias" in dataset and dimension in dataset["bias"].dims:
         truth = mean - [factor * dataset["bias"].sel({dimension: name}).item() for name in names]
         axes.plot(*truth, "x", color="black", label="truth", markersize=9.0, markeredgewidth=1.4)
@@ -210,15 +201,8 @@ def _draw_samples(
         rf"$\sigma$({style.symbol(name)}) = {formatting.with_error(s, s / np.sqrt(2 * n))} {formatting.written(unit)}"
         for name, s, unit in zip(names, sigma, units, strict=True)
     ]
-    words.append(rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$")
-    place: dict[str, Any] = {
-        "loc": "upper left",
-        "bbox_to_anchor": (-0.3, -0.2) if below else (1.0, 1.0),
-        "alignment": "left",
-    }
-    axes.legend(title="\n".join(words), markerscale=1.5, frameon=False, **place)
-    for handle in axes.findobj(lambda artist: isinstance(artist, Line2D) and artist.get_label() == "truth"):
-        handle.set(markersize=9.0)  # in the legend too: larger, it would not fit in its line
+    title = "\n".join([*words, rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$"])
+    style.legend(axes.figure, below=True, title=title)  # type: ignore[arg-type]
 
 
 def confidence_ellipse(centre: Array, covariance: Array, confidence: float, **look: Any) -> Ellipse:

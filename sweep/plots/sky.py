@@ -88,9 +88,8 @@ def sky_figure(dataset: xr.Dataset) -> Figure:
     # in pieces that do not jump from one edge of the map to the other
     broken = np.where(np.abs(np.diff(x, append=x[-1])) > 1.0, np.nan, plane_dec)
     axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
-    centre = {"color": "black", "markersize": 9.0, "markeredgewidth": 1.2, "zorder": 4}
-    axes.plot(x[:1], plane_dec[:1], "+", label="Galactic centre", **centre)
-    axes.legend(loc="lower right", bbox_to_anchor=(1.06, -0.06), frameon=False)
+    axes.plot(x[:1], plane_dec[:1], "k+", label="Galactic centre", markersize=9.0, zorder=4)
+    style.legend(figure, below=True)
     style.complete(figure, str(dataset.attrs.get("title", "")))
     return figure
 
@@ -162,7 +161,7 @@ def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
     Raises SweepError for an unknown model, one whose package is missing, or a function that has no value somewhere.
     """
     v = np.round(np.linspace(9.0, 21.0, 121), 6)
-    rows: dict[str, tuple[Array, Array, Array]] = {}
+    rows: dict[str, Sequence[Array]] = {}
     for model in models or missions.MISSIONS:
         name = str(model)
         if isinstance(model, str) and name not in missions.MISSIONS:
@@ -173,18 +172,16 @@ def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
             if models:
                 raise SweepError(str(error)) from error
             continue
-        relative = np.full(v.shape, np.nan)
-        if isinstance(model, str) and name in missions.CALIBRATED:
-            relative = missions.CALIBRATED[name].relative_error(v)
-        rows[name] = (sigma_pm, sigma_pos, relative)
-    pm, pos, relative = (np.array(part) for part in zip(*rows.values(), strict=True))
-    variables = {}
-    for name, values, unit, symbol in (
-        ("pm", pm, "mas / yr", r"$\sigma_\mu$"),
-        ("pos", pos, "mas", r"$\sigma_\mathrm{pos}$"),
-    ):
-        variables[f"sigma_{name}"] = (("model", "v"), values, {"units": unit, "symbol": symbol})
-        variables[f"sigma_{name}_error"] = (("model", "v"), values * relative, {"units": unit})
+        calibrated = missions.CALIBRATED.get(name) if isinstance(model, str) else None
+        relative = np.full(v.shape, np.nan) if calibrated is None else calibrated.relative_error(v)
+        rows[name] = sigma_pm, sigma_pm * relative, sigma_pos, sigma_pos * relative
+    motion, position = (
+        {"units": "mas / yr", "symbol": r"$\sigma_\mu$"},
+        {"units": "mas", "symbol": r"$\sigma_\mathrm{pos}$"},
+    )
+    about = {"sigma_pm": motion, "sigma_pm_error": motion, "sigma_pos": position, "sigma_pos_error": position}
+    arrays = zip(about.items(), zip(*rows.values(), strict=True), strict=True)
+    variables = {name: (("model", "v"), np.array(array), attributes) for (name, attributes), array in arrays}
     coordinates = {"model": np.array(list(rows), dtype=object), "v": ("v", v, MAGNITUDE)}
     return xr.Dataset(variables, coordinates, {"title": "Accuracy of one object in each mission"})
 

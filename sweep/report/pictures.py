@@ -276,9 +276,5 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
 
 def _numbers(array: xr.DataArray) -> list[float | int | None]:
     """Return the numbers of an array in C order with `DIGITS` digits, None for those that are not finite."""
-    numbers: list[float | int | None] = []
-    for value in array.values.reshape(-1).tolist():
-        short = float(f"{value:.{DIGITS}g}") if np.isfinite(value) else np.nan
-        whole = short.is_integer() and abs(short) < 1e15
-        numbers.append(int(short) if whole else short if np.isfinite(short) else None)
-    return numbers
+    shorts = (float(f"{value:.{DIGITS}g}") for value in array.values.reshape(-1).tolist())
+    return [int(n) if n.is_integer() and abs(n) < 1e15 else n if np.isfinite(n) else None for n in shorts]
