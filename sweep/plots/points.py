@@ -188,8 +188,8 @@ def _draw_samples(axes: Axes, dataset: xr.Dataset, variable: str, components: di
     dots["markersize"] = float(np.clip(100.0 / np.sqrt(n), 2.0, 5.0))
     axes.plot(*both, ".", label=f"{n} estimates", **dots)
     for confidence, line in ((0.683, "solid"), (0.954, "dashed")):
-        words = f"{100 * confidence:.0f} % of their normal law"
-        ellipse = confidence_ellipse(mean, covariance, confidence, linestyle=line, label=words)
+        share = f"{100 * confidence:.0f} % of their normal law"
+        ellipse = confidence_ellipse(mean, covariance, confidence, linestyle=line, label=share)
         axes.add_patch(ellipse).set_edgecolor(style.COLOURS[1])
     axes.errorbar(*mean, *(sigma / np.sqrt(n))[::-1], label="mean", **style.marks(1, 3.0))
     if "bias" in dataset and dimension in dataset["bias"].dims:
