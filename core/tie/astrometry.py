@@ -27,6 +27,8 @@ DAYS_PER_YEAR = 365.25
 KEPT_EPOCHS = 10_000
 # Steps of Newton's method for Kepler's equation, from the start of Danby 1987 (Celest. Mech. 40, 303).
 KEPLER = 12
+# Half of the time over which DR3 averages accelerated motions, in years.  Source: Gaia DR3 documentation, Eq. 7.5.
+HALF_SPAN = 517.5 / DAYS_PER_YEAR
 
 
 @dataclass(frozen=True)
@@ -236,6 +238,28 @@ def bends(years: Array, orbit: Array | None = None) -> Array:
         x, y = np.cos(anomaly) - e, np.sqrt(1.0 - e**2) * np.sin(anomaly)
         bend[:, 0, 4], bend[:, 1, 4] = b * x + g * y, a * x + f * y
     return bend
+
+
+def from_mean_motion(table: Astrometry) -> Astrometry:
+    """Return a table with accelerations whose positions and motions are averages over an observed time, as in DR3, with
+    those at its epoch: the model there is 1/2 (t^2 - T^2/3) a + 1/6 (t^2 - T^2) t da/dt.
+    """
+    assert table.further is not None, "of a table with accelerations"
+    step = np.eye(10)
+    step[(0, 1), (5, 6)] = step[(3, 4), (7, 8)] = -(HALF_SPAN**2) / 6.0
+    shift = step[:5, 5:] @ table.further[0]
+    shift[0] /= np.cos(table.values[1])
+    covariance = step @ table.covariance() @ step.T
+    sigma = np.sqrt(np.einsum("nii->in", covariance))
+    safe = np.where(sigma > 0.0, sigma, 1.0)
+    correlations = np.moveaxis(covariance, 0, -1) / (safe[:, None] * safe)
+    return replace(
+        table,
+        values=table.values + shift,
+        errors=np.where(table.present, sigma[:5], table.errors),
+        correlations=np.array([correlations[pair] for pair in PAIRS]),
+        further_correlations=correlations,
+    )
 
 
 def offsets(ra: Array, dec: Array, from_ra: Array, from_dec: Array) -> Array:

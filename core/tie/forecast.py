@@ -85,6 +85,9 @@ def released(problem: Problem, old: str, new: str, epoch_moves: bool = True) -> 
     shift = RELEASES[new].epoch - RELEASES[old].epoch
     star = problem.satellite
     satellite = replace(star, errors=star.errors * scale, epoch=star.epoch + shift)
+    if star.further is not None:
+        slower = np.stack([np.ones(5), ratio ** np.array([2.5, 2.5, 3.5, 3.5, 0.5])])[..., None]
+        satellite = replace(satellite, further=star.further * slower)
     first = f"errors scaled from {old} ({RELEASES[old].epoch:g}) to {new}: positions x {position:.3g}"
     notes = [f"{first}, motions x {motion:.3g}"]
     if "dr1" in (old, new):
@@ -201,11 +204,12 @@ class Simulation:
             scale = np.full((n, n_sources, 1), self.error_factor)
             if self.outliers > 0.0:
                 scale[rng.random(scale.shape) < self.outliers] *= self.outlier_factor
-            own_errors = scale * np.einsum("sij,nsj->nsi", own_half, rng.standard_normal((n, n_sources, 5)))
+            own_errors = scale * np.einsum("sij,nsj->nsi", own_half, rng.standard_normal((n, *own_half.shape[:2])))
             row_errors = np.einsum("rij,nrj->nri", row_half, rng.standard_normal((n, len(source), 5)))
             inside = np.tile(self._matrix @ self.truth, (n, 1, 1))
-            inside[..., :5] -= own_errors
+            inside[..., :5] -= own_errors[..., :5]
             values = np.einsum("rij,nrj->nri", rows.by_frames, inside[:, source]) + scale[:, source] * row_errors
+            values -= np.einsum("rij,nrj->nri", rows.partials[:, :, 5:], own_errors[:, source, 5:])  # of accelerations
             values = np.where(rows.present, values, 0.0)
             for one, sums in zip(values, self._sums(values), strict=True):
                 yield KeptSources(self.problem, sums, partial(self._separations, one))

@@ -6,7 +6,7 @@ mistake that was made is the one whose correction brings chi2 down to the level 
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ from scipy.special import chdtr, chdtrc, chdtri
 
 from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds
+from linksweep.core.tie.astrometry import PAIRS, Astrometry, from_mean_motion, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, source_sums
 from linksweep.core.tie.solution import Solution, discrepancies, solve
 
@@ -312,9 +312,26 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
         for name, rows in NOT_POSITIONS.items():
             yield f"{name} of {{}}, {unit}", 0, _scaled(rows, ratio, values=True)
             yield f"{name} and their errors of {{}}, {unit}", 0, _scaled(rows, ratio, values=True, errors=True)
+    if table == "satellite" and problem.satellite.further is not None:
+        yield from _accelerations()
     for ratio, unit in SMALLER.items():
         for name, rows in (*GROUPS.items(), ALL) if ratio > 15.0 else ():
             yield f"errors of {name} of {{}} too small, {unit}", 2, _scaled(rows, ratio, errors=True)
+
+
+def _accelerations() -> Iterator[tuple[str, int, Change]]:
+    """Yield mistakes in the accelerations of the satellite and the changes that correct them."""
+
+    def changed(change: Callable[[Any], Array]) -> Change:
+        return lambda table: replace(table, further=change(table.further))
+
+    sign = np.array([-1.0, 1.0])[:, None, None]
+    yield "accelerations of {} with reversed sign", 0, changed(lambda both: both * sign)
+    yield "accel_ra and accel_dec of {} exchanged", 0, changed(lambda both: both[:, [1, 0, 3, 2, 4]])
+    yield "accelerations of {} that are half of them, as factors of t^2", 0, changed(lambda both: both * 2.0)
+    for ratio, unit in ((1e3, "arcsec taken for mas"), (1e-3, "uas taken for mas")):
+        yield f"accelerations of {{}}, {unit}", 0, changed(partial(np.multiply, ratio))
+    yield "positions of {} at the epoch that are averages: say --accelerations mean", 0, from_mean_motion
 
 
 def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bool = False) -> Change:
@@ -371,7 +388,7 @@ def _applied(problem: Problem, part: _Part, change: Change) -> Problem | None:
     of_satellite = part.table == "satellite"
     table = problem.satellite if of_satellite else problem.rows
     new, arrays, differs = change(table), {}, False
-    for name in ("values", "errors", "epoch", "apparent", "correlations"):
+    for name in ("values", "errors", "epoch", "apparent", "correlations", "further"):
         if (after := getattr(new, name)) is not None:
             before = getattr(table, name)
             arrays[name] = np.where(part.at, after, np.zeros_like(after) if before is None else before)

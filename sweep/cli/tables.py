@@ -164,11 +164,17 @@ def _tables(
     zero_errors: Any = choice("What an error of 0 means.", ("error", "missing", "exact"), default="error"),
     without_cos_dec: Sequence[str] = table("The table whose pmra is mu_alpha, without cos(dec)."),
     extragalactic: Sequence[str] = table("The table with mean positions of quasars, which hold at any epoch."),
+    where: Sequence[str] = many(
+        "Only rows, of the satellite or TABLE, that meet this, e.g. 'ruwe < 1.4 & phot_g_mean_mag < 13'.",
+        metavar="[TABLE:]CONDITION",
+    ),
+    accelerations: Any = choice("Positions and motions of rows with accelerations.", ("at-epoch", "mean")),
     jitter: Sequence[Any] = many(
         "Added in quadrature to rows of a kind, or of all.", type=Assigned("KIND=MAS[:MAS_YR]", _jitter)
     ),
 ) -> dict[str, Any]:
     """Return the options of the tables as `linksweep.sweep.tie.setup.Options` has them."""
+    from linksweep.sweep.tables.where import conditions
     from linksweep.sweep.tie.tables import TableOptions
 
     further = dict(missions)
@@ -176,6 +182,7 @@ def _tables(
         raise click.BadParameter("a mission is named twice", param_hint="--mission")
     names = ("satellite", "reference", *further)
     columns, units = _by_table("--column", column, names), _by_table("--unit", unit, names)
+    chosen = conditions(where, names, ("satellite",))
     epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **dict(mission_epoch)}
     _require_tables("--mission-epoch", dict(mission_epoch), further)
     _require_tables("--without-cos-dec", without_cos_dec, names)
@@ -188,6 +195,8 @@ def _tables(
             extragalactic=name in extragalactic,
             positions=positions if name == "reference" else None,
             zero_errors=zero_errors,
+            accelerations=accelerations,
+            where=chosen.get(name),
             pmra_cos_dec=False if name in without_cos_dec else None,
         )
         for name in names
@@ -235,6 +244,7 @@ SEARCH = passed(
     ),
     column=many("The column with a quantity, e.g. ra=RAmdeg or pgc:PGC=pgc.", metavar="[NAME:]KEY=COLUMN"),
     unit=many("The unit of a quantity whose column has none, e.g. ra=hourangle.", metavar="[NAME:]KEY=UNIT"),
+    where=many("Only stars, or rows of NAME, that meet this, e.g. 'vt_mag < 9'.", metavar="[NAME:]CONDITION"),
     epoch=opt("Julian year of the galaxy positions.", default=2000.0),
     ref_epoch=many("Epoch of the stars, instead of a column ref_epoch.", metavar="[NAME=]YEAR"),
     missing_pm=choice("What to do with stars that have no proper motion.", ("error", "zero"), default="error"),

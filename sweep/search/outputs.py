@@ -184,7 +184,7 @@ def _together(tables: Sequence[pd.DataFrame], paths: Sequence[Path]) -> pd.DataF
     known = {name for table in tables for name in table} & set(missing)
     each = [
         table.assign(
-            table=table_name(path), row=np.arange(len(table)) + 1, **{k: missing[k] for k in known - set(table)}
+            table=table_name(path), row=table.index.to_numpy() + 1, **{k: missing[k] for k in known - set(table)}
         )
         for table, path in zip(tables, paths, strict=True)
     ]

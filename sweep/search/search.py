@@ -24,6 +24,7 @@ from linksweep.sweep.search.crossmatch import (
 )
 from linksweep.sweep.tables.columns import EPOCHS, Columns, unit_of
 from linksweep.sweep.tables.reader import read_table
+from linksweep.sweep.tables.where import conditions, rows_where
 
 DEFAULT_RADIUS_ARCSEC = 5.0
 
@@ -46,7 +47,8 @@ _TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASC
 class Reading:
     """How one table is read: names of its columns, units that it does not give, and values in place of a column.
 
-    ``error_arcsec`` is the error of each coordinate, ``ref_epoch`` (yr) the epoch of all positions.
+    ``error_arcsec`` is the error of each coordinate, ``ref_epoch`` (yr) the epoch of all positions.  ``where`` is a
+    condition that its rows must meet, as in `rows_where`.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -54,6 +56,7 @@ class Reading:
     error_arcsec: float | None = None
     ref_epoch: float | None = None
     missing_pm: Literal["error", "zero"] = "error"
+    where: str | None = None
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,7 @@ def plan_search(
     ref_epoch: Sequence[str] = (),
     column: Sequence[str] = (),
     unit: Sequence[str] = (),
+    where: Sequence[str] = (),
     missing_pm: Literal["error", "zero"] = "error",
     epoch: float = 2000.0,
     k_sigma: float = Rules.k_sigma,
@@ -112,7 +116,8 @@ def plan_search(
 
     ``radius`` and ``error`` (arcsec) are NAME=VALUE, or VALUE for all galaxy tables; ``ref_epoch`` (yr) is NAME=VALUE,
     or VALUE for all star tables.  ``column`` is KEY=COLUMN for the star tables or NAME:KEY=COLUMN for one table;
-    ``unit``, KEY=UNIT or NAME:KEY=UNIT, gives the unit of a column for which the file gives none.
+    ``unit``, KEY=UNIT or NAME:KEY=UNIT, gives the unit of a column for which the file gives none.  ``where`` is a
+    condition for the star tables, or NAME:CONDITION.
     The other arguments are those of `Rules` and `Search`.
     Raises SweepError for two tables with the same name, unknown names and values out of range.
     """
@@ -166,8 +171,12 @@ def plan_search(
     if problems:
         raise SweepError(problems)
     merge_radius = None if merge_radius_arcsec is None else merge_radius_arcsec * ARCSEC
+    chosen = conditions(where, names, star_names)
     readings = {
-        name: Reading(columns.get(name, {}), units.get(name, {}), errors.get(name), epochs.get(name), missing_pm)
+        name: Reading(
+            *(columns.get(name, {}), units.get(name, {}), errors.get(name), epochs.get(name)),
+            *(missing_pm, chosen.get(name)),
+        )
         for name in names
     }
     return Search(
@@ -260,14 +269,17 @@ def _star_positions(table: pd.DataFrame, epoch: float) -> Positions:
 
 def read_sky_table(path: Path, reading: Reading, stars: bool) -> pd.DataFrame:
     """Return the rows of a table of stars, or of galaxies: ra, dec and their errors; of stars also proper motions and
-    their epoch, magnitudes and identifiers, of galaxies PGC numbers (0 where there is none) and names.
+    their epoch, magnitudes and identifiers, of galaxies PGC numbers (0 where there is none) and names.  The index has
+    the numbers of the rows in the file, from 0.
 
     Columns are those of `QUANTITIES` in deg, mas, mas/yr, yr and mag; NaN is a missing magnitude or proper motion,
     nothing else may be missing.  Proper motions of galaxies are not read: galaxies do not move, and measured motions
     are noise.  Raises SweepError with all problems: missing or unusable columns and units, rows without a value or with
     an impossible one, repeated identifiers.
     """
-    read = Columns(read_table(path), str(path), reading.columns, reading.units, QUANTITIES)
+    table = read_table(path)
+    rows = np.flatnonzero(rows_where(table, reading.where, str(path))) if reading.where else np.arange(len(table))
+    read = Columns(table[rows] if reading.where else table, str(path), reading.columns, reading.units, QUANTITIES)
     if not len(read):
         raise SweepError("has no rows", str(path))
     columns: dict[str, Any] = _read_positions(read, reading.error_arcsec)
@@ -281,7 +293,7 @@ def read_sky_table(path: Path, reading: Reading, stars: bool) -> pd.DataFrame:
         read.check(columns["PGC"] < 0, "a negative PGC number", columns["PGC"])
         columns |= {"name": read.text(str(read.name("name")), missing="")} if read.has("name") else {}
     read.finish()
-    return pd.DataFrame(columns)
+    return pd.DataFrame(columns).set_axis(rows)
 
 
 def _read_positions(read: Columns, error_arcsec: float | None) -> dict[str, Array]:

@@ -37,12 +37,17 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 ERROR_NAMES = ("{}_error", "{}_err", "e_{}", "sigma_{}", "{}_sigma")
 
 PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
-_AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
-# The ten correlations as the Gaia archive calls them, in its order, and as VizieR does.
+# What solutions of accelerated stars have beside the five parameters.
+ACCELERATIONS = ("accel_ra", "accel_dec", "deriv_accel_ra", "deriv_accel_dec")
+_NINE = (*PARAMETERS, *ACCELERATIONS)
+_AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE", *ACCELERATIONS)
+# The correlations as the Gaia archive calls them, and as VizieR does: the ten of five parameters in its order, and then
+# those with accelerations.
 CORRELATIONS: Mapping[str, str] = {
-    f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr": f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor"
-    for i in range(5)
-    for j in range(i + 1, 5)
+    f"{_NINE[i]}_{_NINE[j]}_corr": f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor"
+    for first in (1, 5)
+    for i in range(9)
+    for j in range(max(i + 1, first), 5 if first == 1 else 9)
 }
 
 ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")
@@ -102,7 +107,9 @@ def unit_of(quantity: str) -> str:
     plain = _plain(quantity)
     stem = plain.removesuffix("_error")
     if stem not in PARAMETERS:
-        return {"ref_epoch": "yr", "radial_velocity": "km / s"}.get(stem, "mag" if stem.endswith("_mag") else "")
+        others = {"ref_epoch": "yr", "radial_velocity": "km / s"}
+        others |= dict(zip(ACCELERATIONS, ("mas / yr2", "mas / yr2", "mas / yr3", "mas / yr3"), strict=True))
+        return others.get(stem, "mag" if stem.endswith("_mag") else "")
     if plain in ("ra", "dec"):
         return "deg"
     return "mas / yr" if stem.startswith("pm") else "mas"
@@ -240,7 +247,7 @@ class Columns:
             self.problems.append(self._no_numbers(name))
             return np.full(len(self), np.nan)
         values = np.array(np.ma.getdata(getattr(column, "value", column)), dtype=np.float64)
-        values[_missing(column)] = np.nan
+        values[gaps(column)] = np.nan
         return values
 
     def epochs(self) -> Array:
@@ -263,7 +270,7 @@ class Columns:
         if self.kind(name) not in "iuf":
             self.problems.append(self._no_numbers(name))
             return np.zeros(len(self), dtype=np.int64)
-        missing = _missing(column)
+        missing = gaps(column)
         values = np.where(missing, 0, np.ma.getdata(getattr(column, "value", column)))
         if values.dtype.kind == "f":
             broken = ~(np.abs(values) < 2.0**53) | (values != np.floor(values))
@@ -278,7 +285,7 @@ class Columns:
         by default what NumPy writes there.
         """
         column = self.table[name]
-        gone = _missing(column)
+        gone = gaps(column)
         if self.kind(name) in "iu" and not gone.any():
             return np.asarray(column).astype(np.str_)  # fast for millions of source_id
         texts = [" ".join(_written(value).split()) for value in column]
@@ -339,7 +346,7 @@ class Columns:
         column = self.table[name]
         texts = [_written(item) for item in column]
         values, bad = np.full(len(texts), np.nan), np.zeros(len(texts), dtype=bool)
-        for row in np.flatnonzero(~_missing(column)):
+        for row in np.flatnonzero(~gaps(column)):
             if texts[row].strip():
                 angle = _angle(texts[row], hours, right_ascension)
                 bad[row] = angle is None
@@ -360,7 +367,7 @@ class Columns:
             return np.asarray(np.ma.filled(np.ma.asarray(column.jyear), np.nan), dtype=np.float64)
         if self.kind(name) in "USO":
             texts, years = self.text(name), np.full(len(self), np.nan)
-            for row in np.flatnonzero(~_missing(column) & ~np.isin(texts, ("", "--", "None"))):
+            for row in np.flatnonzero(~gaps(column) & ~np.isin(texts, ("", "--", "None"))):
                 try:
                     with warnings.catch_warnings():  # astropy warns of years whose leap seconds are not known
                         warnings.simplefilter("ignore")
@@ -377,7 +384,7 @@ class Columns:
         return values
 
 
-def _missing(column: Any) -> Flags:
+def gaps(column: Any) -> Flags:
     """Return where a column is masked or NaN; shape (N,)."""
     missing = np.broadcast_to(np.asarray(getattr(column, "mask", False), dtype=bool), (len(column),)).copy()
     if column.dtype.kind == "f":

@@ -69,6 +69,7 @@ PARAMETERS = (
     Parameter("known_spin", "vector", None, "subtracted before the fit, reference - satellite; default none", "mas/yr"),
     DECLARED["aberration"],
     Parameter("by", "str", "", _BY),
+    Parameter("where", "str", "", "a condition that the satellite's rows must meet, like ruwe < 1.4; default none"),
     Parameter("satellite_columns", "map", (), "the satellite's names of columns"),
     Parameter("reference_columns", "map", (), "the reference's names of columns"),
     year("satellite_epoch", _NO_COLUMN),
@@ -213,7 +214,7 @@ def by_bins(unknowns: Unknowns, values: Array) -> Array:
 DECIDING = (
     *("satellite", "reference", "zero_motion", "unknowns", "degree", "bins", "by", "epoch", "weights", "known_spin"),
     *("aberration", "positions", "zero_errors", "extragalactic", "satellite_columns", "reference_columns"),
-    *("satellite_epoch", "reference_epoch", "position_jitter", "motion_jitter", "candidates"),
+    *("satellite_epoch", "reference_epoch", "position_jitter", "motion_jitter", "candidates", "where"),
 )
 
 
@@ -248,6 +249,8 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     problem = whole.problem
     if not point["correlations"]:
         own, rows = (replace(one, correlations=None) for one in (problem.satellite, problem.rows))
+        if own.further is not None:
+            own = replace(own, further_correlations=np.eye(10)[..., None].repeat(len(own), axis=2))
         problem = replace(problem, satellite=own, rows=rows)
         whole = replace(whole, problem=problem)
     matched = np.unique(problem.source)
@@ -289,6 +292,7 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
         **{name: point[name] for name in ("unknowns", "degree", "epoch", "weights", "known_spin", "aberration")},
         bins=setup.parse_bins(point["bins"]) if point["bins"] else None,
         by=point["by"] or None,
+        where=point["where"] or None,
         jitter={setup.ALL: jitter} if any(jitter) else {},
         satellite_options=satellite_options,
         reference_options=reference_options,

@@ -272,9 +272,9 @@ def tie(
             Parquet table of millions of quasars hardly grows with their number.
         accept_misfit: whether a link is given although chi2 is more than 1000 times its expectation.
         options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``,
-            ``weights``, ``known_spin``, ``jitter`` (kind of row to (mas, mas/yr)), ``sign``, ``aberration``,
-            ``corrections``, ``missions`` (further tables by name, each with an orientation and a spin of its own),
-            ``satellite_options``, ``reference_options`` and ``mission_options``
+            ``where`` (a condition like "ruwe < 1.4"), ``weights``, ``known_spin``, ``jitter`` (kind of row to (mas,
+            mas/yr)), ``sign``, ``aberration``, ``corrections``, ``missions`` (further tables by name, each with an
+            orientation and a spin of its own), ``satellite_options``, ``reference_options`` and ``mission_options``
             (`sweep.tie.tables.TableOptions`).
 
     Returns:
@@ -308,8 +308,9 @@ def tie(
         link = solve_link(set_up(satellite, reference, asked), clip, names, resamples, seed)
     else:
         raise SweepError(
-            f"workers are for Parquet tables of {row_groups.FROM_ROWS:,} quasars or more, without a reference or "
-            "missions; these are solved as a whole in this process: leave --workers, --scheduler and the like out"
+            f"workers are for Parquet tables of {row_groups.FROM_ROWS:,} quasars or more, without a reference, "
+            "missions or a condition (where); these are solved as a whole in this process: leave --workers, "
+            "--scheduler and the like out"
         )
     result = as_dataset(link, asked, per_source)
     if link.misfit.absurd and not accept_misfit:

@@ -60,6 +60,8 @@ def _link_tables(link: "xr.Dataset") -> list[Table]:
         f"clip {about['clip']}; weights {about['weights']}",
     ]
     head += [f"{sign.replace('satellite', name).replace('-', ' - ')}: {p}" for name, p in about["missions"].items()]
+    used = {name: about.get(f"{name}_columns") for name in ("satellite", "reference")}
+    head += [f"columns of the {name}: {columns}" for name, columns in used.items() if columns]
     expected = f"{float(link.chi2_expected):.6g} is expected, {float(link.dof):.0f} degrees of freedom"
     head += [f"chi2 {float(link.chi2):.6g} where {expected}", ""]
     errors = zip(link.error_kind.values, link.errors.values, strict=True)

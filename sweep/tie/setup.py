@@ -13,7 +13,17 @@ from scipy.spatial import cKDTree
 
 from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Indices, triad
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import KINDS, PAIRS, Astrometry, joined, kinds, named_rows, propagated
+from linksweep.core.tie.astrometry import (
+    KINDS,
+    PAIRS,
+    Astrometry,
+    bends,
+    from_tangent_plane,
+    joined,
+    kinds,
+    named_rows,
+    propagated,
+)
 from linksweep.core.tie.problem import Problem, Weights
 from linksweep.core.tie.solution import sources_of
 from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
@@ -89,7 +99,7 @@ class Options:
     of a table by magnitude.  ``jitter`` maps kinds of rows to (mas, mas/yr) added in quadrature.  ``aberration``
     (uas/yr) carries reference positions without an epoch from 2015.0 to the satellite's epoch.  ``missions`` are
     further tables by name, each in a frame of its own with an orientation and a spin; ``mission_options`` say how
-    these are read.
+    these are read.  ``where`` is a condition that the satellite's rows must meet, as in `rows_where`.
     """
 
     unknowns: str | None = None
@@ -104,6 +114,7 @@ class Options:
     corrections: bool = True
     aberration: float = 0.0
     missions: Mapping[str, str | Path] = field(default_factory=dict)
+    where: str | None = None
     satellite_options: TableOptions = field(default_factory=TableOptions)
     reference_options: TableOptions = field(default_factory=TableOptions)
     mission_options: Mapping[str, TableOptions] = field(default_factory=dict)
@@ -169,6 +180,7 @@ class Setup:
         """Return what a dataset says of the tables."""
         pairs = (("satellite", self.satellite), ("reference", self.reference))
         files = {name: table.path for name, table in pairs}
+        files |= {f"{name}_columns": table.columns for name, table in pairs}
         return files | {f"{name}_sha256": table.digest for name, table in pairs} | {"epoch": self.problem.epoch}
 
     def only(self, sources: Indices) -> "Setup":
@@ -182,7 +194,9 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     ``all_sources`` keeps sources without rows, for forecasts.
     """
     options.check()
-    left = read_table(Path(satellite), options.satellite_options)
+    left = read_table(
+        Path(satellite), replace(options.satellite_options, where=options.where or options.satellite_options.where)
+    )
     n = len(left.astrometry)
     if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
         raise SweepError(
@@ -202,6 +216,9 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
             rows = _taken(table.astrometry, matched.rows)
             far = far_rows(left, table, matched)
             notes += [*table.named_notes(), *match_notes(table, matched, rows), *far]
+        if rows.further is not None:
+            notes.append(f"accelerations of the {name or 'reference'} are not compared: its rows are of their epochs")
+            rows = replace(rows, further=None)
         rows = with_jitter(rows, options.jitter_in(name))
         if name is not None:
             rows = replace(rows, frame=np.full(len(rows), frame))
@@ -358,7 +375,11 @@ def _directions(sources: Astrometry, epoch: Array) -> Array:
     """Return unit vectors to sources at epochs, (3, N); their own where either has none."""
     both = np.isfinite(epoch) & np.isfinite(sources.epoch)
     start, end = (np.where(both, one, 0.0) for one in (sources.epoch, epoch))
-    return triad(*propagated(sources.values, sources.radial_velocity, start, end)[:2]).r
+    ra, dec = propagated(sources.values, sources.radial_velocity, start, end)[:2]
+    if sources.further is not None:
+        bend = np.einsum("nij,jn->in", bends(end - start, sources.orbit)[:, :2], sources.further[0])
+        ra, dec = from_tangent_plane(bend[0], bend[1], ra, dec)
+    return triad(ra, dec).r
 
 
 # ---- what is doubtful about a match

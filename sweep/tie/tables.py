@@ -1,7 +1,9 @@
 """Astrometric tables from files, in rad and rad/yr: Gaia archive, Hipparcos-2, ICRF, VLBI rows and any such columns."""
 
 import hashlib
+import re
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -12,22 +14,32 @@ from numpy.typing import NDArray
 
 from linksweep.core.frames import DEGREE, MAS, Array, Flags
 from linksweep.core.tie import mistakes
-from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows, positive_definite
+from linksweep.core.tie.astrometry import (
+    FURTHER,
+    PAIRS,
+    Astrometry,
+    from_mean_motion,
+    kinds,
+    named_rows,
+    positive_definite,
+)
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tables.columns import CORRELATIONS, Columns, column_of, first_found
+from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, column_of, first_found
 from linksweep.sweep.tables.reader import read_table as read_file
+from linksweep.sweep.tables.where import rows_where
 
 Positions = Literal["single-epoch", "mean"]
 Zeros = Literal["error", "missing", "exact"]
+Accelerated = Literal["at-epoch", "mean"]
 
 # Columns that name a source, in upper or lower case, best first; other columns of text come after them.
 SOURCE_NAMES = ("name", "star", "source", "source_id", "designation", "psr_name", "hip", "iers_name", "icrf_name")
 
 # The quantities that ``columns`` and ``units`` may name.
 QUANTITIES = (
-    *(*PARAMETERS, "ref_epoch", "radial_velocity"),
-    *(*(f"{name}_error" for name in PARAMETERS), *CORRELATIONS, "name"),
+    *(*PARAMETERS, *ACCELERATIONS, "ref_epoch", "radial_velocity"),
+    *(*(f"{name}_error" for name in (*PARAMETERS, *ACCELERATIONS)), *CORRELATIONS, "corr_vec", "name"),
 )
 
 HIPPARCOS_EPOCH = 1991.25
@@ -46,6 +58,24 @@ EARLIEST, LATEST = 1970.0, 2060.0
 
 UNITS = dict(zip(PARAMETERS, ("mas", "mas", "mas", "mas/yr", "mas/yr"), strict=True))
 
+# The two parameters of each of `CORRELATIONS`.
+ALL_PAIRS = (*PAIRS, *((i, j) for i in range(9) for j in range(max(i + 1, 5), 9)))
+
+# Larger accelerations (mas/yr^2) and derivatives (mas/yr^3) are those of no star.
+LARGEST_ACCELERATION = 300.0
+
+# Of solutions that are not of single stars; in DR3 their positions and motions are averages.
+SOLUTION_TYPE, MEAN_MOTION_EPOCH = "nss_solution_type", 2016.0
+
+# What the documentation and papers of Gaia recommend.
+USUAL = {
+    "ruwe": "ruwe < 1.4",
+    "duplicated_source": "~duplicated_source",
+    "astrometric_params_solved": "astrometric_params_solved == 31",
+}
+
+_ELEMENT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan", re.IGNORECASE)
+
 _BUILT_IN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
 
 
@@ -58,8 +88,10 @@ class TableOptions:
     quasars, which neither move nor have parallaxes, and hold at any epoch.
     ``positions`` says whether positions without parallax and motion are of a single epoch, displaced by the parallax,
     or mean ones; by default as the table's metadata say, else of a single epoch.  Those without an epoch are mean.
-    ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``: whether pmra is mu_alpha*; by default it is, unless
-    its unit is one of time.
+    ``accelerations``: whether positions and motions of rows with accelerations are those "at-epoch", or "mean" ones as
+    in the acceleration solutions of DR3; by default mean in tables of those.
+    ``where`` is a condition that the rows must meet, as in `rows_where`.  ``zero_errors``: what an error of 0 means.
+    ``pmra_cos_dec``: whether pmra is mu_alpha*; by default it is, unless its unit is one of time.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -67,19 +99,24 @@ class TableOptions:
     epoch: float | None = None
     extragalactic: bool = False
     positions: Positions | None = None
+    accelerations: Accelerated | None = None
+    where: str | None = None
     zero_errors: Zeros = "error"
     pmra_cos_dec: bool | None = None
 
 
 @dataclass(frozen=True)
 class AstrometricTable:
-    """The astrometry in a file, the file's path and SHA-256, the columns with names, and notes for the user."""
+    """The astrometry in a file, the file's path and SHA-256, the columns with names, notes for the user, and which
+    columns were used.
+    """
 
     path: str
     digest: str
     astrometry: Astrometry
     names: Mapping[str, NDArray[np.str_]]
     notes: Sequence[str] = ()
+    columns: str = ""
 
     def named_notes(self) -> list[str]:
         """Return the notes with the name of the file."""
@@ -97,9 +134,27 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
         path = next(named, path)
     if path.is_dir():
         raise SweepError("is a folder, not a table", str(path))
-    table = read_file(path)
-    read = astrometric_table(table, str(path), digest_of(path), options or TableOptions())
-    return replace(read, notes=()) if path.resolve().parent == _BUILT_IN else read  # ours are as they were published
+    table, options, where = read_file(path), options or TableOptions(), str(path)
+    notes = []
+    if options.where:
+        kept = rows_where(table, options.where, where)
+        notes.append(f"where {options.where!r} keeps {np.count_nonzero(kept)} of {len(kept)} rows")
+        table, where = table[kept], f"{path}, the {np.count_nonzero(kept)} rows that {options.where!r} keeps"
+    read = astrometric_table(table, where, digest_of(path), options)
+    if path.resolve().parent == _BUILT_IN:
+        return replace(read, columns="", notes=notes)  # ours are as they were published
+    return replace(read, path=str(path), notes=[*notes, *read.notes, *_usual_choices(table, options)])
+
+
+def _usual_choices(table: Any, options: TableOptions) -> list[str]:
+    """Return a note on the rows that the usual choices would drop, unless the options make them."""
+    dropped = []
+    for name, choice in USUAL.items():
+        if name in table.colnames and name not in (options.where or ""):
+            with suppress(SweepError):  # the choice keeps none
+                if number := np.count_nonzero(~rows_where(table, choice)):
+                    dropped.append(f"{choice} ({number} rows)")
+    return [f"all rows are used; the usual choices would drop some (where): {', '.join(dropped)}"] if dropped else []
 
 
 def digest_of(path: Path) -> str:
@@ -135,7 +190,9 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     _note_unlikely(values, errors, notes)
     _check_positions(read, values, errors)
     present = np.isfinite(values) & np.isfinite(errors)
-    correlations = _correlations(read, present)
+    further = _accelerations(read, np.all(present, axis=0), options, notes)
+    whole = present if further is None else np.concatenate([present, further[1] > 0.0])
+    correlations = _correlations(read, whole, notes)
     if correlations is None and np.any(np.all(present, axis=0)):
         notes.append("no correlations of the five parameters: they count as 0")
     epoch = _epochs(read, options)
@@ -150,17 +207,30 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         values=values,
         errors=errors,
         epoch=epoch,
-        correlations=correlations,
+        correlations=None if correlations is None else correlations[: len(PAIRS)],
         radial_velocity=_radial_velocity(read, notes),
         columns={name: read.numbers(name) for name in read.names if read.kind(name) in "fiu"},
         apparent=(positions == "single-epoch") & np.isfinite(epoch),
+        further=further,
+        further_correlations=None if further is None else _matrices(correlations, len(read)),
     )
     try:
         kinds(astrometry)
     except ValueError as error:
         read.problems.append(str(error))
     read.finish()
-    return AstrometricTable(where, digest, astrometry, _names(read), notes)
+    if further is not None:
+        astrometry = _as_at_epoch(read, astrometry, options, notes)
+    return AstrometricTable(where, digest, astrometry, _names(read), notes, _used(read))
+
+
+def _used(read: Columns) -> str:
+    """Return which columns hold quantities, with the numbers of those of errors and correlations."""
+    there = [quantity for quantity in QUANTITIES if quantity != "name" and read.has(quantity)]
+    of_errors = sum(quantity.endswith("_error") for quantity in there)
+    plain = [str(read.name(quantity)) for quantity in there if not quantity.endswith(("_error", "_corr"))]
+    number = len(there) - of_errors - len(plain)
+    return ", ".join([*plain, f"{of_errors} of errors", *([f"{number} of correlations"] if number else [])])
 
 
 def _in_radians(read: Columns, quantity: str, options: TableOptions) -> Array:
@@ -230,16 +300,90 @@ def _check_positions(read: Columns, values: Array, errors: Array) -> None:
     read.check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
 
 
-def _correlations(read: Columns, present: Flags) -> Array | None:
-    """Return the correlations (10, N), 0 unless both parameters are ``present`` (5, N); None without columns."""
+def _accelerations(read: Columns, five: Flags, options: TableOptions, notes: list[str]) -> Array | None:
+    """Return values and errors of `FURTHER` (2, 5, N), zero where a row has none; None for a table without
+    accelerations.  ``five`` are the rows with five parameters.
+    """
+    if not read.has("accel_ra") and not read.has("accel_dec"):
+        return None
+    both = np.full((2, len(FURTHER), len(read)), np.nan)
+    for k, name in enumerate(ACCELERATIONS):
+        if read.has(name):
+            both[0, k] = _in_radians(read, name, options)
+            read.require(f"{name}_error")
+        if read.has(f"{name}_error"):
+            both[1, k] = _in_radians(read, f"{name}_error", options)
+            read.check(both[1, k] < 0.0, f"a negative {name}_error")
+        size = np.abs(both[0, k]) / MAS
+        if len(beyond := np.flatnonzero((size > LARGEST_ACCELERATION) & (size > 5.0 * both[1, k] / MAS))):
+            what = f"{name} beyond {LARGEST_ACCELERATION:g} mas/yr{2 + k // 2}, which no star has"
+            notes.append(f"{what}: is its unit right? {named_rows(beyond)}")
+    there = np.isfinite(both).all(axis=0) & (both[1] > 0.0)
+    half = np.any((np.nan_to_num(both) != 0.0).any(axis=0) & ~there, axis=0)
+    half |= (there[0] != there[1]) | (there[2] != there[3]) | (there[2] & ~there[0])
+    read.check(half, "an acceleration without one of its coordinates or errors, or a derivative alone,")
+    read.check(there[0] & ~five, "an acceleration, but not all of the five parameters with their errors,")
+    if not np.any(there):
+        return None
+    sizes = zip(*np.unique((5 + 2 * there[0].astype(int) + 2 * there[2])[five], return_counts=True), strict=True)
+    counted = ", ".join(f"{number} of {size}" for size, number in sizes)
+    notes.append(f"rows by the number of parameters of their model: {counted}; each is propagated with its own")
+    return np.where(there, both, 0.0)
+
+
+def _as_at_epoch(read: Columns, table: Astrometry, options: TableOptions, notes: list[str]) -> Astrometry:
+    """Return a table with accelerations whose positions and motions are those at its epoch."""
+    assert table.further is not None, "of a table with accelerations"
+    accelerated = np.any(table.further[1] > 0.0, axis=0)
+    has_types = first_found([SOLUTION_TYPE], read.names) is not None
+    is_mean = has_types and bool(np.all(np.abs(table.epoch[accelerated] - MEAN_MOTION_EPOCH) < 1e-3))
+    if options.accelerations is not None:
+        is_mean = options.accelerations == "mean"
+    what = "positions and motions of rows with accelerations are taken as"
+    if not is_mean:
+        notes.append(f"{what} those at their epoch; else say --accelerations mean")
+        return table
+    notes.append(f"{what} averages, as in DR3, and turned into those at their epoch; else say --accelerations at-epoch")
+    return from_mean_motion(table)
+
+
+def _elements(read: Columns, name: str) -> Array:
+    """Return the correlations (36, N) in a column of vectors, upper triangles by columns; NaN beyond their end."""
+    vectors = np.full((36, len(read)), np.nan)
+    for k, cell in enumerate(read.table[name]):
+        text = isinstance(cell, (str, bytes))
+        numbers: Any = _ELEMENT.findall(str(cell)) if text else np.ma.filled(np.ma.asarray(cell, float), np.nan).ravel()
+        some = np.asarray(numbers[:36], dtype=np.float64)
+        vectors[: len(some), k] = some
+    return vectors[[j * (j - 1) // 2 + i for i, j in ALL_PAIRS]]
+
+
+def _matrices(correlations: Array | None, n: int) -> Array:
+    """Return the correlations (10, 10, N) of the five parameters and `FURTHER`."""
+    matrices = np.broadcast_to(np.eye(5 + len(FURTHER))[..., None], (5 + len(FURTHER), 5 + len(FURTHER), n)).copy()
+    for row, (i, j) in zip(() if correlations is None else correlations, ALL_PAIRS, strict=False):
+        matrices[i, j] = matrices[j, i] = row
+    return matrices
+
+
+def _correlations(read: Columns, present: Flags, notes: list[str]) -> Array | None:
+    """Return the correlations (10 or 36, N), 0 unless both parameters are ``present`` (5 or 9, N); None if there are
+    none.
+    """
     if _is_hipparcos(read) and (elements := _hipparcos_elements(read)) is not None:
         return hipparcos_correlations(elements)
-    names = [read.name(name) for name in CORRELATIONS]
-    if not any(names):
+    pairs = ALL_PAIRS[: len(PAIRS)] if len(present) == 5 else ALL_PAIRS
+    names = [read.name(name) for name in CORRELATIONS][: len(pairs)]
+    vectors = read.name("corr_vec")
+    if not any(names) and not read.has("corr_vec"):
         return None
     correlations = np.array([np.zeros(len(read)) if name is None else read.numbers(name) for name in names])
+    if from_vector := read.has("corr_vec") and not any(names[10:] or names):
+        names, correlations = [vectors] * len(pairs), _elements(read, str(vectors))[: len(pairs)]
+    elif len(pairs) > 10 and not any(names[10:]):
+        notes.append("no correlations of the accelerations: they count as 0, although they are large")
     absent = []
-    for row, key, name, (i, j) in zip(correlations, CORRELATIONS, names, PAIRS, strict=True):
+    for row, key, name, (i, j) in zip(correlations, CORRELATIONS, names, pairs, strict=False):
         both = present[i] & present[j]
         if name is None and np.any(both):
             absent.append(key)
@@ -247,7 +391,11 @@ def _correlations(read: Columns, present: Flags) -> Array | None:
             read.check(both & ~np.isfinite(row), f"no {name} (write 0 for none)")
         row[~(both & np.isfinite(row))] = 0.0
     zero = f"; there is no column {', '.join(absent)}, which counts as 0:" if absent else ""
-    read.check(~positive_definite(correlations), f"correlations that are impossible (not positive definite){zero}")
+    zero += "; of corr_vec, the columns of the upper triangle one after the other," if from_vector else ""
+    good = positive_definite(correlations[: len(PAIRS)])
+    if len(pairs) > len(PAIRS):
+        good &= np.linalg.eigvalsh(np.moveaxis(_matrices(correlations, len(read)), -1, 0))[:, 0] > 0.0
+    read.check(~good, f"correlations that are impossible (not positive definite){zero}")
     return correlations
 
 

@@ -1,0 +1,153 @@
+"""Conditions on rows: drawn ones against pandas, what is missing, and what is refused."""
+
+import keyword
+
+import numpy as np
+import pandas as pd
+import pytest
+from astropy.table import MaskedColumn, Table
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from linksweep import SweepError
+from linksweep.sweep.tables.where import rows_where
+
+NUMBERS, TEXTS = ("a", "b", "n"), ("s",)
+FRAME = pd.DataFrame(
+    {
+        "a": [0.5, 1.4, 2.0, -3.0, 7.25, 1e9, 0.0, -0.5],
+        "b": [1.0, 1.4, -2.0, 3.0, 8.0, 1e-9, 0.0, 4.0],
+        "n": np.array([0, 1, 2, 3, 2**53 + 1, -7, 10**17, 5]),
+        "s": ["S1", "S2", "x", "y", "S1", "z", "x", "long name"],
+        "flag": [True, False, True, True, False, False, True, False],
+    }
+)
+TABLE = Table.from_pandas(FRAME)
+
+
+def literals(column):
+    if column in TEXTS:
+        return st.sampled_from(["'S1'", '"x"', "'none'"])
+    return st.sampled_from(["1.4", "-3", "0", "2", "1e9", "-0.5", str(2**53 + 1), str(10**17)])
+
+
+@st.composite
+def comparisons(draw):
+    column = draw(st.sampled_from((*NUMBERS, *TEXTS)))
+    form = draw(st.sampled_from(("one", "chain", "in", "columns", "sum", "flag")))
+    comparison = draw(st.sampled_from(("<", "<=", ">", ">=", "==", "!=")))
+    if form == "in":
+        some = ", ".join(draw(st.lists(literals(column), min_size=1, max_size=3)))
+        return f"{column} {draw(st.sampled_from(('in', 'not in')))} [{some}]"
+    if column in TEXTS:
+        return f"{column} {draw(st.sampled_from(('==', '!=')))} {draw(literals(column))}"
+    if form == "flag":
+        return "flag"
+    return {
+        "chain": f"{draw(literals(column))} {draw(st.sampled_from(('<', '<=')))} {column} < {draw(literals(column))}",
+        "columns": f"a {comparison} b",
+        "sum": f"(a {draw(st.sampled_from('+-*/'))} 2 * b) {comparison} {draw(literals('a'))}",
+    }.get(form, f"{column} {comparison} {draw(literals(column))}")
+
+
+CONDITIONS = st.recursive(
+    comparisons(),
+    lambda inner: st.one_of(
+        st.builds("({}) & ({})".format, inner, inner),
+        st.builds("{} | {}".format, inner, inner),
+        st.builds("{} and {}".format, inner, inner),
+        st.builds("~({})".format, inner),
+        st.builds("not ({})".format, inner),
+    ),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=50, deadline=None)
+@given(CONDITIONS)
+def test_rows_are_those_of_pandas(condition):
+    wanted = FRAME.eval(condition, engine="python").to_numpy(dtype=bool)
+    if wanted.any():
+        np.testing.assert_array_equal(rows_where(TABLE, condition), wanted)
+    else:
+        with pytest.raises(SweepError, match="keeps none of 8 rows"):
+            rows_where(TABLE, condition)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(alphabet="ab ns<>=!&|~()[]{}'\"`.,:0123eE+-*/%^@#lambdinotrue_\\\n\té", max_size=30))
+def test_any_text_gives_rows_or_is_refused_with_its_place(condition):
+    try:
+        rows = rows_where(TABLE, condition)
+    except SweepError:
+        return
+    assert rows.dtype == bool
+    assert rows.shape == (8,)
+    assert rows.any()
+
+
+@pytest.mark.parametrize(
+    ("condition", "words"),
+    [
+        ("ruwee < 1.4", "no column 'ruwee'; did you mean 'ruwe'"),
+        ("ruwe < 1.4 & (g < 13", r"at character 14, '\(g < 13'"),
+        ("ruwe < ", "at the end"),
+        ("ruwe = 1.4", "at character 6, '= 1.4'"),
+        ("__import__('os').system('true')", "not allowed"),
+        ("ruwe.real < 1", "not allowed"),
+        ("[1, 2][0] < ruwe", "not allowed"),
+        ("(lambda: ruwe)() < 1", "not allowed"),
+        ("ruwe < 1.4 & name < 3", "text compared with numbers, at character 21, '3'"),
+        ("ruwe < name", "numbers compared with text"),
+        ("ruwe is 1", "not a comparison"),
+        ("ruwe", "numbers without a comparison"),
+        ("name", "text without a comparison"),
+        ("name + 1 < 2", "arithmetic with text"),
+        ("ruwe in 3", "not a list"),
+        ("ruwe in [name]", "not a list"),
+        ("ruwe ** 2 < 3", "not allowed"),
+        ("ruwe < 0.1", "keeps none of 4 rows; ruwe is 0.9 to 2.0"),
+        ("pair < 1", "neither numbers nor text"),
+        ("not " * 5000 + "good", "where"),
+        ("", "where"),
+    ],
+)
+def test_what_is_refused_names_the_place_and_the_cause(condition, words):
+    with pytest.raises(SweepError, match=words):
+        rows_where(stars(), condition)
+
+
+def stars():
+    table = Table({"name": ["A", "B", "C", ""], "g": np.float32([12.0, 13.0, 14.0, 15.0])})
+    table["ruwe"] = MaskedColumn([0.9, 1.4, 2.0, 1.0], mask=[False, False, False, True])
+    table["good"] = ["true", "False", "T", ""]
+    table["duplicated_source"] = MaskedColumn([True, False, False, True], mask=[False] * 3 + [True])
+    table["pair"] = np.zeros((4, 2))
+    table["B-V"] = [0.1, np.nan, 0.5, 0.7]
+    table["lambda"] = [1, 2, 3, 4]
+    return table
+
+
+@pytest.mark.parametrize(
+    ("condition", "rows"),
+    [
+        ("ruwe < 1.4", [0]),
+        ("ruwe >= 1.4", [1, 2]),
+        ("ruwe != 1.4", [0, 2]),  # a comparison with what is missing is false
+        ("~(ruwe < 1.4)", [1, 2, 3]),
+        ("ruwe == ruwe", [0, 1, 2]),
+        ("RUWE < 1.4 | g == 15", [0, 3]),
+        ("good", [0, 2]),
+        ("~duplicated_source & good == False", [1]),
+        ("duplicated_source == 1", [0]),
+        ("name in ['A', 'C']", [0, 2]),
+        ("name not in ('A', 'C')", [1]),
+        ("`B-V` < 0.6 & `lambda` > 1", [2]),
+        ("-ruwe < -1", [1, 2]),
+        ("12 < g <= 14\n", [1, 2]),
+        ("name == 'A & B' | g > 14.5", [3]),
+    ],
+)
+def test_missing_values_truth_values_and_quoted_names(condition, rows):
+    assert np.flatnonzero(rows_where(stars(), condition)).tolist() == rows
+    assert keyword.iskeyword("lambda")

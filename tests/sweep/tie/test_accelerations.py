@@ -1,0 +1,242 @@
+"""Rows of 7 and 9 parameters: as they are read, propagated and eliminated, against full matrices and plain vectors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.table import MaskedColumn, Table
+from scipy.linalg import block_diag
+
+import linksweep
+from linksweep import SweepError
+from linksweep.sweep.tie.tables import ALL_PAIRS, TableOptions, read_table
+from tests.core.tie.made import ARCSEC, DEGREE, MAS, NAMES, gaia, propagated, seen_by_satellite, stars
+from tests.sweep.tie.test_against_least_squares import turned
+
+NINE = (*NAMES, "accel_ra", "accel_dec", "deriv_accel_ra", "deriv_accel_dec")
+EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
+MEAN = TableOptions(positions="mean")
+
+
+def drawn(n, seed, models=(5, 7, 9), epoch=2017.5):
+    """Return five parameters in the reference's frame, accelerations (4, n), covariances (n, 9, 9) and sizes."""
+    rng = np.random.default_rng(seed)
+    made = replace(stars(n, seed, pm=20.0, epoch=epoch), radial_velocity=np.zeros(n))
+    sizes = np.array(models)[np.arange(n) % len(models)]
+    half = rng.normal(size=(n, 9, 14))
+    covariance = half @ half.swapaxes(1, 2)
+    sigma = np.sqrt(np.einsum("nii->ni", covariance))
+    wanted = np.concatenate([made.errors.T, rng.uniform(0.02, 0.05, (n, 4)) * MAS], axis=1)
+    covariance *= (wanted / sigma)[:, :, None] * (wanted / sigma)[:, None, :]
+    for one, size in zip(covariance, sizes, strict=True):
+        one[size:] = one[:, size:] = 0.0
+    accelerations = rng.normal(0.0, 2.0 * MAS, (4, n)) * (np.arange(5, 9)[:, None] < sizes)
+    accelerations[2:] *= 0.1
+    return made, accelerations, covariance, sizes
+
+
+def satellite_table(path, made, accelerations, covariance, sizes, form="named", **changes):
+    """Write the satellite's table; missing parameters are blank."""
+    sigma = np.sqrt(np.einsum("nii->in", covariance))
+    safe = np.where(sigma > 0.0, sigma, 1.0)
+    correlation = covariance / (safe.T[:, :, None] * safe.T[:, None, :])
+    values = np.concatenate([made.values, accelerations])
+    table = Table({"source_id": np.arange(len(made)) + 10**17, "ref_epoch": made.epoch})
+    for k, name in enumerate(NINE):
+        blank = sizes <= k
+        table[name] = MaskedColumn(values[k] / (DEGREE if k < 2 else MAS), mask=blank)
+        table[f"{name}_error"] = MaskedColumn(sigma[k] / MAS, mask=blank)
+    if form == "named":
+        for i, j in ALL_PAIRS:
+            table[f"{NINE[i]}_{NINE[j]}_corr"] = MaskedColumn(correlation[:, i, j], mask=sizes <= j)
+    else:
+        vectors = np.full((len(made), 98), np.nan)
+        vectors[:, :36] = np.array([correlation[:, i, j] for j in range(1, 9) for i in range(j)]).T
+        for row, size in zip(vectors, sizes, strict=True):
+            row[size * (size - 1) // 2 :] = np.nan
+        lists = [f"[{', '.join(f'{x!r}' for x in row[np.isfinite(row)].tolist())}]" for row in vectors]
+        table["corr_vec"] = vectors if form == "padded" else lists
+    for name, column in changes.items():
+        table[name] = column
+    table.write(path, overwrite=True)
+    return path
+
+
+@pytest.mark.parametrize(("form", "ending"), [("named", "ecsv"), ("named", "csv"), ("padded", "fits"), ("text", "csv")])
+def test_rows_of_each_model_are_read(tmp_path, form, ending):
+    made, accelerations, covariance, sizes = drawn(9, 1)
+    read = read_table(satellite_table(tmp_path / f"dr4.{ending}", made, accelerations, covariance, sizes, form))
+    np.testing.assert_allclose(read.astrometry.further[0, :4], accelerations, rtol=1e-12)
+    np.testing.assert_allclose(
+        read.astrometry.covariance()[:, :9, :9], covariance, rtol=1e-9, atol=1e-12 * covariance.max()
+    )
+    assert any("3 of 5, 3 of 7, 3 of 9" in note for note in read.notes)
+
+
+def path(star, accelerations, years):
+    """Return five parameters after some years: uniform motion, and a polynomial in the tangent plane at the start."""
+    moved = propagated(star.values, None, star.epoch, star.epoch + years)
+    (ra, dec), (x, y) = star.values[:2], moved[:2]
+    east = np.array([-np.sin(ra), np.cos(ra), 0.0 * ra])
+    north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    shift = years**2 / 2.0 * accelerations[:2] + years**3 / 6.0 * accelerations[2:]
+    place = np.array([np.cos(y) * np.cos(x), np.cos(y) * np.sin(x), np.sin(y)]) + shift[0] * east + shift[1] * north
+    faster = years * accelerations[:2] + years**2 / 2.0 * accelerations[2:]
+    position = np.arctan2(place[1], place[0]), np.arctan2(place[2], np.hypot(*place[:2]))
+    return np.array([*position, moved[2], *(moved[3:] + faster)])
+
+
+def full_least_squares(own, rows, source, difference, covariance, epoch):
+    """Return the unknowns and their covariance with all nine parameters of each star as unknowns too.
+
+    A satellite's parameters are the truth, less the effect of the frame, plus errors: they are rows of their own.
+    """
+    n = len(own)
+    design, values, weights = [], [], []
+    for s in range(n):
+        used = np.flatnonzero(np.diag(covariance[s]) > 0.0)
+        r, of_frame = turned(*own.values[:2, s]), np.zeros((9, 6))
+        of_frame[:2, :3], of_frame[:2, 3:], of_frame[3:5, 3:] = r, (own.epoch[s] - epoch) * r, r
+        block = np.zeros((len(used), 6 + 9 * n))
+        block[:, :6], block[:, 6 + 9 * s : 15 + 9 * s] = -of_frame[used], np.eye(9)[used]
+        design.append(block)
+        values.append(np.zeros(len(used)))
+        weights.append(np.linalg.inv(covariance[s][np.ix_(used, used)] / MAS**2))
+    for k, s in enumerate(source):
+        t = rows.epoch[k] - own.epoch[s]
+        motion = np.zeros((5, 9))
+        motion[:, :5] = np.eye(5)
+        for c in (0, 1):
+            motion[c, [c + 3, c + 5, c + 7]] = t, t**2 / 2.0, t**3 / 6.0
+            motion[c + 3, [c + 5, c + 7]] = t, t**2 / 2.0
+        seen = np.flatnonzero(np.isfinite(rows.errors[:, k]))
+        block = np.zeros((len(seen), 6 + 9 * n))
+        block[:, 6 + 9 * s : 15 + 9 * s] = motion[seen] * (np.diag(covariance[s]) > 0.0)
+        design.append(block)
+        values.append(difference[k, seen])
+        weights.append(np.linalg.inv(rows.covariance()[k][np.ix_(seen, seen)] / MAS**2))
+    a, y, w = np.concatenate(design), np.concatenate(values), block_diag(*weights)
+    used = np.flatnonzero(np.any(a != 0.0, axis=0))
+    inverse = np.linalg.inv(a[:, used].T @ w @ a[:, used])
+    x = inverse @ a[:, used].T @ w @ y
+    residual = y - a[:, used] @ x
+    return x[:6], inverse[:6, :6], residual @ w @ residual
+
+
+def made_link(folder, seed, n=12, epoch=2017.5, noise=1.0, change=None, **options):
+    """Write two tables of stars with models of each kind, their rows at several epochs, and return the link."""
+    rng = np.random.default_rng(seed)
+    made, accelerations, covariance, sizes = drawn(n, seed, epoch=epoch)
+    own = replace(made, values=seen_by_satellite(made, EPSILON + OMEGA * (epoch - 2016.0), OMEGA))
+    values, vectors = np.linalg.eigh(covariance)
+    errors = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ rng.normal(size=(n, 9, 1)) * noise
+    errors = errors[..., 0].T
+    source, epochs = np.repeat(np.arange(n), 3), rng.uniform(2003.0, 2024.0, 3 * n)
+    rows = replace(made.taken(source), radial_velocity=np.zeros(3 * n), epoch=epochs)
+    truth = path(made.taken(source), accelerations[:, source], epochs - epoch)
+    kind = np.arange(3 * n) % 3 == 0
+    sigma = np.where((np.arange(5)[:, None] >= 2) & ~kind, np.nan, rows.errors)
+    rows = replace(rows, values=np.where(np.isnan(sigma), np.nan, truth), errors=sigma)
+    drawn_errors = np.linalg.cholesky(rows.covariance() + 1e-40 * np.eye(5)) @ rng.normal(size=(3 * n, 5, 1)) * noise
+    rows = replace(rows, values=rows.values + drawn_errors[..., 0].T)
+    shift = errors[:5] / np.array([np.cos(own.values[1]), *np.ones((4, n))])
+    own, accelerations = replace(own, values=own.values + shift), accelerations + errors[5:]
+    if change is not None:
+        accelerations = change(accelerations)
+    satellite = satellite_table(folder / "satellite.fits", own, accelerations, covariance, sizes)
+    reference = gaia(folder / "reference.fits", rows, source_id=source + 10**17)
+    options = {"epoch": 2016.0, "reference_options": MEAN, "accept_misfit": True} | options
+    link = linksweep.tie(satellite, reference, "orientation,spin", **options)
+    return link, (own, rows, source, link.difference.values, covariance, 2016.0)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_link_is_that_of_all_parameters_of_all_stars(tmp_path, seed):
+    link, tables = made_link(tmp_path, seed, errors="formal,jackknife")
+    x, covariance, chi2 = full_least_squares(*tables)
+    np.testing.assert_allclose(link.estimate, x, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(link.covariance, covariance, rtol=1e-4, atol=1e-6 * covariance.max())
+    assert float(link.chi2) == pytest.approx(chi2, rel=1e-4)
+    assert not link.attrs["misfit"]
+    np.testing.assert_allclose(link.estimate, np.concatenate([EPSILON, OMEGA]) / MAS, atol=0.3)
+
+
+def test_without_errors_the_truth_is_found(tmp_path):
+    link, _ = made_link(tmp_path, 4, noise=0.0)
+    np.testing.assert_allclose(link.estimate, np.concatenate([EPSILON, OMEGA]) / MAS, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda a: -a, "accelerations of the satellite with reversed sign"),
+        (lambda a: a[[1, 0, 3, 2]], "accel_ra and accel_dec of the satellite exchanged"),
+        (lambda a: a / 2.0, "factors of t\\^2"),
+        (lambda a: a / 1000.0, "accelerations of the satellite, arcsec taken for mas"),
+        (lambda a: a * 50.0, ""),
+    ],
+)
+def test_mistakes_in_accelerations_are_named(tmp_path, change, words):
+    link, _ = made_link(tmp_path, 5, change=change)
+    assert linksweep_says(link, words)
+
+
+def linksweep_says(link, words):
+    import re
+
+    return re.search(words, link.attrs["misfit"]) if words else bool(link.attrs["misfit"])
+
+
+def test_the_mean_motions_of_dr3_are_turned_into_those_at_the_epoch(tmp_path):
+    made, accelerations, covariance, sizes = drawn(6, 6, epoch=2016.0)
+    types = np.array([f"Acceleration{size}" for size in sizes])
+    files = satellite_table, made, accelerations, covariance, sizes
+    plain = read_table(files[0](tmp_path / "plain.fits", *files[1:])).astrometry
+    path = files[0](tmp_path / "nss.fits", *files[1:], nss_solution_type=types)
+    found, same = read_table(path).astrometry, read_table(path, TableOptions(accelerations="at-epoch")).astrometry
+    np.testing.assert_array_equal(same.values, plain.values)
+    span = 517.5 / 365.25
+    # the polynomials of the documentation of DR3, Eq. 7.5, are the same curve
+    for t in (-1.0, 0.0, 0.7):
+        a, b = accelerations[:2], accelerations[2:]
+        mean = made.values[3:] * t + a * (t**2 - span**2 / 3.0) / 2.0 + b * (t**2 - span**2) * t / 6.0
+        shift = found.values[:2] - made.values[:2]
+        shift[0] *= np.cos(made.values[1])
+        np.testing.assert_allclose(shift + found.values[3:] * t + a * t**2 / 2.0 + b * t**3 / 6.0, mean, atol=1e-15)
+    step = np.eye(9)
+    step[[0, 1, 3, 4], [5, 6, 7, 8]] = -(span**2) / 6.0
+    np.testing.assert_allclose(
+        found.covariance()[:, :9, :9], step @ covariance @ step.T, rtol=1e-9, atol=1e-12 * covariance.max()
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"accel_dec": [np.nan] * 6}, "without one of its coordinates"),
+        ({"deriv_accel_ra_error": [0.1, -0.1, 0.1, 0.1, 0.1, 0.1]}, "negative deriv_accel_ra_error"),
+        ({"pmra_error": [np.nan] * 6, "pmdec_error": [np.nan] * 6}, "but not all of the five"),
+        ({"accel_ra_accel_dec_corr": [1.0] * 6}, "impossible"),
+        ({"accel_ra_accel_dec_corr": [np.nan] * 5 + [0.0]}, "no accel_ra_accel_dec_corr"),
+    ],
+)
+def test_impossible_accelerations_are_refused(tmp_path, changes, words):
+    made, accelerations, covariance, sizes = drawn(6, 7)
+    path = satellite_table(tmp_path / "dr4.ecsv", made, accelerations, covariance, sizes, **changes)
+    with pytest.raises(SweepError, match=words):
+        read_table(path)
+
+
+def test_a_unit_of_accelerations_is_converted_and_a_wrong_one_noted(tmp_path):
+    made, accelerations, covariance, sizes = drawn(6, 8)
+    path = satellite_table(tmp_path / "dr4.ecsv", made, accelerations, covariance, sizes)
+    table = Table.read(path)
+    for name in NINE[5:7]:
+        for column in (name, f"{name}_error"):
+            table[column] *= 1000.0
+    table.write(tmp_path / "wrong.ecsv")
+    assert sum("is its unit right" in note for note in read_table(tmp_path / "wrong.ecsv").notes) == 2
+    units = dict.fromkeys(("accel_ra", "accel_dec", "accel_ra_error", "accel_dec_error"), "uas/yr2")
+    found = read_table(tmp_path / "wrong.ecsv", TableOptions(units=units)).astrometry
+    np.testing.assert_allclose(found.further, read_table(path).astrometry.further, rtol=1e-12)
+    assert ARCSEC > MAS
