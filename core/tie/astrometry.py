@@ -258,7 +258,7 @@ def from_mean_motion(table: Astrometry) -> Astrometry:
         values=table.values + shift,
         errors=np.where(table.present, sigma[:5], table.errors),
         correlations=np.array([correlations[pair] for pair in PAIRS]),
-        further_correlations=correlations,
+        further_correlations=correlations[:, 5:],
     )
 
 

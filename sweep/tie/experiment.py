@@ -250,7 +250,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     if not point["correlations"]:
         own, rows = (replace(one, correlations=None) for one in (problem.satellite, problem.rows))
         if own.further is not None:
-            own = replace(own, further_correlations=np.eye(10)[..., None].repeat(len(own), axis=2))
+            own = replace(own, further_correlations=np.eye(10)[:, 5:, None].repeat(len(own), axis=2))
         problem = replace(problem, satellite=own, rows=rows)
         whole = replace(whole, problem=problem)
     matched = np.unique(problem.source)

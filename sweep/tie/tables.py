@@ -212,7 +212,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         columns={name: read.numbers(name) for name in read.names if read.kind(name) in "fiu"},
         apparent=(positions == "single-epoch") & np.isfinite(epoch),
         further=further,
-        further_correlations=None if further is None else _matrices(correlations, len(read)),
+        further_correlations=None if further is None else _matrices(correlations, len(read))[:, 5:],
     )
     try:
         kinds(astrometry)
