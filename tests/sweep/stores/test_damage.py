@@ -300,7 +300,7 @@ def means_the_same(key, one, other):
     return documents[0] == documents[1]
 
 
-@pytest.mark.parametrize("trials", [12, slow(40)])
+@pytest.mark.parametrize("trials", [5, slow(40)])
 def test_whatever_happens_to_its_files_is_named_and_mended(history, trials, sweep):
     document, store, writings, wanted = history
     files, used = writings[-1], in_use(store)
@@ -480,7 +480,7 @@ def replaced(document, at, value):
     return changed
 
 
-@pytest.mark.parametrize("trials", [10, slow(200)])
+@pytest.mark.parametrize("trials", [4, slow(200)])
 def test_every_command_gives_a_sentence_about_a_forged_document(tmp_path, monkeypatch, sweep_here, trials):
     monkeypatch.chdir(tmp_path)
     Path("model.py").write_text(MODEL)

@@ -11,6 +11,7 @@ import pytest
 import linksweep
 from linksweep import SweepError
 from tests.sweep.opening import Folder, files_of, located, short_name, store_named
+from tests.tiers import slow
 
 
 def test_only_one_of_many_creates_or_swaps_a_file(place):
@@ -99,21 +100,24 @@ def test_a_store_has_the_name_of_its_study_unless_a_path_exists(tmp_path, monkey
     assert short_name(store_named("results/quasars.zarr")) == "results/quasars.zarr"
 
 
-def test_a_name_that_is_no_utf_8_ends_no_command_in_a_traceback(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "model.py").write_text("def model(x: float = 1.0):\n    return 2 * x\n")
-    store, page, merged = (os.fsdecode(name) for name in (b"s\xff.zarr", b"r\xff.html", b"m\xff.zarr"))
-    lines = [f"{name} STORE" for name in ("show", "status", "check", "report", "compare", "run --retry")]
-    lines += ["status STORE --json", "check STORE --repair", "plot STORE -o p.png", "fit STORE --over x"]
-    lines += ["reproduce STORE --at x=1", f"report STORE -o {page}", f"merge STORE STORE -o {merged}"]
-    for line in ["run model.py:model --axis x=1,2 -o STORE --pool serial", *lines]:
-        command = line.replace("STORE", store).split(" ")
-        done = subprocess.run([sys.executable, "-m", "linksweep", *command], capture_output=True, check=False)
-        assert done.returncode == 0 or line == "compare STORE", (line, done.stderr)
-        assert b"Traceback" not in done.stderr, (line, done.stderr)
-
-
 MODEL = "def model(x: float = 1.0, k: int = 1):\n    return {'y': x * k, 'name': f'{x:g}'}\n"
+ODD, PAGE, MERGED = (os.fsdecode(name) for name in (b"s\xff.zarr", b"r\xff.html", b"m\xff.zarr"))
+LINES = [f"{name} {ODD}" for name in ("show", "status", "check", "report", "compare", "run --retry")]
+LINES += [f"status {ODD} --json", f"check {ODD} --repair", f"plot {ODD} -o p.png", f"fit {ODD} --over x"]
+LINES += [f"reproduce {ODD} --at x=1", f"report {ODD} -o {PAGE}", f"merge {ODD} {ODD} -o {MERGED}"]
+
+
+@pytest.mark.parametrize("number", [0, *map(slow, range(1, len(LINES)))])
+def test_a_name_that_is_no_utf_8_ends_no_command_in_a_traceback(tmp_path, monkeypatch, number):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "model.py").write_text(MODEL)
+    linksweep.run("model.py:model", ODD, axes={"x": [1.0, 2.0]}, pool="serial")
+    command = LINES[number].split(" ")
+    done = subprocess.run([sys.executable, "-m", "linksweep", *command], capture_output=True, check=False)
+    assert done.returncode == 0 or command[0] == "compare", done.stderr
+    assert b"Traceback" not in done.stderr, done.stderr
+
+
 COMMANDS = (
     *("show", "status", "check", "check --repair", "report", "plot -o p.png", "compare", "run --retry"),
     *("reproduce --at k=1", "find --where y>0 --over k", "fit --over k"),
@@ -150,9 +154,8 @@ def pipe(store, name):
 @pytest.mark.parametrize(
     ("make", "name"),
     [
-        *[(moved_out, name) for name in ("blocks", "y", "zarr.json", "blocks/rows.3.0")],
-        *[(dangling, name) for name in ("anything", "y/9.9")],
-        *[(pipe, name) for name in ("zarr.json", "blocks/zarr.json")],
+        *[(moved_out, "blocks"), (dangling, "y/9.9"), (pipe, "zarr.json"), slow(pipe, "blocks/zarr.json")],
+        *[slow(moved_out, name) for name in ("y", "zarr.json", "blocks/rows.3.0")],
     ],
 )
 def test_every_command_refuses_what_is_no_file_and_writes_nothing_through_it(store, tmp_path, sweep, make, name):

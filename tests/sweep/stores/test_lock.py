@@ -20,7 +20,7 @@ from tests.tiers import slow
 
 HOLD = """
 import sys, time
-from tests.sweep.opening import locked
+from linksweep.sweep.stores.location import locked
 with locked(sys.argv[1]):
     print("held", flush=True)
     time.sleep(float(sys.argv[2]))
@@ -125,7 +125,7 @@ def without_flock(monkeypatch, number=errno.ENOLCK):
     monkeypatch.setattr(opening.location.fcntl, "flock", refuse)
 
 
-@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
+@pytest.mark.parametrize("number", [errno.ENOLCK, slow(errno.EOPNOTSUPP), slow(errno.ENOSYS)])
 def test_without_locks_of_the_system_a_killed_run_is_resumed_too(tmp_path, hold, monkeypatch, number):
     without_flock(monkeypatch, number)
     place = str(tmp_path / "s.zarr")

@@ -52,21 +52,28 @@ n_cat = 2
 """
 
 
-@pytest.fixture
-def evil(tmp_path, coins):
-    """A store whose code lies inside it and leaves a marker when it is imported, and the marker."""
-    place = tmp_path / "elsewhere" / "code"
-    place.mkdir(parents=True)
-    marker, store = tmp_path / "marker", tmp_path / "g.zarr"
-    code = MARKING.format(marker=str(marker)) + COINS
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory):
+    """A store, and the folder of its code, that leaves a marker when it is imported."""
+    place = tmp_path_factory.mktemp("elsewhere")
+    code = MARKING.format(marker=str(place / "marker")) + COINS
     (place / "x.py").write_text(code)
-    document = coins | {"experiment": f"{place / 'x.py'}:experiment", "sampling": {"n_sim": 100, "n_cat": 2}}
-    run(document, store)
+    axes = {"metal": ["gold", "tin"], "coins": [1, 5, 20]}
+    document = {"title": "Coins", "experiment": f"{place / 'x.py'}:experiment", "axes": axes}
+    run(document | {"fixed": {"chance": 0.4}, "sampling": {"n_sim": 100, "n_cat": 2}}, place / "g.zarr")
+    return place, code
+
+
+@pytest.fixture
+def evil(tmp_path, honest):
+    """A store whose code lies inside it and leaves a marker when it is imported, and the marker."""
+    (place, code), store = honest, tmp_path / "g.zarr"
+    shutil.copytree(place / "g.zarr", store)
     forge(store, lambda told: told.update(study_document=told["study_document"].replace(str(place), str(store))))
     (store / "x.py").write_text(code)
     (store / "study.toml").write_text(STUDY)
-    marker.unlink()
-    return store, marker
+    (place / "marker").unlink(missing_ok=True)
+    return store, place / "marker"
 
 
 def test_every_command_is_tried():
