@@ -15,8 +15,7 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests would fight for cores; NumPy comes later
 
 from linksweep.sweep.cli import main
-from tests.patience import PATIENCE_S
-from tests.tiers import ALL, QUICK, examples
+from tests.tiers import ALL, PATIENCE_S, QUICK, examples
 
 # Memory that is given back to the system after each array and taken again costs more than what is computed in it.
 for _name in ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"):

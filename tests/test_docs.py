@@ -1,10 +1,14 @@
 """What the documents show is true: their files and commands are run as they stand there."""
 
+import doctest
 import re
+import runpy
 import shlex
 import subprocess
 import sys
 from contextlib import closing
+from importlib import import_module
+from pathlib import Path
 
 import pytest
 import xarray as xr
@@ -200,3 +204,27 @@ def test_every_page_is_in_the_navigation():
 def test_the_api_page_has_every_public_name():
     listed = re.findall(r"^\.\. auto\w+:: (\w+)", (ROOT / "docs" / "api.md").read_text(), flags=re.MULTILINE)
     assert sorted(set(listed) - {"linksweep"}) == sorted(linksweep.__all__)
+
+
+DOCS = Path(__file__).parent.parent / "docs"
+
+
+def test_the_reference_is_in_step_with_the_code():
+    made = runpy.run_path(str(DOCS / "make_reference.py"))["reference"]()
+    assert (DOCS / "reference.md").read_text(encoding="utf-8") == made, "run `python docs/make_reference.py`"
+
+
+MODULES = [
+    ".".join(("linksweep", *path.relative_to(ROOT / folder).with_suffix("").parts)).removesuffix(".__init__")
+    for folder, top in (("linksweep", "linksweep"), ("", "core"), ("", "sweep"))
+    for path in sorted((ROOT / top).rglob("*.py"))
+    if ">>> " in path.read_text()
+]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_the_examples_run(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    results = doctest.testmod(import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert results.attempted
+    assert not results.failed

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 import linksweep
-from tests.documents import ROOT, code
+from tests.documents import ROOT
 
 RUN = """
 import linksweep
@@ -108,11 +108,3 @@ def test_the_module_is_the_command(tmp_path):
     done = python(tmp_path, "-m", "linksweep", "run", "quasars", "--axis", "v_max=14", "--set", "n_cat=2", "--quiet")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "results" / "quasars.zarr" / "zarr.json").is_file()
-
-
-def test_the_documents_use_it():
-    for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
-        for block in code(document, "python"):
-            assert "import sweep" not in block, document.name
-            assert "from sweep" not in block, document.name
-            assert "from core" not in block, document.name

@@ -48,7 +48,7 @@ def test_a_sample_of_mutants_is_killed():
 
 @pytest.mark.slow
 def test_what_no_test_notices_is_named():
-    done = run(FRAMES, "--function", "triad", "--tests", "tests/test_reference.py", "--sample", "1")
+    done = run(FRAMES, "--function", "triad", "--tests", "tests/test_guarantees.py", "--sample", "1")
     assert done.returncode == 1, done.stdout + done.stderr
     assert done.stdout.startswith("SURVIVED")
     assert f"{FRAMES}: triad: " in done.stdout

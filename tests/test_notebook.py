@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
-from tests.patience import PATIENCE_S
 from tests.test_docs import code
+from tests.tiers import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 

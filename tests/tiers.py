@@ -9,6 +9,12 @@ ALL, QUICK = "all tests", "quick tests"
 """Profiles of hypothesis, by tier."""
 
 
+PATIENCE_S = 1200.0
+"""How long tests wait for what is to happen: a hang, not a limit of speed, as machines can be very slow; less than
+pytest-timeout gives a test.
+"""
+
+
 def slow(*values: Any) -> Any:
     """Return values of a parametrised test that are only tried with ``--all``."""
     return pytest.param(*values, marks=pytest.mark.slow)

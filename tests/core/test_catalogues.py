@@ -104,9 +104,6 @@ def test_radio_stars_are_those_of_the_table_drawn_with_replacement_and_whole():
     np.testing.assert_array_equal(np.unique(rows(elsewhere), axis=0), each)
 
 
-# quasars
-
-
 def quasars(seed, v_max, **changes):
     return drawn(seed, catalogue="quasars", v_max=v_max, **changes)
 

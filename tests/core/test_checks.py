@@ -215,9 +215,6 @@ def test_a_function_is_asked_about_all_magnitudes_that_objects_can_have(changes,
     assert problem is None if good else "'counted' returns -1 at V = " in problem
 
 
-# what changes nothing
-
-
 def study(axes=None, exclude=(), **fixed):
     return {"title": "", "axes": axes or {}, "fixed": fixed, "exclude": list(exclude), "sampling": {"n_sim": 1}}
 
@@ -314,9 +311,6 @@ def test_what_is_unused_really_changes_nothing_and_the_rest_of_a_catalogue_somet
 )
 def test_a_study_is_told_what_is_wrong(fixed, sentence):
     assert sentence in " ".join(problems(**({"n_obj": 9} | fixed)))
-
-
-# warnings
 
 
 def sky(path, v_mag, **columns):

@@ -7,8 +7,7 @@ import pytest
 
 import linksweep
 from tests.core.points import CALIBRATED, all_skies, constants_of, fit, published_model, published_numbers
-from tests.sweep.in_memory import results_of
-from tests.sweep.test_coverage import assert_covers
+from tests.sweep.test_coverage import assert_covers, results_of
 
 pytestmark = pytest.mark.slow
 

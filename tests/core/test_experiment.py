@@ -130,9 +130,6 @@ def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
     np.testing.assert_array_equal(results["sigma_spin_predicted"], 0.0)
 
 
-# what points share
-
-
 OTHER = {
     **{"model": "gaia", "mission_length": 7.0, "satellite_errors": "normal", "reference_errors": "normal"},
     **{"error_scale": 0.5, "satellite_error_scale": 3.0, "reference_error_scale": 2.0},
@@ -218,9 +215,6 @@ def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
     together, alone = simulate(both, 30, *generators()), simulate(both[:1], 30, *generators())
     np.testing.assert_array_equal(together[0]["error"], alone[0]["error"])
     np.testing.assert_array_equal(together[0]["predicted_variance"], alone[0]["predicted_variance"])
-
-
-# catalogues that are computed together
 
 
 CATALOGUES = ("synthetic", "quasars", "galaxies", "radio-stars")

@@ -126,8 +126,6 @@ def test_an_object_at_a_pole_is_carried_without_infinities():
     np.testing.assert_allclose(np.hypot(pmra, pmdec), 1.0, rtol=ROUNDING)
 
 
-# astropy
-
 FRAME_BIAS = 0.03 / 3600 * DEGREE  # astropy hangs the Galactic axes on FK5, 0.023 arcsec from ICRS
 
 
@@ -154,9 +152,6 @@ def test_space_motion_of_astropy_is_the_velocity_on_the_triad():
     p, q, r = triad(ra, dec)
     step = triad(*position(r + p * pmra + q * pmdec)).r - triad(moved.ra.rad, moved.dec.rad).r
     assert np.abs(step).max() < 0.01 * MICROARCSEC  # (v/c)^2 of a motion is 1e-8 of 2 arcsec
-
-
-# SciPy
 
 
 def noisy_link(epsilon, sigma, n_obj=200):

@@ -52,8 +52,6 @@ def test_the_floor_leaves_the_papers_magnitudes_to_the_curve(name):
     np.testing.assert_array_equal(mission.sigma_pos_mas(v_mag), mission.curve_pos_mas(v_mag))
 
 
-# PyGaia
-
 G_MAG = np.array([8.0, 9.0, 13.0, 15.0, 17.5, 20.0, 21.0])
 
 
@@ -97,8 +95,6 @@ def test_the_names_are_known_without_pygaia():
     assert "pip install 'linksweep[gaia]'" in shown
     assert "'gaia-dr5'" in shown
 
-
-# missions of a study
 
 EITHER = "needs either sigma_pos or position_ratio (sigma_pos = position_ratio x sigma_pm)"
 BOUNDS = ": must be a number from 1e-09 to 1e+07"
@@ -236,9 +232,6 @@ def test_a_range_and_a_floor_of_ones_own():
     low = TABLE | {"floor_pm": TABLE["sigma_pm"][-1][1]}
     assert np.ptp(mission(low).sigma_pm_mas_yr(V)) == 0.0
     assert identity(low) != identity(TABLE)
-
-
-# functions
 
 
 def leave(v):

@@ -259,9 +259,6 @@ def test_tiles_are_the_streams_object_by_object(rows, n_obj, fewer, stack):
     assert len(terms) <= -(-n_obj // max(1, TILE // (4 * rows))) + 1  # of what they share, once
 
 
-# the closed forms
-
-
 def test_the_predicted_bias_is_what_a_link_without_errors_returns():
     objects = drawn(3, n_obj=30)
     setup = set_up(objects, physics_of(**NORMAL, aberration=True, glide=(1000.0, -2000.0, 3000.0)))

@@ -52,9 +52,6 @@ def gain_of(setup):
     return np.linalg.solve(rows.T @ (weights[:, None] * rows), rows.T * weights).reshape(6, -1, 4)
 
 
-# zonal errors
-
-
 def kernel(errors, distance):
     """Correlation of either component along the great circle: d^l_11 as a Jacobi polynomial, from SciPy."""
     x, found = np.cos(distance), 0.0
@@ -129,9 +126,6 @@ def test_many_objects_do_not_beat_zonal_errors():
     found = results_of(1, n_obj=20_000, **NORMAL, zonal_pm=1.0, zonal_length=60.0)
     np.testing.assert_allclose(found["sigma_predicted"][3:], floor, rtol=0.02)
     assert found["sigma_predicted"][0] == pytest.approx(np.sqrt(1.5 / 20_000), rel=0.05)  # positions have none
-
-
-# known fields in the proper motions
 
 
 def plain_differences(catalogue, slope, equation, v_zero, field):
@@ -223,9 +217,6 @@ def test_zonal_errors_leave_the_normals_as_they_are():
         for changes in (NORMAL, NORMAL | zonal, {"satellite_errors": "none"} | zonal)
     )
     np.testing.assert_allclose(both, plain + field, atol=1e-6)
-
-
-# the glide
 
 
 GLIDE = 4.0 * MICROARCSEC * GALACTIC_AXES[0]

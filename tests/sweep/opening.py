@@ -1,5 +1,6 @@
 """Stores as a run and its tests open them: what tests need from inside is imported here."""
 
+# ruff: noqa: F401 (tests import from here what they need from inside)
 import json
 from pathlib import Path
 
@@ -27,44 +28,6 @@ from linksweep.sweep.studies.reader import load_study, study_from_dict
 from linksweep.sweep.studies.record import provenance
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
 from linksweep.sweep.table_writer import Column, Table
-
-__all__ = [
-    "MERGED",
-    "POINT",
-    "POINT_TABLE",
-    "Column",
-    "Folder",
-    "Holder",
-    "OpenStore",
-    "Resources",
-    "RunInterruptedError",
-    "Silent",
-    "Store",
-    "Table",
-    "Tuning",
-    "check",
-    "generators",
-    "harmless",
-    "holder",
-    "ledger",
-    "load_study",
-    "located",
-    "location",
-    "locked",
-    "make_grid",
-    "measure_scaling",
-    "merge",
-    "open_dataset",
-    "plan_study",
-    "repair",
-    "run_study",
-    "sealed",
-    "short_name",
-    "status_report",
-    "store_named",
-    "study_from_dict",
-    "unsealed",
-]
 
 SERIAL = Resources(pool="serial")
 OFTEN = {"flush_every_s": -1.0, "most_blocks": 1}
@@ -121,8 +84,7 @@ def rows_on_disk(store):
 
 def files_of(store):
     """Return the contents of all files of a store, in a folder or a bucket."""
-    location = located(store)
-    return location.get_all(location.keys())
+    return located(store).get_all(located(store).keys())
 
 
 def in_use(store):

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from tests.patience import PATIENCE_S
+from tests.tiers import PATIENCE_S
 
 
 class Outside:

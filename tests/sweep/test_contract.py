@@ -110,23 +110,6 @@ def test_all_mistakes_of_a_file_are_told_at_once_and_shortly(tmp_path, sweep):
     assert not (tmp_path / "s.zarr").exists()
 
 
-def test_an_exception_while_the_file_is_imported_is_one_message_with_its_line(tmp_path, sweep):
-    write_experiment(tmp_path, before="import helper\n")
-    (tmp_path / "helper.py").write_text("x = 1\n\n\ny = x / 0\n")
-    write_study(tmp_path)
-    code, _, err = sweep("run", "s.toml", cwd=tmp_path)
-    assert code == 2
-    assert "ZeroDivisionError: division by zero (" in err
-    assert "helper.py, line 4)" in err
-    assert len(err.splitlines()) < 4
-    (tmp_path / "helper.py").write_text("def f(:\n    pass\n")
-    code, _, err = sweep("run", "s.toml", cwd=tmp_path)
-    assert code == 2
-    assert "SyntaxError: " in err
-    assert "helper.py, line 1)" in err
-    assert len(err.splitlines()) < 4
-
-
 RESULTS = {
     "sums of another length": (
         {"sums": '{"total": (5,)}', "evaluate": '{"total": [[1.0] * 4 for p in points]}'},

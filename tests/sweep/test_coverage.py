@@ -4,17 +4,20 @@ Limits are so wide that a false alarm has a probability below 1e-4 a check, and 
 is found.  docs/errors.md has a row for each of these errors.
 """
 
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2, t
 
+import linksweep
 from linksweep.sweep.analysis.compare import compare
 from linksweep.sweep.analysis.fits import levelling, power_law
 from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, parse_limit, ratio
 from linksweep.sweep.running.scaling import _dataset
 from linksweep.sweep.search.crossmatch import Positions, chance_pairs, sky_tree
 from tests.sweep import spread
-from tests.sweep.in_memory import results_of
 
 pytestmark = pytest.mark.slow
 
@@ -22,6 +25,12 @@ FALSE_ALARM = 1e-4
 COPIES = 400
 X = [1.0, 2.0, 3.0, 5.0, 8.0]
 SPREAD = f"{spread.__file__}:experiment"
+
+
+def results_of(document):
+    """The dataset that a run of a study leaves."""
+    with TemporaryDirectory() as folder:
+        return linksweep.run(document, Path(folder) / "s.zarr", pool="serial")
 
 
 def assert_covers(pulls, dof=np.inf, independent=None):
@@ -141,9 +150,6 @@ def test_levelling_of_points_that_share_random_numbers():
         assert_covers(pulls, dof=39)
 
 
-# Independent points
-
-
 @pytest.mark.parametrize("unknown", [False, True])
 def test_the_law_through_independent_points(unknown):
     rng, x = np.random.default_rng(3), np.array(X)
@@ -188,9 +194,6 @@ def test_a_ratio_and_a_crossing_of_independent_points():
     assert_covers((at["width"] - 0.5) / at["width_mc_error"])
 
 
-# Scaling
-
-
 @pytest.mark.parametrize("repetitions", [9, 20])
 def test_the_medians_of_repeated_timings(repetitions):
     rng = np.random.default_rng(8)
@@ -198,9 +201,6 @@ def test_the_medians_of_repeated_timings(repetitions):
     found = [_dataset(np.array([1]), timed).sel(kind="strong") for timed in seconds]
     pulls = [((each["seconds"] - 10.0) / each["seconds_error"]).item() for each in found]
     assert_covers(pulls, repetitions - 1)
-
-
-# The galaxy search
 
 
 def test_chance_pairs():

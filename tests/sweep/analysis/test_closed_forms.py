@@ -51,9 +51,6 @@ def factor(samples):
     return 1.0 + 2.0 / (samples - 3.0)
 
 
-# Power laws
-
-
 @several
 @given(seeds, st.sampled_from([None, 20, 100]))
 def test_a_power_law_through_correlated_points(seed, samples):
@@ -132,9 +129,6 @@ def test_the_order_of_points_changes_nothing(seed):
         assert other[name].item() == pytest.approx(one[name].item(), rel=1e-9)
 
 
-# The law that levels off
-
-
 def level(x, plateau, size, rate):
     return np.sqrt(plateau**2 + size * np.exp(-rate * x))
 
@@ -209,9 +203,6 @@ def test_a_law_too_slow_for_the_fall_falls_by_less_everywhere(seed, times):
             assert found["limit"].item() == pytest.approx(derived(x, share * truth[2], *truth)[1], rel=1e-3)
         else:
             assert found["limit"].item() == -np.inf
-
-
-# Between points
 
 
 def delta(function, values, covariance):
@@ -302,9 +293,6 @@ def test_claims_of_slopes_and_ratios_have_the_errors_of_the_fits(seed, samples):
     for one, rounding in ((quotient, 0.5), (slope, 0.05)):
         assert one.allowance == pytest.approx(rounding + 3.0 * one.mc_error)
         assert one.detectable == pytest.approx(rounding + 4.6449 * one.mc_error)
-
-
-# Sensitivity
 
 
 def table(columns, y):

@@ -25,11 +25,6 @@ def only(dataset):
     return comparison
 
 
-# Rounding
-
-
-# Verdicts of published numbers
-
 VALUES = {  # value, error, published -> verdict
     "within rounding": (0.604, 0.0, "0.60", "reproduced"),
     "at the edge of rounding": (0.605, 0.0, "0.60", "reproduced"),  # 0.605 - 0.6 > 0.005 in binary
@@ -107,9 +102,6 @@ def test_a_point_that_is_not_done_is_incomplete_and_not_left_out(code, reason):
     assert verdicts.summary(found) == counts
 
 
-# Slopes (the fit itself: test_fits.py)
-
-
 LAW = {"variable": "width", "over": "n"}
 
 
@@ -133,9 +125,6 @@ def test_a_slope_over_points_that_are_not_all_done_is_incomplete():
     found = compare(grid(value, claims=[claim(published="-0.5", slope=LAW)], status=status))
     assert [c.verdict for c in found] == ["reproduced", "incomplete"]
     assert found[1].reason == "failed: 2 of 5 points"
-
-
-# Ratios and values
 
 
 def ratio(top, bottom):
@@ -175,12 +164,6 @@ def test_a_component_of_a_result():
 def test_a_claim_about_another_grid_is_incomplete_and_says_why(keys, reason):
     comparison = only(grid(1.0, claims=[claim(**keys)]))
     assert (comparison.verdict, comparison.reason) == ("incomplete", reason)
-
-
-# Tables
-
-
-# Power
 
 
 def about(published, value, error, **keys):
@@ -228,12 +211,6 @@ def test_an_error_that_is_not_known_gives_no_verdict():
     assert json.loads(verdicts.as_json([comparison]))["comparisons"][0]["power"] is None
 
 
-# The table for reading
-
-
-# From a study to its verdicts
-
-
 @pytest.fixture
 def published_coins(coins, tmp_path, monkeypatch):
     """The coin study beside a published table and a claim; the paper's chance of heads is ours."""
@@ -273,8 +250,6 @@ def test_a_row_of_a_fixed_parameter_is_found_however_its_number_is_written(coins
     dataset = linksweep.run(document, tmp_path / "s.zarr", pool="serial")
     assert dataset["share_published"].notnull().values.tolist() == [True, True, False]
 
-
-# The command
 
 GOOD = f"""
 title = "Coins"

@@ -10,8 +10,6 @@ from astropy.table import Table
 import linksweep
 from tests.sweep.analysis.made import shown, text_of
 
-# Integers and gaps
-
 LARGE = 2**60
 
 
@@ -81,8 +79,6 @@ def test_an_integer_beyond_those_of_floats_chooses_its_own_point(tmp_path):
     assert row["f"] == (2**53 + 1) % 10
 
 
-# Components
-
 NAMES = ["omega_x", "omega_y", "omega_z"]
 
 
@@ -127,6 +123,3 @@ def test_a_bad_condition_is_warned_of_and_a_good_one_is_not(masers):
     assert warned in text_of(masers)
     assert warned not in text_of(masers.assign(condition_number=("n_obj", [3.0])))
     assert "omega_x" not in text_of(masers.drop_vars(["sigma_mc_error"]))
-
-
-# Units

@@ -342,8 +342,6 @@ def test_malformed_scheduler_address(here, address):
     check_refused(here, ("run", "study.toml", "--scheduler", address), repr(address))
 
 
-# Where the store cannot be
-
 NOT_A_STORE = "is not a store of linksweep (foreign or half-made)"
 ROOT = {"zarr_format": 3, "node_type": "group"}
 FOREIGN = {  # by what stands there: its files, and what is said

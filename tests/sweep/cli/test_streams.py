@@ -4,14 +4,18 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 import linksweep
 from tests.tiers import slow
 
-UNSAYABLE = str(Path(__file__).parents[1] / "unsayable.py") + ":experiment"
+UNSAYABLE = r"""
+def f(place: int):
+    if place == 2:
+        raise ValueError("\udc80 " + "x" * 10**6 + " the end")
+    return 1.0 * place
+"""
 SAID = "error: standard output cannot be written: No space left on device\n"
 
 
@@ -19,9 +23,8 @@ SAID = "error: standard output cannot be written: No space left on device\n"
 def store(tmp_path_factory):
     """A store of which one point failed, with a message that no file can hold."""
     folder = tmp_path_factory.mktemp("streams")
-    (folder / "study.toml").write_text(
-        f'title = "Unsayable"\nexperiment = "{UNSAYABLE}"\naxes = {{ place = [1, 2, 3] }}\nsampling = {{ n_sim = 2 }}\n'
-    )
+    (folder / "f.py").write_text(UNSAYABLE)
+    (folder / "study.toml").write_text('title = "Unsayable"\nexperiment = "f.py:f"\naxes = { place = [1, 2, 3] }\n')
     linksweep.run(folder / "study.toml", folder / "s.zarr", pool="serial")
     return folder / "s.zarr"
 

@@ -1,7 +1,10 @@
-"""Clusters that a file describes."""
+"""Clusters that a file describes, and addresses at which no Dask scheduler answers."""
 
 import os
 import signal
+import socket
+import threading
+from contextlib import closing, suppress
 from urllib.request import urlopen
 
 import pytest
@@ -9,8 +12,8 @@ import xarray as xr
 from distributed import LocalCluster
 
 from linksweep import SweepError
-from linksweep.sweep.executing import pools
-from linksweep.sweep.executing.clusters import own_cluster
+from linksweep.sweep.executing import clusters, pools
+from linksweep.sweep.executing.clusters import client_at, own_cluster
 from linksweep.sweep.executing.dask_driver import TaskPlugin
 from linksweep.sweep.executing.pools import Resources
 from tests.sweep.outside import command_of, workers_below
@@ -147,3 +150,42 @@ def test_one_without_bokeh_is_refused(monkeypatch):
     monkeypatch.setattr(pools, "find_spec", lambda name: None)
     with pytest.raises(SweepError, match=r"`pip install 'linksweep\[report\]'`"):
         Resources(dashboard=True)
+
+
+def test_a_port_that_says_nothing(monkeypatch):
+    """Dask's own client would wait for ever."""
+    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT_S", 1)
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        address = "tcp://{}:{}".format(*server.getsockname())
+        with (
+            pytest.raises(SweepError, match=f"no Dask scheduler answers at '{address}' within 1 s$"),
+            client_at(address),
+        ):
+            pass
+
+
+def test_a_server_of_another_kind_that_speaks_first():
+    def speak(server):
+        with suppress(OSError), server.accept()[0] as connection:
+            connection.sendall(b"SSH-2.0-OpenSSH_9.2p1 Debian-2\r\n" * 10)
+            connection.recv(1)
+
+    with closing(socket.create_server(("127.0.0.1", 0))) as server:
+        address = "tcp://{}:{}".format(*server.getsockname())
+        threading.Thread(target=speak, args=(server,), daemon=True).start()
+        with pytest.raises(SweepError, match=f"no Dask scheduler answers at '{address}'"), client_at(address):
+            pass
+
+
+def test_the_address_of_a_worker():
+    options = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
+    with own_cluster(LocalCluster, options) as cluster:
+        (worker,) = cluster.scheduler_info["workers"]
+        with pytest.raises(SweepError, match=f"'{worker}' is the address of a Dask worker"), client_at(worker):
+            pass
+
+
+@pytest.mark.parametrize("address", ["host", "nonsense://x:1", "tcp://"])
+def test_what_is_no_address(address):
+    with pytest.raises(SweepError, match=r"expected tcp://HOST:PORT"), client_at(address):
+        pass

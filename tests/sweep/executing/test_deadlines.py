@@ -8,8 +8,7 @@ from contextlib import suppress
 import pytest
 
 from linksweep.sweep.executing.process import Deadlines, TimeLimitError
-from tests.patience import PATIENCE_S
-from tests.tiers import examples
+from tests.tiers import PATIENCE_S, examples
 
 
 @pytest.fixture(autouse=True)

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from tests.patience import PATIENCE_S
 from tests.sweep.opening import rows_on_disk
 from tests.sweep.outside import Outside, below, command_of, listening, wait_until, workers_below
+from tests.tiers import PATIENCE_S
 
 LONG = ("--set", "n_sim=20000", "--set", "n_cat=6")
 

@@ -14,9 +14,8 @@ import pytest
 
 from linksweep import run
 from linksweep.sweep.executing import children
-from tests.patience import PATIENCE_S
 from tests.sweep.outside import below, command_of, wait_until
-from tests.tiers import slow
+from tests.tiers import PATIENCE_S, slow
 
 LOCK = threading.Lock()  # cannot be pickled, nor can a function that refers to it be sent to workers
 

@@ -8,12 +8,10 @@ import pytest
 from distributed import Client, LocalCluster
 from distributed.comm import CommClosedError
 
-from linksweep.sweep.code import load
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.clusters import own_cluster
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import Limits, Resources
-from tests.patience import PATIENCE_S
 
 EXPERIMENT = "linksweep.core.experiment:link"
 ONE = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
@@ -89,37 +87,3 @@ def test_a_worker_that_goes_while_it_is_asked_is_not_missed(cluster, monkeypatch
     gone = {"tcp://127.0.0.1:9": CommClosedError("closed")}
     monkeypatch.setattr(Client, "run", lambda *given, real=Client.run, **options: real(*given, **options) | gone)
     assert doubled(cluster) == [1, 2, 4, 8, 16]
-
-
-def let_versions_be_others():
-    load.version_of = lambda name: "0.1"
-
-
-@pytest.mark.slow
-def test_one_that_joins_later_is_compared_too(monkeypatch):
-    with own_cluster(LocalCluster, ONE) as cluster:
-
-        def run(client, *arguments, real=Client.run, **options):
-            answers = real(client, *arguments, **options)
-            cluster.scale(2)
-            client.wait_for_workers(2, PATIENCE_S)
-            (joined,) = client.nthreads().keys() - answers.keys()
-            real(client, let_versions_be_others, workers=[joined])
-            return answers
-
-        monkeypatch.setattr(Client, "run", run)
-        with pytest.raises(SweepError, match=r"tcp://.*: numpy is .* here, 0\.1 there"):
-            doubled(cluster, 20)
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_goes_is_told():
-    with (
-        own_cluster(LocalCluster, ONE) as own,
-        mapped(EXPERIMENT, Resources(scheduler=own.scheduler_address), print) as run,
-    ):
-        results = run(time.sleep, [(0.0,), *[(1.0,)] * 5])
-        next(results)
-        own.close()
-        with pytest.raises(SweepError, match=r"the connection to the Dask scheduler at .* is lost"):
-            list(results)

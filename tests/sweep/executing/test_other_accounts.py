@@ -17,8 +17,8 @@ from distributed import LocalCluster
 from linksweep.sweep.executing.clusters import own_cluster
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import Resources
-from tests.patience import PATIENCE_S
 from tests.sweep.outside import below, listening, unix_sockets, wait_until
+from tests.tiers import PATIENCE_S
 
 NOBODY = 65534
 

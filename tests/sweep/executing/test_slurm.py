@@ -3,10 +3,10 @@
 import pytest
 import xarray as xr
 
-from tests.patience import PATIENCE_S
 from tests.sweep.executing.test_faults import LONG, quiet, reference, results, started_to_write
 from tests.sweep.outside import wait_until
 from tests.sweep.slurm import Slurm, why_not
+from tests.tiers import PATIENCE_S
 
 __all__ = ["reference"]
 

@@ -6,8 +6,8 @@ import pytest
 import trustme
 import xarray as xr
 
-from tests.patience import PATIENCE_S
 from tests.sweep.outside import Outside
+from tests.tiers import PATIENCE_S
 
 
 class Files:

@@ -20,7 +20,7 @@ from linksweep.sweep.planning.grid import PointCache, make_grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.work_queue import TASK_S, TUNED, Pending
-from linksweep.sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.studies.reader import study_from_dict
 from tests.conftest import COINS
 from tests.tiers import examples, slow
 
@@ -195,17 +195,6 @@ def test_what_a_worker_did_not_come_to_is_pending_again():
     assert pending.settle(task, np.full(7, 1.0)) == task[:7]
     left = [work for works in tasks_of(pending, lambda point: 1.0) for work in works]
     assert [work.points[0].index for work in left] == list(range(8, 200))
-
-
-def test_work_of_points_that_share_a_draw_is_put_back_whole():
-    """A worker that stops inside of it has not done it: there is a second for each point."""
-    plan = Plan(make_grid(load_study("quasars", ["n_cat=3", "n_sim=64", "common_random_numbers=true"])))
-    pending = Pending(plan, Accumulator(plan))
-    [first], [second], [third] = pending.take(3)
-    points = len(first.points)
-    assert points > 1
-    assert pending.settle([first, second, third], np.full(2 * points - 1, 1e-3)) == [first]
-    assert [work for task in pending.take(2) for work in task][:2] == [second, third]
 
 
 @pytest.mark.parametrize(("most", "parts"), [(64, 1), (65, 2), (129, 3), (512, 4), (513, 5), (1025, 6)])

@@ -20,9 +20,6 @@ def texts(legend):
     return [text.get_text() for text in legend.get_texts()]
 
 
-# Which picture suits
-
-
 @pytest.mark.parametrize(
     ("name", "panels", "along"),
     [
@@ -63,9 +60,6 @@ def test_incomplete_stores_say_so_in_the_title(dataset_of):
     assert "INCOMPLETE: 1 of 7 points are not done" in linksweep.plot(dataset, "lines").get_suptitle()
 
 
-# Lines
-
-
 def test_lines_have_points_with_errors_prediction_and_published_values(dataset_of):
     one = dataset_of("quasars").sel(model="amex")
     [axes] = linksweep.plot(one, "lines").axes
@@ -87,9 +81,6 @@ def test_one_point_shows_what_is_simulated_predicted_and_published(dataset_of):
     assert any("0.16 mas/yr" in text.get_text() for text in axes.texts)
 
 
-# Laws
-
-
 def test_a_law_is_drawn_as_fitted_with_its_guide(dataset_of):
     dataset = dataset_of("sqrt-n")
     upper, lower = axes_of(linksweep.plot(dataset))
@@ -109,9 +100,6 @@ def test_a_law_is_drawn_as_fitted_with_its_guide(dataset_of):
         linksweep.plot(dataset_of("grid"), "law", over=["n_obj"])
 
 
-# Maps
-
-
 def test_a_map_shows_the_values_in_their_places(dataset_of):
     dataset = dataset_of("error-surface")
     figure = linksweep.plot(dataset, "map", over=["reference_error_scale", "satellite_error_scale"])
@@ -122,9 +110,6 @@ def test_a_map_shows_the_values_in_their_places(dataset_of):
     assert axes.get_ylabel().split() == ["satellite", "error", "scale", r"$\Delta_\mathrm{sat}$"]
     assert axes.get_xlim() == pytest.approx((-0.5, 4.5))  # cells surround their points
     assert bar.get_ylabel() == r"$\sigma(\omega)$ [µas/yr]"
-
-
-# Kept samples
 
 
 def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
@@ -159,33 +144,6 @@ def test_a_scatter_of_chosen_components_and_of_one_point_only(dataset_of):
     ]:
         with pytest.raises(SweepError, match=problem):
             linksweep.plot(dataset, **options)
-
-
-# Scaling
-
-
-def test_scaling_is_drawn_beside_the_ideal():
-    workers = np.array([1, 2, 4, 8])
-    efficiency = np.array([[1.0, 0.95, 0.9, 0.7], [1.0, 0.98, 0.96, 0.92]])
-    variables = {
-        "efficiency": (("kind", "workers"), efficiency),
-        "efficiency_error": (("kind", "workers"), 0.02 * efficiency),
-        "seconds": (("kind", "workers"), np.array([8.0 / workers / efficiency[0], 8.0 / efficiency[1]])),
-    }
-    dataset = xr.Dataset(variables, {"kind": ["strong", "weak"], "workers": workers}, {"title": "Scaling"})
-    figure = linksweep.plot(dataset)
-    left, right = figure.axes
-    assert texts(figure.legends[0]) == ["strong scaling", "weak scaling", "ideal"]
-    for axes, ideal in ((left, [1, 2, 4, 8]), (right, [1, 1, 1, 1])):
-        assert axes.lines[0].get_ydata().tolist() == ideal
-        assert axes.get_xlabel() == "workers"
-    assert left.containers[0].lines[0].get_ydata() == pytest.approx([1.0, 1.9, 3.6, 5.6])
-    assert right.containers[1].lines[0].get_ydata() == pytest.approx([1.0, 0.98, 0.96, 0.92])
-    with pytest.raises(SweepError, match="no kind 'map' of a scaling"):
-        linksweep.plot(dataset, "map")
-
-
-# The command
 
 
 @pytest.fixture
@@ -244,9 +202,6 @@ def test_bad_combinations_are_one_message(coin_store, tmp_path, monkeypatch, swe
     assert list(tmp_path.glob("*.png")) == []
 
 
-# Captions
-
-
 def described(sweep, folder, store, *options):
     """The caption and the alternative text of a figure."""
     code, _, err = sweep("plot", store, *options, "--caption", "-o", folder / "a.svg")
@@ -260,9 +215,6 @@ def test_a_description_gives_the_range_of_what_is_drawn(store_of, tmp_path, swee
     assert "sigma_spin" not in text
     _, text = described(sweep, tmp_path, store_of("quasars"), "--variable", "sigma", "--at", "component=omega_x")
     assert re.search(r"sigma \(.*\): It is between [\d.]+ ± [\d.]+ µas/yr \(", text)
-
-
-# Plain functions
 
 
 def decay(half_life: float, years: int = 10):

@@ -71,9 +71,6 @@ def test_other_axes_have_the_scale_on_which_they_are_more_even(x, scale):
     assert scales(results(x))[0] == scale
 
 
-# The choice of a study, of a call, and of the command
-
-
 def area(width: float = 1.0):
     return {"area": width**2}
 
@@ -118,9 +115,6 @@ def test_a_logarithm_needs_numbers_above_zero(tmp_path):
         linksweep.run({"title": "a", "figure": {"log": ["n_obj"], "linear": ["n_obj"]}}, tmp_path / "a.zarr")
 
 
-# Series that cover each other
-
-
 def several(curves, x):
     variables = {
         "y": (("kind", "x"), np.asarray(curves)),
@@ -161,9 +155,6 @@ def test_only_markers_are_moved_aside_and_the_figure_says_so(number):
     assert "markers moved sideways, lines not" in said
 
 
-# Predictions
-
-
 @pytest.mark.parametrize("name", ["quasars", "error-surface"])
 def test_nothing_is_drawn_between_the_points_of_a_prediction(dataset_of, name):
     dataset = dataset_of(name)
@@ -183,9 +174,6 @@ def test_nothing_is_drawn_between_the_points_of_a_prediction(dataset_of, name):
     assert len(predicted) >= 2
     assert {line.get_linestyle() for line in predicted} == {"None"}
     assert {line.get_marker() for line in predicted} == {"_"}
-
-
-# Truth values
 
 
 def weigh(load: float = 1.0, strong: bool = True):

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import linksweep
-from tests.patience import PATIENCE_S
 from tests.sweep.report.test_page import evil_store
+from tests.tiers import PATIENCE_S
 
 __all__ = ["evil_store"]
 

@@ -65,12 +65,6 @@ def test_points_share_a_stream_if_they_differ_only_in_what_is_shared():
     assert len({point.digest for point in grid.points()}) == 12
 
 
-def test_ratios_of_points_that_share_random_numbers_have_no_noise(tmp_path):
-    dataset = run({"scale": [1.0, 4.0], "kind": ["a", "b"]}, tmp_path / "s.zarr")
-    assert (dataset["mean"].sel(scale=4.0) == 4.0 * dataset["mean"].sel(scale=1.0)).all()
-    assert dataset["mean"].sel(kind="a", scale=1.0) != dataset["mean"].sel(kind="b", scale=1.0)
-
-
 def test_a_point_does_not_know_who_shares_its_numbers(tmp_path):
     whole = run({"mixing": MIXING, "scale": [1.0, 3.0]}, tmp_path / "whole.zarr")
     for mixing in MIXING:
@@ -122,9 +116,3 @@ def test_the_covariance_between_points_is_that_of_their_shared_numbers(tmp_path)
     expected = (1.0 + np.outer(x, x)) / (512 * 600)
     error = np.sqrt((expected**2 + np.outer(np.diag(expected), np.diag(expected))) / 600)  # of a sample covariance
     assert np.all(np.abs(covariance.values - expected) < 4.5 * error)
-
-
-def test_too_few_catalogues_give_no_covariance(tmp_path):
-    dataset = run({"mixing": MIXING}, tmp_path / "s.zarr", n_cat=4)
-    assert "mean_mc_covariance_mixing" not in dataset
-    assert dataset.attrs["common_random_numbers"] == 1

@@ -18,9 +18,8 @@ from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import Store
 from linksweep.sweep.studies.reader import study_from_dict
-from tests.patience import PATIENCE_S
 from tests.sweep.outside import wait_until
-from tests.tiers import slow
+from tests.tiers import PATIENCE_S, slow
 
 ENDLESS_S = 3600.0
 """Longer than a test may take: what waits for it fails."""

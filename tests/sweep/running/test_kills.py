@@ -9,8 +9,8 @@ import sys
 import pytest
 import xarray as xr
 
-from tests.patience import PATIENCE_S
 from tests.sweep.opening import existing_store, load_study
+from tests.tiers import PATIENCE_S
 
 pytestmark = pytest.mark.slow  # 20 kills of real runs
 

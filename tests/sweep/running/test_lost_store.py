@@ -11,7 +11,7 @@ import pytest
 import linksweep
 from linksweep.sweep.stores.integrity import MANIFEST
 from linksweep.sweep.stores.location import holder
-from tests.patience import PATIENCE_S
+from tests.tiers import PATIENCE_S
 
 MODEL = """
 import time

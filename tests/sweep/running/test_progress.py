@@ -5,19 +5,12 @@ import re
 import shutil
 import sys
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from linksweep.sweep.cli import main
-from linksweep.sweep.contract.block import Block
-from linksweep.sweep.executing.task import TaskResult
-from linksweep.sweep.planning.grid import make_grid
-from linksweep.sweep.planning.plan import PlanSize, Survey, Work
-from linksweep.sweep.running.progress import SENTENCES, TerminalProgress
-from linksweep.sweep.running.writer import Taken
-from linksweep.sweep.studies.reader import study_from_dict
-from tests.patience import PATIENCE_S
+from linksweep.sweep.running.progress import SENTENCES
+from tests.tiers import PATIENCE_S
 
 FAULTY = """
 import logging
@@ -114,34 +107,6 @@ def told():
     yield lines
     SENTENCES.removeHandler(handler)
     SENTENCES.setLevel(level)
-
-
-def test_without_a_terminal_lines_come_at_growing_intervals(coins, told, monkeypatch):
-    """A simulated run of a day, a task a second."""
-    clock = 0.0
-    monkeypatch.setattr("linksweep.sweep.running.progress.time.monotonic", lambda: clock)
-    study = study_from_dict(coins)
-    point = next(iter(make_grid(study).points()))
-    seconds = 86_400
-    size = PlanSize(6, seconds, seconds, float(seconds))
-    progress = TerminalProgress(study)
-    progress.start(Survey(size, PlanSize(0, 0, 0, 0.0), size), "this process", 1)
-    work = Work((point,), Block(0, 0, 0, 1, 1), 1.0)
-    taken = Taken(PlanSize(0, 1, 1, 1.0), PlanSize(0, 0, 0, 0.0), (), {})
-    spoken = []
-    for second in range(1, seconds + 1):
-        clock = float(second)
-        before = len(told)
-        progress.advance([work], TaskResult(np.ones(1)), taken)
-        if len(told) > before:
-            spoken.append(second)
-    gaps = np.diff(spoken)
-    assert spoken[0] == 6
-    assert np.all(np.diff(gaps) >= -1)
-    assert gaps[0] >= 5
-    assert gaps[-1] in (600, 601)
-    assert len(spoken) < 200
-    assert told[1] == "0/6 points (0 % of the work), about 23 h 59 min left, 1 realisations/s"
 
 
 @pytest.mark.slow

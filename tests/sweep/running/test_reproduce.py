@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 import xarray as xr
 
-from tests.patience import PATIENCE_S
 from tests.sweep.opening import OpenStore
+from tests.tiers import PATIENCE_S
 
 EXPERIMENT = (Path(__file__).parents[1] / "coins.py").read_text()
 FRAGILE = EXPERIMENT.replace(

@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 
 from linksweep.sweep.executing.pools import Resources
@@ -10,7 +9,7 @@ from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running.run import Silent, run_study
-from linksweep.sweep.running.status import MOST_LINES, axis_table, by_axis, folded, status_report
+from linksweep.sweep.running.status import status_report
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_from_dict
 
@@ -55,27 +54,6 @@ def test_each_axis_counts_points_and_realisations(stopped):
     tin = report["axes"]["metal"][1]
     assert 0 < tin["realisations_done"] < 20_000  # a point that is done in part counts in part
     assert tin["done"] == 0
-
-
-def test_a_long_axis_is_folded_where_nothing_happens():
-    """A run that is in the middle of a thousand values."""
-    status = np.array([Status.DONE] * 400 + [Status.MISSING] * 600, dtype=np.int8)
-    realisations = np.array([10] * 400 + [7] + [0] * 599)
-    segments = by_axis({"x": [{"x": 0.5 * i} for i in range(1000)]}, status, realisations, 10)
-    table = axis_table(segments["x"], {"x": "mag"})
-    assert [column.name for column in table.columns] == ["x [mag]", "points done", "realisations"]
-    assert [list(column.shown) for column in table.columns] == [
-        ["0.0 ... 199.5 (400 values)", "200.0", "200.5 ... 499.5 (599 values)"],
-        ["400/400", "0/1", "0/599"],
-        ["100 %", "70 %", "0 %"],
-    ]
-    mixed = by_axis(
-        {"x": [{"x": i} for i in range(1000)]},
-        np.tile([Status.DONE, Status.MISSING], 500).astype(np.int8),
-        realisations,
-        1,
-    )
-    assert len(folded(mixed["x"])) == MOST_LINES
 
 
 def test_all_failed_points_are_counted_and_a_terminal_names_the_first(sweep, tmp_path):

@@ -61,9 +61,6 @@ def concatenated(*parts):
     return Positions(*map(np.concatenate, zip(*parts, strict=True)))
 
 
-# ---- pairs
-
-
 @pytest.mark.parametrize("radius_arcsec", [0.5, 60.0, 3600.0])
 def test_pairs_are_those_of_astropy(radius_arcsec):
     rng = np.random.default_rng(1)
@@ -99,9 +96,6 @@ def test_nearest_match_is_that_of_astropy():
     }
 
 
-# ---- proper motion
-
-
 def test_positions_at_another_epoch_are_those_of_astropy():
     rng = np.random.default_rng(4)
     n = 500
@@ -120,9 +114,6 @@ def test_positions_at_another_epoch_are_those_of_astropy():
     )
     moved = coords.apply_space_motion(Time(2000.0, format="jyear", scale="tdb"))
     assert coordinates(here).separation(moved).uas.max() < 1.0
-
-
-# ---- one to one
 
 
 def greedy(first, second):
@@ -206,9 +197,6 @@ def test_of_two_stars_the_closer_one_is_taken_and_the_other_galaxy_gets_what_is_
     assert matches.reasons["rival"].all()
 
 
-# ---- merging of catalogues
-
-
 def labels_of(*catalogues, merge_radius=None):
     trees = [sky_tree(c.positions) for c in catalogues]
     labels, identifiers = merge_galaxies(catalogues, trees, merge_radius)
@@ -240,9 +228,6 @@ def test_an_entry_without_identifier_links_the_third_catalogue_too():
     labels, identifiers = labels_of(nameless, sharp, named)
     assert labels == [[0], [0], [0]]
     assert identifiers == [9]
-
-
-# ---- classes
 
 
 def test_offsets_are_galaxy_minus_star_in_units_of_the_combined_error():
@@ -286,9 +271,6 @@ def test_three_sigma_is_exceeded_as_often_as_normal_errors_do():
     assert abs(int(doubtful.sum()) - expected) < 4.0 * np.sqrt(expected)
 
 
-# ---- chance
-
-
 def test_uniform_chance_pairs_agree_with_counts():
     rng = np.random.default_rng(6)
     stars, galaxies, radius = sky(rng, 20_000), sky(rng, 20_000), 200.0 * ARCSEC
@@ -309,9 +291,6 @@ def test_local_chance_pairs_follow_the_crowding():
     np.testing.assert_allclose(chance.uniform, 4e8 * np.sin(15.0 * ARCSEC) ** 2)
     assert abs(chance.local - 10.0 * chance.uniform) < 5.0 * chance.local_error
     assert abs(chance.pairs - chance.local) < 4.0 * np.sqrt(chance.local)
-
-
-# ---- the rest
 
 
 def test_galactic_coordinates_are_those_of_astropy():

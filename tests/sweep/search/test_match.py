@@ -94,9 +94,6 @@ def run(*arguments):
     return CliRunner().invoke(main, ["match", *arguments])
 
 
-# ---- the whole way
-
-
 def test_the_search_from_files_to_files(folder):
     result = run(*WITH_SUPPLEMENT, "-o", "out.ecsv", "--table", "out.dat", "--figure", "out.png")
     assert result.exit_code == 0, result.output
@@ -190,9 +187,6 @@ def test_gaia_identifiers_are_carried(folder):
     assert "phot_g_mean_mag" in found.colnames
 
 
-# ---- the map
-
-
 def test_the_map_shows_every_class_with_longitude_to_the_left():
     classes = ["certain", "certain", "uncertain", "supplement"]
     background = pd.DataFrame({"ra": np.linspace(0.0, 300.0, 5), "dec": 0.0})
@@ -226,9 +220,6 @@ def test_without_numbers_for_the_table_nothing_is_written(folder):
     assert "TYC 1-13-1 has no PGC number" in result.output
     assert not (folder / "results").exists()
     assert not (folder / "t.dat").exists()
-
-
-# ---- ECSV
 
 
 def test_the_ecsv_is_the_catalogue_of_a_study(folder):
@@ -284,8 +275,6 @@ def test_bad_outputs_are_refused_before_the_search(folder, arguments, message):
     assert result.exit_code == 2
     assert message in result.output
 
-
-# ---- bad tables and options
 
 BAD_STARS = {
     "no ra": ({"ra": None}, "no column 'ra'"),
@@ -412,17 +401,11 @@ def test_a_radius_that_pairs_everything_is_bad_input(folder):
     assert "chance pairs of 200000 and 200000 objects, more than 2e+06; take a smaller one" in result.output
 
 
-# ---- what is carried and what is asked
-
-
 @pytest.mark.parametrize("text", ["ra=parsecs", "stars:ra=mas / yr", "rq=deg", "none:ra=deg", "ra"])
 def test_units_on_the_command_line_are_checked(text, folder):
     result = run(*ARGUMENTS, "--unit", text)
     assert result.exit_code == 2
     assert result.output.startswith("error: ")
-
-
-# ---- the 46-byte table
 
 
 def table_of(rows):

@@ -438,8 +438,6 @@ def test_the_commands(tmp_path, link_study, sweep):
     assert sweep("check", store)[0] == 0
 
 
-# Documents that were forged, with a right checksum.
-
 IN_TEXT = "<JSON>"
 """A step from a text into the document that it holds."""
 

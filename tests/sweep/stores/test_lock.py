@@ -13,10 +13,9 @@ from dataclasses import asdict, replace
 import pytest
 
 from linksweep import SweepError
-from tests.patience import PATIENCE_S
 from tests.sweep import opening
 from tests.sweep.opening import Holder, holder, located, locked
-from tests.tiers import slow
+from tests.tiers import PATIENCE_S, slow
 
 HOLD = """
 import sys, time

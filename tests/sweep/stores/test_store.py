@@ -160,20 +160,6 @@ def test_failures_are_durable_after_a_flush_and_can_be_forgiven(path, coins):
     assert create_or_resume(path, coins).failures == {digest(2): record(2)}
 
 
-def test_the_ends_of_so_many_tracebacks_are_kept_and_every_message(path, coins):
-    most, length = opening.ledger.MAX_TRACEBACKS, opening.ledger.TRACEBACK_BYTES
-    store = create_or_resume(path, coins)
-    for number in range(most + 5):
-        store.fail(digest(number), record(number, "é" * length + "the end"))
-    store.flush()
-    kept = create_or_resume(path, coins).failures
-    assert [r["message"] for r in kept.values()] == [record(n)["message"] for n in range(most + 5)]
-    texts = [r["traceback"] for r in kept.values()]
-    assert sum(map(bool, texts)) == most
-    assert texts[0].endswith("éthe end")
-    assert length - 2 < len(texts[0].encode()) <= length
-
-
 READ = """
 import json, sys, time
 import numpy as np

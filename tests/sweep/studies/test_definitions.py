@@ -220,20 +220,3 @@ def test_what_is_wrong_is_refused_with_its_place(here, sweep, old, new, message)
         assert message in err
         assert "Traceback" not in err
     assert not (here / "results").exists()
-
-
-@pytest.mark.parametrize(
-    ("body", "message"),
-    [
-        ("    raise RuntimeError('no coffee')", "the function 'motions' raises RuntimeError: no coffee (2 points)"),
-        ("    return v - 14.0", "the function 'motions' returns -1.2 at V = 12.8 mag: must be positive and finite"),
-        ("    return 3.0", "the function 'motions' returns float64 of shape (), not numbers of shape (1"),
-        ("    syntax error", "cannot be imported: SyntaxError"),
-    ],
-)
-def test_errors_in_a_function_are_told_before_anything_runs(here, sweep, body, message):
-    (here / "curves.py").write_text(CURVES.replace("    return 0.02 + 0.01 * np.exp(0.4 * (v - 15.0))", body))
-    status, out, err = sweep("run", "own.toml", cwd=here)
-    assert (status, out) == (2, "")
-    assert message in err
-    assert not (here / "results").exists()

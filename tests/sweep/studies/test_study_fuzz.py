@@ -22,9 +22,8 @@ from linksweep.sweep.cli import main
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.studies.reader import study_from_dict
-from tests.patience import PATIENCE_S
 from tests.sweep.mutations import ROOT, mutants
-from tests.tiers import examples, slow
+from tests.tiers import PATIENCE_S, examples, slow
 
 GOOD: dict[str, Any] = {
     "title": "A good study",
@@ -131,9 +130,6 @@ def test_integers_that_cannot_be_printed(number: int, place: str) -> None:
     assert outcome(GOOD | {"axes": GOOD["axes"] | {place: [number]}})
     assert outcome(GOOD | {"sampling": {"n_sim": number}})
     assert outcome({key: value for key, value in GOOD.items() if key != "published"}) == []
-
-
-# Whole files through the command line
 
 
 class HangError(BaseException):

@@ -211,8 +211,6 @@ def test_two_tables_in_one_fits_file(tmp_path):
     assert read_table(tmp_path / "one.fits")["ra"].tolist() == [2.0]
 
 
-# ---- columns as numbers
-
 ANGLES = ["12 34 56.7", "12:34:56.7", " 12h34m56.7s", "12 34.945", "00 00 00"]
 
 
