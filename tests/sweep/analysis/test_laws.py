@@ -1,4 +1,4 @@
-"""Fits, ratios and crossings of results, by the functions of linksweep and by the commands (see test_closed_forms); their errors cover."""
+"""Fits, ratios and crossings of results by functions and commands, and their errors (see test_closed_forms)."""
 
 import contextlib
 import json
