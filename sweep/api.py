@@ -15,6 +15,7 @@ from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, PoolName, Resources
 from linksweep.sweep.formatting import harmless
 from linksweep.sweep.result import open_result
+from linksweep.sweep.running.beside import Beside
 from linksweep.sweep.running.failures import MaxFailures, failed_points
 from linksweep.sweep.running.progress import NotebookProgress, TerminalProgress, in_notebook
 from linksweep.sweep.running.reproduce import verify as verified
@@ -39,6 +40,7 @@ def run(
     axes: Mapping[str, Any] | None = None,
     fixed: Mapping[str, Any] | None = None,
     points: Any = None,
+    exclude: Sequence[Mapping[str, Any]] | None = None,
     sampling: Mapping[str, Any] | None = None,
     title: str | None = None,
     workers: int | None = None,
@@ -50,6 +52,9 @@ def run(
     progress: Progress | None = None,
     accept_code: bool = False,
     fresh: bool = False,
+    only: bool = False,
+    keep: bool = False,
+    redo: str = "",
     max_failures: int | str | None = None,
     deterministic: bool = True,
     verify: int = 0,
@@ -70,6 +75,7 @@ def run(
         points: values of several parameters of the function at once: a DataFrame, an astropy Table or a mapping with a
             column for each parameter, the name of a file with such a table, or a design, ``{"design": "sobol",
             "n": 256, "seed": 0, "ranges": {"beta": [0.1, 0.5]}}``.  They are crossed with ``axes``.
+        exclude: points that are left out: mappings as in a study, ``[{"kernel": "linear", "gamma": {"above": 1.0}}]``.
         sampling: n_sim, seed, precision and max_n_sim of a function that takes ``rng``.
         title: the title of a function in tables and figures.
         workers: the number of processes or threads; one per core by default.
@@ -81,6 +87,12 @@ def run(
         accept_code: continue a store that other code made, and record for each point which code made it; otherwise
             such a store is refused.
         fresh: replace the store.
+        only: leave points that are not asked for out of the dataset in the store, which else has those of earlier runs
+            too; they stay in its ledger.
+        keep: let parameters outside the axes that have other values in the store become axes there, instead of refusing
+            it.
+        redo: a condition on parameters, "x > 2 and y == 8": finished points of the store that meet it are computed
+            again; ``old`` is true for points that other code made.
         max_failures: end the run when more points than this number, or than this percentage, "5%", of those that ended
             fail; by default if the first 20 all fail for the same reason, with "100%" never.
         deterministic: False accepts a function without ``rng`` that returns another result each time, as
@@ -91,7 +103,7 @@ def run(
             every bit; the results are in the store all the same.
 
     Returns:
-        The outputs of the study over its axes, in memory, as from `open`.
+        The outputs of the study over its axes, in memory; `open` returns all points of the store.
 
     Raises:
         SweepError: for bad input, before anything is written; where too many points fail, or ``verify`` finds some that
@@ -115,7 +127,10 @@ def run(
     """
     if type(verify) is not int or verify < 0:
         raise SweepError(f"verify = {shown(verify)}: must be a number of points, from 0")
-    loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title, "points": points})
+    loaded = _study(
+        study,
+        {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title, "points": points, "exclude": exclude},
+    )
     if not deterministic:
         loaded = replace(loaded, experiment=loaded.experiment.not_repeatable())
     place = located(store or default_store(loaded.name))
@@ -127,7 +142,14 @@ def run(
         raise SweepError(f"max_failures = {error}") from error
     with _watching(loaded, progress) as watching:
         dataset, failures = run_study(
-            loaded, place, resources, watching, accept_code=accept_code, fresh=fresh, max_failures=most
+            loaded,
+            place,
+            resources,
+            watching,
+            accept_code=accept_code,
+            fresh=fresh,
+            max_failures=most,
+            beside=Beside(only, keep, redo),
         )
     if failures:
         log.warning("%s: %s", place, harmless(failed_points(failures)))

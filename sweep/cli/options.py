@@ -181,7 +181,9 @@ JSON = flag("Print JSON for a script.", "--json")
 BREAK_LOCK = flag("Continue although another host seems to write to the store; make sure that it does not.")
 ACCEPT_CODE = flag("Continue a store that other code made; each point then records which code made it.")
 TRUST = flag("Run the code that the store names, even if it is inside it or came from elsewhere.")
-AXES = many("Override or add an axis: 14:20:0.5, 10:1000:log5.", "--axis", metavar="NAME=SPEC", shell_complete=_keys)
+AXES = many(
+    "Override or add an axis: 14:20:0.5, 0:1:lin5, 10:1000:log5.", "--axis", metavar="NAME=SPEC", shell_complete=_keys
+)
 SETTINGS = many("Override a value, e.g. n_sim=500.", "--set", metavar="KEY=VALUE", shell_complete=_ALSO_SAMPLING)
 DESIGNS = "e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, saltelli, morris."
 
@@ -205,6 +207,7 @@ class AskedStudy:
     points: str | None = opt("Compute the points in this table: a column for each parameter.", metavar="FILE")
     design: str | None = opt(f"Compute a design of points, {DESIGNS}", metavar="NAME:N")
     ranges: Sequence[str] = many("A range of the design: 0.1:0.5, 1:100:log or a,b.", "--range", metavar="NAME=SPEC")
+    exclude: Sequence[str] = many("Leave points out: kernel=linear,gamma>1.", "--exclude", metavar="NAME=VALUE,...")
     output: "Location | None" = output(
         "The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]", type=str, callback=place
     )
@@ -213,7 +216,7 @@ class AskedStudy:
     @property
     def overrides(self) -> tuple[Any, ...]:
         """What the command line changes in the study."""
-        return self.settings, self.axes, self.points, self.design, self.ranges
+        return self.settings, self.axes, self.points, self.design, self.ranges, self.exclude
 
     def load(self) -> "tuple[Study, Location]":
         """Return the study, and where its store is; raises SweepError for one inside a store that is not trusted."""

@@ -196,13 +196,15 @@ class Running:
 
 
 def run_with_progress(
-    study: "Study", store: "Location", how: Running, *, retry: bool = False, fresh: bool = False
+    study: "Study", store: "Location", how: Running, *, retry: bool = False, fresh: bool = False, **beside: Any
 ) -> dict[str, str]:
     """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone.  Return
-    why points failed.  An interruption ends the command.
+    why points failed.  The fields of `Beside` say what becomes of other points of the store.  An interruption ends the
+    command.
     """
     from linksweep.sweep.analysis.answer import answer_in_short
     from linksweep.sweep.interrupt import RunInterruptedError
+    from linksweep.sweep.running.beside import Beside
     from linksweep.sweep.running.progress import TerminalProgress
     from linksweep.sweep.running.run import run_study
     from linksweep.sweep.stores.location import short_name
@@ -211,7 +213,16 @@ def run_with_progress(
     with group.a_signal_ends_the_command(), _logged(how.watching), TerminalProgress(study, bar) as progress:
         try:
             dataset, failures = run_study(
-                study, store, how.resources, progress, retry, how.break_lock, how.accept_code, fresh, how.max_failures
+                study,
+                store,
+                how.resources,
+                progress,
+                retry,
+                how.break_lock,
+                how.accept_code,
+                fresh,
+                how.max_failures,
+                beside=Beside(**beside),
             )
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
@@ -248,11 +259,17 @@ def run(
     how: Running = options.group(Running),
     retry: bool = flag("STUDY is a store: compute its failed points again, and only those."),
     fresh: bool = flag("Replace an existing store, whatever its study and code."),
+    only: bool = flag("Leave points that STUDY does not ask for out of the store's dataset."),
+    keep: bool = flag("Let constants that differ from the store's become axes."),
+    redo: str = opt(
+        'Compute finished points again, e.g. "x>2 and y==8"; old: of other code.', metavar="IF", default=""
+    ),
     verify: int = opt("At the end compute so many points again.", type=click.IntRange(0), default=0),
 ) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
 
-    After an interruption the same command resumes where it stopped.
+    After an interruption the same command resumes where it stopped.  The store keeps and shows the points of earlier
+    runs too: values of axes add up.
 
     \b
     sweep run quasars
@@ -262,10 +279,10 @@ def run(
     sweep run sir.py:sir --points runs.csv
     sweep run --retry results/quasars.zarr
     """
-    if retry and fresh:
-        raise click.UsageError("--retry and --fresh contradict each other")
+    if (retry or fresh) and (only or keep or redo or (retry and fresh)):
+        raise click.UsageError("--retry, --fresh and any of --only, --keep and --redo contradict each other")
     study, store = asked.stored() if retry else asked.load()
-    failures = run_with_progress(study, store, how, retry=retry, fresh=fresh)
+    failures = run_with_progress(study, store, how, retry=retry, fresh=fresh, only=only, keep=keep, redo=redo)
     differing = verify and print_verified(study, store, verify, not how.watching.quiet)
     if failures or differing:
         sys.exit(EXIT_FAILED_POINTS)

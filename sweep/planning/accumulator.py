@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Experiment, Rows
-from linksweep.sweep.contract.block import Block, BlockRows, ledger_key
+from linksweep.sweep.contract.block import DIGEST_BYTES, Block, BlockRows, ledger_key
 from linksweep.sweep.contract.reducer import check_finite, converted
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
 from linksweep.sweep.planning.plan import NOTHING, Groups, Plan, PlanSize, Survey, Work, cost_together, wanted_parts
@@ -51,8 +51,9 @@ class Accumulator:
     ) -> None:
         """Start with the ``rows`` of a ledger and what these ``held``, and with the points (by digest) that ``failed``.
 
-        With ``only``, no other points than these are computed; ``samples`` returns the kept realisations of the block
-        with a key.  Raises SweepError for a plan of too many blocks.
+        With ``only``, no other points than these are computed, and of the others those that are there count.
+        ``samples`` returns the kept realisations of the block with a key.  Raises SweepError for a plan of too many
+        blocks.
         """
         grid = plan.grid
         self.plan, self._failed, self._only = plan, failed, only
@@ -69,14 +70,17 @@ class Accumulator:
 
     def _survey(self, rows: Rows) -> Survey:
         # Three ways for the sake of time: a million points take seconds, one after the other minutes.
-        if not self._rows and not self._failed:
+        if not self._rows and not self._failed and self._only is None:
             return self._survey_of_new_points()
         if self._whole is not None:
             return self._survey_of_whole_points(self._whole, rows)
         total = held = pending = NOTHING
         groups: Groups = defaultdict(list)
+        there = {key[:DIGEST_BYTES] for key in self._rows} if self._only is not None else ()
         for point in self.plan.grid.points():
             self.status[point.index] = Status.FAILED if point.digest in self._failed else Status.MISSING
+            if self._only is not None and point.digest not in there and point.digest not in self._only:
+                continue  # nobody has asked for it: perhaps it cannot be computed
             done, left = self._resume(point, rows)
             total, held = total + done + left, held + done
             self.plan.check_size(total.blocks)
@@ -122,7 +126,7 @@ class Accumulator:
         """Add what the ledger holds of points that have one block each, many at a time: a million take seconds."""
         indices = self.plan.grid.indices()
         self.plan.check_size(len(indices))
-        held = pending = 0
+        total = held = pending = 0
         of_block = ledger_key(b"", block)
         for start in range(0, len(indices), AT_ONCE):
             some = indices[start : start + AT_ONCE]
@@ -135,7 +139,8 @@ class Accumulator:
             self._put(some[done], ledger[rows[done]])
             missing = ~failed & ~done & (wanted if self._only is not None else True)
             held, pending = held + int((rows >= 0).sum()), pending + int(missing.sum())
-        sizes = [self.plan.size(1.0, count) for count in (len(indices), held, pending)]
+            total += int((missing | failed | (rows >= 0)).sum()) if self._only is not None else len(some)
+        sizes = [self.plan.size(1.0, count) for count in (total, held, pending)]
         return Survey(sizes[0], sizes[1], sizes[2])
 
     def _resume(self, point: GridPoint, rows: Rows) -> tuple[PlanSize, PlanSize]:

@@ -8,6 +8,7 @@ fastest sound bit generator of NumPy.
 import math
 import struct
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any, NamedTuple
@@ -181,7 +182,10 @@ class Plan:
             return (), {(): 1.0}
         if (found := self._cost.table()) is None and len(grid) <= MOST_COSTS:
             names = tuple(grid.study.axes)
-            found = names, {tuple(p[n] for n in names): self._cost(p) for _, p in grid.parameters()}
+            found = names, {}
+            for _, parameters in grid.parameters():
+                with suppress(Exception):  # nobody has asked for it, and it cannot be computed
+                    found[1][tuple(parameters[name] for name in names)] = self._cost(parameters)
         return found if found is not None and len(found[1]) <= MOST_COSTS else None
 
     def work(self, points: tuple[GridPoint, ...], block: Block) -> Work:

@@ -4,7 +4,8 @@ the ledger that its ``code`` made.
 
 import json
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.code import load
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.contract.block import ledger_key
+from linksweep.sweep.contract.block import DIGEST_BYTES, ledger_key
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
@@ -37,13 +38,30 @@ def differences_of_code(attributes: Mapping[str, Any], study: Study) -> list[str
     return load.changes_of_code(records[-1]["code"], study.experiment_reference, study.experiment) if records else []
 
 
-def check_code(store: Store, study: Study) -> None:
-    """Raise SweepError for a store whose blocks were made by other code than a study's."""
-    if store.rows and (changes := differences_of_code(store.attributes, study)):
+def rows_of_other_code(store: Store, study: Study) -> list[range]:
+    """Return the rows of a ledger that were made by other code than a study's."""
+    records = records_of(store.attributes)
+    starts = [*(record["first_row"] for record in records), store.next_row]
+    return [
+        range(first, end)
+        for record, (first, end) in zip(records, pairwise(starts), strict=True)
+        if load.changes_of_code(record["code"], study.experiment_reference, study.experiment)
+    ]
+
+
+def check_code(store: Store, study: Study, gone: Collection[bytes] = ()) -> None:
+    """Raise SweepError for a store whose last blocks were made by other code than a study's, but for points that are to
+    be computed again, by their digests.
+    """
+    records = records_of(store.attributes)
+    if gone:
+        last = max((row for key, row in store.rows.items() if key[:DIGEST_BYTES] not in gone), default=-1)
+        records = [record for record in records if record["first_row"] <= last]
+    if store.rows and (changes := differences_of_code({CODE: json.dumps(records)}, study)):
         meaning = (
-            "was made by other code, whose numbers would be mixed up with those of today's; --accept-code (in Python "
-            "accept_code=True) goes on and records for each point which code made it, --fresh (fresh=True) starts "
-            "anew, -o (store=NAME) names another store"
+            "was made by other code, whose numbers would be mixed up with those of today's; --redo old (in Python "
+            'redo="old") computes its points again, --accept-code (accept_code=True) goes on and records for each point '
+            "which code made it, --fresh (fresh=True) starts anew, -o (store=NAME) names another store"
         )
         raise SweepError([meaning, *changes], str(store.location))
 

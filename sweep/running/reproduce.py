@@ -250,7 +250,8 @@ def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
         return {axis: study.axes[axis][int(text)] for axis in study.points.names}
     if name not in study.axes:
         raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
-    value = study.experiment.parameter(name).parse(parse_value(text))
+    parameter = study.experiment.parameter(name)
+    value = parameter.parse(parse_value(text, is_text=parameter.kind == "str"))
     if value not in study.axes[name]:
         values = first_of(list(study.axes[name]), MOST_NAMED)
         raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {values}")

@@ -1,6 +1,6 @@
 """Runs a study in a session: its grid, its store and its pending work, opened once, computed and published."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
@@ -14,6 +14,7 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, make_grid
 from linksweep.sweep.planning.plan import Plan, Survey, Work
 from linksweep.sweep.planning.work_queue import TUNED, Tuning
+from linksweep.sweep.running.beside import ALL, Beside, again_where, with_stored
 from linksweep.sweep.running.code import check_code, record_code
 from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
 from linksweep.sweep.running.writer import (
@@ -22,11 +23,12 @@ from linksweep.sweep.running.writer import (
     check_points,
     create_store,
     find_store,
+    identity,
     open_store,
     replace_store,
 )
 from linksweep.sweep.stores.location import Where, locked, writing
-from linksweep.sweep.stores.store import Store
+from linksweep.sweep.stores.store import BLOCKS, Store
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded
 from linksweep.sweep.studies.study import Study
 
@@ -72,45 +74,71 @@ class Session:
     `publish` writes the labelled dataset.  Whoever computes holds the lock of the store.
     """
 
-    def __init__(self, plan: Plan, where: Where, store: Store | None, failed: frozenset[bytes] | None = None) -> None:
-        """Start with the open ``store`` if there is one; only points that ``failed`` are pending if these are given."""
+    def __init__(
+        self,
+        plan: Plan,
+        where: Where,
+        store: Store | None,
+        wanted: Set[bytes] | None = None,
+        again: Set[bytes] = frozenset(),
+    ) -> None:
+        """Start with the open ``store`` if there is one; only points that are ``wanted`` are pending if these are
+        given, of those that failed only the ones to compute ``again``.
+        """
         self._where, self.store, self._is_new = where, store, store is None
         if store is None:
             self.accumulator = Accumulator(plan)
         else:
-            ledger = store.rows, store.read(), store.failures
-            self.accumulator = Accumulator(plan, *ledger, failed, store.samples)
-        self.larger: Session | None = None
+            failed = store.failures.keys() - again
+            self.accumulator = Accumulator(plan, store.rows, store.read(), failed, wanted, store.samples)
+        self._asked: Study | None = None
+        self.is_left_alone = False
         self._too_many = ""
         self._writer: Writer | None = None
 
     @classmethod
     def open(
-        cls, grid: Grid, where: Where, *, accept_code: bool = False, retry: bool = False, fresh: bool = False
+        cls,
+        grid: Grid,
+        where: Where,
+        *,
+        accept_code: bool = False,
+        retry: bool = False,
+        fresh: bool = False,
+        beside: Beside = ALL,
     ) -> "Session":
-        """Open the study of a grid and its store, if there is one.
+        """Open the study of a grid and its store, if there is one, with the points that this holds ``beside`` it.
 
-        With ``retry`` the failures of these points are forgotten and nothing else is pending; with ``fresh`` the store
-        begins anew.  Raises SweepError for a store that cannot go on with this study, and for one that other code made
-        unless ``accept_code``.
+        With ``retry`` the points that failed, and no others, are pending; with ``fresh`` the store begins anew.  Raises
+        SweepError for a store that cannot go on with this study, and for one that other code made unless
+        ``accept_code``.
         """
-        plan, store, failed = Plan(grid), None, None
-        found = replace_store(where, grid.study, provenance(grid.study)) if fresh else find_store(where, grid.study)
+        study, store = grid.study, None
+        whole, wanted, again = study, None, frozenset[bytes]()
+        found = replace_store(where, study, provenance(study)) if fresh else find_store(where, study, beside.keep)
         if found is not None:
-            if grid.study.experiment.undeclared:
-                plan = plan.of(as_recorded(grid.study, found.attributes))
-            store = open_store(found, plan.grid.study)
+            study = whole = as_recorded(study, found.attributes) if study.experiment.undeclared else study
+            store = open_store(found, study)
+            if not beside.only and not retry:
+                check_points(found, study)
+                whole, wanted = with_stored(store, study)
+            records = again_where(store, whole, beside.redo) if beside.redo else {}
             if not accept_code:
-                check_code(store, plan.grid.study)
-        if retry:
-            digests = {point.digest for point in grid.points()} if store is not None else set()
-            failed = frozenset(digests if store is None else store.failures.keys() & digests)
-            if store is not None:
-                store.clear_failures(failed)
-        session = cls(plan, where, store, failed)
-        session.larger = None if retry else session._larger()
-        if found is not None and session.larger is None:
-            check_points(found, grid.study)
+                check_code(store, study, records)
+            store.again(records)
+            again = frozenset(records)
+            if retry:
+                wanted = again = frozenset(store.failures.keys() & set(grid.digests(grid.indices())))
+            wanted = None if wanted is None else wanted | again
+        plan = Plan(grid) if whole is grid.study else Plan(Grid(whole, grid.warnings))
+        session = cls(plan, where, store, wanted, again)
+        if store is not None and whole is not study:
+            store.meaning = identity(whole)
+            session._asked = study
+            is_stored = store.attributes.get("study_digest") == whole.digest() and "points" in store.attributes
+            is_stored &= store.attributes.get(BLOCKS) == len(store.rows)
+            failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
+            session.is_left_alone = is_stored and not failed and not session.survey.pending.blocks
         return session
 
     @property
@@ -123,30 +151,16 @@ class Session:
         """How much there is, and how much of it is pending."""
         return self.accumulator.survey
 
-    def _larger(self) -> "Session | None":
-        """Return the session of the same points as the store has them, if all are done there and its dataset has more
-        than them: more points, realisations or catalogues, or a finer precision.  Then it is to be left as it is.
-        """
-        study, plan = self.study, self.accumulator.plan
-        if self.store is None or study.excluded or study.keeps_samples or "points" not in self.store.attributes:
-            return None
-        stored, asked = self.store.attributes, study.sampling
-        same = self
-        if not study.experiment.deterministic:
-            numbers = {key: stored[key] for key in study.numbers()} | {"precision": stored.get("precision")}
-            mine = {key: getattr(asked, key) for key in numbers}
-            if numbers["precision"] is None and asked.precision is None:
-                enough = all(numbers[key] >= mine[key] for key in study.numbers())
-            else:  # these decide how many realisations a point has
-                finer = (numbers["precision"] or 1.0) <= (asked.precision or 0.0)
-                enough = finer and all(numbers[key] == mine[key] for key in study.numbers())
-            if not enough:
-                return None
-            if numbers != mine:
-                as_stored = replace(study, sampling=asked.model_copy(update=numbers))
-                same = Session(plan.of(as_stored), self._where, self.store)
-        more = same is not self or stored["points"] > len(plan.grid)
-        return same if more and not same.survey.pending.blocks and not same.survey.failed else None
+    def part(self) -> "tuple[xr.Dataset, dict[str, str]]":
+        """Return the results of the points of the study that was asked for, and its failures by place."""
+        from linksweep.sweep.running.results import masked
+
+        assert self.store is not None, "it has more points"
+        assert self._asked is not None, "it has fewer"
+        known = replace(self._asked, experiment=self.study.experiment, sampling=self.study.sampling)
+        part = Session(self.accumulator.plan.of(known), self._where, self.store)
+        writer = Writer(part.accumulator, self.store)
+        return masked(writer.assembled(final=True)), writer.failures()
 
     def compute(
         self,
@@ -193,13 +207,17 @@ class Session:
         with self._kept(writer):
             dataset = writer.write(final=not self._too_many)
         writer.require_whole()
+        if self._asked is not None:
+            dataset = self.part()[0]
         (progress or Silent()).written()
         if self._too_many:
             raise TooManyFailuresError(f"stopped: {self._too_many}; {GOES_ON}", str(writer.store.location))
         return dataset
 
     def failures(self) -> dict[str, str]:
-        """Return the points that failed, by their place on the axes, and why."""
+        """Return the points of the study that failed, by their place on the axes, and why."""
+        if self._asked is not None:
+            return self.part()[1]
         return {} if self._writer is None else self._writer.failures()
 
     def _begun(self, progress: "Progress") -> Store:
@@ -251,16 +269,17 @@ def run_study(
     fresh: bool = False,
     max_failures: MaxFailures | None = None,
     tuning: Tuning = TUNED,
+    beside: Beside = ALL,
 ) -> "tuple[xr.Dataset, dict[str, str]]":
     """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
 
     The same call after an interruption goes on where it stopped.  Points that failed before are left as they are; with
-    ``retry`` they, and only they, are computed again.  Where the store holds a larger study it is left as it is, and
-    these points of it are returned.  A store that other code made is continued with ``accept_code`` only; ``fresh``
-    replaces whatever store is there.  Raises SweepError for bad input before anything is written, and for a store that
-    another process writes to (``break_lock`` as `locked` says); with everything that was finished in the store
-    TooManyFailuresError where more than ``max_failures`` fail, by default where the first points all fail for one
-    reason, and RunInterruptedError on SIGINT, SIGTERM and SIGHUP.
+    ``retry`` they, and only they, are computed again.  The dataset in the store has its other points too, unless
+    ``beside`` says otherwise; a store that has all that is asked for is left as it is.  One that other code made is
+    continued with ``accept_code`` only; ``fresh`` replaces whatever store is there.  Raises SweepError for bad input
+    before anything is written, and for a store that another process writes to (``break_lock`` as `locked` says); with
+    everything that was finished in the store TooManyFailuresError where more than ``max_failures`` fail, by default
+    where the first points all fail for one reason, and RunInterruptedError on SIGINT, SIGTERM and SIGHUP.
     """
     progress = progress or Silent()
     grid = make_grid(study)
@@ -270,16 +289,20 @@ def run_study(
         try:
             stack.enter_context(locked(store, break_lock=break_lock))
         except SweepError:  # a store that cannot be locked can still be read
-            larger = None if retry or fresh else Session.open(grid, store, accept_code=accept_code).larger
-            if larger is None:
+            if retry or fresh or beside != ALL:
                 raise
-            return _left_alone(larger, progress)
-        session = Session.open(grid, store, accept_code=accept_code, retry=retry, fresh=fresh)
-        if session.larger is not None:
-            return _left_alone(session.larger, progress)
+            session = Session.open(grid, store, accept_code=accept_code)
+            if not session.is_left_alone:
+                raise
+            return _left_alone(session, progress)
+        session = Session.open(grid, store, accept_code=accept_code, retry=retry, fresh=fresh, beside=beside)
+        if session.is_left_alone:
+            return _left_alone(session, progress)
         pending = session.survey.pending
         if retry and not pending.blocks:
             progress.say(f"no point in {store} has failed")
+        if beside.redo and not pending.blocks:
+            progress.say(f"no point in {store} is there where {beside.redo}")
         where = choose_executor(
             session.study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say
         )
@@ -292,9 +315,7 @@ def run_study(
 
 
 def _left_alone(session: Session, progress: Progress) -> "tuple[xr.Dataset, dict[str, str]]":
-    assert session.store is not None, "it is larger"
-    from linksweep.sweep.running.results import masked
-
+    assert session.store is not None, "it has more points"
     where = session.store.location
     progress.say(f"{where} holds more than this study asks for; it is left as it is, and these are its points")
-    return masked(Writer(session.accumulator, session.store).assembled(final=True)), {}
+    return session.part()

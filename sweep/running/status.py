@@ -54,7 +54,7 @@ def status_report(store: Where) -> dict[str, Any]:
         raise SweepError(UNFINISHED, str(opened.location))
     else:
         try:
-            accumulator = Accumulator(Plan(grid), ledger.rows, ledger.read(), ledger.failures)
+            accumulator = Accumulator(Plan(grid), ledger.rows, ledger.read(), ledger.failures, only=())
         except (KeyError, TypeError, ValueError) as error:
             reason = f"the record of its experiment does not fit its points ({error})"
             raise SweepError(reason, str(opened.location)) from error

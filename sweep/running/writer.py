@@ -24,6 +24,7 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe
 from linksweep.sweep.planning.plan import Plan, PlanSize, Work
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.planning.union import UNITED
 from linksweep.sweep.planning.work_queue import TUNED, Pending, Tuning
 from linksweep.sweep.running.code import codes_of_points, records_of
 from linksweep.sweep.stores import store as stores
@@ -48,18 +49,23 @@ KEPT = ("merged", "started")
 RESERVED = "blocks"
 
 
-def find_store(where: Where, study: Study) -> OpenStore | None:
+def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | None:
     """Return the store at a place, None where the place is free.
 
-    Raises SweepError where something else is there, or results that cannot be mixed with this study's.
+    Raises SweepError where something else is there, or results that cannot be mixed with this study's; with ``keep``
+    other values of its constants can be.
     """
     outputs = (output.name for output in (*study.experiment.outputs, *study.experiment.sample_outputs))
     if RESERVED in {*study.axes, *study.experiment.coordinates, *outputs}:
         raise SweepError(f"no axis or result can be named {RESERVED}: a store has a group of that name")
     opened = stores.find_store(where)
-    if opened is not None and (different := differences(opened.attributes, study)):
+    if opened is not None and (different := differences(opened.attributes, study, keep)):
+        ways = "" if keep else ", or --keep (keep=True), with which constants that differ become axes"
         raise SweepError(
-            ["holds results of a different study, which would be mixed up; give another store with -o", *different],
+            [
+                f"holds results of a different study, which would be mixed up; give another store with -o{ways}",
+                *different,
+            ],
             str(opened.location),
         )
     return opened
@@ -112,12 +118,13 @@ def identity(study: Study) -> dict[str, Any]:
     }
 
 
-def differences(attributes: Mapping[str, Any], study: Study) -> list[str]:
+def differences(attributes: Mapping[str, Any], study: Study, keep: bool = False) -> list[str]:
     """Say how the meaning of stored results differs from a study's; values of parameters that are an axis in either are
-    not compared.
+    not compared, and with ``keep`` neither are those of other parameters that may be one.
     """
     old, new = json.loads(attributes["study_meaning"]), json.loads(identity(study)["study_meaning"])
     axes = {*json.loads(attributes["study_axes"]), *study.axes}
+    axes |= {one.name for one in study.experiment.parameters if keep and one.may_be_axis}
     defaults = json.loads(json.dumps(study.experiment.defaults(), default=content_digest))
     pairs = [(key, old.get(key, "absent"), new.get(key, "absent")) for key in sorted({*old, *new} - {"fixed"})]
     pairs += [
@@ -134,7 +141,7 @@ def changed_points(attributes: Mapping[str, Any], study: Study) -> list[str]:
     document = json.loads(attributes.get("study_document", "{}"))
     table = document.get("points") or {}
     old: dict[str, list[Any]] = table.get("columns", {})
-    if study.points is None or not old:
+    if study.points is None or not old or UNITED in table.get("origin", {}):
         return []
     names = list(dict.fromkeys([*old, *study.points.names]))
     settings = study.experiment.defaults()
@@ -228,6 +235,7 @@ class Writer:
             self.pending.add(added)
             samples = [kept for row in good if (kept := result.outcomes[row].kept) is not None]
             self.store.append([keys[row] for row in good], rows, samples)
+            self.store.clear_failures(point.digest for point in ended if point.index not in failed)
             self._unflushed = True
             if clock - self._flushed > self._tuning.flush_every_s:
                 self.flush()

@@ -31,10 +31,11 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.storage import MemoryStore
 
 from linksweep.sweep.contract import SweepError, suggest
+from linksweep.sweep.contract.block import DIGEST_BYTES
 from linksweep.sweep.contract.reducer import EXACT_INT, lost_integers
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
-from linksweep.sweep.stores.ledger import FOLDER, REPAIR, DamagedError, Ledger, path_of
+from linksweep.sweep.stores.ledger import FOLDER, REPAIR, DamagedError, Ledger, Record, path_of
 from linksweep.sweep.stores.location import Folder, Location, Where, holder, located, locked, reading, writing
 
 if TYPE_CHECKING:
@@ -137,10 +138,10 @@ class Store(OpenStore):
     def __init__(self, opened: OpenStore, meaning: Mapping[str, Any]) -> None:
         """Open the ledger; raises SweepError where files of it are damaged.
 
-        ``meaning`` are the attributes that say what the numbers of the study mean.
+        ``meaning`` are the attributes that say what the numbers of the study mean: what is written has them.
         """
         super().__init__(opened.location, opened.root)
-        self._meaning = dict(meaning)
+        self.meaning = dict(meaning)
         self._ledger = self.ledger()
         self.failures, self.rows = self._ledger.failures, self._ledger.rows
         self.read, self.samples, self.append = self._ledger.read, self._ledger.samples, self._ledger.append
@@ -165,6 +166,17 @@ class Store(OpenStore):
         lost, keys = lost_integers(self._ledger.read(), dtype), self.rows.keys_of_rows()
         self._ledger.retype(dtype, samples_width, [keys[row] for row in lost if keys[row] in self.rows])
 
+    def again(self, records: Mapping[bytes, Record | None]) -> None:
+        """Forget what is done of points, by their digests, and let them have failed for the reasons in ``records``, if
+        any, until they are computed again; durable after `flush`, in one step.
+        """
+        keys = [key for key in self.rows if key[:DIGEST_BYTES] in records]
+        if keys:
+            self._ledger.retype(self._ledger.dtype, self._ledger.samples_width, keys)
+        for digest, record in records.items():
+            if record is not None:
+                self.fail(digest, record)
+
     def verify(self) -> None:
         """Raise SweepError where files of the ledger that opening did not read are damaged."""
         self._ledger.verify()
@@ -175,7 +187,7 @@ class Store(OpenStore):
         """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
         generation = self.attributes["generation"] + 1
         attributes, documents, chunks = encode(dataset, CHUNK_NAMES[generation % 2])
-        attributes |= self._meaning | {
+        attributes |= self.meaning | {
             FORMAT_OF: FORMAT,
             ORIGIN: origin(self.location),
             **({CODE: self.attributes[CODE]} if CODE in self.attributes else {}),

@@ -153,6 +153,7 @@ class Options:
     points: str | None = None
     design: str | None = None
     ranges: Sequence[str] = ()
+    exclude: Sequence[str] = ()
     by_place: dict[Place, str] = field(default_factory=dict)
 
     @cached_property
@@ -161,10 +162,14 @@ class Options:
         flags = {"--set": self.settings, "--axis": self.axes}
         flags |= {"--points": [self.points] if self.points is not None else []}
         flags |= {"--design": [self.design] if self.design is not None else [], "--range": self.ranges}
+        flags |= {"--exclude": self.exclude}
         return [(flag, text) for flag, texts in flags.items() for text in texts]
 
-    def apply(self, document: dict[str, Any], parameters: Collection[str], problems: list[str]) -> None:
-        """Change a document; ``parameters`` are those that are meant although a key of [sampling] has their name.
+    def apply(
+        self, document: dict[str, Any], parameters: Collection[str], texts: Collection[str], problems: list[str]
+    ) -> None:
+        """Change a document; ``parameters`` are those that are meant although a key of [sampling] has their name, and
+        ``texts`` those whose values are texts.
 
         The conclusion is removed where the points change, or parameters that the study fixes: it is about these.
         """
@@ -177,7 +182,7 @@ class Options:
         for flag, text in self.written:
             option = f"{flag} {text if text.isprintable() and len(text) <= 80 else shown(text)}"
             try:
-                values = _values_of(flag, text, parameters)
+                values = _values_of(flag, text, parameters, texts)
             except SweepError as error:
                 problems.append(f"{flag} {shown(text)}: {error}")
                 continue
@@ -188,7 +193,7 @@ class Options:
                 self.by_place[place] = option
                 if flag in ("--points", "--design", "--range"):  # the table is theirs
                     self.by_place.setdefault(("points",), option)
-                if place[0] in ("points", "fixed") or (place[0] == "axes" and place[1] not in axes_before):
+                if place[0] in ("points", "fixed", "exclude") or (place[0] == "axes" and place[1] not in axes_before):
                     document.pop("conclusion", None)
                 # an option decides whether a parameter is an axis or fixed, whatever the file says
                 if isinstance(elsewhere := document.get(other.get(str(place[0]), "")), dict):
@@ -198,6 +203,10 @@ class Options:
 
 def _put(document: dict[str, Any], place: Place, value: Any) -> None:
     """Set a value of a document, unless it is to be in what is no table: reading the document will say so."""
+    if place[0] == "exclude":
+        if isinstance(clauses := document.setdefault("exclude", []), list):
+            document["exclude"] = [*clauses, value]
+        return
     *tables, key = map(str, place)
     for table in tables:
         document = document.setdefault(table, {})
@@ -206,7 +215,7 @@ def _put(document: dict[str, Any], place: Place, value: Any) -> None:
     document[key] = value
 
 
-def _values_of(flag: str, text: str, parameters: Collection[str]) -> dict[Place, Any]:
+def _values_of(flag: str, text: str, parameters: Collection[str], texts: Collection[str]) -> dict[Place, Any]:
     """Return the values that an option sets, by their places; raises SweepError that says how it is written."""
     if flag == "--points":
         return {("points", "file"): str(Path(text).resolve())}
@@ -216,70 +225,89 @@ def _values_of(flag: str, text: str, parameters: Collection[str]) -> dict[Place,
             raise SweepError("must be written NAME:N or NAME:N:SEED")
         seed_too = zip(("n", "seed"), map(parse_value, numbers), strict=False)
         return {("points", "design"): name, **{("points", key): number for key, number in seed_too}}
+    if flag == "--exclude":
+        return {("exclude", text): _conditions(text, texts)}
     key, value = split_assignment(text)
     if not key:
         ways = {"--axis": "NAME=SPEC", "--range": "NAME=LOW:HIGH, NAME=LOW:HIGH:log or NAME=A,B,C"}
         raise SweepError(f"must be written {ways.get(flag, 'KEY=VALUE')}")
     if flag != "--set":
         place = ("axes", key) if flag == "--axis" else ("points", "ranges", key)
-        return {place: parse_axis(value) if flag == "--axis" else parse_range(value)}
+        return {place: (parse_axis if flag == "--axis" else parse_range)(value, is_text=key in texts)}
     if key == "title":
         return {(key,): value}
     table, _, name = key.partition(".")
     if table not in ("fixed", "points", "sampling") or not name:
         table, name = "sampling" if key in Sampling.model_fields and key not in parameters else "fixed", key
-    return {(table, name): parse_value(value)}
+    return {(table, name): parse_value(value, is_text=name in texts and table == "fixed")}
 
 
-def parse_value(text: str) -> Any:
-    """Return a value as TOML would read it, or the text itself where it is a bare word.
+def _conditions(text: str, texts: Collection[str]) -> dict[str, Any]:
+    """Return an entry of [[exclude]] written as ``kernel=linear,gamma>1``."""
+    conditions: dict[str, Any] = {}
+    for part in text.split(","):
+        found = re.fullmatch(r"\s*([\w.-]+)\s*([=<>])\s*(.+?)\s*", part)
+        if found is None or (found[2] == "=" and found[1] in conditions):
+            raise SweepError("must be written NAME=VALUE, NAME>NUMBER or NAME<NUMBER, several with commas between them")
+        value = parse_value(found[3], is_text=found[1] in texts)
+        rule = {"<": "below", ">": "above"}.get(found[2])
+        conditions[found[1]] = value if rule is None else {**conditions.get(found[1], {}), rule: value}
+    return conditions
+
+
+def parse_value(text: str, is_text: bool = False) -> Any:
+    """Return a value as TOML would read it, or the text itself where it is a bare word, or is to be one.
 
     >>> parse_value("1e3"), parse_value("[1, 2]"), parse_value("true"), parse_value("gaia")
     (1000.0, [1, 2], True, 'gaia')
+    >>> parse_value("1e3", is_text=True), parse_value("'1e3'", is_text=True)
+    ('1e3', '1e3')
     """
     try:
         document = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
         return text  # a bare word is a string
-    return document["value"] if len(document) == 1 else text
+    value = document["value"] if len(document) == 1 else text
+    return text if is_text and not isinstance(value, str) else value
 
 
-def parse_axis(text: str) -> Any:
-    """Return an axis: ``14:20:0.5`` is a range with a step, ``10:1000:log5`` five values in equal ratios, anything else
-    a list.
+def parse_axis(text: str, is_text: bool = False) -> Any:
+    """Return an axis: ``14:20:0.5`` is a range with a step, ``10:1000:log5`` five values in equal ratios, ``0:1:lin5``
+    five with equal steps, anything else a list.
 
     >>> parse_axis("14:20:0.5")
     {'start': 14, 'stop': 20, 'step': 0.5}
     >>> parse_axis("amex,gaia")
     ['amex', 'gaia']
     """
-    if len(parts := text.split(":")) == 3:
+    if len(parts := text.split(":")) == 3 and not is_text:
         ends = {"start": parse_value(parts[0]), "stop": parse_value(parts[1])}
-        if parts[2].startswith("log"):
-            return {**ends, "num": parse_value(parts[2][3:]), "spacing": "log"}
+        if (spacing := parts[2][:3]) in ("log", "lin"):
+            more = {"spacing": "log"} if spacing == "log" else {}
+            return {**ends, "num": parse_value(parts[2][3:]), **more}
         return {**ends, "step": parse_value(parts[2])}
     listed = parse_value(text)
-    return listed if isinstance(listed, list) else _split(text)
+    return listed if isinstance(listed, list) else _split(text, is_text)
 
 
-def _split(text: str) -> list[Any]:
+def _split(text: str, is_text: bool = False) -> list[Any]:
     """Return values with commas between them; raises SweepError where a comma would cut a text in quotes."""
     parts = [part.strip() for part in text.split(",")]
     for part in parts:
         if part[:1] in ("'", '"') and (len(part) == 1 or part[-1] != part[0]):
             raise SweepError(f'{shown(part)}: commas divide values; give texts with commas to --axis as ["a,b", "c"]')
-    return [parse_value(part) for part in parts]
+    return [parse_value(part, is_text) for part in parts]
 
 
-def parse_range(text: str) -> Any:
+def parse_range(text: str, is_text: bool = False) -> Any:
     """Return a range: ``0.1:0.5`` on a linear scale, ``1:100:log`` on a logarithmic one, anything else as a list.
 
     >>> parse_range("1:100:log"), parse_range("amex,gaia")
     ({'low': 1, 'high': 100, 'spacing': 'log'}, {'values': ['amex', 'gaia']})
     """
     parts = text.split(":")
-    if len(parts) not in (2, 3):
-        return {"values": _split(text)}
+    if len(parts) not in (2, 3) or is_text:
+        return {"values": _split(text, is_text)}
     spacing = {"spacing": parts[2]} if len(parts) == 3 else {}
     return {"low": parse_value(parts[0]), "high": parse_value(parts[1]), **spacing}
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +29,9 @@ from linksweep.sweep.tables.reader import read_table
 
 MAX_VALUES = 1_000_000
 """The most values of an axis, and the most rows of a table of points."""
+
+NEAR = 1e-12
+"""Relative difference of numbers that are meant to be the same."""
 
 MORRIS_LEVELS = 4
 """Values of each parameter in a Morris design; an even number."""
@@ -83,6 +87,7 @@ class Values:
             values = self.several(place, name, raw_values)
             if repeated := [shown(value) for value, n in Counter(values or ()).items() if n > 1]:
                 self.problems.add(place, f"duplicate values {first_of(repeated, 10)}")
+            require_distinct(values or ())
             return values
         return None
 
@@ -108,6 +113,16 @@ class Values:
             self.problems.add(place, f"has values of several types ({types}); an axis is of one")
             return None
         return tuple(values)
+
+
+def require_distinct(values: Sequence[Value]) -> None:
+    """Raise ValueError for two numbers on one axis that differ by no more than rounding."""
+    numbers = sorted(value for value in values if type(value) is float)
+    for one, other in pairwise(numbers):
+        if 0.0 < other - one <= NEAR * max(abs(one), abs(other)):
+            raise ValueError(
+                f"{one!r} and {other!r} differ by rounding only; they would be two points: give one of them"
+            )
 
 
 def _is_log(spec: Mapping[str, Any], *ends: float) -> bool:

@@ -39,6 +39,7 @@ def load_study(
     points: str | None = None,
     design: str | None = None,
     ranges: Sequence[str] = (),
+    exclude: Sequence[str] = (),
 ) -> Study:
     """Read and check a study, without running it.
 
@@ -50,6 +51,7 @@ def load_study(
         points: the file of a table of points that replaces the study's, as in ``sweep run --points``.
         design: ``NAME:N`` or ``NAME:N:SEED``, replaces the study's points, as in ``sweep run --design``.
         ranges: ``NAME=LOW:HIGH``, ``NAME=LOW:HIGH:log`` or ``NAME=A,B,C`` of a design, as in ``sweep run --range``.
+        exclude: ``NAME=VALUE,NAME>NUMBER``, points that are left out, as in ``sweep run --exclude``.
 
     Returns:
         The study; all its parameters have values that the experiment allows.
@@ -69,7 +71,7 @@ def load_study(
         path = find_study(name_or_path)
         text = read_text(path)
         document = parsed(text, path)
-    options = Options(settings, axes, points, design, ranges)
+    options = Options(settings, axes, points, design, ranges, exclude)
     return _Reader(document, text, path, function or str(path), options, Code()).study()
 
 
@@ -110,10 +112,11 @@ def study_of_function(
     sampling: Mapping[str, Any] | None = None,
     title: str | None = None,
     points: Any = None,
+    exclude: Sequence[Mapping[str, Any]] | None = None,
 ) -> Study:
     """Return the study of a function, named after it; raises SweepError as `load_study`."""
     tables = {"axes": axes or None, "fixed": fixed or None, "sampling": sampling or None}
-    document = {"experiment": function, "title": title, "points": points, **tables}
+    document = {"experiment": function, "title": title, "points": points, "exclude": exclude, **tables}
     return live_study({key: value for key, value in document.items() if value is not None})
 
 
@@ -219,7 +222,8 @@ class _Reader:
         # Without sampling, --set seed=3 means a parameter of that name.
         is_sampled = experiment is None or not experiment.deterministic
         names = [] if experiment is None or is_sampled else [one.name for one in experiment.parameters]
-        self.options.apply(self.document, names, self.problems.sentences)
+        texts = [] if experiment is None else [one.name for one in experiment.parameters if one.kind == "str"]
+        self.options.apply(self.document, names, texts, self.problems.sentences)
         document = {key: section for key, section in self.document.items() if key not in STATEMENTS}
         form = _read_form(document, self.problems)
         for reason in reasons:

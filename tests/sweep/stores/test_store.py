@@ -100,8 +100,12 @@ def test_a_study_that_grows_and_shrinks_keeps_all_blocks(path, coins):
     assert files_of(path) == before
     wider = run(coins | {"axes": coins["axes"] | {"chance": [0.3, 0.4]}, "fixed": {}}, path)
     xr.testing.assert_equal(wider["share"].sel(chance=0.4, drop=True), first["share"])
-    run(coins | {"axes": {"metal": ["tin"], "coins": [5, 6]}}, path)  # smaller and larger
-    assert xr.open_zarr(path)["share"].shape == (1, 2)
+    part = run(coins | {"axes": {"metal": ["tin"], "coins": [5, 6]}}, path)  # smaller and larger
+    assert part["share"].shape == (1, 2)
+    whole = xr.open_zarr(path).load()
+    assert whole["share"].shape == (2, 4, 2)
+    assert (int((whole["status"] == 1).sum()), int((whole["status"] == 0).sum())) == (13, 3)
+    xr.testing.assert_equal(whole["share"].sel(coins=[1, 5, 20]), wider["share"])
     assert len(existing_store(path, coins).rows) == (12 + 1) * 4
 
 

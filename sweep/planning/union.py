@@ -1,0 +1,215 @@
+"""The union of the points that a store holds and those that a study asks for, as one study: what the store shows."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Value
+from linksweep.sweep.planning.grid import MAX_POINTS, Grid
+from linksweep.sweep.studies.points import MAX_VALUES, require_distinct
+from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
+from linksweep.sweep.tables.file import as_json
+
+# A grid of more points than this becomes a table where fewer than one in so many of its points are there.
+SMALL, SPARSEST = 1000, 10
+
+UNITED = "united"
+"""The key in the origin of a table of points that was made of several studies: others may add rows to it."""
+
+EARLIER = "with the points of earlier runs"
+
+Row = tuple[Value, ...]
+Rows = dict[tuple[str, ...], list[Row]]
+"""The values at each place along a dimension, by its axes."""
+
+
+def united(stored: Study, asked: Study, held: Collection[bytes] | None = None) -> Study:
+    """Return the study of all points that a store holds and that are asked for; ``asked`` itself where it has them all.
+
+    Axes get the values of both; a constant that is another one, or an axis, in the other study becomes an axis.  Where
+    that makes no grid, or a large one that is nearly empty, the points are a table.  Points with a value that the study
+    defines otherwise under the same name are left out.  ``stored`` is the study of the store, and ``held`` has the
+    digests of the points in its ledger, None where these are all points of its study.  Raises SweepError for values
+    that cannot be on one axis.
+    """
+    theirs, mine = Grid(stored), Grid(asked)
+    defaults = asked.experiment.defaults()
+    was, now = ({**defaults, **one.experiment.defaults(), **one.fixed} for one in (stored, asked))
+    defined = {(one.name, named.name): named for one in asked.experiment.parameters for named in one.defined}
+
+    def is_meant(name: str, value: Value) -> bool:
+        return not isinstance(value, Named) or defined.get((name, value.name), value) == value
+
+    places = theirs.indices()
+    if held is not None:
+        places = places[np.array([digest in held for digest in theirs.digests(places)], dtype=bool)]
+    meant = {
+        dimension: np.array([all(map(is_meant, axes, row)) for row in theirs.rows[dimension]])
+        for dimension, axes in theirs.dimensions.items()
+    }
+    along = np.unravel_index(places, theirs.shape) if meant else ()
+    good = [some[numbers] for some, numbers in zip(meant.values(), along, strict=True)]
+    places = places[np.all(good, axis=0)] if good else places
+    if not len(places) or not all(map(is_meant, was, was.values())):
+        return asked
+    if gone := [name for name in stored.axes if name not in defaults]:
+        raise SweepError(f"the axis {gone[0]} of the store is no parameter any more; --only leaves its points out")
+    axes = {*stored.axes, *asked.axes}
+    changed = [name for name in defaults if name not in axes and as_json(was[name]) != as_json(now[name])]
+    tables = [one.points for one in (asked, stored) if one.points is not None]
+    excluded = tuple(clause for clause in asked.excluded if clause in stored.excluded)
+    along = np.unravel_index(places, theirs.shape) if meant else ()
+    kept = {name: np.unique(numbers) for name, numbers in zip(meant, along, strict=True)}
+    if POINT in kept:  # with rows that repeat others, and those that are not there yet
+        kept[POINT] = np.flatnonzero(meant[POINT])
+    rows = _crossed((theirs, was, kept), (mine, now, {}))
+    rows |= {(name,): [(was[name],), (now[name],)] for name in changed}
+    most = min(MAX_POINTS, max(SMALL, SPARSEST * (len(places) + len(mine))))
+    if not _is_crossed(theirs, mine) or math.prod(map(len, rows.values())) > most:
+        names = tuple(dict.fromkeys([*asked.axes, *stored.axes, *changed]))
+        old = [tuple({**was, **point.parameters}[name] for name in names) for point in theirs.points(places)]
+        new = [tuple(parameters[name] for name in names) for _, parameters in mine.parameters()]
+        rows, excluded, tables = {names: _joined(old, new)}, (), [PointTable(names)]
+        if len(rows[names]) > MAX_VALUES:
+            raise SweepError(f"the store and the study are together a table of more than {MAX_VALUES:,} points")
+    values = _columns(rows, {named: named for named in defined.values()}, is_table=bool(tables))
+    points = None
+    if tables:
+        size = len(values[tables[0].names[0]])
+        whole = [
+            one.points for one in (asked, stored) if one.points in tables and len(one.axes[one.points.names[0]]) == size
+        ]
+        points = PointTable(tables[0].names, whole[0].origin if whole else {UNITED: True})
+    result = replace(
+        asked,
+        experiment=_experiment(stored, asked),
+        axes=values,
+        fixed={name: value for name, value in asked.fixed.items() if name not in values},
+        sampling=_sampling(stored, asked),
+        zipped=tuple(names for names in rows if len(names) > 1 and (points is None or names != points.names)),
+        points=points,
+        excluded=excluded,
+    )
+    if result.digest() == asked.digest():
+        return asked
+    overrides = asked.overrides if EARLIER in asked.overrides else (*asked.overrides, EARLIER)
+    conclusion = asked.conclusion if values.keys() == asked.axes.keys() else None
+    result = replace(result, overrides=overrides, conclusion=conclusion)
+    return replace(result, document=_document(stored, asked, result))
+
+
+def _columns(rows: Rows, known: Mapping[Named, Named], *, is_table: bool) -> dict[str, tuple[Value, ...]]:
+    """Return the values of each axis, of equal ones those that are ``known``, which can be computed with; raises
+    SweepError for numbers on one axis that differ by rounding.
+    """
+    columns: dict[str, tuple[Value, ...]] = {}
+    for names, some in rows.items():
+        for name, column in zip(names, zip(*some, strict=True), strict=True):
+            columns[name] = tuple(known.get(value, value) if isinstance(value, Named) else value for value in column)
+            try:
+                require_distinct(() if is_table else columns[name])
+            except ValueError as error:
+                raise SweepError(f"{name}, with its values in the store: {error}") from error
+    return columns
+
+
+def _is_crossed(theirs: Grid, mine: Grid) -> bool:
+    """Return whether axes that share a dimension in one of two grids do so in both, or are constants in the other."""
+    groups = [{(frozenset(axes), name == POINT) for name, axes in grid.dimensions.items()} for grid in (theirs, mine)]
+    return all(
+        group in other or group[0].isdisjoint(grid.study.axes)
+        for some, other, grid in ((groups[0], groups[1], mine), (groups[1], groups[0], theirs))
+        for group in some
+    )
+
+
+def _crossed(*sides: tuple[Grid, Mapping[str, Value], Mapping[str, NDArray[np.intp]]]) -> Rows:
+    """Return the values along each dimension of a store and a study, of each its grid, its constants, and which places
+    along its dimensions are kept, all if that does not say.
+    """
+    rows: Rows = {}
+    for names in (axes for grid, _, _ in reversed(sides) for axes in grid.dimensions.values()):
+        if any(names[0] in known for known in rows):
+            continue
+        both = list[list[Row]]()
+        for grid, constants, kept in sides:
+            dimension = next((d for d, axes in grid.dimensions.items() if names[0] in axes), None)
+            if dimension is None:
+                both.append([tuple(constants[name] for name in names)])
+            else:
+                there = [dict(zip(grid.dimensions[dimension], row, strict=True)) for row in grid.rows[dimension]]
+                some = [there[number] for number in kept[dimension]] if dimension in kept else there
+                both.append([tuple(row.get(name) for name in names) for row in some])
+        rows[names] = _joined(*both)
+    return rows
+
+
+def _joined(old: list[Row], new: list[Row]) -> list[Row]:
+    """Return the rows of both: those of one that has all in its order, else in ascending order if they are numbers."""
+    known = [{as_json(list(row)) for row in rows} for rows in (old, new)]
+    if known[0] <= known[1]:
+        return new
+    added = [row for row in new if as_json(list(row)) not in known[0]]
+    joined = [*old, *added]
+    if added and all(len(row) == 1 and type(row[0]) in (int, float) for row in joined):
+        joined.sort()
+    return joined
+
+
+def _experiment(stored: Study, asked: Study) -> Experiment:
+    """Return the experiment with the named values of both; the store has no more of its own than their identity."""
+    experiment, parameters = asked.experiment, []
+    for parameter in experiment.parameters:
+        values = (*parameter.defined, *stored.axes.get(parameter.name, ()), stored.fixed.get(parameter.name))
+        names = {one.name: one for one in reversed(values) if isinstance(one, Named)}
+        parameters.append(replace(parameter, defined=tuple(names.values())))
+    if tuple(parameters) == experiment.parameters:
+        return experiment
+    own, recorded = experiment.cost, stored.experiment.cost
+
+    def cost(point: Point) -> float:
+        is_known = not any(isinstance(value, Named) and value.value is None for value in point.values())
+        return own(point) if is_known else recorded(point)
+
+    return replace(experiment, parameters=tuple(parameters), cost=cost if experiment.says_cost else own)
+
+
+def _sampling(stored: Study, asked: Study) -> Sampling:
+    """Return the sampling of the store where it has all realisations that are asked for, else what is asked."""
+    old, new = stored.sampling, asked.sampling
+    if old.precision is None and new.precision is None:
+        return old if old.n_sim >= new.n_sim and old.n_cat >= new.n_cat else new
+    same = (old.n_sim, old.n_cat, old.most) == (new.n_sim, new.n_cat, new.most)
+    return old if same and (old.precision or 1.0) <= (new.precision or 0.0) else new
+
+
+def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
+    """Return the document from which a store makes the union again."""
+
+    def written(names: Sequence[str]) -> dict[str, Any]:
+        return {
+            name: [value.name if isinstance(value, Named) else value for value in whole.axes[name]] for name in names
+        }
+
+    columns = () if whole.points is None else whole.points.names
+    document = {**asked.document, "axes": written([name for name in whole.axes if name not in columns])}
+    document["fixed"] = {n: raw for n, raw in asked.document.get("fixed", {}).items() if n not in whole.axes}
+    document["grid"] = {"zip": [list(names) for names in whole.zipped]}
+    clauses = zip(asked.excluded, asked.document.get("exclude", ()), strict=True)
+    document["exclude"] = [raw for clause, raw in clauses if clause in whole.excluded]
+    if not asked.experiment.deterministic:
+        document["sampling"] = whole.sampling.model_dump(exclude_none=True, exclude_defaults=True)
+    if whole.points is not None:
+        document["points"] = {"columns": written(columns), "origin": dict(whole.points.origin)}
+    if whole.conclusion is None:
+        document.pop("conclusion", None)
+    theirs, mine = (one.document.get("define", {}) for one in (stored, asked))
+    if theirs or mine:
+        document["define"] = {
+            name: {**theirs.get(name, {}), **mine.get(name, {})} for name in dict.fromkeys([*theirs, *mine])
+        }
+    return {key: value for key, value in document.items() if value not in ({}, [], {"zip": []})}
