@@ -207,7 +207,7 @@ class AskedStudy:
     points: str | None = opt("Compute the points in this table: a column for each parameter.", metavar="FILE")
     design: str | None = opt(f"Compute a design of points, {DESIGNS}", metavar="NAME:N")
     ranges: Sequence[str] = many("A range of the design: 0.1:0.5, 1:100:log or a,b.", "--range", metavar="NAME=SPEC")
-    exclude: Sequence[str] = many("Leave points out: kernel=linear,gamma>1.", "--exclude", metavar="NAME=VALUE,...")
+    exclude: Sequence[str] = many("Leave points out: kernel=linear,gamma>1.", "--exclude", metavar="CONDITIONS")
     output: "Location | None" = output(
         "The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]", type=str, callback=place
     )

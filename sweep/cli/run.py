@@ -279,8 +279,10 @@ def run(
     sweep run sir.py:sir --points runs.csv
     sweep run --retry results/quasars.zarr
     """
-    if (retry or fresh) and (only or keep or redo or (retry and fresh)):
-        raise click.UsageError("--retry, --fresh and any of --only, --keep and --redo contradict each other")
+    if retry and fresh:
+        raise click.UsageError("--retry and --fresh contradict each other")
+    if (retry or fresh) and (only or keep or redo):
+        raise click.UsageError("--only, --keep and --redo do not go with --retry and --fresh")
     study, store = asked.stored() if retry else asked.load()
     failures = run_with_progress(study, store, how, retry=retry, fresh=fresh, only=only, keep=keep, redo=redo)
     differing = verify and print_verified(study, store, verify, not how.watching.quiet)

@@ -138,7 +138,7 @@ class Session:
             is_stored = store.attributes.get("study_digest") == whole.digest() and "points" in store.attributes
             is_stored &= store.attributes.get(BLOCKS) == len(store.rows)
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
-            session.is_left_alone = is_stored and not failed and not session.survey.pending.blocks
+            session.is_left_alone = is_stored and not failed and not session.accumulator.survey.pending.blocks
         return session
 
     @property
@@ -148,18 +148,23 @@ class Session:
 
     @property
     def survey(self) -> Survey:
-        """How much there is, and how much of it is pending."""
-        return self.accumulator.survey
+        """How much there is of what was asked for, and how much is pending; of all points if more than these are."""
+        own = self.accumulator.survey
+        asked = own if self._asked is None else self._part().accumulator.survey
+        return asked if asked.pending.blocks == own.pending.blocks else own
+
+    def _part(self) -> "Session":
+        """Return the session of the points of the study that was asked for alone, with what is there now."""
+        assert self._asked is not None, "the store has more"
+        known = replace(self._asked, experiment=self.study.experiment, sampling=self.study.sampling)
+        return Session(self.accumulator.plan.of(known), self._where, self.store)
 
     def part(self) -> "tuple[xr.Dataset, dict[str, str]]":
         """Return the results of the points of the study that was asked for, and its failures by place."""
         from linksweep.sweep.running.results import masked
 
         assert self.store is not None, "it has more points"
-        assert self._asked is not None, "it has fewer"
-        known = replace(self._asked, experiment=self.study.experiment, sampling=self.study.sampling)
-        part = Session(self.accumulator.plan.of(known), self._where, self.store)
-        writer = Writer(part.accumulator, self.store)
+        writer = Writer(self._part().accumulator, self.store)
         return masked(writer.assembled(final=True)), writer.failures()
 
     def compute(
@@ -230,7 +235,7 @@ class Session:
             store.keep_copy()
         store.verify()
         record_code(store, study, progress.say)
-        if unused := len(store.rows) - self.survey.held.blocks:
+        if unused := len(store.rows) - self.accumulator.survey.held.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
         return store
 
@@ -255,7 +260,8 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     input, and for a store that other code made unless ``accept_code``.
     """
     session = Session.open(make_grid(study), store, accept_code=accept_code)
-    return session.accumulator.plan, session.survey
+    asked = session if session._asked is None else session._part()
+    return asked.accumulator.plan, session.survey
 
 
 def run_study(

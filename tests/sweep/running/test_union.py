@@ -156,7 +156,7 @@ COMMANDS = st.fixed_dictionaries(
 
 @given(commands=st.lists(COMMANDS, min_size=3, max_size=7))
 @settings(
-    max_examples=examples(60) if examples(60) == 60 else 2,
+    max_examples=examples(30) if examples(30) == 30 else 2,
     deadline=None,
     derandomize=True,
     suppress_health_check=list(HealthCheck),
