@@ -50,7 +50,7 @@ def rows_of_other_code(store: Store, study: Study) -> list[range]:
 
 
 def check_code(store: Store, study: Study, gone: Collection[bytes] = ()) -> None:
-    """Raise SweepError for a store whose last blocks were made by other code than a study's, but for points that are to
+    """Raise SweepError for a store whose last blocks other code than a study's has made, but for points that are to
     be computed again, by their digests.
     """
     records = records_of(store.attributes)
