@@ -60,8 +60,8 @@ def check_code(store: Store, study: Study, gone: Collection[bytes] = ()) -> None
     if store.rows and (changes := differences_of_code({CODE: json.dumps(records)}, study)):
         meaning = (
             "was made by other code, whose numbers would be mixed up with those of today's; --redo old (in Python "
-            'redo="old") computes its points again, --accept-code (accept_code=True) goes on and records for each point '
-            "which code made it, --fresh (fresh=True) starts anew, -o (store=NAME) names another store"
+            'redo="old") computes its points again, --accept-code (accept_code=True) goes on and records for each '
+            "point which code made it, --fresh (fresh=True) starts anew, -o (store=NAME) names another store"
         )
         raise SweepError([meaning, *changes], str(store.location))
 
