@@ -10,6 +10,7 @@ from contextlib import closing
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 import xarray as xr
 
@@ -71,20 +72,22 @@ SCRIPTS = {
     "coming-from.md": ("lost.py", 1),
     "planning-observations.md": ("", 0),
     "points.md": ("flow.py", 1),
+    "results.md": ("", 0),
     "tie.md": ("", 0),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("document", SCRIPTS)
-def test_the_script_of_a_page_runs(document, tmp_path):
+def test_the_scripts_of_a_page_run(document, tmp_path):
     file, number = SCRIPTS[document]
     blocks = code(document, "python")
     if file:
         (tmp_path / file).write_text(blocks[0])
-    script = [sys.executable, "-W", "error::DeprecationWarning", "-c", blocks[number]]
-    done = subprocess.run(script, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    for block in blocks[number:]:
+        script = [sys.executable, "-W", "error::DeprecationWarning", "-c", block]
+        done = subprocess.run(script, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
     assert len(list(tmp_path.iterdir())) > bool(file)
 
 
@@ -134,11 +137,15 @@ def test_the_readme_shows_the_table_that_the_study_prints(tmp_path, sweep):
 
 def test_the_functions_of_the_readme_run(tmp_path, sweep):
     text = (ROOT / "README.md").read_text()
-    (example,) = re.findall(r"```python\n(def decay.*?)```", text, flags=re.DOTALL)
-    (tmp_path / "decay.py").write_text(example)
-    (command,) = re.findall(r"^sweep run decay.py:decay.*$", text, flags=re.MULTILINE)
-    status, _, err = sweep(*shlex.split(command)[1:], cwd=tmp_path)
-    assert status == 0, err
+    (example,) = re.findall(r"```python\n(def birthday.*?)```", text, flags=re.DOTALL)
+    (tmp_path / "birthday.py").write_text(example)
+    for command in re.findall(r"^sweep .*birthday.*$", text, flags=re.MULTILINE):
+        status, _, err = sweep(*shlex.split(command)[1:], cwd=tmp_path)
+        assert status == 0, err
+    shared = xr.open_zarr(tmp_path / "birthday.zarr")["shared_mean"].load()
+    people = shared.people.values
+    alone = [np.prod(1.0 - np.arange(n) / 365.0) for n in people]  # all birthdays differ
+    np.testing.assert_allclose(shared, 1.0 - np.array(alone), atol=0.05)
 
 
 @pytest.mark.slow

@@ -168,7 +168,7 @@ class TerminalProgress(_Watch):
         kept = f", {self._count.done:,} of them in the store already" if self._count.done else ""
         kept += failed_before(survey.failed)
         if total.points == pending.points and total.blocks > pending.blocks:
-            kept += ", part of the realisations too"
+            kept += ", begun already"
         points = counted(total.points, "point")
         if not pending.blocks and not survey.failed:
             self.say(f"{points}, all of them in the store already")
