@@ -19,7 +19,7 @@ import re
 import sys
 import sysconfig
 import time
-from collections import ChainMap, defaultdict
+from collections import ChainMap, defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, lru_cache
@@ -54,11 +54,12 @@ RANDOM = (np.random.Generator, np.random.RandomState, random.Random)
 # Methods that make an object: what they set is how it begins, not a change.
 MAKING = ("__init__", "__new__", "__post_init__", "__init_subclass__", "__set_name__")
 
-# Methods that change their object.
-CHANGING = {
-    *("append", "add", "extend", "update", "insert", "setdefault", "pop", "popitem", "clear"),
-    *("discard", "remove", "sort", "reverse", "write", "put", "acquire"),
-}
+# Methods that change their object: those that its unchangeable twin lacks.
+TWINS = ((list, tuple), (deque, tuple), (set, frozenset), (dict, MappingProxyType))
+CHANGING = {name for one, fixed in TWINS for name in dir(one) if not hasattr(fixed, name)} - {"copy"}
+
+# Functions of Python that may name anything of their module.
+BY_NAME = ("globals", "eval", "exec")
 
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 IMPORTS = (ast.Import, ast.ImportFrom)
@@ -208,10 +209,12 @@ class Reach:
                 self.places[f"value {without_package(label)}"] = f"{names['__file__']}, line {statements[0].lineno}"
             self._value, self._is_changing = label, not self._changed.isdisjoint([name, f".{name}", label])
             text = "changes" if self._is_changing else self._form(value, {})
-            # What is left out counts by the statements with which it begins.  A notebook has no such tree.
+            # What is left out counts by the statements with which it begins; of a notebook these are not known.
             if self._is_changing:
                 begins = [one for one in statements if not isinstance(one, IMPORTS)]
                 text += "".join(map(unparsed, begins)) + self._names(begins, names)
+                if names and not begins:
+                    self.unnoticed[without_package(label)] = label_of(type(value))
             self._keep(f"value {label}", text)
         return ""
 
@@ -261,7 +264,7 @@ class Reach:
             # Digested where it is long: objects that share parts would else repeat their text at each level.
             text = f"{label_of(kind)} [{inside if len(inside) < LONG_FORM else digest_of(inside)}]"
         except Exception:  # whatever keeps an object from being taken apart; also where it is too deep
-            text = label_of(kind)
+            text, self._is_changing = label_of(kind), True
             if self._value:
                 self.unnoticed[without_package(self._value)] = text
         known[id(value)] = value, text
@@ -395,6 +398,8 @@ class Reach:
         scope = ChainMap(imported, cells, dict(names))
         for chain in sorted({chain for node in nodes for chain in _chains(node)}):
             name, *path = chain.split(".")
+            if name in BY_NAME and name not in scope:
+                self._follow(self._whole, sys.modules[names["__name__"]])
             if name not in scope or name not in wanted:
                 continue
             value, home, is_users = scope[name], names, True

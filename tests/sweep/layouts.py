@@ -31,6 +31,19 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
     "lazy": "import functools\n\nclass C_NAME:\n    def __init__(self):\n        self.first = None\n    @functools.cached_property\n    def zero(self):\n        return 0.0\n    def run(self, x):\n        if self.first is None:\n            self.first = [x]\n        return INNER(x) + self.zero\n\nNAME_object = C_NAME()\n\ndef NAME(x):\n    return NAME_object.run(x)",
     "class decorator": "import functools\n\nclass D_NAME:\n    def __init__(self, g):\n        functools.update_wrapper(self, g)\n        self.g = g\n    def __call__(self, x):\n        return self.g(x) + INNER(x)\n\n@D_NAME\ndef NAME(x):\n    return 0.0",
     "attribute of itself": "def NAME(x):\n    NAME.calls = getattr(NAME, 'calls', 0) + 1\n    return INNER(x)",
+    "method import": "class C_NAME:\n    def run(self, x):\n        IMPORT\n        return INNER(x)\n\ndef NAME(x):\n    return C_NAME().run(x)",
+    "registered later": "import functools\n\n@functools.singledispatch\ndef NAME(x):\n    return 0.0\n\n@NAME.register\ndef _(x: float):\n    return INNER(x)",
+    "property object": "class C_NAME:\n    def _get(self):\n        return INNER(0.0)\n    value = property(_get)\n\ndef NAME(x):\n    return x + C_NAME().value",
+    "method set later": "class C_NAME:\n    pass\n\nC_NAME.run = lambda self, x: INNER(x)\n\ndef NAME(x):\n    return C_NAME().run(x)",
+    "metaclass": "class M_NAME(type):\n    def __call__(cls, x):\n        return INNER(x)\n\nclass NAME(metaclass=M_NAME):\n    pass",
+    "abstract": "from abc import ABC, abstractmethod\n\nclass B_NAME(ABC):\n    @abstractmethod\n    def run(self, x): ...\n\nclass C_NAME(B_NAME):\n    def run(self, x):\n        return INNER(x)\n\ndef NAME(x, one=C_NAME()):\n    return one.run(x)",
+    "operator": "class C_NAME:\n    def __add__(self, x):\n        return INNER(x)\n\nNAME_object = C_NAME()\n\ndef NAME(x):\n    return NAME_object + x",
+    "context": "import contextlib\n\n@contextlib.contextmanager\ndef NAME_given(x):\n    yield INNER(x)\n\ndef NAME(x):\n    with NAME_given(x) as y:\n        return y",
+    "namespace": "from types import SimpleNamespace\n\nNAME_all = SimpleNamespace(one=lambda x: INNER(x))\n\ndef NAME(x):\n    return NAME_all.one(x)",
+    "attribute by name": "import operator\n\nclass C_NAME:\n    def run(self, x):\n        return INNER(x)\n\nNAME_run = operator.methodcaller('run', 1.0)\n\ndef NAME(x):\n    return NAME_run(C_NAME()) + x",
+    "descriptor": "class D_NAME:\n    def __get__(self, one, kind=None):\n        return INNER\n\nclass C_NAME:\n    run = D_NAME()\n\ndef NAME(x):\n    return C_NAME().run(x)",
+    "generator": "def NAME_many(x):\n    yield from (INNER(y) for y in [x])\n\ndef NAME(x):\n    return sum(NAME_many(x))",
+    "subclasses": "class B_NAME:\n    def __init_subclass__(cls):\n        B_NAME.last = cls\n\nclass C_NAME(B_NAME):\n    def run(self, x):\n        return INNER(x)\n\ndef NAME(x):\n    return B_NAME.last().run(x)",
     "single dispatch": "import functools\n\n@functools.singledispatch\ndef NAME(x):\n    return INNER(x)",
 }
 
@@ -60,6 +73,28 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "nested": "def NAME(x):\n    def inner(y):\n        return y + CONSTANT\n    return inner(x)",
     "seed": "import numpy as np\n\ndef NAME(x):\n    return x + float(np.random.default_rng(int(CONSTANT)).normal())",
     "state": "import decimal\n\ndecimal.getcontext().prec = int(CONSTANT)\n\ndef NAME(x):\n    return float(decimal.Decimal(1) / decimal.Decimal(3)) + x",
+    "factory": "from dataclasses import dataclass, field\n\ndef NAME_k():\n    return [CONSTANT]\n\n@dataclass\nclass C_NAME:\n    k: list = field(default_factory=NAME_k)\n\ndef NAME(x):\n    return x + C_NAME().k[0]",
+    "factory of a lambda": "from dataclasses import dataclass, field\n\n@dataclass\nclass C_NAME:\n    k: list = field(default_factory=lambda: [CONSTANT])\n\ndef NAME(x):\n    return x + C_NAME().k[0]",
+    "slots": "class C_NAME:\n    __slots__ = ('k',)\n    def __init__(self, k):\n        self.k = k\n\nNAME_object = C_NAME(CONSTANT)\n\ndef NAME(x):\n    return x + NAME_object.k",
+    "keyword partial": "import functools\n\ndef NAME_two(x, *, k=0.0):\n    return x + k\n\nNAME = functools.partial(NAME_two, k=CONSTANT)",
+    "partial method": "import functools\n\nclass C_NAME:\n    def two(self, k, x):\n        return x + k\n    run = functools.partialmethod(two, CONSTANT)\n\ndef NAME(x):\n    return C_NAME().run(x)",
+    "closures": "def NAME_make(k):\n    def middle():\n        def inner(x):\n            return x + k\n        return inner\n    return middle()\n\nNAME = NAME_make(CONSTANT)",
+    "list of closures": "NAME_all = [(lambda k: lambda x: x + k)(k) for k in (0.0, CONSTANT)]\n\ndef NAME(x):\n    return NAME_all[1](x)",
+    "member": "from enum import Enum\n\nclass E_NAME(Enum):\n    A = 1\n    @property\n    def k(self):\n        return CONSTANT\n\ndef NAME(x):\n    return x + E_NAME.A.k",
+    "typed tuple": "from typing import NamedTuple\n\nclass P_NAME(NamedTuple):\n    k: float = CONSTANT\n\ndef NAME(x):\n    return x + P_NAME().k",
+    "cached property": "import functools\n\nclass C_NAME:\n    @functools.cached_property\n    def k(self):\n        return CONSTANT\n\nNAME_object = C_NAME()\n\ndef NAME(x):\n    return x + NAME_object.k",
+    "cached": "import functools\n\n@functools.lru_cache(maxsize=None)\ndef NAME(x):\n    return x + CONSTANT",
+    "vectorised": "import numpy as np\n\n@np.vectorize\ndef NAME_v(x):\n    return x + CONSTANT\n\ndef NAME(x):\n    return float(NAME_v(x))",
+    "registered": "NAME_all = {}\n\ndef NAME_add(k):\n    def deco(g):\n        NAME_all[g.__name__] = k, g\n        return g\n    return deco\n\n@NAME_add(CONSTANT)\ndef NAME_one(x):\n    return x\n\ndef NAME(x):\n    return x + NAME_all['NAME_one'][0]",
+    "module attribute": "import types\n\nNAME_module = types.ModuleType('NAME_module')\nNAME_module.k = CONSTANT\n\ndef NAME(x):\n    return x + NAME_module.k",
+    "series": "import pandas as pd\n\nS_NAME = pd.Series([0.0, CONSTANT])\n\ndef NAME(x):\n    return x + float(S_NAME.iloc[1])",
+    "labelled array": "import numpy as np\nimport xarray as xr\n\nA_NAME = xr.DataArray(np.array([0.0, CONSTANT]), dims='i')\n\ndef NAME(x):\n    return x + float(A_NAME[1])",
+    "spline": "import numpy as np\nfrom scipy.interpolate import CubicSpline\n\nS_NAME = CubicSpline(np.arange(4.0), np.arange(4.0) * CONSTANT)\n\ndef NAME(x):\n    return x + float(S_NAME(1.0))",
+    "annotated": "from dataclasses import dataclass\n\n@dataclass\nclass C_NAME:\n    x: float\n    k: float = CONSTANT\n    def __post_init__(self):\n        self.x = self.x + self.k\n\ndef NAME(x):\n    return C_NAME(x).x",
+    "changed later": "L_NAME = [0.0]\nL_NAME.append(CONSTANT)\n\ndef NAME(x):\n    return x + L_NAME[1]",
+    "loop": "K_NAME = 0.0\nfor _ in range(int(CONSTANT)):\n    K_NAME += 1.0\n\ndef NAME(x):\n    return x + K_NAME",
+    "own class": "class C_NAME:\n    @classmethod\n    def make(cls):\n        one = cls()\n        one.k = CONSTANT\n        return one\n\ndef NAME(x):\n    return x + C_NAME.make().k",
+    "frompyfunc": "import numpy as np\n\nU_NAME = np.frompyfunc(lambda x: x + CONSTANT, 1, 1)\n\ndef NAME(x):\n    return float(U_NAME(x))",
     "mutated": "M_NAME = {'k': CONSTANT}\n\ndef NAME(x):\n    M_NAME['calls'] = 1\n    return x + M_NAME['k']",
 }
 
@@ -70,6 +105,8 @@ class Layout:
 
     seed: int
     kinds: list[str] = field(default_factory=list)
+    only: str = ""
+    """The only kind, instead of random ones."""
 
     def write(self, folder: Path, constant: str = "3.0", *, cosmetic: bool = False) -> None:
         """Write the modules below a folder, ``main.py`` in ``work/``; ``cosmetic`` changes what changes no number."""
@@ -77,21 +114,21 @@ class Layout:
         other = random.Random(f"other {self.seed}")
         self.kinds.clear()
         self._reexported: list[tuple[str, str]] = []
-        depth = chance.randint(0, 3)
+        depth = chance.randint(0, 3) if not self.only else int(self.only in LINKS)
         modules: dict[str, list[str]] = {"main.py": []}
         heads: dict[str, list[str]] = {"main.py": []}
         path, name = "main.py", "f"
         for level in range(depth + 1):
             if level == depth:
-                self.kinds.append(kind := chance.choice(sorted(ENDS)))
+                self.kinds.append(kind := self.only if self.only in ENDS else chance.choice(sorted(ENDS)))
                 text = ENDS[kind].replace("CONSTANT", constant)
             else:
-                self.kinds.append(kind := chance.choice(sorted(LINKS)))
+                self.kinds.append(kind := self.only or chance.choice(sorted(LINKS)))
                 places = [place for place in PLACES if place.startswith("../") or not path.startswith("../")]
                 inner, inner_path = f"g{level}", chance.choice(places) + f"m{level}.py"  # no circle of packages
-                statement, call = self._import(chance, path, inner_path, inner, at_top=kind != "inner import")
+                statement, call = self._import(chance, path, inner_path, inner, at_top="IMPORT" not in LINKS[kind])
                 text = LINKS[kind].replace("INNER", call).replace("IMPORT", statement)
-                if kind != "inner import":
+                if "IMPORT" not in LINKS[kind]:
                     heads[path].append(statement)
             block = text.replace("NAME", name if level else "h")
             modules[path].append(block)

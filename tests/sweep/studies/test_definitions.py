@@ -5,6 +5,7 @@ import pytest
 
 import linksweep
 from linksweep import SweepError
+from tests.tiers import slow
 
 CURVES = """\
 import numpy as np
@@ -137,6 +138,21 @@ def test_points_are_known_by_the_curve_and_not_by_its_name(here, done):
     assert done(('"gaia", "small", "coded"', '"gaia", "coded"')) == 4
     (here / "curves.py").write_text(CURVES.replace("0.02", "0.03"))
     assert done() == 4
+
+
+@pytest.mark.parametrize("pool", ["serial", slow("threads"), slow("processes")])
+def test_a_file_that_changes_after_the_study_was_read_changes_no_number(here, pool):
+    """All points are computed with the function that was read, or refused: none with the other one."""
+    read = linksweep.load_study("own.toml")
+    (here / "curves.py").write_text(CURVES.replace("0.02", "0.2"))
+    mixed = run(read, "mixed.zarr", pool=pool)
+    (here / "curves.py").write_text(CURVES)
+    pure = run(store="pure.zarr")
+    done = mixed["status"].values == 1
+    assert done.all() or not done[mixed["model"].values == "coded"].any()
+    for name in pure.data_vars:
+        if pure[name].dims[:2] == ("model", "v_max") and name not in ("status", "wall_time"):
+            np.testing.assert_array_equal(mixed[name].values[done], pure[name].values[done], err_msg=name)
 
 
 def test_a_store_is_reproduced_from_itself(here, sweep):
