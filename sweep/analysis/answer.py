@@ -8,18 +8,9 @@ from string import Formatter
 import numpy as np
 import xarray as xr
 
+from linksweep.sweep import formatting
 from linksweep.sweep.analysis import compare, quantity
 from linksweep.sweep.contract import Array, SweepError
-from linksweep.sweep.formatting import (
-    counted,
-    in_ascii,
-    in_short,
-    is_truth,
-    meaning_beside,
-    prefixed,
-    units_of,
-    with_unit,
-)
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.study import POINT, Conclusion, ConclusionValue
 
@@ -71,7 +62,10 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
         return made
     first = said_first(dataset)
     for variable in dict.fromkeys([*first, *quantity.headlines(dataset)]):
-        meaning, values = meaning_beside(variable, dataset[variable].attrs), dataset[variable].astype(float, copy=False)
+        meaning, values = (
+            formatting.meaning_beside(variable, dataset[variable].attrs),
+            dataset[variable].astype(float, copy=False),
+        )
         if made and variable not in first and values.size > 1 and values.min() == values.max():
             continue  # a number that is the same everywhere answers nothing
         if errors := quantity.errors_beside(dataset, variable):
@@ -97,7 +91,7 @@ def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, 
     """Yield name, unit and dataset of a variable, or of each of its components, with one value per point; the values of
     a function along a dimension of its own stay together.
     """
-    unit, dims = units_of(dataset[variable].attrs), quantity.own_dimensions(dataset, variable)
+    unit, dims = formatting.units_of(dataset[variable].attrs), quantity.own_dimensions(dataset, variable)
     if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in dims):
         dims = []
     for place in quantity.places_along(dataset, dims):
@@ -126,9 +120,9 @@ def _range_of(values: Array, unit: str) -> str:
     known = values[np.isfinite(values.astype(float, copy=False))]
     if not known.size:
         return ""
-    chosen = prefixed(known, unit)
-    ends = dict.fromkeys(in_short(end * chosen.factor) for end in (known.min().item(), known.max().item()))
-    return f"{' to '.join(ends)} {in_ascii(chosen.unit)}".rstrip()
+    chosen = formatting.prefixed(known, unit)
+    ends = dict.fromkeys(formatting.in_short(end * chosen.factor) for end in (known.min().item(), known.max().item()))
+    return f"{' to '.join(ends)} {formatting.in_ascii(chosen.unit)}".rstrip()
 
 
 def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
@@ -138,8 +132,8 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     if not known.any():
         yield NOTHING_YET
         return
-    if is_truth(array):
-        points = counted(int(known.sum()), "point")
+    if formatting.is_truth(array):
+        points = formatting.counted(int(known.sum()), "point")
         yield f"It is True at {int(array.where(known).sum()):,} of {points}."
         return
     errors = xr.zeros_like(array, dtype=float) if error is None else error.transpose(*array.dims)
@@ -157,20 +151,20 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
         without_bias = whole_name not in part and errors_alone in part and "bias" in part
         yield from _agreement(values, errors, predicted, ", which leaves a bias out" if without_bias else "")
     if infinite := int(((status == Status.DONE) & ~known).sum()):
-        yield f"It is not a finite number at {counted(infinite, 'point')}."
+        yield f"It is not a finite number at {formatting.counted(infinite, 'point')}."
 
 
 def _range(part: xr.Dataset, array: xr.DataArray, errors: xr.DataArray, unit: str) -> str:
     values, sigmas = quantity.exact(array.values).reshape(-1), errors.values.reshape(-1)  # integers are exact
     known = np.flatnonzero(np.isfinite(values.astype(float, copy=False)))
     low, high = (known[end(values[known])] for end in (np.argmin, np.argmax))
-    number = [with_unit(values[flat].item(), float(sigmas[flat]), unit) for flat in (low, high)]
+    number = [formatting.with_unit(values[flat].item(), float(sigmas[flat]), unit) for flat in (low, high)]
     if values.size == 1:
         return f"It is {number[0]}."
     indices = (map(int, np.unravel_index(flat, array.shape)) for flat in (low, high))
     places = [quantity.place_at(part, dict(zip(map(str, array.dims), i, strict=True))) for i in indices]
     least, largest = map(quantity.place_in_words, places)
-    points = counted(len(known), "point" if array.ndim == part["status"].ndim else "value")
+    points = formatting.counted(len(known), "point" if array.ndim == part["status"].ndim else "value")
     if values[low] == values[high]:
         return f"It is {number[0]} at {points if len(known) > 1 else least}."
     return f"It is between {number[0]} ({least}) and {number[1]} ({largest}), over {points}."
@@ -183,7 +177,7 @@ def _what_changes_it(values: xr.DataArray) -> Iterator[str]:
     axes = [str(d) for d in values.dims if d != POINT]  # points differ in several parameters at once
     factors = {d: float((values.max(d) / values.min(d)).max()) for d in axes}
     order = sorted((d for d in axes if factors[d] >= VISIBLE_FACTOR), key=lambda d: -factors[d])
-    words = [f"{d} by a factor of up to {in_short(factors[d])}" for d in order]
+    words = [f"{d} by a factor of up to {formatting.in_short(factors[d])}" for d in order]
     if words:
         yield f"What changes it: {', '.join(words)}{', all else being equal' if values.ndim > 1 else ''}."
 
@@ -198,7 +192,7 @@ def _agreement(values: xr.DataArray, errors: xr.DataArray, predicted: xr.DataArr
         if math.isfinite(largest := float(deviations.max())):
             text += f" and {largest:.1f} of its errors"
         if far := int((deviations > ERRORS_ALLOWED).sum()):
-            text += f", at {counted(far, 'point')} by more than {ERRORS_ALLOWED:g} of them"
+            text += f", at {formatting.counted(far, 'point')} by more than {ERRORS_ALLOWED:g} of them"
         yield f"{text}."
 
 
@@ -252,17 +246,17 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
         measured, derived = _measured(dataset, value), value.quantity()
         number, error, unit = measured.value, measured.error, compare.unit_of(dataset, derived)
         if before is not None and text == PLUS_MINUS and not form and before[1] == unit and number > 0.0:
-            pieces[-2:] = [with_unit(before[0], number, unit)]
+            pieces[-2:] = [formatting.with_unit(before[0], number, unit)]
         elif form == "%":
-            pieces.append(f"{in_short(100.0 * number, 100.0 * error)} %")
+            pieces.append(f"{formatting.in_short(100.0 * number, 100.0 * error)} %")
         else:
-            pieces.append((with_unit if form == "error" else in_short)(number, error, unit))
+            pieces.append((formatting.with_unit if form == "error" else formatting.in_short)(number, error, unit))
         before = None if form else (number, unit)
         words = compare.in_words(derived)
         if value.has_bounds and not math.isfinite(error):
             unjudged.append(words)
         elif bound := _broken_bound(value, number, error):
-            unmet.append(f"{words} is {in_short(number, error, unit)}, not {bound}")
+            unmet.append(f"{words} is {formatting.in_short(number, error, unit)}, not {bound}")
     text = "".join(pieces)
     if unmet:
         return f"Expected, but not found: “{text}” ({'; '.join(dict.fromkeys(unmet))})."

@@ -10,17 +10,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from linksweep.sweep import formatting
 from linksweep.sweep.analysis import quantity
-from linksweep.sweep.formatting import (
-    counted,
-    first_of,
-    in_three_digits,
-    is_missing,
-    prefixed,
-    rounded,
-    units_of,
-    with_error,
-)
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.table_writer import Column, Table
 
@@ -50,7 +41,7 @@ def records(dataset: xr.Dataset) -> Table:
         for dims in [quantity.own_dimensions(dataset, name)]
     }
     units = {column.name: column.unit for column in columns.values()}
-    units |= {dim: units_of(dataset[dim].attrs) for array in arrays.values() for dim in array["dims"]}
+    units |= {dim: formatting.units_of(dataset[dim].attrs) for array in arrays.values() for dim in array["dims"]}
     meta = {name: dataset.attrs.get(name, "") for name in ("title", "study_digest")}
     return Table(list(columns.values()), about={"units": units} | ({"arrays": arrays} if arrays else {}), meta=meta)
 
@@ -60,7 +51,7 @@ def _columns(dataset: xr.Dataset, rows: Any = slice(None)) -> dict[str, Column]:
     dims = quantity.axes_of(dataset)
     flat = [str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dims)]
     columns = {
-        name: Column(name, quantity.listed(dataset, name, dims, rows), unit=units_of(dataset[name].attrs))
+        name: Column(name, quantity.listed(dataset, name, dims, rows), unit=formatting.units_of(dataset[name].attrs))
         for name in [*quantity.axis_coordinates(dataset, dims), *flat, *quantity.array_outputs(dataset)]
     }
     words = [code.word for code in Status]
@@ -100,9 +91,9 @@ def _columns_of(dataset: xr.Dataset, columns: dict[str, Column], name: str, rows
         errors = quantity.listed(error.to_dataset(name=name), name, quantity.axes_of(dataset), rows)
 
     def beside(heading: str, values: Sequence[Any], rank: int, to: Sequence[float]) -> Column:
-        return Column(heading, values, list(map(rounded, values, to)), main.unit, rank=rank)
+        return Column(heading, values, list(map(formatting.rounded, values, to)), main.unit, rank=rank)
 
-    yield replace(main, cells=list(map(with_error, main.values, errors)), rank=VALUE)
+    yield replace(main, cells=list(map(formatting.with_error, main.values, errors)), rank=VALUE)
     if (predicted := columns.get(quantity.prediction_name(columns, name))) is not None:
         yield beside("predicted", predicted.values, PREDICTED, errors)
         whole, part = (columns.get(f"{name}_{suffix}") for suffix in quantity.PREDICTION_SUFFIXES)
@@ -112,10 +103,10 @@ def _columns_of(dataset: xr.Dataset, columns: dict[str, Column], name: str, rows
             yield beside("of errors", [alone for _, alone in pairs], PARTS, errors)
             yield beside("of bias", bias, PARTS, errors)
     published = columns[f"{name}_published"].values if f"{name}_published" in columns else []
-    if not all(map(is_missing, published)) and not _is_exact(dataset, name):
+    if not all(map(formatting.is_missing, published)) and not _is_exact(dataset, name):
         yield beside("published", published, PUBLISHED, [0.0] * len(published))
         differences = [v / p - 1.0 if p else math.nan for v, p in zip(main.values, published, strict=True)]
-        cells = ["" if is_missing(one) else f"{100.0 * one:+.1f} %" for one in differences]
+        cells = ["" if formatting.is_missing(one) else f"{100.0 * one:+.1f} %" for one in differences]
         yield Column("difference", differences, cells, rank=PUBLISHED)
 
 
@@ -131,9 +122,9 @@ def _span(values: Any) -> str:
     """Return the array of one point in short: its smallest and its largest number."""
     flat = np.ravel(values)
     if flat.dtype.kind not in "biuf":
-        return first_of(flat.tolist(), 1)
+        return formatting.first_of(flat.tolist(), 1)
     known = quantity.exact(flat[np.isfinite(flat)])
-    return f"{rounded(known.min().item())} to {rounded(known.max().item())}" if known.size else ""
+    return f"{formatting.rounded(known.min().item())} to {formatting.rounded(known.max().item())}" if known.size else ""
 
 
 def tables(dataset: xr.Dataset) -> list[Table]:
@@ -180,17 +171,21 @@ def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> list[Tab
         places = [*quantity.axis_coordinates(part, quantity.axes_of(part)), *(d for d in own if d in part.coords)]
         columns = {n: quantity.listed(part, n, dims) for n in [*places, name, *errors]}
         label = next((f"{d}_unit" for d in own if f"{d}_unit" in part.coords), None)
-        units = quantity.listed(part, label, dims) if label else [units_of(part[name].attrs)] * len(columns[name])
+        units = (
+            quantity.listed(part, label, dims)
+            if label
+            else [formatting.units_of(part[name].attrs)] * len(columns[name])
+        )
         known = [i for i, value in enumerate(columns[name]) if math.isfinite(value)]
         for unit in dict.fromkeys(units[i] for i in known):
             at = [i for i in known if units[i] == unit][:most]
-            chosen = prefixed([columns[name][i] for i in at], unit)
+            chosen = formatting.prefixed([columns[name][i] for i in at], unit)
             values = {n: [columns[n][i] * chosen.factor for i in at] for n in [name, *errors]}
             least = [
                 min((e for e in row if e > 0.0), default=0.0) for row in zip(*map(values.get, errors), strict=True)
             ]
             where = [Column(n, [columns[n][i] for i in at]) for n in places]
-            cells = {n: list(map(rounded, v, least if n == name else v)) for n, v in values.items()}
+            cells = {n: list(map(formatting.rounded, v, least if n == name else v)) for n, v in values.items()}
             numbers = (Column(n, v, cells[n], chosen.unit, quantity=n) for n, v in values.items())
             made.append(Table([*where, *numbers], f"{name} [{chosen.unit}]"))
     return made
@@ -206,8 +201,8 @@ def condition_warning(dataset: xr.Dataset) -> str:
     if not bad.size:
         return ""
     return (
-        f"at {counted(bad.size, 'point')} the condition number is up to {bad.max():.3g}: some unknowns can hardly be "
-        "told apart, and a mean over components hides how badly (see the components)"
+        f"at {formatting.counted(bad.size, 'point')} the condition number is up to {bad.max():.3g}: some unknowns can "
+        "hardly be told apart, and a mean over components hides how badly (see the components)"
     )
 
 
@@ -238,6 +233,6 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
             i, j = sorted(np.unravel_index(np.argmax(np.abs(beside)), beside.shape))
             facts += f", largest correlation {beside[i, j]:.3f} ({labels[i]}, {labels[j]})"
         units = point[f"{dim}_unit"].values.tolist() if f"{dim}_unit" in point.coords else [""] * len(labels)
-        cells = list(map(in_three_digits, point[name].values.tolist(), units))
+        cells = list(map(formatting.in_three_digits, point[name].values.tolist(), units))
         place = ", ".join(filter(None, [name, quantity.place_in_words(quantity.place_at(dataset, index))]))
         yield Table([Column("", labels, left=True), Column("", cells)], f"{place}: {facts}")

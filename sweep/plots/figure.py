@@ -17,7 +17,6 @@ from linksweep.sweep.analysis import answer, quantity
 from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 from linksweep.sweep.plots import KINDS, grid, style
-from linksweep.sweep.plots.points import sampled
 from linksweep.sweep.result import Result
 from linksweep.sweep.studies.study import POINT
 
@@ -98,7 +97,7 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     single = [d for d in dataset["status"].dims if dataset.sizes[d] == 1]
     one_point = len(single) == dataset["status"].ndim
     only_samples = one_point and not variables and not any(name in dataset.coords for name in over)
-    if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
+    if grid.sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
         return _draw(dataset, dataset.squeeze(single), "scatter", variables, over)
     if (dataset["status"].values == Status.EXCLUDED).all():
         raise SweepError("every point is excluded by the study")

@@ -89,7 +89,7 @@ def sky_figure(dataset: xr.Dataset) -> Figure:
     broken = np.where(np.abs(np.diff(x, append=x[-1])) > 1.0, np.nan, plane_dec)
     axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
     axes.plot(x[:1], plane_dec[:1], "k+", label="Galactic centre", markersize=9.0, zorder=4)
-    style.legend(figure, below=True)
+    style.legend(figure)
     style.complete(figure, str(dataset.attrs.get("title", "")))
     return figure
 

@@ -44,9 +44,8 @@ BASE, PAPER, TALK = (
 TALK_MM = 250.0  # the default width of a figure in the style of a talk
 
 # Sizes in letters, that is, in units of the font's size: the average width of a letter, the least width of a panel with
-# labels and ticks, and that of a figure with a legend inside its panel.
-LETTER_WIDTH, PANEL_WIDTH, INSIDE_WIDTH = 0.58, 14.0, 25.0
-MOST_INSIDE = 4  # a legend with more entries stands below its panel, where it covers nothing
+# labels and ticks, and that of a wide one.
+LETTER_WIDTH, PANEL_WIDTH, WIDE = 0.58, 14.0, 25.0
 BESIDE_INCHES = 0.5  # what the labels and ticks of a panel take of its width and height
 
 _width: ContextVar[float | None] = ContextVar("width", default=None)
@@ -88,11 +87,6 @@ class ShownFigure(Figure):
 def in_letters(times: float) -> float:
     """Return so many times the size of letters, in inches."""
     return times * float(mpl.rcParams["font.size"]) / 72.0
-
-
-def is_narrower_than(inches: float) -> bool:
-    """Return whether figures are to have a width that is less than so many inches."""
-    return (_width.get() or math.inf) < inches
 
 
 def most_columns(columns: int, least: float = PANEL_WIDTH) -> int:
@@ -393,25 +387,14 @@ def legend_entries(figure: Figure) -> dict[str, Any]:
     return dict(sorted(entries.items(), key=lambda entry: not isinstance(entry[1], ErrorbarContainer)))
 
 
-def legend(figure: Figure, below: bool = False, least: int = 2, **options: Any) -> None:
-    """Draw the legend of a figure if there are at least two things to tell apart, or ``least``: inside its only panel,
-    or ``below`` the panels where these are several or too narrow, or where it has many entries.
-    """
+def legend(figure: Figure, least: int = 2, **options: Any) -> None:
+    """Draw the legend of a figure below its panels, which it never covers, if there are ``least`` things to explain."""
     entries = legend_entries(figure)
     if len(entries) < least:
         return
-    panels = panels_of(figure)
-    below |= len(panels) > 1 or len(entries) > MOST_INSIDE or is_narrower_than(in_letters(INSIDE_WIDTH))
-    if not below:
-        # given explicitly, matplotlib does not warn if "best" is slow
-        panels[0].legend(entries.values(), entries, **{"loc": "best", "frameon": False, **options})
-        return
     lines = [in_lines(text, figure.get_figwidth() - in_letters(5.0)) for text in entries]
-    width = in_letters(
-        4.5 + 0.46 * max(len(plain(line)) for text in lines for line in text.split("\n"))
-    )  # with its sign
-    columns = max(1, min(len(lines), int(figure.get_figwidth() / width)))
+    longest = max(len(plain(line)) for text in lines for line in text.split("\n"))
+    columns = max(1, min(len(lines), int(figure.get_figwidth() / in_letters(4.5 + 0.46 * longest))))  # with their signs
     figure.legend(entries.values(), lines, loc="outside lower center", ncols=columns, frameon=False, **options)
-    if _width.get() is not None:  # then panels keep their height
-        rows = math.ceil("\n".join(lines).count("\n") / columns) + 1
-        figure.set_figheight(figure.get_figheight() + rows * in_letters(1.5))
+    rows = math.ceil("\n".join(lines).count("\n") / columns) + 1
+    figure.set_figheight(figure.get_figheight() + rows * in_letters(1.5))  # panels keep their height

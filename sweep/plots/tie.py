@@ -21,7 +21,7 @@ from linksweep.core.tie.solution import LARGE_SHARE
 from linksweep.sweep import formatting
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.plots import sky, style
-from linksweep.sweep.plots.points import confidence_ellipse
+from linksweep.sweep.plots.grid import confidence_ellipse
 
 SKY_WIDTH = 45.0  # letters that a map of the sky is wide at least
 RANKED = 20  # sources in a ranking
@@ -125,7 +125,7 @@ def solution_figure(dataset: xr.Dataset) -> Figure:
         upright = len(panel) > 12 or any("[" in name for name in names)
         axes.set_xticks(range(len(panel)), names, rotation=90 if upright else 0)
         axes.set(xlim=(-0.7, len(panel) - 0.3), ylabel=f"estimate [{unit}]")
-    style.legend(figure, below=True, least=1, title="errors")
+    style.legend(figure, least=1, title="errors")
     return figure
 
 
@@ -198,7 +198,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     stretched = without.mean(axis=0) + np.sqrt(len(without) - 1.0) * (without - without.mean(axis=0))
     dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.6}
     dots |= {"markersize": float(np.clip(70.0 / np.sqrt(len(without)), 2.0, 9.0)), "rasterized": len(without) > 2000}
-    figure, grid = style.new_figure(10.0, 3.4 * len(vectors) + 0.5, len(vectors), 3, style.INSIDE_WIDTH)
+    figure, grid = style.new_figure(10.0, 3.4 * len(vectors) + 0.5, len(vectors), 3, style.WIDE)
     pairs = [pair for block in vectors.values() for pair in combinations(block, 2)]
     for axes, pair in zip(grid, map(list, pairs), strict=False):
         factor, unit = _readable(stretched[:, pair], str(dataset["unit"].values[pair[0]]))
@@ -216,7 +216,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
         axes.autoscale_view()
     for axes in grid[len(pairs) :]:
         axes.remove()
-    style.legend(figure, below=True)
+    style.legend(figure)
     return figure
 
 
@@ -287,7 +287,7 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
     ratio = np.maximum(ratio, max(np.min(ratio, where=ratio > 0.0, initial=1e-3), 1e-4))  # 0 has no place on a log axis
     gone, blocks = (count > 0.0) & ~kept, dataset["block_name"].values
     size = max(6.4, 0.8 + 3.8 * len(blocks)), 4.2
-    figure, grid = style.new_figure(*size, 1, len(blocks), style.INSIDE_WIDTH, sharey=True)
+    figure, grid = style.new_figure(*size, 1, len(blocks), style.WIDE, sharey=True)
     dots = {"s": 14.0 if len(names) < 300 else 4.0, "color": style.COLOURS[0], "alpha": 0.6, "linewidths": 0.0}
     crosses = {"s": 16.0, "color": style.COLOURS[1], "marker": "x", "linewidths": 0.8}
     for axes, name, weight in zip(grid, blocks, share.T, strict=True):
@@ -302,7 +302,7 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
         axes.margins(0.08)
         axes.set_title(f"{some.sum()} kept" + (f", {gone.sum()} dropped" if np.any(gone) else ""))
     grid[0].set_ylabel("$Q_i/n_i$ (1 is expected)")
-    style.legend(figure, below=True)  # each panel is full of points
+    style.legend(figure)  # each panel is full of points
     surprise = chdtrc(np.maximum(count, 1.0), discrepancy)
     figure.draw_without_rendering()
     for axes, weight in zip(grid, share.T, strict=True):
@@ -446,7 +446,7 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
         axes.set_ylim(bottom=0.0)
     for stage, _, line in stages:
         axes.plot([], [], color="0.3", linestyle=line, linewidth=0.9, label=str(stage))
-    style.legend(figure, below=True)
+    style.legend(figure)
     return figure
 
 
@@ -464,7 +464,7 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
     chosen = [str(name) for name in dataset["step_source"].values[1:]] if "step_source" in dataset else []
     names = [str(name) for name in dataset["source"].values[order]]
     width, columns = (9.6, 2) if chosen else (5.6, 1)
-    figure, (left, *right) = style.new_figure(width, 1.6, 1, columns, style.INSIDE_WIDTH)
+    figure, (left, *right) = style.new_figure(width, 1.6, 1, columns, style.WIDE)
     colours = [style.COLOURS[1] if name in chosen else style.COLOURS[0] for name in names]
     left.barh(range(len(order)), 100.0 * gain[order], 0.75, color=colours)
     left.set_xlabel(f"reduction of the error of {about['goal']} [%]\nby this source alone")

@@ -72,7 +72,7 @@ def test_lines_have_points_with_errors_prediction_and_published_values(dataset_o
     assert published.lines[0].get_ydata() == pytest.approx(one["sigma_spin_published"].values, nan_ok=True)
     drawn = [line.get_ydata() for line in axes.lines if len(line.get_ydata()) == one.sizes["v_max"]]
     assert any(np.array_equal(ydata, one["sigma_spin_rms_predicted"].values, equal_nan=True) for ydata in drawn)
-    assert texts(axes.get_legend()) == ["simulated", "predicted", "published"]
+    assert texts(axes.figure.legends[0]) == ["simulated", "predicted", "published"]
 
 
 def test_one_point_shows_what_is_simulated_predicted_and_published(dataset_of):

@@ -92,4 +92,4 @@ def test_a_series_at_many_points_is_a_median_with_bands(tmp_path, monkeypatch):
         outer = axes.collections[0].get_paths()[0].vertices
         last = outer[np.isclose(outer[:, 0], 3.0), 1]
         assert np.allclose([last.min(), last.max()], np.quantile(ds["left"].values[:, -1], [0.05, 0.95]), rtol=1e-12)
-        assert [text.get_text() for text in axes.get_legend().get_texts()][-1] == "median of 40 points"
+        assert [text.get_text() for text in axes.figure.legends[0].get_texts()][-1] == "median of 40 points"
