@@ -22,6 +22,7 @@ from linksweep.sweep.running.reproduce import verify as verified
 from linksweep.sweep.running.run import Progress, Silent, run_study
 from linksweep.sweep.stores.location import Where, default_store, located, store_named
 from linksweep.sweep.studies.document import reference_in
+from linksweep.sweep.studies.part import Part
 from linksweep.sweep.studies.reader import live_study, load_study, study_of_function
 from linksweep.sweep.studies.study import Study
 
@@ -58,6 +59,7 @@ def run(
     max_failures: int | str | None = None,
     deterministic: bool = True,
     verify: int = 0,
+    part: str | None = None,
 ) -> xr.Dataset:
     """Run a study, or sweep a function, and return the results.
 
@@ -99,6 +101,7 @@ def run(
             ``@experiment(deterministic=False)`` does; by default it is refused.
         progress: an object that is notified of the progress; by default a bar in terminals and notebooks.
 
+        part: "K/N" computes part K of N alone, into the store STORE.part-K-of-N; `sweep merge` makes one of all parts.
         verify: compute so many points again at the end, each by itself in new processes, in two orders, and compare
             every bit; the results are in the store all the same.
 
@@ -134,6 +137,12 @@ def run(
     if not deterministic:
         loaded = replace(loaded, experiment=loaded.experiment.not_repeatable())
     place = located(store or default_store(loaded.name))
+    try:
+        loaded = replace(loaded, part=None if part is None else Part.parsed(part))
+    except ValueError as error:
+        raise SweepError(f"part = {error}") from error
+    if loaded.part is not None:
+        place = located(loaded.part.place(place))
     file = None if cluster is None else Path(cluster)
     resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard)
     try:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
 from linksweep.sweep.formatting import ERRORS, first_of, is_truth, prefixed, units_of
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
+from linksweep.sweep.studies.part import LOST
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import POINT, POINT_TABLE, Claim
 
@@ -377,7 +378,8 @@ def lacking(dataset: xr.Dataset) -> str:
     counts = count_status(dataset["status"].values)
     wanted = sum(counts.values()) - counts[Status.EXCLUDED]
     if unfinished := unfinished_in_words(counts):
-        return f"{counts[Status.DONE]:,} of {wanted:,} points are done, {unfinished}"
+        lost = f"; lost parts: {dataset.attrs[LOST]}" if LOST in dataset.attrs else ""
+        return f"{counts[Status.DONE]:,} of {wanted:,} points are done, {unfinished}{lost}"
     of_all = wanted == dataset.attrs.get("points", wanted)  # those of a selection may all be done
     return "the store says that its run did not end" if of_all and not dataset.attrs.get("complete") else ""
 

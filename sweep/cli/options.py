@@ -4,10 +4,11 @@ A shell asks at each press of a key, so that nothing heavy is imported here.
 """
 
 import inspect
+import os
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -19,6 +20,7 @@ from click.shell_completion import CompletionItem
 
 if TYPE_CHECKING:
     from linksweep.sweep.stores.location import Location
+    from linksweep.sweep.studies.part import Part
     from linksweep.sweep.studies.study import Study
 
 FILE = click.Path(path_type=Path)
@@ -195,6 +197,20 @@ def json_or(table_format: str, as_json: bool) -> str:
     return "json" if as_json else table_format
 
 
+@parsed
+def _part(text: str) -> "Part":
+    from linksweep.sweep.studies.part import Part
+
+    return Part.of_task(os.environ) if text == "array" else Part.parsed(text)
+
+
+PART = opt(
+    "Compute part K of N alone, into STORE.part-K-of-N; array: that of this task of a SLURM job array.",
+    metavar="K/N|array",
+    callback=_part,
+)
+
+
 @dataclass(frozen=True)
 class AskedStudy:
     """A study as the command line names it: its overrides, which are those of `load_study`, where its store is to be,
@@ -218,12 +234,15 @@ class AskedStudy:
         """What the command line changes in the study."""
         return self.settings, self.axes, self.points, self.design, self.ranges, self.exclude
 
-    def load(self) -> "tuple[Study, Location]":
-        """Return the study, and where its store is; raises SweepError for one inside a store that is not trusted."""
+    def load(self, part: "Part | None" = None) -> "tuple[Study, Location]":
+        """Return the study, or a part of it, and where its store is; raises SweepError for one inside a store that is
+        not trusted.
+        """
         from linksweep.sweep.stores.location import default_store, located
 
         study = load_trusted(self.study, self.trust, *self.overrides)
-        return study, self.output or located(default_store(study.name))
+        store = self.output or located(default_store(study.name))
+        return replace(study, part=part), store if part is None else located(part.place(store))
 
     def stored(self) -> "tuple[Study, Location]":
         """Return the study of an existing store, named in its place, and the store; raises SweepError as `load`."""

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from linksweep.sweep.executing.pools import PoolName, Resources
     from linksweep.sweep.running.failures import MaxFailures
     from linksweep.sweep.stores.location import Location
+    from linksweep.sweep.studies.part import Part
     from linksweep.sweep.studies.study import Study
 
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
@@ -227,12 +228,14 @@ def run_with_progress(
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             group.end_stopped(stop.signal)
-        if how.as_json is not None:
-            group.print_headlines(dataset, how.as_json)
+        # A part has no results to read, but those of the points that are its own.
+        readable = how.as_json is False and study.part is None
+        if how.as_json or readable:
+            group.print_headlines(dataset, bool(how.as_json))
         # Nothing to look at next where a caller goes on itself, as `sweep report --all` does.
-        looks = () if how.as_json is None else ("plot", "report")
+        looks = () if how.as_json is None or study.part else ("plot", "report")
         progress.finish(failures, store, [f"sweep {look} {short_name(store)}" for look in looks])
-    if how.as_json is False:
+    if readable:
         for sentence in answer_in_short(dataset):
             group.print_wrapped(sentence)
     return failures
@@ -265,6 +268,7 @@ def run(
         'Compute finished points again, e.g. "x>2 and y==8"; old: of other code.', metavar="IF", default=""
     ),
     verify: int = opt("At the end compute so many points again.", type=click.IntRange(0), default=0),
+    part: "Part | None" = options.PART,
 ) -> None:
     """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
 
@@ -278,12 +282,14 @@ def run(
     sweep run sir.py:sir --design sobol:256 --range beta=0.1:0.5
     sweep run sir.py:sir --points runs.csv
     sweep run --retry results/quasars.zarr
+    sweep run quasars --part 3/100
     """
-    if retry and fresh:
-        raise click.UsageError("--retry and --fresh contradict each other")
+    if retry and (fresh or part):
+        other = "contradict each other" if fresh else "do not go together: name the store of the part"
+        raise click.UsageError(f"--retry and {'--fresh' if fresh else '--part'} {other}")
     if (retry or fresh) and (only or keep or redo):
         raise click.UsageError("--only, --keep and --redo do not go with --retry and --fresh")
-    study, store = asked.stored() if retry else asked.load()
+    study, store = asked.stored() if retry else asked.load(part)
     failures = run_with_progress(study, store, how, retry=retry, fresh=fresh, only=only, keep=keep, redo=redo)
     differing = verify and print_verified(study, store, verify, not how.watching.quiet)
     if failures or differing:
@@ -489,24 +495,30 @@ def reproduce(
         sys.exit(EXIT_FAILED_POINTS)
 
 
-@command("Store care", "Make one store of two of the same experiment")
+@command("Store care", "Make one store of parts, or of several stores")
 def merge(
-    store: "Location" = options.STORE,
-    other: "Location" = options.STORE,
+    stores: "tuple[Location, ...]" = options.STORES,
     output: "Location" = options.output("The new store.", type=str, required=True, callback=options.place),
     accept_code: bool = options.ACCEPT_CODE,
     trust: bool = options.TRUST,
     as_json: bool = options.JSON,
 ) -> None:
-    """Make a new store of two, STORE and OTHER, that hold the same experiment: the points of both.
+    """Make one store of the parts of a study, what one run of it makes; or of several stores of the same experiment,
+    with the points of all.
 
-    Points that both have are kept once, and must be the same to the last bit.
+    Points that several stores have are kept once, and must be the same to the last bit.  The exit code is 1 where
+    points are missing or failed; where a part was, the same command goes on when it is there.
 
     \b
+    sweep merge results/quasars.zarr.part-* -o results/quasars.zarr
     sweep merge results/low.zarr results/high.zarr -o results/all.zarr
     """
     from linksweep.sweep.running.merge import merge as merge_stores
 
-    dataset = merge_stores(store, other, output, accept_code=accept_code, trust=trust)
+    if not stores:
+        raise click.UsageError("name the stores to merge, as in `sweep merge S.part-* -o S`")
+    dataset = merge_stores(stores, output, accept_code=accept_code, trust=trust)
     group.print_headlines(dataset, as_json)
     click.echo(f"wrote {output}", err=True)
+    if not dataset.attrs["complete"]:
+        sys.exit(EXIT_FAILED_POINTS)

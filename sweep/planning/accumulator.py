@@ -11,6 +11,7 @@ from linksweep.sweep.contract import Array, Experiment, Rows
 from linksweep.sweep.contract.block import DIGEST_BYTES, Block, BlockRows, ledger_key
 from linksweep.sweep.contract.reducer import check_finite, converted
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
+from linksweep.sweep.planning.parts import share_of
 from linksweep.sweep.planning.plan import NOTHING, Groups, Plan, PlanSize, Survey, Work, cost_together, wanted_parts
 from linksweep.sweep.planning.point_status import Status
 
@@ -64,20 +65,21 @@ class Accumulator:
         self.realisations = np.zeros(len(grid), dtype=np.int64)
         self.status = np.full(len(grid), Status.EXCLUDED, dtype=np.int8)
         self._rounds: dict[int, _Round] = {}
-        self._whole = self._only_block()
+        self._share = share_of(plan)
+        self._whole = self._only_block() if self._share is None else None
         held = self.total[:0] if held is None else held
         self.survey = replace(self._survey(held), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
 
     def _survey(self, rows: Rows) -> Survey:
         # Three ways for the sake of time: a million points take seconds, one after the other minutes.
-        if not self._rows and not self._failed and self._only is None:
+        if not self._rows and not self._failed and self._only is None and self._share is None:
             return self._survey_of_new_points()
         if self._whole is not None:
             return self._survey_of_whole_points(self._whole, rows)
         total = held = pending = NOTHING
         groups: Groups = defaultdict(list)
         there = {key[:DIGEST_BYTES] for key in self._rows} if self._only is not None else ()
-        for point in self.plan.grid.points():
+        for point in self.plan.grid.points(None if self._share is None else np.array([*self._share], dtype=np.intp)):
             self.status[point.index] = Status.FAILED if point.digest in self._failed else Status.MISSING
             if self._only is not None and point.digest not in there and point.digest not in self._only:
                 continue  # nobody has asked for it: perhaps it cannot be computed
@@ -146,7 +148,7 @@ class Accumulator:
     def _resume(self, point: GridPoint, rows: Rows) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""
         held = left = NOTHING
-        blocks = list(self._blocks(point))
+        blocks = list(self.blocks(point))
         # Adding the last block of a round may show that a precision needs more: the list grows meanwhile.
         for block in blocks:
             key = ledger_key(point.digest, block)
@@ -165,7 +167,7 @@ class Accumulator:
         """Return the blocks of a point, as far as they are known now, that the ledger did not hold at the start."""
         if not self._is_wanted(point):
             return ()
-        blocks = self._blocks(point)
+        blocks = self.blocks(point)
         # What the ledger holds is done, or there is nothing in it: no key needs to be made.
         if self._whole is not None or not self._rows:
             return blocks
@@ -201,7 +203,7 @@ class Accumulator:
         """
         index = point.index
         self.realisations[index] += block.realisations
-        if not self.is_missing(index):
+        if not self.is_missing(index) or self._is_divided(index):
             return []
         cost = self.plan.cost(point.parameters)
         round_ = self._rounds.get(index)
@@ -257,13 +259,19 @@ class Accumulator:
             return self.failing(indices[:half]) | self.failing(indices[half:])
         return {}
 
+    def _is_divided(self, index: int) -> bool:
+        """Return whether other parts of the study have blocks of a point: then it is added up where they are merged."""
+        return self._share is not None and self._share[index] is not None
+
     def fail(self, index: int) -> None:
         """Mark a point as failed; none of its blocks is given out any more."""
         self.status[index] = Status.FAILED
         self._rounds.pop(index, None)
 
-    def _blocks(self, point: GridPoint) -> Sequence[Block]:
+    def blocks(self, point: GridPoint) -> Sequence[Block]:
         """Return the blocks of a point's current round."""
+        if self._share is not None and (own := self._share[point.index]) is not None:
+            return own
         round_ = self._rounds.get(point.index)
         return self.plan.blocks(self.plan.cost(point.parameters), None if round_ is None else round_.parts)
 
@@ -276,7 +284,7 @@ class Accumulator:
         wanted, reached = wanted_parts(self.plan, cost, parts, total, round_.reached)
         if wanted > parts:
             self._rounds[point.index] = _Round(range(parts, wanted), part=parts, kept=kept, reached=reached)
-            return list(self._blocks(point))
+            return list(self.blocks(point))
         del self._rounds[point.index]
         self.status[point.index] = Status.DONE
         return []

@@ -190,11 +190,13 @@ class Plan:
 
     def work(self, points: tuple[GridPoint, ...], block: Block) -> Work:
         """Return the work of a block of points that share its random numbers."""
-        cost = self.cost(points[0].parameters)
-        if len(points) > 1:
-            costs = [self.cost(point.parameters) for point in points]
-            cost = max(costs) + SHARED * (sum(costs) - max(costs))
-        return Work(points, block, block.realisations * cost + block.n_cat * len(points) * OVERHEAD)
+        return Work(points, block, self.cost_of(block, [self.cost(point.parameters) for point in points]))
+
+    def cost_of(self, block: Block, costs: Sequence[float]) -> float:
+        """Return the cost of a block of points that share its random numbers, of which a realisation has ``costs``."""
+        largest = max(costs)
+        cost = largest + SHARED * (sum(costs) - largest)
+        return block.realisations * cost + block.n_cat * len(costs) * OVERHEAD
 
     def size(self, cost: float, points: int = 1) -> PlanSize:
         """Return the counts of whole points that cost the same, by arithmetic."""

@@ -1,37 +1,49 @@
-"""Merges two stores of one experiment into one that holds the points of both."""
+"""Merges stores of one experiment into one: the parts of a study, or stores that hold other points each."""
 
 import json
+import logging
+import math
+import re
+import struct
+from bisect import bisect_right
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from itertools import accumulate, groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.code.load import Code, SourceFunction, code_differences
-from linksweep.sweep.contract import Named, Rows, SweepError, Value
-from linksweep.sweep.contract.block import DIGEST_BYTES
+from linksweep.sweep.code.load import DECIDING, Code, SourceFunction, code_differences
+from linksweep.sweep.contract import Experiment, Named, SweepError, Value
+from linksweep.sweep.contract.block import DIGEST_BYTES, KEY_BYTES, BlockRows
 from linksweep.sweep.contract.reducer import converted, lost_integers, same_rows
+from linksweep.sweep.formatting import host, now
 from linksweep.sweep.functions.adapter import layout_of_record
 from linksweep.sweep.functions.results import Layout
 from linksweep.sweep.functions.results import differences as layout_differences
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe
+from linksweep.sweep.planning.parts import lost_parts
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.running.code import records_of
 from linksweep.sweep.running.reproduce import study_of
-from linksweep.sweep.running.writer import Writer, create_store, differences, find_store, open_store, replace_store
+from linksweep.sweep.running.writer import BLOCK, Writer, create_store, differences, find_store, open_store
+from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.ledger import Ledger, Record
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
 from linksweep.sweep.stores.store import CODE, OpenStore, Store, is_new
+from linksweep.sweep.studies.part import LOST, PART, Part, in_ranges
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.record import RECORD, Recorded, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import Study
 
 # The attribute of a store made of others: JSON of where their results come from.
 MERGED = "merged"
+
+log = logging.getLogger("linksweep")
 
 # Attributes of a store that are kept in a store made of it.
 KEPT = ("study_name", "study_digest", "study_overrides", "started", "finished", "host", "versions", "git_commit")
@@ -43,119 +55,197 @@ DIGEST = slice(0, DIGEST_BYTES)
 
 @dataclass(frozen=True)
 class _Source:
-    """A store that is merged."""
+    """A store that is merged: what its root says, the ``keys`` of its blocks one after the other, and what failed."""
 
     location: Location
     attributes: Mapping[str, Any]
     study: Study
-    ledger: Ledger
+    layout: Layout | None
+    dtype: np.dtype[np.void]
+    keys: bytes
     failed: Mapping[bytes, Record]
-    held: Rows
 
-    @cached_property
-    def layout(self) -> Layout | None:
-        """The layout of the results of a plain function, if the store has it."""
-        return layout_of_record(_record(self.attributes))
+    def ledger(self) -> Ledger:
+        """Return the ledger, read anew: those of a thousand stores do not fit into memory together."""
+        return OpenStore(self.location).ledger()
 
 
-def merge(one: Where, other: Where, into: Where, *, accept_code: bool = False, trust: bool = False) -> xr.Dataset:
-    """Make the store ``into`` of two stores of one experiment, and return its results; a run can go on with it.
+def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, trust: bool = False) -> xr.Dataset:
+    """Make the store ``into`` of stores of one experiment, and return its results; a run can go on with it.
 
-    The points are those of both: a grid where they fill one, else a table of points.  What both have is kept once.
-    Raises SweepError, with nothing written, for stores of other experiments, samplings or code (unless
-    ``accept_code``), for points whose bits differ between the two, and where something is at the place already.
+    Parts of a study make what one run of it makes, or go on with what some of them made before; parts that are lost are
+    named in the attribute `LOST`.  Of other stores the points are those of all: a grid where they fill one, else a
+    table of points; what several have is kept once.  Raises SweepError, with nothing written, for stores of other
+    experiments, samplings, parts or code (unless ``accept_code``), for points whose bits differ between them, for one
+    that is being written, and where something else is at the place already.
     """
-    first, second = sources = [_source(located(place), trust) for place in (one, other)]
-    _require_alike(first, second, accept_code)
-    place = located(into)
-    study = _study(first, second, str(place))
-    told = {MERGED: json.dumps([_about(source) for source in sources])}
-    found = _require_free(place, study, told)
-    dtype = study.experiment.reducer.dtype
-    rows = _rows(first, second, dtype)
-    failed = _failures(first, second)
+    sources = _sources(places, trust)
+    _require_alike(sources, accept_code)
+    place, part = located(into), sources[0].study.part
+    experiment = _experiment(sources)
+    if part is None:
+        study = _study(sources, experiment, str(place))
+    else:
+        study = replace(sources[0].study, experiment=experiment, part=None)
+    about = _about(sources)
+    told = {MERGED: json.dumps(about)}
+    require_free(place, study, about)
+    _require_same_bits(sources, experiment.reducer.dtype)
     plan = Plan(Grid(study))
     with locked(place):
         made = {**provenance(study), **told, RECORD: recorded(study, plan.costs())}
-        if found is not None and not is_new(found.root):
-            return found.dataset()
-        store = open_store(replace_store(place, study, made) or create_store(place, study, made), study)
+        store = open_store(find_store(place, study) or create_store(place, study, made), study)
         store.keep_copy()
-        _fill(store, sources, rows, dtype)
-        for digest, record in failed.items():
-            store.fail(digest, record)
+        store.clear_failures([*store.failures])
+        failed = _failures(sources)
+        for source in sources:
+            failed |= _take(store, source, sources, experiment, failed if part else {})
         store.flush()
-        if records := _codes(sources, rows):
-            store.record({CODE: json.dumps(records)})
-        accumulator = Accumulator(plan, store.rows, store.read(), store.failures, samples=store.samples)
+        accumulator = Accumulator(plan, store.rows, store.read(), samples=store.samples)
+        _fail(store, accumulator, failed)
+        if part and (lost := lost_parts(plan, accumulator.status, store.rows, part.total)):
+            told[LOST] = f"{in_ranges(lost)} of {part.total}"
         return Writer(accumulator, store, further=told).write(final=True)
 
 
-def _require_free(place: Location, study: Study, told: Mapping[str, str]) -> OpenStore | None:
-    """Return what a merge of the same stores that was killed has left; raises SweepError where anything else is."""
-    found = find_store(place, study)
-    if found is None:
-        return None
-    was_killed = is_new(found.root) or is_left_over(place)
-    if not was_killed or any(found.attributes.get(key) != value for key, value in told.items()):
+def require_free(place: Location, study: Study, about: Sequence[Mapping[str, Any]]) -> None:
+    """Raise SweepError unless the place is free, or has what a merge of the same stores that was killed has left, or of
+    parts of the same study.
+    """
+    opened = find_store(place, study)
+    if opened is None:
+        return
+    before = json.loads(opened.attributes.get(MERGED, "[]")) or [{}]
+    same = before == about and (is_new(opened.root) or is_left_over(place))
+    if not same and any(before[0].get(key) != about[0].get(key, "") for key in ("study_digest", "parts")):
         raise SweepError("holds a store already; give a free place with -o", str(place))
-    return found
 
 
-def _source(location: Location, trust: bool) -> _Source:
-    if (runs := holder(location)) is not None:
-        raise SweepError(f"is being written by {runs}; merge it when that has ended", str(location))
-    opened = OpenStore(location)
-    plain = "function" in _record(opened.attributes)
-    study = recorded_study(opened.attributes, str(location)) if plain else study_of(location, trust=trust)
-    read = opened.ledger()
-    return _Source(location, opened.attributes, study, read, read.failures, read.read())
+def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
+    """Return what is there of the stores, parts in their order."""
+    sources: list[_Source] = []
+    studies: dict[tuple[Any, ...], tuple[Study, Layout | None]] = {}
+    for location in map(located, places):
+        opened = stores.find_store(location)
+        if (runs := holder(location)) is not None:
+            if opened is None or PART not in opened.attributes:
+                raise SweepError(f"is being written by {runs}; merge it when that has ended", str(location))
+            log.warning("%s is being written by %s; it is left out", location, runs)
+            continue
+        if opened is None and Part.named(location):
+            continue  # it is named when the others are merged
+        opened = opened or OpenStore(location)
+        attributes = opened.attributes
+        # A thousand parts of a study have one study, which may be large.
+        meant = tuple(attributes.get(key) for key in ("study_document", "study_meaning", RECORD))
+        if meant not in studies:
+            studies[meant] = _study_in(location, attributes, trust)
+        study, layout = studies[meant]
+        part = Part.parsed(attributes[PART]) if PART in attributes else None
+        kept = {key: attributes[key] for key in (*KEPT, "study_meaning", "study_axes", CODE) if key in attributes}
+        ledger = opened.ledger()
+        keys = b"".join(ledger.rows)
+        sources.append(_Source(location, kept, replace(study, part=part), layout, ledger.dtype, keys, ledger.failures))
+    if not sources:
+        raise SweepError("no store there", ", ".join(map(str, places)))
+    return sorted(sources, key=lambda source: source.study.part or Part(0, 0))
 
 
-def _record(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    record: dict[str, Any] = json.loads(attributes.get(RECORD, "{}"))
-    return record
+def _study_in(location: Location, attributes: Mapping[str, Any], trust: bool) -> tuple[Study, Layout | None]:
+    record = json.loads(attributes.get(RECORD, "{}"))
+    plain = "function" in record
+    layout = layout_of_record(record)
+    if not plain:
+        return study_of(location, trust=trust), layout
+    return recorded_study(attributes, str(location), whole=PART in attributes and layout is not None), layout
 
 
-def _require_alike(one: _Source, other: _Source, accept_code: bool) -> None:
-    """Raise SweepError that says how two stores differ, if they do."""
-    old, new = json.loads(one.attributes["study_meaning"]), json.loads(other.attributes["study_meaning"])
-    found = differences({**one.attributes, "study_meaning": json.dumps({**old, "fixed": new["fixed"]})}, other.study)
+def _require_alike(sources: Sequence[_Source], accept_code: bool) -> None:
+    """Raise SweepError that says how stores differ, if they do."""
+    parts: dict[Part | None, _Source] = {}
+    for source in sources:
+        part, first = source.study.part, sources[0]
+        if part is not None and part in parts:
+            raise SweepError(f"is part {part}, and so is {parts[part].location}", str(source.location))
+        if (part and part.total) != (first.study.part and first.study.part.total):
+            which = [f"part {one}" if one else "no part of a study" for one in (first.study.part, part)]
+            raise SweepError(f"is {which[0]}, and {source.location} is {which[1]}", str(first.location))
+        parts[part] = source
+        if found := _differences(first, source, accept_code):
+            raise SweepError([f"cannot be merged with {source.location}: these differ", *found], str(first.location))
+
+
+def _differences(one: _Source, other: _Source, accept_code: bool) -> list[str]:
+    """Say how two stores differ in what all that are merged must have in common."""
+    was, now = f"in {one.location}", f"in {other.location}"
+    attributes = dict(one.attributes)
+    if one.study.part is None:  # a parameter that both fix is an axis of what they make
+        old, new = (json.loads(source.attributes["study_meaning"]) for source in (one, other))
+        attributes["study_meaning"] = json.dumps({**old, "fixed": new["fixed"]})
     found = [
-        text.replace(" in the store", f" in {one.location}").replace(" in the study", f" in {other.location}")
-        for text in found
+        text.replace(" in the store", f" {was}").replace(" in the study", f" {now}")
+        for text in differences(attributes, other.study)
     ]
     numbers = ("n_sim", "n_cat", "precision", "max_n_sim")
     pairs = [(key, getattr(one.study.sampling, key), getattr(other.study.sampling, key)) for key in numbers]
-    found += [f"sampling.{key}: {a} in {one.location}, {b} in {other.location}" for key, a, b in pairs if a != b]
-    if not accept_code:
-        codes = [records_of(source.attributes) for source in (one, other)]
-        if all(codes):
-            was, now = f"in {one.location}", f"in {other.location}"
-            found += code_differences(codes[0][-1]["code"], codes[1][-1]["code"], was, now)
-    if one.layout is not None and other.layout is not None:
-        found += layout_differences(one.layout, other.layout)
-        types = {} if found else lost_integers(one.held, other.held.dtype) | lost_integers(other.held, one.held.dtype)
-        found += list(types.values())[:1]
-    if found:
-        raise SweepError([f"cannot be merged with {other.location}: these differ", *found], str(one.location))
+    found += [f"sampling.{key}: {a} {was}, {b} {now}" for key, a, b in pairs if a != b]
+    codes = [records[-1]["code"] if (records := records_of(s.attributes)) else {} for s in (one, other)]
+    if not accept_code and all(codes):
+        found += code_differences(codes[0], codes[1], was, now)
+    if one.study.part is not None:
+        versions = [json.loads(source.attributes["versions"]) for source in (one, other)]
+        pairs = [] if accept_code else [(name, *(known.get(name) for known in versions)) for name in DECIDING]
+        found += [f"{name}: {a} {was}, {b} {now}" for name, a, b in pairs if a != b]
+        if not found and one.attributes["study_digest"] != other.attributes["study_digest"]:
+            found.append(f"the points are others {was} than {now}")
+    if one.study.part is None and (why := _why_other(one, other)):
+        found.append(why)
+    return found
 
 
-def _study(one: _Source, other: _Source, where: str) -> Study:
-    """Return the study of the points of both."""
-    first, second = one.study, other.study
-    if one.layout is None:
-        first = replace(first, experiment=second.experiment)  # no point of it was ever computed
-    else:
-        first = replace(first, experiment=first.experiment.joined(second.experiment))
+def _why_other(one: _Source, other: _Source) -> str:
+    """Say how the results of a function in two stores differ in kind; '' where they do not, or are not known."""
+    if one.layout is other.layout or one.layout is None or other.layout is None:
+        return ""
+    wrong = layout_differences(one.layout, other.layout)
+    orders = [[field.name for field in source.layout.fields] for source in (one, other) if source.layout]
+    if not wrong and one.study.keeps_samples and orders[0] != orders[1]:
+        wrong = ("its results are in another order",)  # samples are kept without their names
+    return "; ".join(wrong)
+
+
+def _experiment(sources: Sequence[_Source]) -> Experiment:
+    """Return the experiment of all stores, with what is known of its results in any of them."""
+    first = _first(sources)
+    experiment = first.study.experiment
+    for source in {id(source.layout): source for source in sources if source.layout is not None}.values():
+        if not _why_other(first, source):
+            experiment = experiment.joined(source.study.experiment)
+    return experiment
+
+
+def _first(sources: Sequence[_Source]) -> _Source:
+    """Return the store whose results say what results are like: the first in which a point was ever computed."""
+    return next((source for source in sources if source.layout is not None), sources[0])
+
+
+def _study(sources: Sequence[_Source], experiment: Experiment, where: str) -> Study:
+    """Return the study of the points of all."""
+    studies = [source.study for source in sources]
+    first = studies[0]
     document = {key: value for key, value in first.document.items() if key not in _GRID}
-    crossed = [_crossed(study) for study in (first, second)]
-    same = crossed[0] == crossed[1] and None not in (first.points, second.points) and not first.excluded
+    crossed = [_crossed(study) for study in studies]
+    tables = [study.points is not None for study in studies]
+    same = all(own == crossed[0] for own in crossed) and all(tables) and not any(s.excluded for s in studies)
     axes = crossed[0] if same else {}
-    settings = [study.experiment.defaults() | dict(study.fixed) for study in (first, second)]
-    differing = [name for name in settings[0] if settings[0][name] != settings[1][name]]
-    names = [name for name in dict.fromkeys([*first.axes, *second.axes, *differing]) if name not in axes]
-    settled = (parameters for study in (first, second) for _, parameters in Grid(study).parameters())
+    settings = [study.experiment.defaults() | dict(study.fixed) for study in studies]
+    differing = [name for name in settings[0] if any(own[name] != settings[0][name] for own in settings)]
+    names = [
+        name
+        for name in dict.fromkeys([*(name for study in studies for name in study.axes), *differing])
+        if name not in axes
+    ]
+    settled = (parameters for study in studies for _, parameters in Grid(study).parameters())
     rows = list(dict.fromkeys(tuple(parameters[name] for name in names) for parameters in settled))
     columns = {name: list(dict.fromkeys(row[k] for row in rows)) for k, name in enumerate(names)}
     fixed = {name: raw for name, raw in document.get("fixed", {}).items() if name not in names}
@@ -164,7 +254,7 @@ def _study(one: _Source, other: _Source, where: str) -> Study:
     else:
         document.pop("fixed", None)
     whole = int(np.prod([len(values) for values in columns.values()], dtype=object)) == len(rows)
-    if whole and not same and first.points is None and second.points is None:
+    if whole and not same and not any(tables):
         document["axes"] = {name: _written(_ordered(values)) for name, values in columns.items()}
     else:
         document["axes"] = {name: _written(values) for name, values in axes.items()}
@@ -172,8 +262,8 @@ def _study(one: _Source, other: _Source, where: str) -> Study:
         if first.points is not None and len(rows) == len(first.axes[first.points.names[0]]):
             document["points"]["origin"] = dict(first.points.origin)
     attributes = {"study_document": json.dumps(document), "study": "", "study_overrides": "", "study_name": first.name}
-    plain = "function" in first.experiment.as_record()
-    return study_of_attributes(attributes, where, (Recorded if plain else _Known)(first.experiment))
+    plain = "function" in experiment.as_record()
+    return study_of_attributes(attributes, where, (Recorded if plain else _Known)(experiment))
 
 
 class _Known(Recorded):
@@ -205,53 +295,121 @@ def _written(values: Sequence[Value]) -> list[Any]:
     return [value.name if isinstance(value, Named) else value for value in values]
 
 
-def _rows(one: _Source, other: _Source, dtype: np.dtype[np.void]) -> list[list[bytes]]:
-    """Return the blocks to take from each in the order of their rows; raises SweepError where a block differs."""
-    mine, theirs = one.ledger.rows, other.ledger.rows
-    for key in mine.keys() & theirs.keys():
-        same = same_rows(converted(one.held[[mine[key]]], dtype), converted(other.held[[theirs[key]]], dtype))
-        if same and one.study.keeps_samples:
-            same = one.ledger.samples(key).tobytes() == other.ledger.samples(key).tobytes()
-        if not same:
-            places = {point.digest: describe(one.study, point.parameters) for point in Grid(one.study).points()}
-            words = places.get(key[DIGEST], "a point")
-            raise SweepError(f"has other numbers than {other.location} at {words}", str(one.location))
-    return [sorted(mine, key=mine.__getitem__), sorted(theirs.keys() - mine.keys(), key=theirs.__getitem__)]
+def _require_same_bits(sources: Sequence[_Source], dtype: np.dtype[np.void]) -> None:
+    """Raise SweepError where a block of several stores differs between them, or stores that are no parts have integers
+    that the floats of others do not hold.
+    """
+    for source in sources:
+        if source.dtype != dtype and source.study.part is None:
+            for why in lost_integers(source.ledger().read(), dtype).values():
+                raise SweepError(f"cannot be merged: {why}", str(source.location))
+    rows = BlockRows(b"".join(source.keys for source in sources))
+    starts = [*accumulate((len(source.keys) // KEY_BYTES for source in sources), initial=0)]
+    keys = rows.keys_of_rows()
+    last = rows.find(keys) if keys else np.zeros(0, dtype=np.intp)
+    common: dict[tuple[int, int], list[bytes]] = defaultdict(list)
+    for row in np.flatnonzero(last != np.arange(len(keys))).tolist():
+        common[bisect_right(starts, row) - 1, bisect_right(starts, last[row]) - 1].append(keys[row])
+    for (i, j), some in common.items():
+        one, other = sources[i], sources[j]
+        ledgers = one.ledger(), other.ledger()
+        held = [converted(ledger.read(), dtype) for ledger in ledgers]
+        for key in some:
+            same = same_rows(*(rows[[ledger.rows[key]]] for rows, ledger in zip(held, ledgers, strict=True)))
+            if same and one.study.keeps_samples:
+                same = ledgers[0].samples(key).tobytes() == ledgers[1].samples(key).tobytes()
+            if not same:
+                places = {point.digest: describe(one.study, point.parameters) for point in Grid(one.study).points()}
+                words = places.get(key[DIGEST], "a point")
+                raise SweepError(f"has other numbers than {other.location} at {words}", str(one.location))
 
 
-def _failures(one: _Source, other: _Source) -> dict[bytes, Record]:
-    """Return the failures of both, without those of points that the other has computed."""
-    done = [{key[DIGEST] for key in source.ledger.rows} for source in (one, other)]
-    mine = {digest: record for digest, record in one.failed.items() if digest not in done[1]}
-    theirs = {digest: record for digest, record in other.failed.items() if digest not in done[0]}
-    return mine | theirs | mine
+def _failures(sources: Sequence[_Source]) -> dict[bytes, Record]:
+    """Return the failures of all stores: of a point that failed in several, that of the earliest block."""
+    failed: dict[bytes, Record] = {}
+    for source in sources:
+        for digest, record in source.failed.items():
+            if digest not in failed or _block_of(record) < _block_of(failed[digest]):
+                failed[digest] = record
+    return failed
 
 
-def _fill(store: Store, sources: Sequence[_Source], rows: Sequence[Sequence[bytes]], dtype: np.dtype[np.void]) -> None:
-    for source, keys in zip(sources, rows, strict=True):
-        at = source.ledger.rows
-        for start in range(0, len(keys), ROWS_AT_ONCE):
-            part = keys[start : start + ROWS_AT_ONCE]
-            samples = [source.ledger.samples(key) for key in part] if source.study.keeps_samples else []
-            store.append(part, converted(source.held[[at[key] for key in part]], dtype), samples)
+def _block_of(record: Record) -> tuple[float, ...]:
+    """Return group and part of the block that failed; infinity where that was the point as a whole."""
+    block = re.fullmatch(r"(\d{1,10}) (\d{1,10})", record.get(BLOCK, ""))
+    return (math.inf,) if block is None else (int(block[1]), int(block[2]))
 
 
-def _codes(sources: Sequence[_Source], rows: Sequence[Sequence[bytes]]) -> list[dict[str, Any]]:
-    """Return which code made which rows of the new ledger."""
-    found: list[dict[str, Any]] = []
-    before = 0
-    for source, keys in zip(sources, rows, strict=True):
-        at = source.ledger.rows
-        numbers = [at[key] for key in keys]
-        for record in records_of(source.attributes):
-            first = before + int(np.searchsorted(numbers, record["first_row"]))
-            found = [earlier for earlier in found if earlier["first_row"] < first]
-            if not found or found[-1]["code"] != record["code"]:
-                found.append(record | {"first_row": first})
-        before += len(keys)
-    return found
+def _take(
+    store: Store,
+    source: _Source,
+    sources: Sequence[_Source],
+    experiment: Experiment,
+    failed: Mapping[bytes, Record],
+) -> dict[bytes, Record]:
+    """Add the blocks of a source that are not there yet, none that a run would not have come to after a point has
+    ``failed``; return the failures of points whose results do not fit those of the other sources.
+    """
+    ledger, dtype = source.ledger(), experiment.reducer.dtype
+    rows, held = ledger.rows, ledger.read()
+    refused: dict[bytes, Record] = {}
+
+    def refuse(key: bytes, why: str) -> None:
+        message = f"{experiment.name}: {why}"
+        refused[key[DIGEST]] = {"kind": "exception", "message": message, "traceback": "", "host": host(), "when": now()}
+
+    other = _why_other(_first(sources), source)
+    lost = {} if other else lost_integers(held, dtype)
+    keys: list[bytes] = []
+    for key in sorted(rows, key=rows.__getitem__):
+        if other or rows[key] in lost:
+            refuse(key, f"not as at the first point: {other}" if other else lost[rows[key]])
+        elif key not in store.rows and not _is_after(key, failed):
+            keys.append(key)
+    records = records_of(source.attributes)
+    starts = [record["first_row"] for record in records]
+    for number, some in groupby(keys, key=lambda key: bisect_right(starts, rows[key])):
+        if number:
+            _begin_code(store, records[number - 1])
+        alike = list(some)
+        for start in range(0, len(alike), ROWS_AT_ONCE):
+            part = alike[start : start + ROWS_AT_ONCE]
+            samples = [ledger.samples(key) for key in part] if source.study.keeps_samples else []
+            store.append(part, converted(held[[rows[key] for key in part]], dtype), samples)
+    return refused
 
 
-def _about(source: _Source) -> dict[str, Any]:
-    told = {key: source.attributes[key] for key in KEPT if source.attributes.get(key, "") != ""}
-    return {"store": str(source.location), **told}
+def _is_after(key: bytes, failed: Mapping[bytes, Record]) -> bool:
+    """Return whether a block comes after the one at which its point has failed."""
+    record = failed.get(key[DIGEST])
+    return record is not None and struct.unpack_from("<2I", key, DIGEST_BYTES) > _block_of(record)
+
+
+def _begin_code(store: Store, record: Mapping[str, Any]) -> None:
+    """Record which code has made the rows that follow, before there are any."""
+    records = [earlier for earlier in records_of(store.attributes) if earlier["first_row"] < store.next_row]
+    if not records or records[-1]["code"] != record["code"]:
+        store.record({CODE: json.dumps([*records, {**record, "first_row": store.next_row if records else 0}])})
+
+
+def _fail(store: Store, accumulator: Accumulator, failed: Mapping[bytes, Record]) -> None:
+    """Let those points fail of which not all blocks are there."""
+    grid = accumulator.plan.grid
+    points = {point.digest: point for point in (grid.points() if failed else ())}
+    for digest, record in failed.items():
+        if (point := points.get(digest)) is None:
+            store.fail(digest, record)
+        elif not accumulator.is_done(point.index):
+            accumulator.fail(point.index)
+            store.fail(digest, {"place": describe(grid.study, point.parameters), **record})
+
+
+def _about(sources: Sequence[_Source]) -> list[dict[str, Any]]:
+    """Return where the results come from: for each store, or for all parts together."""
+    told = [{key: one.attributes[key] for key in KEPT if one.attributes.get(key, "") != ""} for one in sources]
+    if (part := sources[0].study.part) is None:
+        return [{"store": str(one.location), **about} for one, about in zip(sources, told, strict=True)]
+    numbers = in_ranges(one.study.part.number for one in sources if one.study.part)
+    values = {key: sorted({about[key] for about in told if key in about}) for key in KEPT}
+    about = {key: some[0] if len(some) == 1 else f"{some[0]} ... {some[-1]}" for key, some in values.items() if some}
+    return [{"store": str(sources[0].location), "merged": numbers, "parts": part.total, **about}]

@@ -18,10 +18,14 @@ from linksweep.sweep.planning.plan import TARGET, Plan
 from linksweep.sweep.planning.point_status import Status, count_status
 from linksweep.sweep.running.run import plan_study
 from linksweep.sweep.running.writer import failures_by_place
-from linksweep.sweep.stores.location import Where, holder
+from linksweep.sweep.stores.location import Location, Where, holder, located, reading
 from linksweep.sweep.stores.store import BLOCKS, UNFINISHED, OpenStore, is_new
+from linksweep.sweep.studies.part import LOST, Part, in_ranges
 from linksweep.sweep.studies.record import recorded_study
 from linksweep.sweep.studies.study import Study
+
+# What points of a finished part may be: others finish those that are missing.
+FINISHED = (Status.DONE, Status.EXCLUDED, Status.MISSING)
 
 # Most lines for one axis in a text.
 MOST_LINES = 15
@@ -34,10 +38,15 @@ def status_report(store: Where) -> dict[str, Any]:
     """Return the progress and provenance of a store, as its ledger has it, which is newer than its dataset.
 
     Nothing that the store names is imported: what an experiment declares, the store has recorded.  With a precision
-    only the experiment can say what is left: the progress is that of the last writing, and a ``note`` says so.  Raises
-    SweepError if there is no store.
+    only the experiment can say what is left: the progress is that of the last writing, and a ``note`` says so.  Where
+    there are only parts of a store, it says which of them are lost.  Raises SweepError if there is neither.
     """
-    opened = OpenStore(store)
+    location = located(store)
+    with reading(location):
+        parts = _parts_beside(location) if location.is_free() else []
+    if parts:
+        return _of_parts(location, parts)
+    opened = OpenStore(location)
     attributes, ledger = opened.attributes, opened.ledger()
     study = recorded_study(attributes, str(opened.location))
     grid = Grid(study)
@@ -58,6 +67,7 @@ def status_report(store: Where) -> dict[str, Any]:
         except (KeyError, TypeError, ValueError) as error:
             reason = f"the record of its experiment does not fit its points ({error})"
             raise SweepError(reason, str(opened.location)) from error
+        whole = study.part is not None and not accumulator.survey.pending.blocks
         status = grid.with_repeats(accumulator.status).reshape(grid.shape)
         realisations = grid.with_repeats(accumulator.realisations).reshape(grid.shape)
         failures = failures_by_place(grid, accumulator.status, ledger.failures)
@@ -69,8 +79,9 @@ def status_report(store: Where) -> dict[str, Any]:
     wanted = int(attributes["n_sim"]) * int(attributes["n_cat"]) if random else 1
     return {
         "title": attributes["title"],
+        **({} if study.part is None else {"part": f"{study.part}; points of others count as excluded"}),
         **note,
-        "complete": bool(np.all((status == Status.DONE) | (status == Status.EXCLUDED))),
+        "complete": bool(np.isin(status, FINISHED if whole else FINISHED[:2]).all()),
         "running": str(holder(opened.location) or "no"),
         "last written": attributes.get("finished", "never"),
         "points": {code.word: n for code, n in count_status(status).items()},
@@ -78,9 +89,36 @@ def status_report(store: Where) -> dict[str, Any]:
         **({"realisations done": int(realisations.sum())} if random else {}),
         "axes": by_axis(axes, status, realisations, wanted),
         "units": {name: study.experiment.parameter(name).unit for name in study.axes},
+        **({"lost parts": attributes[LOST]} if LOST in attributes else {}),
         "failures": failures,
         "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")},
     }
+
+
+def _parts_beside(store: Location) -> list[Part]:
+    """Return the parts of a store that are beside its place."""
+    named = {Part.named(name): name for name in store.beside()}
+    return sorted(part for part, name in named.items() if part and name == part.place(store.name))
+
+
+def _of_parts(store: Location, parts: Sequence[Part]) -> dict[str, Any]:
+    """Return how far the parts of a store are, by how many there are, and which are lost: not there, or neither
+    finished nor running.
+    """
+    report: dict[str, Any] = {"title": f"{store} is not merged yet; its parts:"}
+    for total, some in groupby(parts, key=lambda part: part.total):
+        states: dict[str, list[int]] = {"complete": [], "with failed points": [], "running": []}
+        for part in some:
+            place = located(part.place(store))
+            attributes = OpenStore(place).attributes
+            if holder(place):
+                states["running"].append(part.number)
+            elif attributes["complete"]:
+                failed = attributes.get("failures", "{}") != "{}"
+                states["with failed points" if failed else "complete"].append(part.number)
+        states["lost"] = sorted({*range(1, total + 1)}.difference(*states.values()))
+        report[f"of {total} parts"] = {state: in_ranges(numbers) for state, numbers in states.items() if numbers}
+    return report
 
 
 def _plain(value: Any) -> Any:

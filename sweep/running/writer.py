@@ -31,6 +31,7 @@ from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.store import RESCUED, OpenStore, Store, free_beside
+from linksweep.sweep.studies.part import PART
 from linksweep.sweep.studies.record import RECORD, provenance, recorded
 from linksweep.sweep.studies.study import Study
 from linksweep.sweep.tables.file import content_digest
@@ -40,6 +41,9 @@ if TYPE_CHECKING:
 
 # Most failed points that a dataset names in its attributes; its status counts all.
 MAX_FAILURES_NAMED = 1000
+
+# What the record of a failure says of the block that failed, if one did: its group and its part.
+BLOCK = "block"
 
 # Attributes of a store that every later run keeps.
 KEPT = ("merged", "started")
@@ -59,7 +63,15 @@ def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | No
     if RESERVED in {*study.axes, *study.experiment.coordinates, *outputs}:
         raise SweepError(f"no axis or result can be named {RESERVED}: a store has a group of that name")
     opened = stores.find_store(where)
-    if opened is not None and (different := differences(opened.attributes, study, keep)):
+    if opened is None:
+        return None
+    different = differences(opened.attributes, study, keep)
+    parts = [opened.attributes.get(PART), study.part and str(study.part)]
+    if parts[0] != parts[1]:
+        different.append("{}: {} in the store, {} in the study".format(PART, *(part or "the whole" for part in parts)))
+    elif study.part and not different and opened.attributes["study_digest"] != study.digest():
+        different.append("part: of other points or realisations in the store than in the study")
+    if different:
         ways = "" if keep else ", or --keep (keep=True), with which constants that differ become axes"
         raise SweepError(
             [
@@ -291,7 +303,7 @@ class Writer:
             if (failure := result.failures.get(row)) is not None:
                 ends = self.accumulator.is_missing(point.index)  # else it was given up already
                 if ends:
-                    self._fail(point, failure)
+                    self._fail(point, failure, block)
             else:
                 own = rows[len(good) : len(good) + 1]
                 good.append(row)
@@ -349,10 +361,18 @@ class Writer:
             "finished": now(),
             "points": points,
             "points_done": done,
-            "complete": int(points == done),
+            "complete": int(points == done or self._has_its_part()),
             "failures": json.dumps(self.failures(MAX_FAILURES_NAMED)),
             "warnings": json.dumps(self.plan.grid.warnings),
         }
+
+    def _has_its_part(self) -> bool:
+        """Return whether a part has nothing left to compute: others finish the points that are missing."""
+        if self.plan.grid.study.part is None:
+            return False
+        missing = self.plan.grid.points(self.accumulator.missing_points())
+        blocks = ((point, block) for point in missing for block in self.accumulator.blocks(point))
+        return all(ledger_key(point.digest, block) in self.store.rows for point, block in blocks)
 
     def require_whole(self, problems: Sequence[str] = ()) -> None:
         """Raise SweepError, with what is known already, if files of the store have gone since they were written; the
@@ -414,10 +434,11 @@ class Writer:
             self._fail(self.plan.grid.point(index), failure)
         return failures
 
-    def _fail(self, point: GridPoint, failure: Failure) -> None:
+    def _fail(self, point: GridPoint, failure: Failure, block: Block | None = None) -> None:
         self.accumulator.fail(point.index)
         place = describe(self.plan.grid.study, point.parameters)
-        self.store.fail(point.digest, {"place": place, **vars(failure), "host": host(), "when": now()})
+        where = {} if block is None else {BLOCK: f"{block.group} {block.part}"}
+        self.store.fail(point.digest, {"place": place, **vars(failure), **where, "host": host(), "when": now()})
 
 
 def failures_by_place(

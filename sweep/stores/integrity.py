@@ -328,6 +328,8 @@ class _Attributes(_Part):
     finished: str = ""
     experiment: str = ""
     function: str = ""
+    part: Annotated[str, Field(pattern=r"^[1-9]\d{0,5}/[1-9]\d{0,5}$")] | None = None
+    lost_parts: str = ""
     seed: int = 0
     n_sim: Size = 1
     n_cat: Size = 1

@@ -174,6 +174,10 @@ class Folder:
         """Raise OSError where something inside is neither a file nor a folder."""
         self.keys()
 
+    def beside(self) -> list[str]:
+        """Return the names of what is in the folder around it."""
+        return sorted(os.listdir(self.parent.path)) if self.parent.path.is_dir() else []
+
     def is_free(self) -> bool:
         """Return whether nothing is there, or a folder with nothing but files that a killed process did not finish."""
         if not self.path.exists():
@@ -357,6 +361,12 @@ class Bucket:
 
     def require_plain(self) -> None:
         """Do nothing, since a bucket has no links."""
+
+    def beside(self) -> list[str]:
+        """Return the names of all prefixes beside this one."""
+        with self._request():
+            listed = self.parent.objects.list_with_delimiter()
+        return sorted(prefix.rstrip("/").rpartition("/")[2] for prefix in listed["common_prefixes"])
 
     def is_free(self) -> bool:
         """Return whether there is no object."""

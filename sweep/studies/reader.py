@@ -16,6 +16,7 @@ from linksweep.sweep.contract import DefinitionError, Experiment, Function, Name
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies import study as sections
 from linksweep.sweep.studies.document import Options, Place, Problems, find_study, parsed, read_text, reference_in
+from linksweep.sweep.studies.part import PART, Part
 from linksweep.sweep.studies.points import Columns, Values, plain, plain_points, read_points
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Form, Sampling, Study
 from linksweep.sweep.tables.file import TableFile
@@ -94,6 +95,7 @@ def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -
     try:
         document = json.loads(attributes["study_document"])
         text, overrides, name = (str(attributes[key]) for key in ("study", "study_overrides", "study_name"))
+        part = Part.parsed(attributes[PART]) if PART in attributes else None
     except (KeyError, TypeError, ValueError) as error:
         raise SweepError("does not say which study it holds", where) from error
     if "published" in document and not Path(document["published"]["file"]).is_file():
@@ -102,7 +104,7 @@ def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -
     if overrides:  # which of its parameters they changed is not known
         options.by_place.update({(table, key): "" for table in ("axes", "fixed") for key in document.get(table, {})})
     study = _Reader(document, text, Path(where), where, options, code).study()
-    return replace(study, name=name, overrides=(overrides,) if overrides else ())
+    return replace(study, name=name, overrides=(overrides,) if overrides else (), part=part)
 
 
 def study_of_function(

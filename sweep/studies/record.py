@@ -14,6 +14,7 @@ from linksweep.sweep.code.reach import version_of
 from linksweep.sweep.contract import Experiment, Named, Output, Parameter, SweepError, shown
 from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record
+from linksweep.sweep.studies.part import PART
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.study import POINT_TABLE, Study
 from linksweep.sweep.tables.file import as_json, content_digest
@@ -75,8 +76,9 @@ def _jsonable(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else dict(value)  # numbers of NumPy, and mappings that are no dict
 
 
-def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
-    """Return the study of a store, with an experiment that is made from the store's record and computes nothing.
+def recorded_study(attributes: Mapping[str, Any], where: str, *, whole: bool = False) -> Study:
+    """Return the study of a store, with an experiment that is made from the store's record and computes nothing; the
+    ``whole`` document says what another store needs to make the study again.
 
     Raises SweepError if the record, or a table that the study names, is missing or does not fit.
     """
@@ -86,9 +88,10 @@ def recorded_study(attributes: Mapping[str, Any], where: str) -> Study:
         code = Recorded(_experiment(json.loads(attributes[RECORD])))
         document = json.loads(attributes["study_document"])
         # what would load code, or be wrong where outputs are not known; results have attributes of their own for it
-        for key in ("define", "published", "claim", "conclusion"):
+        for key in ("define",) if whole else ("define", "published", "claim", "conclusion"):
             document.pop(key, None)
-        return study_of_attributes({**attributes, "study_document": json.dumps(document)}, where, code)
+        study = study_of_attributes({**attributes, "study_document": json.dumps(document)}, where, code)
+        return replace(study, document=json.loads(attributes["study_document"])) if whole else study
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, MemoryError, RecursionError) as error:
         raise SweepError(f"the record of its experiment cannot be read ({error})", where) from error
 
@@ -175,6 +178,7 @@ def provenance(study: Study) -> dict[str, Any]:
         "claims": json.dumps(about) if about else None,
         "conclusion": conclusion.model_dump_json(exclude_none=True, exclude_defaults=True) if conclusion else None,
         "git_commit": git_commit(),
+        PART: None if study.part is None else str(study.part),
     }
     return {name: value for name, value in attributes.items() if value is not None}
 

@@ -17,6 +17,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from linksweep.sweep.contract import Experiment, Named, Parameter, Value, shown, suggest
 from linksweep.sweep.contract.parameter import HUGE, bound_in_words
 from linksweep.sweep.formatting import first_of
+from linksweep.sweep.studies.part import Part
 from linksweep.sweep.tables.file import content_digest
 
 DEFAULT_EXPERIMENT = "linksweep.core.experiment:link"
@@ -607,6 +608,7 @@ class Study:
         text: the file as written.
         overrides: what the command line changed.
         document: what a store needs to make the study again: with overrides, and with absolute paths of files.
+        part: the part of its work that is computed, None for all.
     """
 
     name: str
@@ -627,6 +629,7 @@ class Study:
     text: str = ""
     overrides: tuple[str, ...] = ()
     document: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    part: Part | None = None
 
     @property
     def dimensions(self) -> dict[str, tuple[str, ...]]:

@@ -37,7 +37,7 @@ def test_two_halves_of_a_grid_are_the_grid(run, tmp_path):
     whole = run("w.zarr", axes={"x": [1.0, 2.0, 3.0, 4.0], "k": [1, 2]})
     run("a.zarr", axes={"x": [2.0, 4.0], "k": [1, 2]})
     run("b.zarr", axes={"k": [1, 2], "x": [1.0, 2.0, 3.0]})
-    ds = merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    ds = merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
     assert dict(ds.sizes) == {"x": 4, "k": 2}
     assert same(ds, whole)
     assert not check(tmp_path / "c.zarr")
@@ -54,14 +54,14 @@ def test_two_halves_of_a_grid_are_the_grid(run, tmp_path):
 def test_what_is_no_grid_together_is_a_table_of_points(run, tmp_path):
     run("a.zarr", axes={"x": [1.0, 2.0]}, fixed={"k": 3})
     run("b.zarr", axes={"k": [3, 4]}, fixed={"x": 2.0})
-    ds = merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    ds = merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
     assert list(zip(ds.x.values.tolist(), ds.k.values.tolist(), ds.y.values.tolist(), strict=True)) == [
         (1.0, 3, 3.0),
         (2.0, 3, 6.0),
         (2.0, 4, 8.0),
     ]
     run("d.zarr", axes={"x": [1.0]}, fixed={"k": 5})
-    more = merge(tmp_path / "c.zarr", tmp_path / "d.zarr", tmp_path / "e.zarr")
+    more = merge([tmp_path / "c.zarr", tmp_path / "d.zarr"], tmp_path / "e.zarr")
     assert more.y.values.tolist() == [3.0, 6.0, 8.0, 5.0]
 
 
@@ -79,7 +79,7 @@ def test_the_link_merges_to_the_bits_of_one_run(tmp_path):
     whole = compute("w.zarr", [20, 30, 40])
     compute("a.zarr", [40])
     compute("b.zarr", [20, 30, 40])
-    ds = merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    ds = merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
     for name in whole.data_vars:
         assert np.array_equal(ds[name].values, whole[name].values, equal_nan=whole[name].dtype.kind == "f"), name
     assert not check(tmp_path / "c.zarr")
@@ -88,15 +88,15 @@ def test_the_link_merges_to_the_bits_of_one_run(tmp_path):
 def test_failures_are_kept_unless_the_other_store_has_the_point(run, tmp_path):
     run("a.zarr", axes={"k": [1, 9]})
     run("b.zarr", axes={"k": [2]})
-    ds = merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+    ds = merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
     assert json.loads(ds.attrs["failures"]) == {"k=9": "ValueError: nine"}
     assert ds.status.values.tolist() == [1, 1, 2]
     (tmp_path / "model.py").write_text(MODEL.replace("k == 9", "k == 99"))
     run("d.zarr", axes={"k": [9]})
     with pytest.raises(SweepError, match=r"model\.model .* has changed"):
-        merge(tmp_path / "c.zarr", tmp_path / "d.zarr", tmp_path / "e.zarr")
+        merge([tmp_path / "c.zarr", tmp_path / "d.zarr"], tmp_path / "e.zarr")
     assert not (tmp_path / "e.zarr").exists()
-    healed = merge(tmp_path / "c.zarr", tmp_path / "d.zarr", tmp_path / "e.zarr", accept_code=True)
+    healed = merge([tmp_path / "c.zarr", tmp_path / "d.zarr"], tmp_path / "e.zarr", accept_code=True)
     assert healed.status.values.tolist() == [1, 1, 1]
     assert healed.code.values.tolist() == [1, 1, 2]
     assert healed.attrs["failures"] == "{}"
@@ -107,19 +107,19 @@ def test_what_does_not_belong_together_is_refused_and_nothing_is_written(run, tm
     (tmp_path / "other.py").write_text("def model(k: int = 1):\n    return {'y': 1.0, 'name': 'x'}\n")
     run("b.zarr", f"{tmp_path}/other.py:model", axes={"k": [1]})
     with pytest.raises(SweepError, match="these differ"):
-        merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+        merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
     link = {"experiment": "linksweep.core.experiment:link", "fixed": {"n_obj": 20}}
     for store, sampling in (("s.zarr", {"n_sim": 10, "seed": 1}), ("t.zarr", {"n_sim": 20, "seed": 2})):
         linksweep.run(link | {"sampling": sampling}, tmp_path / store, pool="serial")
     with pytest.raises(SweepError) as told:
-        merge(tmp_path / "s.zarr", tmp_path / "t.zarr", tmp_path / "c.zarr")
+        merge([tmp_path / "s.zarr", tmp_path / "t.zarr"], tmp_path / "c.zarr")
     assert f"seed: 1 in {tmp_path}/s.zarr, 2 in {tmp_path}/t.zarr" in told.value.problems
     assert f"sampling.n_sim: 10 in {tmp_path}/s.zarr, 20 in {tmp_path}/t.zarr" in told.value.problems
     with pytest.raises(SweepError, match="experiment: "):
-        merge(tmp_path / "a.zarr", tmp_path / "s.zarr", tmp_path / "c.zarr")
+        merge([tmp_path / "a.zarr", tmp_path / "s.zarr"], tmp_path / "c.zarr")
     run("d.zarr", axes={"k": [2]})
     with pytest.raises(SweepError, match="holds a store already"):
-        merge(tmp_path / "a.zarr", tmp_path / "d.zarr", tmp_path / "a.zarr")
+        merge([tmp_path / "a.zarr", tmp_path / "d.zarr"], tmp_path / "a.zarr")
     assert not (tmp_path / "c.zarr").exists()
 
 
@@ -137,7 +137,7 @@ def test_other_bits_of_the_same_point_are_refused(tmp_path):
     compute("a.zarr", "1.0")
     compute("b.zarr", "1.0000000000000002")
     with pytest.raises(SweepError, match=r"has other numbers than .*b\.zarr at k="):
-        merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+        merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
     assert not (tmp_path / "c.zarr").exists()
 
 
@@ -158,7 +158,7 @@ def test_a_merge_that_was_killed_at_any_instant_goes_on(run, tmp_path, monkeypat
     run("a.zarr", axes={"k": [1, 9]})
     run("b.zarr", axes={"k": [1, 2, 3]})
     one, other, into = (tmp_path / name for name in ("a.zarr", "b.zarr", "c.zarr"))
-    wanted = merge(one, other, tmp_path / "w.zarr")
+    wanted = merge([one, other], tmp_path / "w.zarr")
     before = {name: getattr(Folder, name) for name in ("put", "put_all", "create", "swap", "delete")}
     left = [10**9]
 
@@ -178,7 +178,7 @@ def test_a_merge_that_was_killed_at_any_instant_goes_on(run, tmp_path, monkeypat
         for steps in (number, number // 2, 10**9):
             left[0] = steps
             try:
-                merged = merge(one, other, into)
+                merged = merge([one, other], into)
                 break
             except Killed:
                 killed += 1
@@ -207,7 +207,7 @@ def test_what_another_merge_has_left_is_not_replaced(run, tmp_path, monkeypatch)
     with monkeypatch.context() as patch:
         patch.setattr("linksweep.sweep.running.merge.Writer.write", killed)
         with pytest.raises(Killed):
-            merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr")
+            merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
     with pytest.raises(SweepError, match="holds a store already"):
-        merge(tmp_path / "a.zarr", tmp_path / "d.zarr", tmp_path / "c.zarr")
-    assert merge(tmp_path / "a.zarr", tmp_path / "b.zarr", tmp_path / "c.zarr").k.values.tolist() == [1, 2]
+        merge([tmp_path / "a.zarr", tmp_path / "d.zarr"], tmp_path / "c.zarr")
+    assert merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr").k.values.tolist() == [1, 2]

@@ -37,6 +37,7 @@ ARGUMENTS = {  # by command: what a user would type about a store, several times
     "sensitivity": [["STORE"]],
     "show": [["STORE"], ["STORE", "--format", "csv"]],
     "status": [["STORE"], ["STORE", "--json"]],
+    "submit": [["STORE/study.toml", "--slurm", "2"]],
     "tie": [["STORE", "zero-motion"]],
     "forecast": [["STORE", "STORE"]],
 }
