@@ -16,7 +16,7 @@ import dask
 from distributed import Scheduler, Worker
 
 import linksweep.sweep.executing.dask_driver  # noqa: F401, imported before the forks
-from linksweep.sweep.code.load import identity
+from linksweep.sweep.executing.versions import identity
 
 dask.config.set(
     {  # what idle processes look at every few milliseconds, 64 of which would keep two cores busy

@@ -14,7 +14,6 @@ import json
 import logging
 import os
 import pickle
-import platform
 import re
 import subprocess
 import sys
@@ -29,8 +28,6 @@ from types import ModuleType
 from typing import Any, ClassVar, TypeVar
 from weakref import WeakKeyDictionary
 
-from threadpoolctl import threadpool_info
-
 from linksweep.sweep.code import reach
 from linksweep.sweep.code.reach import Reach, digest_of, distributions_of, version_of
 from linksweep.sweep.contract import Experiment, SweepError, shown
@@ -42,10 +39,8 @@ OURS = "linksweep"
 # Stands in place of a module in the reference of a function that only this session has.
 SESSION = "session"
 
-DECIDING = ("linksweep", "numpy", "scipy")
-OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
 SUFFIXES = ("/__init__.py", ".py", *importlib.machinery.EXTENSION_SUFFIXES)  # as Python prefers them
-DIGESTS = re.compile("[0-9a-f]{24}")
+DIGEST = re.compile("(^| )[0-9a-f]{12}( |$)")
 # Fields of an experiment that its code does not depend on, or that count by themselves.
 DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
 
@@ -199,7 +194,7 @@ def _pickler(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
         # In Python 3.11 a cached property holds a lock, which has no pickle.
         cached_property: lambda value: (cached_property, (value.func,), {"attrname": value.attrname}),
         WeakKeyDictionary: lambda value: (WeakKeyDictionary, ()),
-        type(_kernels): lambda value: (_cached, (value.__wrapped__, value.cache_parameters())),
+        type(_warn): lambda value: (_cached, (value.__wrapped__, value.cache_parameters())),
     }
 
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
@@ -356,10 +351,8 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
     if isinstance(code, Live):
         return code.value
     if place == SESSION:
-        raise SweepError(
-            f"the function {shown(attribute.rpartition('-')[0])} was defined in a script or notebook, not in a module; "
-            "compute with it from there"
-        )
+        name = shown(attribute.rpartition("-")[0])
+        raise SweepError(f"the function {name} was defined in a script or notebook; compute with it from there")
     try:
         if place.endswith(".py"):
             module = (code or _remember(LocalFiles(Path(place)))).module()
@@ -477,43 +470,10 @@ def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, n
     """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
     phrases = []
     for name in sorted(name for name in {*old, *new} if old.get(name) != new.get(name)):
-        place = f"{name} ({_places[name]})" if name in _places else name
-        if name not in old or name not in new:
-            phrases.append(f"{place} is only {was if name in old else now}")
-        elif name.startswith(("value ", "default ", "package ")) and not DIGESTS.fullmatch(old[name] + new[name]):
-            phrases.append(f"{place} is {old[name]} {was}, {new[name]} {now}")
-        else:
-            phrases.append(f"{place} has changed")
+        before, after = old.get(name, ""), new.get(name, "")
+        is_short = name.startswith(("value ", "default ", "package ")) and not DIGEST.search(f"{before} {after}")
+        how = f"is {before} {was}, {after} {now}" if is_short else "has changed"
+        if not before or not after:
+            how = f"is only {was if before else now}"
+        phrases.append(f"{name} ({_places[name]}) {how}" if name in _places else f"{name} {how}")
     return phrases
-
-
-@dataclass(frozen=True)
-class Identity:
-    """What a process computes with, by name: versions and code that decide the numbers, and other versions."""
-
-    deciding: Mapping[str, str]
-    others: Mapping[str, str]
-
-
-def identity(reference: str, digest: str | None = None) -> Identity:
-    """Return with what this process would compute an experiment; raises SweepError as `load_experiment`."""
-    experiment = load_experiment(reference, digest=digest or source_digest(reference))
-    code = code_of(reference, experiment, digest).items()
-    deciding = {name: version_of(name) for name in DECIDING}
-    deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
-    deciding |= {name: text for name, text in code if not name.startswith("value ")}  # such as a time
-    others = {"python": platform.python_version(), "machine": platform.machine(), "linear algebra": _kernels()}
-    return Identity(deciding, others | {name: version_of(name) for name in OTHERS})
-
-
-@cache
-def _kernels() -> str:
-    """Return for which processor each library of linear algebra computes, on which the rounding of sums depends."""
-    known = (info for info in threadpool_info() if "architecture" in info)
-    return ", ".join(sorted({f"{info['internal_api']} for {info['architecture']}" for info in known})) or "unknown"
-
-
-def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
-    """Return a phrase for everything that differs between two processes."""
-    pairs = {name: (here.get(name, "unknown"), there.get(name, "unknown")) for name in {**here, **there}}
-    return [f"{name} is {one} here, {other} there" for name, (one, other) in pairs.items() if one != other]

@@ -118,14 +118,13 @@ def distributions_of(module: str | None) -> tuple[str, ...] | None:
     if not module or module == "__main__" or module.startswith(PREFIX):
         return None
     top = module.partition(".")[0]
-    if (loaded := sys.modules.get(module)) is not None:
-        file, folders = getattr(loaded, "__file__", None), getattr(loaded, "__path__", ())
-        if not file and not folders and not any(isinstance(one, FunctionType) for one in vars(loaded).values()):
-            return ()  # made by an extension
-    else:
-        spec = sys.modules[top].__spec__ if top in sys.modules else find_spec(top)
-        file, folders = getattr(spec, "origin", None), getattr(spec, "submodule_search_locations", ())
-    return distributions_at(file or next(iter(folders or ()), None), top)
+    loaded = sys.modules.get(module) or sys.modules.get(top)
+    spec = find_spec(top) if loaded is None else None
+    file = getattr(loaded, "__file__", None) or getattr(spec, "origin", None)
+    folders = getattr(loaded, "__path__", None) or getattr(spec, "submodule_search_locations", None) or ()
+    if loaded and not file and not folders and not any(isinstance(one, FunctionType) for one in vars(loaded).values()):
+        return ()  # made by an extension
+    return distributions_at(file or next(iter(folders), None), top)
 
 
 def reach_of(roots: Mapping[str, Any]) -> "Reach":

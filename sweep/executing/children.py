@@ -23,6 +23,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.executing.process import Deadlines, ignored
 from linksweep.sweep.executing.task import AnyJob, Call, Failure, PointBlock, Task, TaskResult, failed, joined, too_long
+from linksweep.sweep.executing.versions import Identity, differences, identity
 from linksweep.sweep.executing.worker import ENOUGH_S, compute, run_units, takes_several
 from linksweep.sweep.interrupt import SIGNALS
 
@@ -72,7 +73,7 @@ class Children:
         *,
         forked: bool = True,
         digest: str | None = None,
-        expected: load.Identity | None = None,
+        expected: Identity | None = None,
     ) -> None:
         self._reference, self._limits, self._expected = reference, limits, expected
         self._digest = digest or load.source_digest(reference)
@@ -98,7 +99,7 @@ class Children:
                 started.append(_Child(self._forked))
             if not self._forked:
                 code = load.sendable(self._reference, self._digest), self._reference, self._digest
-                expected = self._expected or load.identity(self._reference, self._digest)
+                expected = self._expected or identity(self._reference, self._digest)
                 for child in started:  # all of them import at the same time
                     child.prepare(code, expected)
         except BaseException as error:
@@ -281,7 +282,7 @@ class _Child:
             self.process = load.new_process(start, **files, pass_fds=[theirs.fileno()])
         theirs.close()
 
-    def prepare(self, code: tuple[Any, str, str | None], expected: load.Identity) -> None:
+    def prepare(self, code: tuple[Any, str, str | None], expected: Identity) -> None:
         """Send a new process the code; raises SweepError where it cannot load that, and where it is not as expected."""
         try:
             self.channel.send(code)
@@ -291,7 +292,7 @@ class _Child:
             raise SweepError(f"a child process could not start (exit code {exit_code}): {words}") from error
         if isinstance(answer, SweepError):
             raise answer
-        if differ := load.differences(expected.deciding, answer.deciding):
+        if differ := differences(expected.deciding, answer.deciding):
             raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
 
     def memory(self) -> float:
@@ -370,7 +371,7 @@ def compute_anew(number: int) -> None:
     if sources is not None:
         load.provide(sources)
     try:
-        channel.send(load.identity(reference, digest))
+        channel.send(identity(reference, digest))
     except SweepError as error:
         channel.send(error)
         return

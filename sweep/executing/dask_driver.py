@@ -17,12 +17,13 @@ from typing import Any
 from distributed import Client, Future, KilledWorker, WorkerPlugin, get_worker
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code.load import Identity, differences, identity, provide, sendable, source_digest
+from linksweep.sweep.code.load import provide, sendable, source_digest
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.pools import Limits
 from linksweep.sweep.executing.process import Deadlines
 from linksweep.sweep.executing.task import AnyJob, Call, Failure, Say, Task
+from linksweep.sweep.executing.versions import Identity, differences, identity
 from linksweep.sweep.executing.worker import compute
 from linksweep.sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_seconds
 

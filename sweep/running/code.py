@@ -3,25 +3,15 @@ the ledger that its ``code`` made.
 """
 
 import json
-from bisect import bisect_right
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from linksweep.sweep.code import load
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.contract.block import DIGEST_BYTES, ledger_key
-from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.plan import Plan
-from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.contract.block import DIGEST_BYTES
 from linksweep.sweep.stores.store import CODE, Store
 from linksweep.sweep.studies.study import Study
-
-# The code of a point that is not done, and of one whose blocks were made by different codes.
-UNKNOWN, SEVERAL = 0, -1
 
 
 def records_of(attributes: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -78,21 +68,3 @@ def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
         records.append({"first_row": rows if records else 0, "code": code})
     if records[-1]["code"] or CODE in store.attributes:  # linksweep's own experiments are known by their version
         store.record({CODE: json.dumps(records)})
-
-
-def codes_of_points(
-    plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], records: Sequence[Mapping[str, Any]]
-) -> NDArray[np.int32]:
-    """Return for each point the number of the record, from 1, of the code that made it."""
-    codes = np.full(len(plan.grid), UNKNOWN, dtype=np.int32)
-    starts = [record["first_row"] for record in records]
-    n_cat = plan.grid.study.sampling.n_cat
-    for point in plan.grid.points():
-        if accumulator.status[point.index] == Status.DONE:
-            cost = plan.cost(point.parameters)
-            parts = range(plan.parts(cost, int(accumulator.realisations[point.index]) // n_cat))
-            made_by = {
-                bisect_right(starts, rows[ledger_key(point.digest, block)]) for block in plan.blocks(cost, parts)
-            }
-            codes[point.index] = made_by.pop() if len(made_by) == 1 else SEVERAL
-    return codes

@@ -1,6 +1,7 @@
 """The labelled dataset of a study, from what blocks left, and covariances of points that share random numbers."""
 
 import re
+from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
@@ -108,8 +109,19 @@ def assemble_samples(
     return variables
 
 
-def code_variable(plan: Plan, codes: NDArray[np.int32]) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
-    """Return which code made each point, for a store that several codes have made."""
+def code_variable(
+    plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], records: Sequence[Mapping[str, Any]]
+) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
+    """Return which code made each point, for a store with several records of code (`sweep.running.code`)."""
+    codes = np.zeros(len(plan.grid), dtype=np.int32)
+    starts = [record["first_row"] for record in records]
+    n_cat = plan.grid.study.sampling.n_cat
+    for point in plan.grid.points():
+        if accumulator.status[point.index] == Status.DONE:
+            cost = plan.cost(point.parameters)
+            parts = range(plan.parts(cost, int(accumulator.realisations[point.index]) // n_cat))
+            made_by = {bisect_right(starts, rows[ledger_key(point.digest, one)]) for one in plan.blocks(cost, parts)}
+            codes[point.index] = made_by.pop() if len(made_by) == 1 else -1
     meaning = "code that made the point: its place, from 1, in the attribute code; 0 none, -1 several"
     return _variable(plan.grid, plan.grid.with_repeats(codes), Output("code", "", meaning))
 

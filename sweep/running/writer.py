@@ -26,7 +26,7 @@ from linksweep.sweep.planning.plan import Plan, PlanSize, Work
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.union import UNITED
 from linksweep.sweep.planning.work_queue import TUNED, Pending, Tuning
-from linksweep.sweep.running.code import codes_of_points, records_of
+from linksweep.sweep.running.code import records_of
 from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where
@@ -348,8 +348,7 @@ class Writer:
         if final and study.sampling.common_random_numbers and study.sampling.precision is None:
             dataset = dataset.assign(covariances(self.plan, self.accumulator, self.store.rows, self.store.read()))
         if len(records := records_of(self.store.attributes)) > 1:
-            codes = codes_of_points(self.plan, self.accumulator, self.store.rows, records)
-            dataset = dataset.assign(code=code_variable(self.plan, codes))
+            dataset = dataset.assign(code=code_variable(self.plan, self.accumulator, self.store.rows, records))
         return dataset.assign_attrs(self._attributes())
 
     def _attributes(self) -> dict[str, Any]:
