@@ -13,6 +13,7 @@ import xarray as xr
 
 import linksweep
 from tests.conftest import LINK_STUDY
+from tests.tiers import slow
 
 
 def free_port():
@@ -56,7 +57,7 @@ def bucket(s3_endpoint, monkeypatch):
     return f"s3://{name}"
 
 
-@pytest.fixture(params=["folder", "bucket"])
+@pytest.fixture(params=["folder", slow("bucket")])
 def place(request, tmp_path):
     """Where a store may be: a path, and an address in a bucket."""
     if request.param == "folder":

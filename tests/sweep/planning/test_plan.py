@@ -328,3 +328,10 @@ def test_answers_of_a_function_of_some_axes_are_its_own_in_any_order(points, fir
         for key, answer in table[1].items():
             known = dict(zip(table[0], key, strict=True))
             assert answer[0] == known["wxyz"[first]]
+
+
+def test_keys_of_one_hash_are_told_apart():
+    same = [bytes(8) + bytes([number]) + bytes(23) for number in range(1, 5)]  # the hash leaves out these bytes
+    rows = BlockRows(same[:3])
+    assert rows.find(same).tolist() == [0, 1, 2, -1]
+    assert len(rows) == 3

@@ -210,7 +210,7 @@ def turn(number, last=False, shape=(50, 40)):
     )
 
 
-@pytest.mark.parametrize(("reader", "turns", "pause"), [slow("open_dataset", 100, 0.0), ("xr.open_zarr", 10, 0.2)])
+@pytest.mark.parametrize(("reader", "turns", "pause"), [slow("open_dataset", 100, 0.0), ("xr.open_zarr", 10, 0.05)])
 def test_a_reader_sees_one_writing_or_another(path, coins, reader, turns, pause):
     """Ours whatever its haste and the writer's; plain xarray where it reads in less time than lies between two writings
     (a run leaves at least 5 s), and slower readings do not count.  There are writings, with ever longer pauses, until
