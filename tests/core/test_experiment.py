@@ -31,7 +31,7 @@ from tests.core.points import (
     simulate,
     simulate_stack,
 )
-from tests.tiers import examples
+from tests.tiers import examples, slow
 
 
 def merged(blocks):
@@ -259,7 +259,7 @@ def test_each_catalogue_has_the_bits_that_it_has_by_itself(changes, n_sim, n_cat
     assert_same_bits(link.evaluate_catalogues([here], n_sim, streams(n_cat)), one_by_one(here, n_sim, n_cat))
 
 
-@pytest.mark.parametrize("reference_errors", ["none", "normal"])
+@pytest.mark.parametrize("reference_errors", ["none", slow("normal")])
 def test_so_it_is_where_objects_come_in_several_tiles_and_catalogues_in_several_stacks(reference_errors, monkeypatch):
     here = link.defaults() | {"n_obj": 700, "reference_errors": reference_errors}
     monkeypatch.setattr(experiment, "STACK", 2 * 700 * 100)

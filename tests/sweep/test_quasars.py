@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from tests.conftest import runs_all
 from tests.tiers import slow
 
 # Metz & Geffert 2004, Table 1, typed in from the paper: V_max, N_obj, AMEX, GAIA [mas/yr]
@@ -33,10 +34,11 @@ PAPER = np.array([line.split() for line in TABLE_1.split("\n") if line], dtype=f
 
 
 @pytest.fixture(scope="module")
-def main_job(tmp_path_factory):
-    """Run the command once; give its folder and what it printed."""
+def main_job(tmp_path_factory, pytestconfig):
+    """Run the command once, of a tenth of the realisations in the quick tier; give its folder and what it printed."""
     folder = tmp_path_factory.mktemp("main")
     command = [sys.executable, "-m", "linksweep", "run", "quasars"]
+    command += [] if runs_all(pytestconfig) else ["--set", "n_sim=10"]
     run = subprocess.run(
         command, cwd=folder, capture_output=True, check=False, text=True, env=os.environ | {"COLUMNS": "200"}
     )

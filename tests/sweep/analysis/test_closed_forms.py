@@ -15,9 +15,10 @@ from scipy.stats import linregress
 
 import linksweep
 from tests.sweep.analysis.made import DONE, compare
+from tests.tiers import examples
 
 seeds = st.integers(0, 2**32 - 1)
-several = settings(max_examples=25, deadline=None)
+several = settings(max_examples=examples(50))
 
 
 def results(x, y, errors=None, covariance=None, samples=None, name="n", **attributes):
@@ -85,7 +86,7 @@ def test_a_power_law_through_correlated_points(seed, samples):
     assert found["p_value"].item() == pytest.approx(law.sf(scaled), rel=1e-6)
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 @given(seeds, st.sampled_from([None, 20]))
 def test_the_band_of_a_drawn_law_is_that_of_its_errors(seed, samples):
     _, x, y, _, covariance = drawn(seed)

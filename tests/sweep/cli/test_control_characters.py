@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.conftest import run_sweep
 from tests.sweep.opening import Column, Table, harmless, sealed
 from tests.tiers import slow
 
@@ -70,12 +71,10 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def store(folder):
     command = ["run", "study.toml", "--pool", "serial", "-o", "s.zarr", "--log", "run.log", "--verbose"]
-    done = subprocess.run(
-        [sys.executable, "-m", "linksweep", *command], cwd=folder, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1, done.stderr
-    assert not found(done.stdout + done.stderr + (folder / "run.log").read_text())
-    assert all(word in done.stderr for word in ("fails", "warns"))
+    code, out, err = run_sweep(*command, cwd=folder)
+    assert code == 1, err
+    assert not found(out + err + (folder / "run.log").read_text())
+    assert all(word in err for word in ("fails", "warns"))
     return folder / "s.zarr"
 
 
@@ -119,6 +118,7 @@ def _read(descriptor):
         return b""
 
 
+@pytest.mark.slow
 def test_a_script_gets_no_control_characters_either(store, folder):
     script = (
         "import linksweep\nfrom marked import marked\nlinksweep.run(marked, axes={'x': [1.0, 2.0]}, pool='serial')\n"

@@ -6,8 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.tiers import slow
-
 BIN = Path(sys.executable).parent
 
 
@@ -43,7 +41,8 @@ def test_commands(tmp_path):
     assert "run" not in offered(tmp_path, "sweep", "st")
 
 
-@pytest.mark.parametrize("command", ["run", slow("plan")])
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["run", "plan"])
 def test_a_study_is_built_in_or_a_file(tmp_path, command):
     (tmp_path / "quick.toml").touch()
     assert [name for name in offered(tmp_path, "sweep", command, "qu") if name] == ["quasars", "quick.toml"]
@@ -58,13 +57,15 @@ def test_keys_of_the_study_that_is_named_before(tmp_path):
     assert [o for o in offered(tmp_path, "sweep", "plan", "mine.toml", "--axis", "l") if o] == ["length=", "limit="]
 
 
-@pytest.mark.parametrize("content", [b"[[axes]]", *map(slow, (None, b"[", b"\xff", b"axes = 3"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("content", [None, b"[[axes]]", b"[", b"\xff", b"axes = 3"])
 def test_a_bad_study_offers_what_every_study_has(tmp_path, content):
     if content is not None:
         (tmp_path / "bad.toml").write_bytes(content)
     assert "n_sim=" in offered(tmp_path, "sweep", "run", "bad.toml", "--set", "n")
 
 
+@pytest.mark.slow
 def test_nothing_heavy_is_imported():
     code = (
         "import os, sys; os.environ.update(_SWEEP_COMPLETE='bash_complete', COMP_WORDS='sweep run quasars --set ', "

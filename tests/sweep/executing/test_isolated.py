@@ -82,7 +82,7 @@ HARMLESS = {
 """What a function may do to its process without failing its own point."""
 
 
-@pytest.mark.parametrize("deed", [key if key == "modules" else slow(key) for key in HARMLESS])
+@pytest.mark.parametrize("deed", [slow(key) for key in HARMLESS])
 def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sweep, deed):
     import xarray as xr
 

@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+from tests.tiers import slow
+
 SCRIPT = """
 import sys
 import linksweep
@@ -17,7 +19,7 @@ print([name for name in ("bokeh", "distributed", "dask.array") if name in sys.mo
 """
 
 
-@pytest.mark.parametrize("by_standard_input", [False, True])
+@pytest.mark.parametrize("by_standard_input", [False, slow(True)])
 def test_a_script_computes_in_worker_processes(tmp_path, by_standard_input):
     (tmp_path / "script.py").write_text(SCRIPT)
     command, text = ([sys.executable, "-"], SCRIPT) if by_standard_input else ([sys.executable, "script.py"], None)
@@ -46,6 +48,7 @@ assert str(mod_version("dask")) == dask.__version__
 """
 
 
+@pytest.mark.slow
 def test_xarray_knows_arrays_of_dask_where_they_are_imported_and_does_not_import_them():
     done = subprocess.run([sys.executable, "-c", WITH_AND_WITHOUT_DASK], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -115,6 +115,7 @@ def what_others_get(folders=(), pid=None):
     return ports, json.loads(done.stdout.splitlines()[-1])
 
 
+@pytest.mark.slow
 def test_the_attempts_succeed_where_everybody_is_let_in():
     options = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
     with own_cluster(LocalCluster, options) as cluster, cluster.get_client() as client:

@@ -84,7 +84,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-@pytest.mark.parametrize("options", [{"pool": "serial"}, slow({"pool": "threads", "workers": 1}), {}], ids=str)
+@pytest.mark.parametrize("options", [slow({"pool": "serial"}), slow({"pool": "threads", "workers": 1}), {}], ids=str)
 def test_what_a_point_changes_is_put_back_for_the_others(change, options, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     change_it, look = CHANGES[change]

@@ -26,6 +26,7 @@ def study(tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_workers_without_the_folder_compute_with_its_helpers(study, tmp_path, sweep):
     """The worker has an empty file system mounted where the client has the study, and neither sees the other's."""
     hide = ["unshare", "--mount", "sh", "-c", f'mount -t tmpfs none "{study}" && test ! -e "{study}/user.py" && "$@"']
@@ -61,7 +62,7 @@ POOLS = {
 }
 
 
-@pytest.mark.parametrize("pool", [p if p in ("serial", "threads") else slow(p) for p in POOLS])
+@pytest.mark.parametrize("pool", [p if p == "threads" else slow(p) for p in POOLS])
 def test_what_a_model_prints_is_in_the_log_and_not_in_the_output(pool, tmp_path, start_sweep):
     program = 'os.system("echo from outside")' if pool in ("processes", "guarded") else "pass"
     write_experiment(tmp_path, before=TALKS.replace("PROGRAM", program), evaluate="total(points, n_sim)")

@@ -75,9 +75,8 @@ def test_dasks_own_configuration_is_enough(link_study, tmp_path, run, files, out
     assert code == 0, err
 
 
-@pytest.mark.parametrize(
-    "wrong", ["strangers", *(pytest.param(w, marks=pytest.mark.slow) for w in ("none", "rubbish"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", ["strangers", "none", "rubbish"])
 def test_wrong_certificates_are_refused_in_a_sentence(link_study, tmp_path, run, outside, wrong):
     strangers = Files(tmp_path / "strangers")
     if wrong == "rubbish":

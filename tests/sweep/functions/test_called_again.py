@@ -127,6 +127,7 @@ def test_a_second_call_that_raises_is_named(tmp_path):
         run(f, tmp_path / "s.zarr", axes=AXES)
 
 
+@pytest.mark.slow
 def test_a_resumed_run_looks_too(tmp_path):
     """In a new process nothing is known of the function, whose code may have been accepted."""
     module = tmp_path / "f.py"

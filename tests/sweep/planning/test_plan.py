@@ -335,3 +335,10 @@ def test_keys_of_one_hash_are_told_apart():
     rows = BlockRows(same[:3])
     assert rows.find(same).tolist() == [0, 1, 2, -1]
     assert len(rows) == 3
+
+
+def test_the_ledger_knows_a_block_by_all_that_decides_its_sums():
+    block = Block(0, 0, 0, 1, 100)
+    others = [block._replace(**{name: 7}) for name in ("group", "part", "n_cat", "n_sim")]
+    keys = {ledger_key(bytes(16), each) for each in (block, *others)} | {ledger_key(bytes([1] * 16), block)}
+    assert len(keys) == 6

@@ -235,7 +235,7 @@ ADDRESSES_KB = 2**20
 """A gigabyte of addresses, of which the interpreter with NumPy, SciPy, Dask and xarray takes half."""
 
 
-QUICK = {"an axis of 1e9 values by step", "brackets without end"}
+QUICK = {"an axis of 1e9 values by step"}
 
 
 @pytest.mark.parametrize("case", [c if c in QUICK else pytest.param(c, marks=pytest.mark.slow) for c in LARGE])
