@@ -260,3 +260,15 @@ def test_what_is_no_curve(function, sentence):
     with pytest.raises(CurveError) as caught:
         FunctionCurve(Function(function))(np.arange(15.0, 20.0))
     assert sentence in str(caught.value)
+
+
+def test_forms_can_be_mixed_and_a_function_is_in_the_unit():
+    own = mission(
+        {"nominal_length": 1.0, "unit": "uas", "sigma_pm": "curves.py:power", "sigma_pos": [[9, 50], [20, 80]]}
+    )
+    np.testing.assert_allclose(own.sigma_pm_mas_yr(V), 1e-3 * 10.0 ** (0.2 * (V - 15.0)), rtol=1e-14)
+    assert own.sigma_pos_mas(np.array([5.0]))[0] == pytest.approx(0.05, rel=1e-14)
+    assert own.faint_limit_mag == 20.0
+    ratio = mission({"nominal_length": 1.0, "sigma_pm": "curves.py:power", "position_ratio": 2.0})
+    np.testing.assert_allclose(ratio.sigma_pos_mas(V), 2.0 * 10.0 ** (0.2 * (V - 15.0)), rtol=1e-14)
+    assert ratio.faint_limit_mag == math.inf

@@ -299,3 +299,8 @@ def test_galactic_coordinates_are_those_of_astropy():
     longitude, latitude = galactic(where.ra, where.dec)
     found = SkyCoord(longitude * u.rad, latitude * u.rad, frame="galactic")
     assert found.separation(expected).arcsec.max() < 0.1  # astropy's pole is that of FK5; 1997 values agree to 0.04"
+
+
+def test_different_identifiers_are_never_merged():
+    labels, _ = labels_of(*(catalogue(positions([10.0], [0.0]), 3.0, [name]) for name in (5, 6)))
+    assert labels == [[0], [1]]
