@@ -26,6 +26,7 @@ from tests.core.tie.made import (
     seen_by_satellite,
     stars,
 )
+from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
 MEAN = TableOptions(positions="mean")
@@ -302,10 +303,10 @@ def test_sources_that_say_nothing_change_nothing(folder):
         np.testing.assert_allclose(link[name], plain[name], rtol=1e-6, err_msg=name)
 
 
-@pytest.mark.parametrize("clip", ["none", "huber:1.2", "median:3", "discrepancy:2"])
-@pytest.mark.parametrize("weights", ["covariance", "equal"])
+@pytest.mark.parametrize("clip", ["none", "huber:1.2", slow("median:3"), slow("discrepancy:2")])
+@pytest.mark.parametrize("weights", ["covariance", slow("equal")])
 def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypatch, clip, weights):
-    tables = drawn_tables(folder, 8, n=30, far=(3, 7))
+    tables = drawn_tables(folder, 8, n=14, far=(3, 7))
     options = {"clip": clip, "weights": weights, "errors": "formal,scaled,cells"}
     plain = linked(tables, **options)
     monkeypatch.setattr("linksweep.core.tie.solution.KEPT_NUMBERS", 0)

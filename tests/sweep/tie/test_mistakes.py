@@ -24,6 +24,7 @@ from tests.core.tie.made import (
     seen_by_satellite,
     stars,
 )
+from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([0.8, -1.5, 0.6]) * MAS, np.array([-0.12, 0.25, 0.07]) * MAS
 
@@ -162,6 +163,14 @@ MISTAKES = {
     "errors that are NaN": ("reference", errors_nan, "rows have no error of ra, dec"),
     "names exchanged": ("reference", names_exchanged, "exchanged"),
 }
+QUICK = {
+    "mu_alpha",
+    "half a year early there",
+    "one star reversed",
+    "parallax in arcsec",
+    "errors in uas",
+    "one row twice",
+}
 
 
 def solved(folder, satellite, reference, **options):
@@ -182,7 +191,7 @@ def suspicions(notes):
     return [note for note in notes if "of the weight" not in note and "have no error of ra, dec, which" not in note]
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize("mistake", [m if m in QUICK else slow(m) for m in MISTAKES])
 @pytest.mark.parametrize(
     ("n", "seed"),
     [(9, 1), *(pytest.param(n, n + seed, marks=pytest.mark.slow) for n in (5, 20, 60) for seed in (2, 3))],
@@ -195,7 +204,7 @@ def test_a_mistake_is_named(tmp_path, mistake, n, seed):
     assert any(re.search(words, note) for note in found), found
 
 
-@pytest.mark.parametrize(("n", "seed"), [(5, 1), (20, 2), (60, 3)])
+@pytest.mark.parametrize(("n", "seed"), [(5, 1), slow(20, 2), slow(60, 3)])
 def test_a_sky_without_a_mistake_is_not_suspected(tmp_path, n, seed):
     satellite, reference = sky(n, seed)
     assert not suspicions(solved(tmp_path, satellite, reference))
@@ -249,7 +258,7 @@ def test_a_study_of_absurd_tables_is_refused_with_the_cause(tmp_path):
     assert "0.5 years too late" in " ".join(accepted.output.split())
 
 
-@pytest.mark.parametrize("size", [2.5, 10.0])
+@pytest.mark.parametrize("size", [slow(2.5), 10.0])
 def test_a_real_misfit_has_no_invented_cause(tmp_path, size):
     """Errors that are too small by a factor, as those of radio stars are, also where it is said first."""
     satellite, reference = sky(12, 6)
