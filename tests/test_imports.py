@@ -34,9 +34,9 @@ PACKAGES = [
         "linksweep.sweep.plots",
         "linksweep.sweep.report",
         "linksweep.sweep.search",
-        "linksweep.sweep.cli",
+        "linksweep.sweep.api",
     ),
-    *("linksweep.sweep.api", "linksweep.__init__", "linksweep.sweep.__main__", "linksweep.__main__"),
+    *("linksweep.__init__", "linksweep.sweep.cli", "linksweep.sweep.__main__", "linksweep.__main__"),
 ]
 ONLY_IN = {
     "click": {"linksweep.sweep.cli"},

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+import linksweep
 from linksweep.sweep.cli import options
 from linksweep.sweep.formatting import COMMAND, WIDTH, harmless
 
@@ -74,7 +75,6 @@ class _Group(click.Group):
                 COMMAND[:] = before
 
     def invoke(self, ctx: click.Context) -> Any:
-        from linksweep.sweep.contract import SweepError
         from linksweep.sweep.interrupt import RunInterruptedError, how_ended, watched
 
         try:
@@ -88,7 +88,7 @@ class _Group(click.Group):
             click.echo(f"error: {error.format_message()}", err=True)
             click.echo(f"see {error.ctx.command_path if error.ctx else ctx.command_path} --help", err=True)
             sys.exit(error.exit_code)
-        except SweepError as error:
+        except linksweep.SweepError as error:
             where, problems = f"{error.where}: " if error.where else "", error.problems
             click.echo(f"error: {where}{problems[0] if len(problems) == 1 else f'{len(problems)} problems'}", err=True)
             for problem in problems if len(problems) > 1 else ():

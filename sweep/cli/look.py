@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import linksweep
 from linksweep.sweep.cli import group, options
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command, print_result
 from linksweep.sweep.cli.options import AT, JSON, STORE, At, arg, choice, flag, json_or, many, opt, parsed, part_of
@@ -19,7 +20,6 @@ from linksweep.sweep.plots import ALL_KINDS, KINDS
 if TYPE_CHECKING:
     from linksweep.sweep.executing.pools import Resources
     from linksweep.sweep.stores.location import Location
-    from linksweep.sweep.studies.study import Study
 
 KIND_HELP = f"What to draw: {', '.join(ALL_KINDS)}.  [default: what suits the results]"
 PERCENT = click.FloatRange(0.0, 100.0, min_open=True, max_open=True)
@@ -62,13 +62,12 @@ def _answer(name: str) -> list[str]:
         # Before the imports: most studies of the list were never run here.
         return []
     from linksweep.sweep.analysis.answer import answer_in_short, completeness
-    from linksweep.sweep.contract import SweepError
     from linksweep.sweep.stores.store import open_dataset
 
     try:
         dataset = open_dataset(default_store(name))
         return [*completeness(dataset)[:1], *answer_in_short(dataset)]
-    except SweepError as error:
+    except linksweep.SweepError as error:
         return [f"Its store cannot be read: {'; '.join(error.problems)}"]
 
 
@@ -134,13 +133,12 @@ class Drawing:
         from linksweep.sweep.plots.figure import draw_figure
         from linksweep.sweep.running.reproduce import study_to_look_at
         from linksweep.sweep.stores.location import store_named
-        from linksweep.sweep.studies.reader import load_study
 
         if self.kind == "accuracy":
             models: Any = self.models
             if self.source is not None:
                 is_file = self.source.endswith(".toml")
-                study = load_study(self.source) if is_file else study_to_look_at(store_named(self.source))
+                study = linksweep.load_study(self.source) if is_file else study_to_look_at(store_named(self.source))
                 models = sky.models_of(study, models)
             curves = sky.accuracy_curves(models)
             return sky.accuracy_figure(curves), curves
@@ -192,15 +190,14 @@ def plot(
         click.echo(f"wrote {written}", err=True)
 
 
-def paper_studies(published: bool) -> "list[Study]":
+def paper_studies(published: bool) -> "list[linksweep.Study]":
     """Return the built-in studies in the order of the paper, or those that have ``published`` numbers or claims."""
     from linksweep.sweep.studies import document
-    from linksweep.sweep.studies.reader import load_study
 
     texts = {name: tomllib.loads(path.read_text("utf-8")) for name, path in document.built_in_studies().items()}
     names = [name for name, text in texts.items() if not published or {"published", "claim"} & text.keys()]
     others = sorted(set(names).difference(PAPER_ORDER))
-    return [load_study(name) for name in (*PAPER_ORDER, *others) if name in names]
+    return [linksweep.load_study(name) for name in (*PAPER_ORDER, *others) if name in names]
 
 
 @dataclass(frozen=True)
@@ -233,7 +230,6 @@ class AskedStores:
         """
         if not self.everything:
             return self.stores
-        from linksweep.sweep.contract import SweepError
         from linksweep.sweep.running.run import plan_study
         from linksweep.sweep.stores.location import RESULTS, located
 
@@ -243,7 +239,7 @@ class AskedStores:
             # All stores are looked at before the first study runs: an hour later is late for a refusal.
             try:
                 plan_study(study, store)
-            except SweepError as error:
+            except linksweep.SweepError as error:
                 if not all("pip install" in problem for problem in error.problems):
                     raise
                 click.echo(f"left out: {study.name}: {error.problems[0]}", err=True)
@@ -305,7 +301,7 @@ def fit(
     sweep fit radio-stars --range 50: --at reference_error_scale=1
     sweep fit results/quasars.zarr --over v_max --law levelling
     """
-    from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law, parse_range
+    from linksweep.sweep.analysis.laws import parse_range
     from linksweep.sweep.analysis.quantity import between, main_quantity, require_axis
 
     if law == "levelling" and expect is not None:
@@ -317,9 +313,9 @@ def fit(
         over = require_axis(part, variable, over)
         dataset = part if span is None else between(part, over, *parse_range(span))
         if law == "power":
-            result = fit_power_law(dataset, variable, over, expect)
+            result = linksweep.fit_power_law(dataset, variable, over, expect)
         else:
-            result = fit_levelling(dataset, variable, over, (fall or 5.0) / 100.0)
+            result = linksweep.fit_levelling(dataset, variable, over, (fall or 5.0) / 100.0)
     print_result(result, "json" if as_json else "text")
 
 
@@ -369,12 +365,10 @@ def sensitivity(
     sweep sensitivity results/sir.zarr
     sweep sensitivity results/sir.zarr --variable peak -o peak.png
     """
-    from linksweep.sweep.analysis.sensitivity import sensitivity as indices_of
-
     if output is not None:
         group.require_writable(output)
     with part_of(store, at) as dataset:
-        result = indices_of(dataset, variable)
+        result = linksweep.sensitivity(dataset, variable)
     print_result(result, "json" if as_json else "text")
     if output is not None:
         group.save_result(result, output)
@@ -396,7 +390,6 @@ def compare(
     """
     table_format = json_or(table_format, as_json)
     from linksweep.sweep.analysis import compare as verdicts
-    from linksweep.sweep.contract import SweepError
 
     asked.require_either()
     comparisons, remarks = [], []
@@ -406,7 +399,7 @@ def compare(
             changed = [f"the study was changed on the command line: {overrides}"] if overrides else []
             some, about = verdicts.compare(dataset), [*changed, *verdicts.remarks(dataset)]
             if not some and not about:
-                raise SweepError("its study has neither published numbers nor claims to compare with")
+                raise linksweep.SweepError("its study has neither published numbers nor claims to compare with")
         comparisons += some
         remarks += [f"{store}: {sentence}" for sentence in about]
     if table_format == "json":

@@ -18,10 +18,11 @@ import click
 from click import Context, Parameter
 from click.shell_completion import CompletionItem
 
+import linksweep
+
 if TYPE_CHECKING:
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.part import Part
-    from linksweep.sweep.studies.study import Study
 
 FILE = click.Path(path_type=Path)
 """The type of the path of a file or folder, which need not exist."""
@@ -234,7 +235,7 @@ class AskedStudy:
         """What the command line changes in the study."""
         return self.settings, self.axes, self.points, self.design, self.ranges, self.exclude
 
-    def load(self, part: "Part | None" = None) -> "tuple[Study, Location]":
+    def load(self, part: "Part | None" = None) -> "tuple[linksweep.Study, Location]":
         """Return the study, or a part of it, and where its store is; raises SweepError for one inside a store that is
         not trusted.
         """
@@ -244,7 +245,7 @@ class AskedStudy:
         store = self.output or located(default_store(study.name))
         return replace(study, part=part), store if part is None else located(part.place(store))
 
-    def stored(self) -> "tuple[Study, Location]":
+    def stored(self) -> "tuple[linksweep.Study, Location]":
         """Return the study of an existing store, named in its place, and the store; raises SweepError as `load`."""
         from linksweep.sweep.running.reproduce import study_of
         from linksweep.sweep.stores.location import store_named
@@ -255,20 +256,18 @@ class AskedStudy:
         return study_of(store, trust=self.trust), store
 
 
-def load_trusted(study: str, trust: bool, *overrides: Any) -> "Study":
+def load_trusted(study: str, trust: bool, *overrides: Any) -> "linksweep.Study":
     """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""
-    from linksweep.sweep.contract import SweepError
     from linksweep.sweep.stores.integrity import ROOT
     from linksweep.sweep.studies.document import find_study, reference_in
-    from linksweep.sweep.studies.reader import load_study
 
     # Before anything is read: a study or a function inside a store came with the store, from whoever sent that.
     place = find_study(study) if (function := reference_in(study)) is None else Path(function.rpartition(":")[0])
     store = next((folder for folder in place.resolve().parents if (folder / ROOT).is_file()), None)
     if store is not None and not trust and (function is None or place.suffix == ".py"):
         reason = f"lies inside the store {store}, and would run what it names"
-        raise SweepError(f"{reason}; inspect it, and give --trust if it may run", str(place))
-    return load_study(study, *overrides)
+        raise linksweep.SweepError(f"{reason}; inspect it, and give --trust if it may run", str(place))
+    return linksweep.load_study(study, *overrides)
 
 
 def link_in(store: "Location", at: At) -> Any:
@@ -289,7 +288,6 @@ def part_of(store: "Location", at: At, excluded_too: bool = False) -> Iterator[A
     Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
     """
     from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES, array_outputs, select
-    from linksweep.sweep.contract import SweepError
     from linksweep.sweep.planning.point_status import Status
     from linksweep.sweep.stores.store import open_dataset
     from linksweep.sweep.studies.document import parse_places
@@ -304,10 +302,10 @@ def part_of(store: "Location", at: At, excluded_too: bool = False) -> Iterator[A
                 part[name].attrs["headline"] = 1
         if at and not excluded_too and (part["status"].values == Status.EXCLUDED).all():
             points = "this point" if part["status"].size == 1 else "all of these points"
-            raise SweepError(f"--at {','.join(at)}: the study excludes {points}")
+            raise linksweep.SweepError(f"--at {','.join(at)}: the study excludes {points}")
         yield part
-    except SweepError as error:
+    except linksweep.SweepError as error:
         if error.where:
             raise
         # What knows only datasets cannot name the store.
-        raise SweepError(error.problems, str(store)) from error
+        raise linksweep.SweepError(error.problems, str(store)) from error

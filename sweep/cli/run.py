@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import click
 
+import linksweep
 from linksweep.sweep.cli import group, options
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
 from linksweep.sweep.cli.options import POSITIVE, WORKERS, choice, flag, opt, parsed
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from linksweep.sweep.running.failures import MaxFailures
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.part import Part
-    from linksweep.sweep.studies.study import Study
 
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 
@@ -79,7 +79,7 @@ def resources(
     dashboard: bool = flag("Give local workers Dask's dashboard; print its address."),
 ) -> "Resources":
     """Return what to run on; raises click.UsageError for options that contradict each other."""
-    from linksweep.sweep.executing.pools import Limits, Resources
+    from linksweep.sweep.executing.pools import Resources
 
     if scheduler is not None and cluster is not None:
         raise click.UsageError("--scheduler and --cluster are two places; name one")
@@ -93,7 +93,7 @@ def resources(
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
     if (tls_ca or tls_cert or tls_key) and (tls is None or not (scheduler or "").startswith("tls://")):
         raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT")
-    return Resources(workers, pool, scheduler, tls, cluster, Limits(time_limit, memory_limit), dashboard)
+    return Resources(workers, pool, scheduler, tls, cluster, linksweep.Limits(time_limit, memory_limit), dashboard)
 
 
 def _log_file(context: click.Context, _parameter: click.Parameter, value: str | None) -> TextIO | None:
@@ -142,7 +142,6 @@ class _Lines(logging.Handler):
 @contextmanager
 def _logged(watching: Watching) -> Iterator[None]:
     """Send what a run says, and what Dask logs, to standard error and the log file in this block."""
-    from linksweep.sweep.contract import SweepError
     from linksweep.sweep.running.progress import RECORD, SENTENCES, Sentences
 
     with ExitStack() as stack:
@@ -166,7 +165,7 @@ def _logged(watching: Watching) -> Iterator[None]:
             RECORD.info("%s", shlex.join(COMMAND))
         try:
             yield
-        except SweepError as error:
+        except linksweep.SweepError as error:
             # The command prints it; the log file has to have it, too.
             RECORD.error("%s: %s", error.where, "; ".join(error.problems))
             raise
@@ -197,7 +196,13 @@ class Running:
 
 
 def run_with_progress(
-    study: "Study", store: "Location", how: Running, *, retry: bool = False, fresh: bool = False, **beside: Any
+    study: "linksweep.Study",
+    store: "Location",
+    how: Running,
+    *,
+    retry: bool = False,
+    fresh: bool = False,
+    **beside: Any,
 ) -> dict[str, str]:
     """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone.  Return
     why points failed.  The fields of `Beside` say what becomes of other points of the store.  An interruption ends the
@@ -241,7 +246,7 @@ def run_with_progress(
     return failures
 
 
-def print_verified(study: "Study", store: "Location", points: int, shown: bool = True) -> bool:
+def print_verified(study: "linksweep.Study", store: "Location", points: int, shown: bool = True) -> bool:
     """Compute some points of a store again, and say to standard error which differ; return whether any does.  That none
     does is only said if ``shown``.
     """
@@ -462,7 +467,6 @@ def reproduce(
     sweep reproduce results/quasars.zarr --at model=gaia,v_max=16
     sweep reproduce results/quasars.zarr --points 20
     """
-    from linksweep.sweep.contract import SweepError
     from linksweep.sweep.running import reproduce as computing
 
     if at is None:
@@ -471,7 +475,7 @@ def reproduce(
         sys.exit(EXIT_FAILED_POINTS if print_verified(computing.study_of(store, trust=trust), store, points) else 0)
     try:
         again = computing.reproduce(store, at, trust=trust)
-    except SweepError:
+    except linksweep.SweepError:
         raise
     except Exception as error:
         # Of the experiment: the traceback is what was asked for.

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+import linksweep
 from linksweep.sweep.cli import options
 from linksweep.sweep.cli.group import command
 from linksweep.sweep.cli.options import flag, many, opt
@@ -48,7 +49,6 @@ def submit(
     sweep submit quasars --slurm 100 --sbatch --time=1:00:00
     sweep submit quasars --slurm 100 --go
     """
-    from linksweep.sweep.contract import SweepError
     from linksweep.sweep.formatting import counted
     from linksweep.sweep.planning.grid import make_grid
     from linksweep.sweep.planning.parts import deal
@@ -83,11 +83,11 @@ def submit(
     file = folder / "submit.sh"
     try:
         if file.exists() and file.read_text() != script:
-            raise SweepError("is there already, and another one; submit it with sh, or remove it", str(file))
+            raise linksweep.SweepError("is there already, and another one; submit it with sh, or remove it", str(file))
         folder.mkdir(parents=True, exist_ok=True)
         file.write_text(script)
     except OSError as error:
-        raise SweepError(f"cannot be written: {error.strerror}", str(file)) from error
+        raise linksweep.SweepError(f"cannot be written: {error.strerror}", str(file)) from error
     even = max(costs.values()) * len(costs) / sum(costs.values())
     click.echo(
         f"{counted(len(costs), 'part')} with work, the largest {even:.2f} times the mean; wrote {file}", err=True
@@ -98,4 +98,4 @@ def submit(
     try:
         subprocess.run(["sh", str(file)], check=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        raise SweepError(f"could not be submitted: {error}", str(file)) from error
+        raise linksweep.SweepError(f"could not be submitted: {error}", str(file)) from error

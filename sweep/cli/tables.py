@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+import linksweep
 from linksweep.sweep.cli import group, options
 from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
 from linksweep.sweep.cli.options import FILE, JSON, POSITIVE, arg, choice, flag, many, opt, passed
@@ -66,13 +67,13 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     sweep new mine my_experiment.py:experiment
     """
     from linksweep.sweep.code.load import load_experiment
-    from linksweep.sweep.contract import SweepError, shown
+    from linksweep.sweep.contract import shown
     from linksweep.sweep.stores.location import Folder
     from linksweep.sweep.studies.reader import GOOD_NAME
     from linksweep.sweep.studies.study import new_study
 
     if not GOOD_NAME.fullmatch(name):
-        raise SweepError(
+        raise linksweep.SweepError(
             f"{shown(name)} is no name for a study: letters, digits and _ . + -, at most 60; a letter first"
         )
     path = Path(f"{name}.toml")
@@ -80,9 +81,9 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     try:
         is_made = Folder(Path()).create(path.name, text)
     except OSError as error:
-        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+        raise linksweep.SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
     if not is_made:
-        raise SweepError("exists already; take another name", str(path))
+        raise linksweep.SweepError("exists already; take another name", str(path))
     click.echo(f"wrote {path}; edit it, then: sweep plan {path}", err=True)
 
 
@@ -103,11 +104,10 @@ def params(
     """
     from linksweep.sweep.code.load import load_experiment
     from linksweep.sweep.studies.document import built_in_studies
-    from linksweep.sweep.studies.reader import load_study
     from linksweep.sweep.studies.study import study_schema
 
     is_study = experiment.endswith(".toml") or experiment in built_in_studies()
-    declared = load_study(experiment).experiment if is_study else load_experiment(experiment)
+    declared = linksweep.load_study(experiment).experiment if is_study else load_experiment(experiment)
     if schema:
         click.echo(json.dumps(study_schema(declared), indent=1, ensure_ascii=False))
         return
@@ -277,10 +277,8 @@ class Target:
 
     def check(self) -> None:
         """Raise an error unless a store can be written and figures be drawn, before anything is computed."""
-        from linksweep.sweep.contract import SweepError
-
         if self.output is not None and self.output.suffix != ".zarr":
-            raise SweepError("a result is written to a store whose name ends in .zarr", str(self.output))
+            raise linksweep.SweepError("a result is written to a store whose name ends in .zarr", str(self.output))
         if self.output is not None:
             group.require_writable(self.output)
         if self.figures is not None:
@@ -288,7 +286,6 @@ class Target:
 
     def put(self, result: "xr.Dataset", rejected: bool = False) -> None:
         """Print a result; write it and draw its figures unless it is ``rejected``."""
-        from linksweep.sweep.contract import SweepError
         from linksweep.sweep.result import Result
 
         if self.output is not None and not rejected:
@@ -300,7 +297,9 @@ class Target:
             try:
                 self.figures.mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise SweepError(f"cannot draw there: {error.strerror or error}", str(self.figures)) from error
+                raise linksweep.SweepError(
+                    f"cannot draw there: {error.strerror or error}", str(self.figures)
+                ) from error
             with style.settings():
                 for kind, figure in all_figures(Result(result)).items():
                     style.save(figure, self.figures / f"{kind}.png")
@@ -332,7 +331,6 @@ def tie(
     With chi2 above 1000 times its expectation the exit code is 1, and nothing is written.
     """
     from linksweep.sweep.tie.link import MisfitError
-    from linksweep.sweep.tie.link import tie as solve
     from linksweep.sweep.tie.setup import parse_bins
 
     # Before millions of rows are matched.
@@ -343,7 +341,7 @@ def tie(
     shown = target.as_json or target.output is not None or target.figures is not None
     further = {"per_source": shown and not no_sources, "bins": bins and parse_bins(bins), "known_spin": known_spin}
     try:
-        target.put(solve(satellite, reference, resources=resources, **link, **further, **matching, **tables))
+        target.put(linksweep.tie(satellite, reference, resources=resources, **link, **further, **matching, **tables))
     except MisfitError as error:
         target.put(error.link, rejected=True)
         click.echo(f"error: {error.said('--accept-misfit')}", err=True)
@@ -366,15 +364,13 @@ def forecast(
     \b
     sweep forecast gaia.fits vlbi.ecsv --add 2026,2030 --choose 5 --for spin
     """
-    from linksweep.sweep.tie.forecast import forecast as plan_observations
-
     target.check()
     blocks = [name.strip() for name in goal.split(",") if name.strip()]
     try:
         epochs = [float(year) for year in add.split(",") if year.strip()]
     except ValueError:
         raise click.BadParameter(f"{add!r} is no list of years", param_hint="--add") from None
-    target.put(plan_observations(satellite, reference, add=epochs, goal=blocks, **plan, **matching, **tables))
+    target.put(linksweep.forecast(satellite, reference, add=epochs, goal=blocks, **plan, **matching, **tables))
 
 
 @command("Your own", "Find the galaxies in a star catalogue")
