@@ -325,10 +325,12 @@ def source_digest(reference: str) -> str | None:
 def sendable(reference: str, digest: str | None = None) -> "LocalFiles | Live | None":
     """Return what to send to a process that is to load a loaded reference; None where it can only import it itself.
 
-    Raises SweepError for a function of this session that cannot be pickled: here, once.
+    Raises SweepError for a function of this session that cannot be pickled.
     """
     sources = sources_of(reference, digest)
-    return sources if getattr(sources, "pickled", True) else None
+    if isinstance(sources, Live):
+        sources.pickled  # noqa: B018 (what can fail is done here, once)
+    return sources
 
 
 def absolute_reference(reference: str, folder: Path) -> str:

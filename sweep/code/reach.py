@@ -77,7 +77,7 @@ unparsed = lru_cache(maxsize=4096)(ast.unparse)
 
 def without_package(text: str) -> str:
     """Return a text without the packages of local modules, whose names differ from version to version."""
-    return re.sub(rf"{PREFIX}\w*\.?", "", text)
+    return re.sub(rf"{PREFIX}\w*\.?", "", text) if PREFIX in text else text
 
 
 def label_of(value: Any) -> str:
@@ -275,7 +275,7 @@ class Reach:
 
         kind = type(value)
         if kind in (list, tuple, set, frozenset, dict):
-            return list(value.items() if kind is dict else value)
+            return itertools.chain.from_iterable(value.items()) if kind is dict else iter(value)
         if kind is np.ndarray and value.dtype.kind not in "OV":
             return value.dtype.str, value.shape, digest_of(value.tobytes())
         if isinstance(

@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.code.load import DECIDING, Code, SourceFunction, code_differences
+from linksweep.sweep.code.load import Code, SourceFunction, code_differences
 from linksweep.sweep.contract import Experiment, Named, SweepError, Value
 from linksweep.sweep.contract.block import DIGEST_BYTES, KEY_BYTES, BlockRows
 from linksweep.sweep.contract.reducer import converted, lost_integers, same_rows
+from linksweep.sweep.executing.versions import DECIDING
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.functions.adapter import layout_of_record
 from linksweep.sweep.functions.results import Layout
