@@ -14,6 +14,7 @@ from hypothesis import settings
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests would fight for cores; NumPy comes later
 
+import linksweep
 from linksweep.sweep.cli import main
 from tests.tiers import ALL, PATIENCE_S, QUICK, examples
 
@@ -64,6 +65,18 @@ COINS = str(Path(__file__).parent / "sweep" / "coins.py") + ":experiment"
 @pytest.fixture
 def coins():
     """A document of a study of the coin experiment: 2 x 3 points, some blocks each."""
+    return coins_document()
+
+
+@pytest.fixture(scope="session")
+def coin_store(tmp_path_factory):
+    """The store of that study; only read."""
+    store = tmp_path_factory.mktemp("coins") / "coins.zarr"
+    linksweep.run(coins_document(), store, pool="serial")
+    return store
+
+
+def coins_document():
     return {
         "title": "Coins",
         "experiment": COINS,

@@ -20,7 +20,7 @@ from tests.sweep.executing.test_tls import Files as TlsFiles
 from tests.sweep.outside import Outside
 from tests.tiers import slow
 
-QUICK = ("experiments.md", "function-series.md")
+QUICK = ("function-series.md",)
 
 # The pages whose commands need nothing from elsewhere, with some of the files that they write.  Others are run below
 # (clusters), and by the tests of the tutorial, stores and galaxies.

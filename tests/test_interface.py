@@ -102,6 +102,7 @@ def test_there_is_one_name_to_import():
     assert {"core", "sweep", "sweeps"}.isdisjoint(name.partition(".")[0] for name in done.stdout.split()), done.stderr
 
 
+@pytest.mark.slow
 def test_the_module_is_the_command(tmp_path):
     for name in ("core.py", "sweep.py"):
         (tmp_path / name).write_text("raise RuntimeError('a file of the user')")

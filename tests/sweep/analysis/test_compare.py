@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -333,8 +334,8 @@ def test_the_command_tells_by_its_exit_code(sweep, coin_study, tmp_path):
         (("compare", "s.zarr"), "neither published numbers nor claims"),
     ],
 )
-def test_bad_input_is_exit_code_2(sweep, coins, tmp_path, arguments, phrase):
-    linksweep.run(coins, tmp_path / "s.zarr", pool="serial")
+def test_bad_input_is_exit_code_2(sweep, coin_store, tmp_path, arguments, phrase):
+    shutil.copytree(coin_store, tmp_path / "s.zarr")
     code, out, err = sweep(*arguments, cwd=tmp_path)
     assert (code, out) == (2, "")
     assert phrase in err

@@ -216,9 +216,8 @@ def test_find_says_from_where(store_of, sweep):
         (["find", "nothing.zarr", "--where", "share < 1"], "nothing.zarr: no store there"),
     ],
 )
-def test_bad_input_is_one_message(coins, tmp_path, sweep, arguments, message):
-    linksweep.run(coins, tmp_path / "coins.zarr", pool="serial")
-    code, out, err = sweep(*(tmp_path / "coins.zarr" if a == "STORE" else a for a in arguments))
+def test_bad_input_is_one_message(coin_store, sweep, arguments, message):
+    code, out, err = sweep(*(coin_store if a == "STORE" else a for a in arguments))
     assert (code, out) == (2, "")
     assert message in err
 

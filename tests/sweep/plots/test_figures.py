@@ -146,12 +146,6 @@ def test_a_scatter_of_chosen_components_and_of_one_point_only(dataset_of):
             linksweep.plot(dataset, **options)
 
 
-@pytest.fixture
-def coin_store(coins, tmp_path):
-    linksweep.run(coins, tmp_path / "coins.zarr", pool="serial")
-    return tmp_path / "coins.zarr"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", ["svg", "pdf", "png"])
 def test_the_same_picture_is_the_same_file(store_of, tmp_path, sweep, ending):

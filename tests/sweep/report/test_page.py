@@ -4,6 +4,7 @@ import base64
 import hashlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -177,8 +178,8 @@ def test_a_page_of_several_stores_counts_all_verdicts(store_of):
     assert page.count("Bokeh Contributors") == report_of(stores[:1]).count("Bokeh Contributors")
 
 
-def test_an_earlier_report_is_replaced_and_nothing_else(coins, tmp_path, sweep):
-    linksweep.run(coins, tmp_path / "s.zarr", pool="serial")
+def test_an_earlier_report_is_replaced_and_nothing_else(coin_store, tmp_path, sweep):
+    shutil.copytree(coin_store, tmp_path / "s.zarr")
     page = tmp_path / "page.html"
     for _ in range(2):
         assert sweep("report", tmp_path / "s.zarr", "-o", page)[0] == 0
@@ -204,9 +205,9 @@ def test_an_earlier_report_is_replaced_and_nothing_else(coins, tmp_path, sweep):
         (("report", "gs://b/s.zarr"), "gs:// is not known"),
     ],
 )
-def test_bad_input_is_exit_code_2_and_nothing_is_written(coins, tmp_path, monkeypatch, sweep, arguments, phrase):
+def test_bad_input_is_exit_code_2_and_nothing_is_written(coin_store, tmp_path, monkeypatch, sweep, arguments, phrase):
     monkeypatch.chdir(tmp_path)
-    linksweep.run(coins, tmp_path / "s.zarr", pool="serial")
+    shutil.copytree(coin_store, tmp_path / "s.zarr")
     (tmp_path / "mine.html").write_text("mine")
     before = sorted(path.name for path in tmp_path.iterdir())
     code, out, err = sweep(*arguments)

@@ -245,7 +245,8 @@ def answers_sigterm(pid):
     return bool(int(caught[1], 16) & 1 << signal.SIGTERM - 1)
 
 
-@pytest.mark.parametrize("moment", [0.4, slow(0.0), slow(1.0)])
+@pytest.mark.slow
+@pytest.mark.parametrize("moment", [0.0, 0.4, 1.0])
 def test_interrupted_while_the_cluster_starts(tmp_path, start_sweep, moment):
     (tmp_path / "study.toml").write_text(sleepers(ENDLESS_S))
     process = start_sweep(

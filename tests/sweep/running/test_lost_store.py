@@ -96,6 +96,7 @@ def test_it_is_said_and_what_was_computed_is_kept(started, tmp_path, change, los
     assert holder(tmp_path / "s.zarr") is None
 
 
+@pytest.mark.slow
 def test_what_was_kept_is_not_taken_for_a_store_to_go_on_with(started, tmp_path, sweep):
     _, end = started
     removed(tmp_path / "s.zarr", "")

@@ -123,6 +123,7 @@ def test_the_commands_of_the_document_run(bucket, s3_endpoint, sweep, tmp_path):
     same(linksweep.open("s3://my-bucket/results/quasars.zarr"), linksweep.open(tmp_path / "results" / "quasars.zarr"))
 
 
+@pytest.mark.slow
 def test_it_is_resumed_and_extended(bucket, coins, wanted):
     run(coins | {"axes": {"metal": ["tin"], "coins": [5, 20]}}, f"{bucket}/s.zarr")
     before = existing_store(f"{bucket}/s.zarr", coins).rows
@@ -131,6 +132,7 @@ def test_it_is_resumed_and_extended(bucket, coins, wanted):
     assert set(before) < set(existing_store(f"{bucket}/s.zarr", coins).rows)
 
 
+@pytest.mark.slow
 def test_a_small_run_needs_few_requests(bucket, coins, through):
     proxy = through()
     run(coins, f"{bucket}/s.zarr")

@@ -174,6 +174,7 @@ def test_a_store_is_reproduced_from_itself(here, sweep):
     assert "there is no file " in err
 
 
+@pytest.mark.slow
 def test_workers_compute_what_this_process_does(here):
     assert run().drop_attrs().equals(run(store="together.zarr", pool="processes", workers=2).drop_attrs())
 

@@ -12,6 +12,7 @@ from astropy.utils.masked import Masked
 from scipy.stats import binomtest
 
 from linksweep import Parameter, SweepError, experiment, run
+from tests.tiers import slow
 
 
 @experiment()
@@ -200,7 +201,7 @@ def design(name, n, seed=0):
     return {"design": name, "n": n, "seed": seed, "ranges": ranges}
 
 
-@pytest.mark.parametrize("name", GROWS)
+@pytest.mark.parametrize("name", [name if name in ("sobol", "latin-hypercube") else slow(name) for name in GROWS])
 def test_a_larger_design_begins_with_the_same_points_bitwise_where_it_says_so(name, read):
     few, many = read(design(name, 8)), read(design(name, 16))
     assert all(many[key][: len(values)] == values for key, values in few.items()) == GROWS[name]
