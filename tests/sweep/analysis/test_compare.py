@@ -334,9 +334,9 @@ def test_the_command_tells_by_its_exit_code(sweep, coin_study, tmp_path):
         (("compare", "s.zarr"), "neither published numbers nor claims"),
     ],
 )
-def test_bad_input_is_exit_code_2(sweep, coin_store, tmp_path, arguments, phrase):
+def test_bad_input_is_exit_code_2(sweep_here, coin_store, tmp_path, arguments, phrase):
     shutil.copytree(coin_store, tmp_path / "s.zarr")
-    code, out, err = sweep(*arguments, cwd=tmp_path)
+    code, out, err = sweep_here(*arguments, cwd=tmp_path)
     assert (code, out) == (2, "")
     assert phrase in err
 

@@ -205,12 +205,14 @@ def test_an_earlier_report_is_replaced_and_nothing_else(coin_store, tmp_path, sw
         (("report", "gs://b/s.zarr"), "gs:// is not known"),
     ],
 )
-def test_bad_input_is_exit_code_2_and_nothing_is_written(coin_store, tmp_path, monkeypatch, sweep, arguments, phrase):
+def test_bad_input_is_exit_code_2_and_nothing_is_written(
+    coin_store, tmp_path, monkeypatch, sweep_here, arguments, phrase
+):
     monkeypatch.chdir(tmp_path)
     shutil.copytree(coin_store, tmp_path / "s.zarr")
     (tmp_path / "mine.html").write_text("mine")
     before = sorted(path.name for path in tmp_path.iterdir())
-    code, out, err = sweep(*arguments)
+    code, out, err = sweep_here(*arguments)
     assert (code, out) == (2, "")
     assert phrase in err
     assert sorted(path.name for path in tmp_path.iterdir()) == before
