@@ -106,8 +106,8 @@ def _errors_problem(point: Point, errors: Array) -> str | None:
         return f"object {row} has an observable without any error, which cannot be weighed"
     for extreme, is_inside in ((np.min, measured.min() >= SMALLEST_ERROR), (np.max, measured.max() <= LARGEST_ERROR)):
         if not is_inside:
-            found = f"errors of {extreme(position):.3g} mas and {extreme(motion):.3g} mas/yr"
-            return f"{found}: must be from {SMALLEST_ERROR:g} to {LARGEST_ERROR:g}"
+            described = f"errors of {extreme(position):.3g} mas and {extreme(motion):.3g} mas/yr"
+            return f"{described}: must be from {SMALLEST_ERROR:g} to {LARGEST_ERROR:g}"
     if point["solve_glide"] and not motion.any():
         return "solve_glide: the proper motions have no errors on either side, so they are not measured"
     return None

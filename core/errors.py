@@ -146,10 +146,6 @@ class NormalErrors(ErrorModel):
         return self.scale * max(self.position_mas, self.motion_mas_yr) > 0.0 or any(self.floor)
 
 
-NO_ERRORS = NormalErrors(0.0, 0.0)
-"""The model of error-free data."""
-
-
 class ErrorFree(NormalErrors):
     """`"none"`: no errors, so that scales and floors do not matter either."""
 

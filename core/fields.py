@@ -81,16 +81,16 @@ def fill_toroidal(into: Mapping[int, Array], ra: Array, dec: Array) -> None:
             np.multiply(sin_dec, here[:degree], out=raised[:degree])
         if degree not in into:
             continue
-        found, m, norm = into[degree], orders[:degree], 1.0 / np.sqrt(degree * (degree + 1))
-        np.multiply(cos_dec, here[0], out=found[0, 0])  # dP_l0/d dec = sqrt(l (l + 1)) P_l1
-        found[0, 1] = 0.0
+        vectors, m, norm = into[degree], orders[:degree], 1.0 / np.sqrt(degree * (degree + 1))
+        np.multiply(cos_dec, here[0], out=vectors[0, 0])  # dP_l0/d dec = sqrt(l (l + 1)) P_l1
+        vectors[0, 1] = 0.0
         slope = (degree * norm) * raised[:degree]
         slope -= (norm * np.sqrt((2 * degree + 1) / (2 * degree - 1) * (degree**2 - m**2)))[:, None] * before[:degree]
         along = (norm * m)[:, None] * here[:degree]
-        np.multiply(slope, -cosines[:degree], out=found[1::2, 0])
-        np.multiply(along, sines[:degree], out=found[1::2, 1])
-        np.multiply(slope, sines[:degree], out=found[2::2, 0])
-        np.multiply(along, cosines[:degree], out=found[2::2, 1])
+        np.multiply(slope, -cosines[:degree], out=vectors[1::2, 0])
+        np.multiply(along, sines[:degree], out=vectors[1::2, 1])
+        np.multiply(slope, sines[:degree], out=vectors[2::2, 0])
+        np.multiply(along, cosines[:degree], out=vectors[2::2, 1])
 
 
 def _multiples(highest: int, ra: Array) -> tuple[Array, Array]:
@@ -110,11 +110,11 @@ def turned(fields: Array, out: Array | None = None) -> Array:
 
     ``out`` may be the fields themselves.
     """
-    found = np.empty_like(fields) if out is None else out
+    vectors = np.empty_like(fields) if out is None else out
     east = fields[..., 0, :].copy() if out is fields else fields[..., 0, :]
-    np.negative(fields[..., 1, :], out=found[..., 0, :])
-    found[..., 1, :] = east
-    return found
+    np.negative(fields[..., 1, :], out=vectors[..., 0, :])
+    vectors[..., 1, :] = east
+    return vectors
 
 
 Vector = tuple[float, float, float]

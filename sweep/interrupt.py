@@ -124,11 +124,11 @@ def _is_handling(thread: int) -> bool:
     collects = gc.isenabled()
     gc.disable()  # Python before 3.11.9 may hang if garbage is collected meanwhile (gh-106883)
     try:
-        found = sys._current_exceptions().get(thread)
+        raised = sys._current_exceptions().get(thread)
     finally:
         if collects:
             gc.enable()
-    return (found[0] if isinstance(found, tuple) else found) is not None  # a tuple of three in Python 3.11
+    return (raised[0] if isinstance(raised, tuple) else raised) is not None  # a tuple of three in Python 3.11
 
 
 def _is_called_by_the_collector(frame: FrameType | None) -> bool:

@@ -203,19 +203,19 @@ def fit(model: Model, numbers: pd.DataFrame, skies: dict[str, Skies], weighting:
     """
     published, start = numbers["sigma"].to_numpy(), np.log(constants_of(model))
     rounding = numbers["rounding"].to_numpy() / published / np.sqrt(3.0)
-    _, own = published_model(numbers, skies, CALIBRATED[model].curve, weighting)
-    relative_error = np.sqrt(rounding**2 + PAPER_MC_ERROR**2 + own**2 + MODEL_ERROR**2)
+    _, ours = published_model(numbers, skies, CALIBRATED[model].curve, weighting)
+    relative_error = np.sqrt(rounding**2 + PAPER_MC_ERROR**2 + ours**2 + MODEL_ERROR**2)
 
     def misfit(log_constants: Array) -> Array:
         sigma, _ = published_model(numbers, skies, curve_of(model, np.exp(log_constants)), weighting)
         return np.asarray(np.log(sigma / published) / relative_error)
 
-    found = optimize.least_squares(misfit, start, bounds=(start - 6.0, start + 6.0), x_scale=0.1, xtol=1e-6, ftol=1e-6)
-    chi2, dof = float(found.fun @ found.fun), len(numbers) - len(start)
-    jacobian = np.asarray(found.jac, dtype=np.float64)  # for the types: it may be sparse
+    solved = optimize.least_squares(misfit, start, bounds=(start - 6.0, start + 6.0), x_scale=0.1, xtol=1e-6, ftol=1e-6)
+    chi2, dof = float(solved.fun @ solved.fun), len(numbers) - len(start)
+    jacobian = np.asarray(solved.jac, dtype=np.float64)  # for the types: it may be sparse
     log_covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian) * max(1.0, chi2 / dof))
-    sigma = published * np.exp(found.fun * relative_error)
-    return Fit(np.exp(found.x), log_covariance, sigma, relative_error, chi2, dof)
+    sigma = published * np.exp(solved.fun * relative_error)
+    return Fit(np.exp(solved.x), log_covariance, sigma, relative_error, chi2, dof)
 
 
 def constrained(model: Model, relative_error: Array, numbers: pd.DataFrame, skies: dict[str, Skies]) -> Array:

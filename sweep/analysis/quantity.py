@@ -408,12 +408,14 @@ def listed(dataset: xr.Dataset, name: str, dimensions: Sequence[str], rows: Any 
         values = np.where(np.isnan(values), np.nan, values.astype(bool).astype(object))
     elif values.dtype.kind == "M":
         values = np.where(np.isnat(values), "", np.datetime_as_string(values, unit="auto").astype(object))
-    own = [d for d in variable.dims if d not in dimensions]
-    shape = {d: dataset.sizes[d] for d in dimensions} | {d: variable.sizes[d] for d in own}
+    further = [d for d in variable.dims if d not in dimensions]
+    shape = {d: dataset.sizes[d] for d in dimensions} | {d: variable.sizes[d] for d in further}
     whole: xr.Variable = xr.Variable(variable.dims, values).set_dims(shape)  # type: ignore[no-untyped-call]
-    whole = whole.transpose(*dimensions, *own)
-    chosen = whole.values.reshape(-1, *(shape[d] for d in own))[rows]
-    return list(chosen) if own else list(chosen.tolist())  # objects for each number of an image would take gigabytes
+    whole = whole.transpose(*dimensions, *further)
+    chosen = whole.values.reshape(-1, *(shape[d] for d in further))[rows]
+    return (
+        list(chosen) if further else list(chosen.tolist())
+    )  # objects for each number of an image would take gigabytes
 
 
 # Units that read well

@@ -166,11 +166,14 @@ def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> list[Tab
         if not (errors := quantity.errors_beside(dataset, name)):
             continue
         part = quantity.where_they_change(dataset, [name, *errors])
-        own = quantity.own_dimensions(part, name)
-        dims = [*quantity.axes_of(part), *own]
-        places = [*quantity.axis_coordinates(part, quantity.axes_of(part)), *(d for d in own if d in part.coords)]
+        components = quantity.own_dimensions(part, name)
+        dims = [*quantity.axes_of(part), *components]
+        places = [
+            *quantity.axis_coordinates(part, quantity.axes_of(part)),
+            *(d for d in components if d in part.coords),
+        ]
         columns = {n: quantity.listed(part, n, dims) for n in [*places, name, *errors]}
-        label = next((f"{d}_unit" for d in own if f"{d}_unit" in part.coords), None)
+        label = next((f"{d}_unit" for d in components if f"{d}_unit" in part.coords), None)
         units = (
             quantity.listed(part, label, dims)
             if label

@@ -87,8 +87,8 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
         >>> def area(width: float, height: float):
         ...     return width * height
         >>> axes = {"width": [0.5, 1.5, 2.5], "height": [1.0, 2.0, 3.0]}
-        >>> found = sensitivity(linksweep.run(area, "area.zarr", axes=axes, pool="serial"))
-        >>> found.parameter.values.tolist(), found["first"].values.round(3).tolist()
+        >>> indices = sensitivity(linksweep.run(area, "area.zarr", axes=axes, pool="serial"))
+        >>> indices.parameter.values.tolist(), indices["first"].values.round(3).tolist()
         (['width', 'height'], [0.578, 0.325])
     """
     output = output or quantity.main_quantity(dataset)
@@ -226,21 +226,21 @@ def indices_of_grid(
     """
     equal = [np.full(n, 1.0 / n) for n in values.shape]
     noise = np.zeros(values.shape) if errors is None else np.nan_to_num(errors) ** 2
-    found = _indices(values, noise, equal)
-    coarseness = np.zeros(found.shape)
+    estimated = _indices(values, noise, equal)
+    coarseness = np.zeros(estimated.shape)
     for order in ORDERS if any(continuous) else ():
         finer = [
             weights_of_order(order, n) if whole else w
             for n, w, whole in zip(values.shape, equal, continuous, strict=True)
         ]
-        coarseness = np.fmax(coarseness, np.abs(_indices(values, noise, finer) - found))
+        coarseness = np.fmax(coarseness, np.abs(_indices(values, noise, finer) - estimated))
     variance = coarseness**2
     if noise.any():
         rng = np.random.default_rng(seed)
         drawn = (values + rng.standard_normal(values.shape) * np.sqrt(noise) for _ in range(RESAMPLES))
         variance += np.var([_indices(one, 2.0 * noise, equal) for one in drawn], axis=0, ddof=1)
-    sigma = np.where(np.isnan(found), np.nan, np.sqrt(variance))
-    return found[0], sigma[0], found[1], sigma[1]
+    sigma = np.where(np.isnan(estimated), np.nan, np.sqrt(variance))
+    return estimated[0], sigma[0], estimated[1], sigma[1]
 
 
 def weights_of_order(order: int, n: int) -> Array:
@@ -300,8 +300,8 @@ def saltelli_indices(values: Array, parameters: int, seed: int = 0) -> list[Arra
     from SALib.analyze import sobol
 
     options = {"calc_second_order": False, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
-    found = sobol.analyze(unit_cube(parameters), values, seed=seed + 1, **options)  # SALib takes 0 for no seed
-    return [np.asarray(found[key]) for key in ("S1", "S1_conf", "ST", "ST_conf")]
+    estimated = sobol.analyze(unit_cube(parameters), values, seed=seed + 1, **options)  # SALib takes 0 for no seed
+    return [np.asarray(estimated[key]) for key in ("S1", "S1_conf", "ST", "ST_conf")]
 
 
 def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
@@ -317,8 +317,8 @@ def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # SALib warns that there are no groups
         options: dict[str, Any] = {"num_levels": MORRIS_LEVELS, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
-        found = morris.analyze(unit_cube(places.shape[1]), places, values, seed=seed + 1, **options)
-    return [np.ma.getdata(found[key]).astype(float) for key in ("mu_star", "mu_star_conf", "mu", "sigma")]
+        estimated = morris.analyze(unit_cube(places.shape[1]), places, values, seed=seed + 1, **options)
+    return [np.ma.getdata(estimated[key]).astype(float) for key in ("mu_star", "mu_star_conf", "mu", "sigma")]
 
 
 def first_order(values: Array, places: Sequence[Array], even: bool = False, seed: int = 0) -> tuple[Array, Array]:
@@ -335,7 +335,7 @@ def first_order(values: Array, places: Sequence[Array], even: bool = False, seed
     if not np.ptp(values) > 0.0:
         return np.full(len(places), np.nan), np.full(len(places), np.nan)
     part = np.random.default_rng(seed).permutation(n) % min(PARTS, n // 2)
-    found = np.empty((2, len(places)))
+    estimated = np.empty((2, len(places)))
     for k, place in enumerate(places):
         waves, shorter = _basis(place)
         columns = np.column_stack([np.ones(n), waves, values - values.mean()])
@@ -347,8 +347,8 @@ def first_order(values: Array, places: Sequence[Array], even: bool = False, seed
         kept = [*range(1 + shorter), -1]
         truncation = index - _explained(whole[np.ix_(kept, kept)])[0]
         half = 0.5 * chance if even else 0.0
-        found[:, k] = index + half, np.sqrt(variance + truncation**2 + half**2)
-    return found[0], found[1]
+        estimated[:, k] = index + half, np.sqrt(variance + truncation**2 + half**2)
+    return estimated[0], estimated[1]
 
 
 def _basis(place: Array) -> tuple[Array, int]:

@@ -75,8 +75,8 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         for file in todo:
             self.contents[file] = (path.parent / file).read_bytes()
             for stem in _imported(file, self.contents[file]):
-                found = [stem + suffix for suffix in SUFFIXES if (path.parent / (stem + suffix)).is_file()]
-                todo += [one for one in found[:1] if one not in todo]
+                beside = [stem + suffix for suffix in SUFFIXES if (path.parent / (stem + suffix)).is_file()]
+                todo += [one for one in beside[:1] if one not in todo]
         self.digest = digest_of(repr(sorted(self.contents.items())))
         self.package = reach.PREFIX + digest_of(f"{path} {self.digest}")
         # By the names of modules; the folders that they are in count as packages, without a file.

@@ -350,8 +350,8 @@ class Reach:
         defaults = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
         defaults |= function.__kwdefaults__ or {}
         inside = {f"default {name} of {label}": value for name, value in defaults.items()}
-        own = {name for name in vars(function) if not name.startswith("__") and f".{name}" not in self._changed}
-        inside |= {f"{label}.{name}": vars(function)[name] for name in own}
+        members = {name for name in vars(function) if not name.startswith("__") and f".{name}" not in self._changed}
+        inside |= {f"{label}.{name}": vars(function)[name] for name in members}
         # Without source there are only the values that it holds; what dataclasses make is in their class already.
         if not nodes:
             inside |= {f"{name} of {label}": value for name, value in _closure(function).items()}
@@ -383,8 +383,8 @@ class Reach:
         for file in dict.fromkeys(files):
             for node in _index(tree_of(file, names))[f"class {cls.__name__}"]:
                 self.places[f"class {label}"] = f"{file}, line {node.lineno}"
-                own = [*node.decorator_list, *(one for one in node.body if not isinstance(one, DEFINITIONS))]
-                text += f"{[unparsed(one) for one in own]}{'' if self._running else self._names(own, names)}"
+                members = [*node.decorator_list, *(one for one in node.body if not isinstance(one, DEFINITIONS))]
+                text += f"{[unparsed(one) for one in members]}{'' if self._running else self._names(members, names)}"
         self._keep(f"class {label}", text)
 
     def _names(self, nodes: Iterable[ast.AST], names: Names, function: FunctionType | None = None) -> str:

@@ -136,8 +136,8 @@ class Experiment:
     citation: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        if found := _problems(self):
-            raise SweepError(found, f"experiment {shown(self.name)}")
+        if faults := _problems(self):
+            raise SweepError(faults, f"experiment {shown(self.name)}")
 
     @property
     def deterministic(self) -> bool:
@@ -211,7 +211,7 @@ class Experiment:
                 flat = [array.reshape(len(points), n_sim, -1) for array in realisations.values()]
                 samples.append(np.concatenate(flat, axis=2))
         whole = np.concatenate(samples, axis=1) if samples else len(points) * [None]
-        return [Outcome(row, own) for row, own in zip(self.as_rows(total), whole, strict=True)]
+        return [Outcome(row, result) for row, result in zip(self.as_rows(total), whole, strict=True)]
 
     def compute_catalogues(
         self, points: Sequence[Point], n_sim: int, pairs: Sequence[GeneratorPair], counts: Sequence[int]

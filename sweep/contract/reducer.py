@@ -93,8 +93,8 @@ class Sums:
     def finish(self, total: Rows, n: Array, n_cat: Array) -> dict[str, NDArray[Any]]:
         """Return every output from sums."""
         expected = {name: (len(total), *shape) for name, shape in self.outputs.items()}
-        given = self.summarise({name: total[name] for name in self.shapes}, n, n_cat)
-        return checked("summarise", given, "output", expected)
+        returned = self.summarise({name: total[name] for name in self.shapes}, n, n_cat)
+        return checked("summarise", returned, "output", expected)
 
     def flat(self, rows: Rows) -> Array:
         """Return sums as one array of floats, (rows, width)."""
@@ -109,10 +109,10 @@ def converted(rows: Rows, dtype: np.dtype[np.void]) -> Rows:
     """Return rows with the fields of another type, zero where they had none of that name."""
     if rows.dtype == dtype:
         return rows
-    found = np.zeros(len(rows), dtype=dtype)
+    table = np.zeros(len(rows), dtype=dtype)
     for name in set(rows.dtype.names or ()) & set(dtype.names or ()):
-        found[name] = rows[name]
-    return found
+        table[name] = rows[name]
+    return table
 
 
 def lost_integers(rows: Rows, dtype: np.dtype[np.void]) -> dict[int, str]:
@@ -160,7 +160,7 @@ def small_sample_factor(samples: ArrayLike) -> Array:
 
 
 def checked(
-    who: str, given: object, noun: str, expected: Mapping[str, tuple[int, ...]], beside: Sequence[str] = ()
+    who: str, returned: object, noun: str, expected: Mapping[str, tuple[int, ...]], beside: Sequence[str] = ()
 ) -> dict[str, Array]:
     """Return what the function ``who`` has ``given`` as arrays of 64-bit floats of exactly the ``expected`` names and
     shapes; names ``beside`` them are allowed, and ignored.
@@ -168,17 +168,17 @@ def checked(
     The first axis of a shape counts points; it may be missing if there is only one.  Nothing is broadcast.
     Raises ResultError that names everything that is wrong.
     """
-    if not isinstance(given, Mapping):
-        raise ResultError(f"{who} returns a {type(given).__name__}, not a mapping of {noun}s by name")
+    if not isinstance(returned, Mapping):
+        raise ResultError(f"{who} returns a {type(returned).__name__}, not a mapping of {noun}s by name")
     problems = []
-    for name in given:
+    for name in returned:
         if name not in expected and name not in beside:
-            missing = [known for known in expected if known not in given]
+            missing = [known for known in expected if known not in returned]
             problems.append(f"{who} returns {shown(name)}, which is no declared {noun}{suggest(str(name), missing)}")
     arrays: dict[str, Array] = {}
     for name, shape in expected.items():
         try:
-            arrays[name] = _array(given[name], shape)
+            arrays[name] = _array(returned[name], shape)
         except KeyError:
             problems.append(f"{who} does not return the {noun} {name!r}")
         except ResultError as error:
@@ -211,10 +211,10 @@ def not_finite(name: str, array: Array, is_one: bool) -> str | None:
     return f"{name} has {' and '.join(counts)} of {array.size} values"
 
 
-def _array(given: Any, shape: tuple[int, ...]) -> Array:
+def _array(returned: Any, shape: tuple[int, ...]) -> Array:
     """Return one result as an array of this shape."""
     try:
-        array = np.asarray(given)
+        array = np.asarray(returned)
     except ValueError as error:  # lists of different lengths
         raise ResultError(f"has parts of different lengths, expected the shape {shape}") from error
     if array.dtype.kind not in "biuf":

@@ -103,8 +103,8 @@ def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
     if study.experiment.name != "link":
         raise SweepError(f"only the link has a sky; this is the experiment {study.experiment.name}", str(store))
     parameters = place_of(study, ",".join(at), str(store))
-    own = {name: value for name, value in parameters.items() if value != study.experiment.defaults()[name]}
-    alone = replace(study, axes={}, zipped=(), points=None, excluded=(), fixed=own, published=None)
+    changed = {name: value for name, value in parameters.items() if value != study.experiment.defaults()[name]}
+    alone = replace(study, axes={}, zipped=(), points=None, excluded=(), fixed=changed, published=None)
     (point,) = Grid(replace(alone, claims=(), conclusion=None)).points()
     _, rng = generators(study.sampling.seed, point.stream, 0, 0)
     catalogue = scenario(parameters).draw_catalogue(rng)

@@ -40,12 +40,12 @@ class MaxFailures:
     percent: float | None = None
 
     @classmethod
-    def of(cls, given: "int | str") -> "MaxFailures":
+    def of(cls, text: "int | str") -> "MaxFailures":
         """Return the limit that a user gives; raises ValueError for anything else."""
-        found = re.fullmatch(r"\s*(\d{1,15})\s*|\s*(\d{1,3}(?:\.\d*)?)\s*%\s*", str(given))
-        if isinstance(given, bool) or found is None or (found[2] and float(found[2]) > 100.0):
-            raise ValueError(f"{shown(given)}: must be a number of points, like 10, or a percentage, like '5%'")
-        return cls(int(found[1])) if found[1] else cls(percent=float(found[2]))
+        match = re.fullmatch(r"\s*(\d{1,15})\s*|\s*(\d{1,3}(?:\.\d*)?)\s*%\s*", str(text))
+        if isinstance(text, bool) or match is None or (match[2] and float(match[2]) > 100.0):
+            raise ValueError(f"{shown(text)}: must be a number of points, like 10, or a percentage, like '5%'")
+        return cls(int(match[1])) if match[1] else cls(percent=float(match[2]))
 
     def __str__(self) -> str:
         return f"{self.number:,}" if self.percent is None else f"{self.percent:g} %"

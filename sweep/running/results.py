@@ -285,16 +285,16 @@ def _deviations(
     grid, count = plan.grid, len(samples)
     experiment, n_cat, reducer = grid.study.experiment, grid.study.sampling.n_cat, accumulator.reducer
     assert isinstance(reducer, Sums), "only points with sums share random numbers"
-    own_n = sum(block.realisations for block in samples[0])
+    alone_n = sum(block.realisations for block in samples[0])
     catalogues = np.full(count, float(max(n_cat - 1, 1)))
     deviations = {o.name: np.full((len(grid), experiment.size_of(o), count), np.nan) for o in outputs}
     for point in grid.points(np.flatnonzero(accumulator.status == Status.DONE)):
         keys = [[ledger_key(point.digest, block) for block in blocks] for blocks in samples]
-        own = np.array([reducer.flat(ledger[[rows[key] for key in some]]).sum(axis=0) for some in keys])
+        alone = np.array([reducer.flat(ledger[[rows[key] for key in some]]).sum(axis=0) for some in keys])
         n = float(accumulator.realisations[point.index])
-        without = reducer.typed(reducer.flat(accumulator.total[point.index : point.index + 1]) - own)
-        results = reducer.finish(without, np.full(count, n - own_n), catalogues)
-        scale = (n - own_n) / np.sqrt(n * own_n * (count - 1.0))  # sqrt((count - 1)/count), if these are all blocks
+        without = reducer.typed(reducer.flat(accumulator.total[point.index : point.index + 1]) - alone)
+        results = reducer.finish(without, np.full(count, n - alone_n), catalogues)
+        scale = (n - alone_n) / np.sqrt(n * alone_n * (count - 1.0))  # sqrt((count - 1)/count), if these are all blocks
         for name, mine in deviations.items():
             values = np.reshape(results[name], (count, -1)).T
             mine[point.index] = scale * (values - values.mean(axis=1, keepdims=True))

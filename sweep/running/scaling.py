@@ -46,7 +46,7 @@ def measure_scaling(
     workers: Sequence[int],
     pool: PoolName = DEFAULT_POOL,
     repetitions: int = 3,
-    told: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = lambda text: None,
 ) -> xr.Dataset:
     """Return ``seconds``, ``speedup`` and ``efficiency`` of a study, medians over repetitions, (kind, workers).
 
@@ -72,7 +72,7 @@ def measure_scaling(
                 more = study if name == "strong" else _with(study, grown, count * getattr(study.sampling, grown))
                 timed[kind, place, turn] = _timed(more, count, pool)
                 seconds = timed[kind, place, turn, 0]
-                told(f"{turn + 1}/{repetitions}: {name} scaling, workers: {count}, {seconds:.2f} s")
+                say(f"{turn + 1}/{repetitions}: {name} scaling, workers: {count}, {seconds:.2f} s")
     dataset = _dataset(np.array(workers), timed)
     return dataset.assign_attrs(
         provenance(study),
@@ -89,9 +89,9 @@ def measure_scaling(
 def _check(study: Study, workers: Sequence[int], repetitions: int) -> None:
     problems = []
     if list(workers) != sorted(set(workers)) or workers[0] != 1 or workers[-1] > MAX_WORKERS:
-        given = ",".join(map(str, workers))
+        listed = ",".join(map(str, workers))
         problems.append(
-            f"workers = {given}: must increase from 1, which all is compared with, to {MAX_WORKERS} at most"
+            f"workers = {listed}: must increase from 1, which all is compared with, to {MAX_WORKERS} at most"
         )
     if repetitions < 1:
         problems.append(f"repetitions = {repetitions}: must be >= 1")

@@ -267,10 +267,10 @@ def cross_match(
     """
     rules = rules or Rules()
     star_tree, trees = sky_tree(stars), [sky_tree(catalogue.positions) for catalogue in catalogues]
-    found = [pairs_within(star_tree, tree, c.radius) for tree, c in zip(trees, catalogues, strict=True)]
+    within = [pairs_within(star_tree, tree, c.radius) for tree, c in zip(trees, catalogues, strict=True)]
     labels, identifiers = merge_galaxies(catalogues, trees, rules.merge_radius)
     each = []
-    for number, ((star, entry, offset), label, catalogue) in enumerate(zip(found, labels, catalogues, strict=True)):
+    for number, ((star, entry, offset), label, catalogue) in enumerate(zip(within, labels, catalogues, strict=True)):
         galaxy, (ra, dec, ra_error, dec_error) = label[entry], catalogue.positions.take(entry)
         columns = {"star": star, "catalogue": number, "entry": entry, "galaxy": galaxy, "offset": offset}
         columns |= {"identifier": identifiers[galaxy], "galaxy_ra": ra, "galaxy_dec": dec}
@@ -302,7 +302,7 @@ def cross_match(
     found_in[inside["match"], inside["catalogue"]] = True
     chance = tuple(
         chance_pairs(star_tree, tree, c.radius, len(near[0]))
-        for tree, c, near in zip(trees, catalogues, found, strict=True)
+        for tree, c, near in zip(trees, catalogues, within, strict=True)
     )
     columns = {"d_ra": d_ra, "d_dec": d_dec, "n_sigma": n_sigma, "n_near": n_near, "class": np.array(CLASSES)[code]}
     table = table.assign(**columns).reset_index(drop=True)

@@ -257,12 +257,12 @@ def summarise(result: Result) -> dict[str, Any]:
                 "entries": len(table),
                 "radius_arcsec": search.radius_arcsec[table_name(path)],
                 "pairs": chance.pairs,
-                "matches": int(found),
+                "matches": int(matched),
                 "chance_pairs_uniform": chance.uniform,
                 "chance_pairs_local": chance.local,
                 "chance_pairs_local_error": chance.local_error,
             }
-            for path, table, chance, found in catalogues
+            for path, table, chance, matched in catalogues
         },
         "classes": {name: _means(columns[columns["class"] == name], magnitude, search) for name in CLASSES}
         | {"all": _means(columns, magnitude, search)},

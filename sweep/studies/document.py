@@ -246,12 +246,12 @@ def _conditions(text: str, texts: Collection[str]) -> dict[str, Any]:
     """Return an entry of [[exclude]] written as ``kernel=linear,gamma>1``."""
     conditions: dict[str, Any] = {}
     for part in text.split(","):
-        found = re.fullmatch(r"\s*([\w.-]+)\s*([=<>])\s*(.+?)\s*", part)
-        if found is None or (found[2] == "=" and found[1] in conditions):
+        condition = re.fullmatch(r"\s*([\w.-]+)\s*([=<>])\s*(.+?)\s*", part)
+        if condition is None or (condition[2] == "=" and condition[1] in conditions):
             raise SweepError("must be written NAME=VALUE, NAME>NUMBER or NAME<NUMBER, several with commas between them")
-        value = parse_value(found[3], is_text=found[1] in texts)
-        rule = {"<": "below", ">": "above"}.get(found[2])
-        conditions[found[1]] = value if rule is None else {**conditions.get(found[1], {}), rule: value}
+        value = parse_value(condition[3], is_text=condition[1] in texts)
+        rule = {"<": "below", ">": "above"}.get(condition[2])
+        conditions[condition[1]] = value if rule is None else {**conditions.get(condition[1], {}), rule: value}
     return conditions
 
 

@@ -389,7 +389,7 @@ def _unit(text: str, strict: str = "silent") -> Any:
 
 def readme_of(path: Path) -> Path | None:
     """Return the ReadMe beside a table that describes it byte by byte; None otherwise."""
-    readme = next((found for name in READMES if (found := path.parent / name).is_file()), None)
+    readme = next((beside for name in READMES if (beside := path.parent / name).is_file()), None)
     if readme is None:
         return None
     text = readme.read_text(encoding="utf-8", errors="replace")

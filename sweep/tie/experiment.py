@@ -248,10 +248,10 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     whole = _within(_set_up(tuple((name, point[name]) for name in DECIDING)), point)
     problem = whole.problem
     if not point["correlations"]:
-        own, rows = (replace(one, correlations=None) for one in (problem.satellite, problem.rows))
-        if own.further is not None:
-            own = replace(own, further_correlations=np.eye(10)[:, 5:, None].repeat(len(own), axis=2))
-        problem = replace(problem, satellite=own, rows=rows)
+        ours, rows = (replace(one, correlations=None) for one in (problem.satellite, problem.rows))
+        if ours.further is not None:
+            ours = replace(ours, further_correlations=np.eye(10)[:, 5:, None].repeat(len(ours), axis=2))
+        problem = replace(problem, satellite=ours, rows=rows)
         whole = replace(whole, problem=problem)
     matched = np.unique(problem.source)
     solved = solve_link(whole.only(matched), str(clip), ("scaled", "formal", "jackknife")) if len(matched) else None

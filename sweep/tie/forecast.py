@@ -160,5 +160,5 @@ def _errors(normal: Array) -> Array:
 
 def _scaled(values: Sequence[float] | Array, goal: core.Goal) -> Array:
     """Return a criterion in mas instead of rad: the root of the mean variance, or the log determinant."""
-    found, n = np.asarray(values), len(goal.parts)
-    return np.asarray(np.sqrt(found / n) / MAS if goal.criterion == "A" else found - 2.0 * n * np.log(MAS))
+    numbers, n = np.asarray(values), len(goal.parts)
+    return np.asarray(np.sqrt(numbers / n) / MAS if goal.criterion == "A" else numbers - 2.0 * n * np.log(MAS))

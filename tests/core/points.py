@@ -7,7 +7,7 @@ import numpy as np
 
 from linksweep.core import experiment
 from linksweep.core.catalogues import Catalogue, NestedDraw, OwnErrors
-from linksweep.core.errors import NO_ERRORS, CatalogueErrors, MagnitudeErrors, NormalErrors
+from linksweep.core.errors import CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import link
 from linksweep.core.fields import Field, Systematics, ZonalErrors, parse_pattern, pattern_field, rms
 from linksweep.core.fixed_design import fixed_designs, neglected
