@@ -5,7 +5,7 @@ This is the public interface; names that are not in ``__all__`` may change witho
 =========================================  ==========================================================
 `run`, `open`                              run a study, read the results in a store
 `answer`, `plot`                           what results say, and their figure
-`tie`, `forecast`                          link two real tables, plan what to observe next
+`tie`, `forecast`, `apply`                 link two real tables, plan what to observe next, carry a table over
 `load_study`, `Study`                      read and check a study without running it
 `experiment`, `Parameter`, `Output`        declare more about a function than its signature says
 `Experiment`                               declare an experiment of additive sums
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from linksweep.sweep.functions.adapter import experiment
     from linksweep.sweep.studies.reader import load_study
     from linksweep.sweep.studies.study import Study
+    from linksweep.sweep.tie.apply import apply
     from linksweep.sweep.tie.forecast import forecast
     from linksweep.sweep.tie.link import tie
 
@@ -56,6 +57,7 @@ __all__ = [
     "Study",
     "SweepError",
     "answer",
+    "apply",
     "experiment",
     "find",
     "fit_levelling",
@@ -82,6 +84,7 @@ _MODULES = {
     "linksweep.sweep.studies.study": ("Study",),
     "linksweep.sweep.tie.link": ("tie",),
     "linksweep.sweep.tie.forecast": ("forecast",),
+    "linksweep.sweep.tie.apply": ("apply",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -40,7 +40,8 @@ class Astrometry:
     position has none (that of an extragalactic source holds at any epoch); ``radial_velocity`` (N,) in km/s, NaN where
     unknown; ``names`` (N,); ``columns`` are further numbers by name; ``apparent`` (N,) marks positions of a single
     epoch, which the parallax displaces; ``frame`` (N,) is 0 for rows in the reference's frame and the number of a
-    mission, from 1, for those in a frame of its own.
+    mission, from 1, for those in a frame of its own; ``shared`` (N,) is the part of the errors of a position (rad) that
+    is that of its ``calibrator`` (N,), and which the rows of a source with this calibrator have in common.
 
     ``further`` (2, 5, N) are values and errors of the parameters `FURTHER` of stars whose paths are not straight, zero
     for those that a star lacks, with their correlations (10, 5, N) with all ten; ``orbit`` (7, N) as in `bends`.
@@ -55,13 +56,16 @@ class Astrometry:
     columns: Mapping[str, Array] = field(default_factory=dict)
     apparent: Flags = None  # type: ignore[assignment]  # none of them by default
     frame: Indices = None  # type: ignore[assignment]  # the reference's by default
+    calibrator: NDArray[np.str_] = None  # type: ignore[assignment]  # none by default
+    shared: Array = None  # type: ignore[assignment]  # zero by default
     further: Array | None = None
     further_correlations: Array | None = None
     orbit: Array | None = None
 
     def __post_init__(self) -> None:
         # broadcast arrays take no memory, however many rows there are
-        for name, default in (("apparent", np.False_), ("frame", np.int64(0))):
+        defaults = {"apparent": np.False_, "frame": np.int64(0), "calibrator": np.str_(""), "shared": np.float64(0.0)}
+        for name, default in defaults.items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.broadcast_to(default, len(self)))
 
@@ -115,8 +119,23 @@ def joined(*tables: Astrometry) -> Astrometry:
     correlations = [
         zeros if table.correlations is None else table.correlations for table, zeros in zip(tables, none, strict=True)
     ]
-    arrays = {name: together(name) for name in ("values", "errors", "epoch", "apparent", "frame")}
+    arrays = {
+        name: together(name) for name in ("values", "errors", "epoch", "apparent", "frame", "calibrator", "shared")
+    }
     return Astrometry(**arrays, correlations=np.concatenate(correlations, axis=-1))
+
+
+def with_variance(table: Astrometry, variance: Array) -> Astrometry:
+    """Return a table with variances (5, N) added to those of its errors; covariances do not change."""
+    errors = np.sqrt(table.errors**2 + variance)
+    correlations, every = table.correlations, table.further_correlations
+    with np.errstate(invalid="ignore", divide="ignore"):
+        shrunk = np.where(errors > 0.0, table.errors / errors, 1.0)
+    if correlations is not None:
+        correlations = np.array([c * shrunk[i] * shrunk[j] for c, (i, j) in zip(correlations, PAIRS, strict=True)])
+    if every is not None:
+        every = np.concatenate([every[:5] * shrunk[:, None], every[5:]])
+    return replace(table, errors=errors, correlations=correlations, further_correlations=every)
 
 
 def positive_definite(correlations: Array) -> Flags:
@@ -285,6 +304,7 @@ class Differences:
 
     ``by_frames`` (R, 5, 5 F) are the derivatives of f by the changes of the source's five parameters in the satellite's
     frame, and then in those of F - 1 further missions: M, and -M for the mission's frame that the row is in.
+    ``calibrator`` and ``shared`` (R,) are those of the rows.
     """
 
     values: Array
@@ -292,6 +312,15 @@ class Differences:
     covariance: Array
     present: Flags
     by_frames: Array
+    calibrator: NDArray[np.str_]
+    shared: Array
+
+    def across(self, rows: Indices) -> Array:
+        """Return the covariance between rows (n, r) of sources whose positions share a calibrator; (n, r, 5, r, 5)."""
+        names, sizes = self.calibrator[rows], self.shared[rows]
+        same = (names[:, :, None] == names[:, None]) & ~np.eye(rows.shape[1], dtype=bool)
+        size = np.where(same, sizes[:, :, None] * sizes[:, None], 0.0)
+        return size[:, :, None, :, None] * np.diag([1.0, 1.0, 0.0, 0.0, 0.0])[:, None]
 
     def whole(self, star_covariance: Array) -> Array:
         """Return the covariance of the differences of each row with ``own`` (R, 5, 5), that of its source."""
@@ -348,4 +377,6 @@ def differences(
         covariance=rows.covariance(),
         present=present.T,
         by_frames=by_frames,
+        calibrator=rows.calibrator,
+        shared=rows.shared,
     )

@@ -196,8 +196,11 @@ class Simulation:
 
     def draws(self, number: int, rng: np.random.Generator) -> Iterator[KeptSources]:
         """Yield the sources of ``number`` draws; memory is that of a block of sources, or of one draw."""
-        own_half, row_half = _half(self._covariance), _half(self._rows.covariance)
         n_sources, source, rows = len(self._free), self.problem.source, self._rows
+        alone, pairs = rows.covariance.copy(), np.stack([source.astype(np.str_), rows.calibrator])
+        alone[:, range(2), range(2)] -= rows.present[:, :2] * rows.shared[:, None] ** 2
+        own_half, row_half = _half(self._covariance), _half(alone)
+        group = np.unique(pairs, axis=1, return_inverse=True)[1].ravel()  # rows of a source that share a calibrator
         at_once = max(1, DRAWN_AT_ONCE // n_sources)
         for start in range(0, number, at_once):
             n = min(at_once, number - start)
@@ -206,6 +209,9 @@ class Simulation:
                 scale[rng.random(scale.shape) < self.outliers] *= self.outlier_factor
             own_errors = scale * np.einsum("sij,nsj->nsi", own_half, rng.standard_normal((n, *own_half.shape[:2])))
             row_errors = np.einsum("rij,nrj->nri", row_half, rng.standard_normal((n, len(source), 5)))
+            if np.any(rows.shared):
+                common = rng.standard_normal((n, group.max() + 1, 2))[:, group]
+                row_errors[..., :2] += rows.shared[:, None] * common
             inside = np.tile(self._matrix @ self.truth, (n, 1, 1))
             inside[..., :5] -= own_errors[..., :5]
             values = np.einsum("rij,nrj->nri", rows.by_frames, inside[:, source]) + scale[:, source] * row_errors

@@ -174,6 +174,9 @@ def _observed(
         here = np.flatnonzero(used // 5 == row)
         inside = used[here] % 5
         whole[:, here[:, None], here] += rows.covariance[places[:, row]][:, inside[:, None], inside]
+    if np.any(rows.shared):
+        pairs = present[:, :, None] & present[:, None]
+        whole += np.where(pairs, rows.across(places).reshape(n, size, size)[:, used[:, None], used], 0.0)
     diagonal = range(len(used))
     whole[:, diagonal, diagonal] += np.where(present, 0.0, MAS**2)
     variance = whole[:, diagonal, diagonal]

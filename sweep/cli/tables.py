@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 SIGNS = ["reference-satellite", "satellite-reference"]
 POSITIONS = ("single-epoch", "mean")
-MOTIONS = ("motion", "three-parameter")
 NOT_NEGATIVE = click.FloatRange(0.0)
 EXPERIMENT = arg(default="linksweep.core.experiment:link")
 
@@ -49,13 +48,6 @@ class Assigned(click.ParamType):  # type: ignore[type-arg]  # generic only in ne
             if key:
                 return key, self.value(text)
         return self.fail(f"{value!r} is not {self.name}", param, ctx)
-
-
-def _jitter(text: str) -> list[float]:
-    position, *motion = map(float, text.split(":"))
-    if len(motion) > 1:
-        raise ValueError
-    return [position, *motion]
 
 
 @command("Your own", "Write a commented study to start from")
@@ -169,8 +161,9 @@ def _tables(
         metavar="[TABLE:]CONDITION",
     ),
     accelerations: Any = choice("Positions and motions of rows with accelerations.", ("at-epoch", "mean")),
-    jitter: Sequence[Any] = many(
-        "Added in quadrature to rows of a kind, or of all.", type=Assigned("KIND=MAS[:MAS_YR]", _jitter)
+    jitter: Sequence[str] = many(
+        "Added in quadrature to rows of a kind, or of all; or estimate: from their scatter.",
+        metavar="KIND=MAS[:MAS_YR]|estimate",
     ),
 ) -> dict[str, Any]:
     """Return the options of the tables as `linksweep.sweep.tie.setup.Options` has them."""
@@ -201,10 +194,8 @@ def _tables(
         )
         for name in names
     }
-    # One number is the jitter of motions where a kind of rows has nothing else.
-    pairs = {kind: (0.0, *mas) if len(mas) == 1 and kind in MOTIONS else (*mas, 0.0)[:2] for kind, mas in jitter}
     return {
-        "jitter": pairs,
+        "jitter": ",".join(jitter),
         "satellite_options": tables.pop("satellite"),
         "reference_options": tables.pop("reference"),
         "missions": further,
@@ -371,6 +362,28 @@ def forecast(
     except ValueError:
         raise click.BadParameter(f"{add!r} is no list of years", param_hint="--add") from None
     target.put(linksweep.forecast(satellite, reference, add=epochs, goal=blocks, **plan, **matching, **tables))
+
+
+@command("Your own", "Carry a table into the frame of a link's reference")
+def apply(
+    link: Path = arg(type=FILE),
+    table: Path = arg(type=FILE),
+    output: Path = options.output("The table in the other frame: .csv, .ecsv, .fits or .parquet.", required=True),
+    inverse: bool = flag("TABLE is in the reference's frame, and goes into the satellite's."),
+    epoch: float | None = year("Epoch of a table without a column of epochs."),
+) -> None:
+    """Carry TABLE from the satellite's frame into that of the reference, by the LINK that `sweep tie -o` wrote.
+
+    Positions, motions, errors and correlations change, with the covariance of the link added; other columns do not.
+
+    \b
+    sweep apply tie.zarr gaia.fits -o gaia-in-vlbi.fits
+    """
+    from linksweep.sweep.tie.apply import apply as carry
+
+    for note in carry(link, table, output, inverse=inverse, epoch=epoch).meta["comments"]:
+        click.echo(f"note: {note}", err=True)
+    click.echo(f"wrote {output}", err=True)
 
 
 @command("Your own", "Find the galaxies in a star catalogue")

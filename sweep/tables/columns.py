@@ -107,7 +107,7 @@ def unit_of(quantity: str) -> str:
     plain = _plain(quantity)
     stem = plain.removesuffix("_error")
     if stem not in PARAMETERS:
-        others = {"ref_epoch": "yr", "radial_velocity": "km / s"}
+        others = {"ref_epoch": "yr", "radial_velocity": "km / s", "calibrator": "mas"}
         others |= dict(zip(ACCELERATIONS, ("mas / yr2", "mas / yr2", "mas / yr3", "mas / yr3"), strict=True))
         return others.get(stem, "mag" if stem.endswith("_mag") else "")
     if plain in ("ra", "dec"):

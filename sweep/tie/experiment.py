@@ -9,6 +9,7 @@ import numpy as np
 
 from linksweep.core.frames import MAS, Array
 from linksweep.core.tie import forecast
+from linksweep.core.tie.noise import ALL
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import Clip, KeptSources, Solution, clipped, parse_clip, solve
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
@@ -293,7 +294,7 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
         bins=setup.parse_bins(point["bins"]) if point["bins"] else None,
         by=point["by"] or None,
         where=point["where"] or None,
-        jitter={setup.ALL: jitter} if any(jitter) else {},
+        jitter={ALL: jitter} if any(jitter) else {},
         satellite_options=satellite_options,
         reference_options=reference_options,
     )

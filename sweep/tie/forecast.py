@@ -9,6 +9,7 @@ import numpy as np
 from linksweep.core.frames import MAS, Array
 from linksweep.core.link import LinkError
 from linksweep.core.tie import forecast as core
+from linksweep.core.tie.noise import ESTIMATE
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import inverted
 from linksweep.sweep.contract import SweepError
@@ -67,7 +68,10 @@ def forecast(
         ['', 'J1537+1155', 'J2354+6155']
     """
     _check(add, error, number, criterion, options)
-    setup = set_up(satellite, reference, Options(unknowns=unknowns, **options), all_sources)
+    asked = Options(unknowns=unknowns, **options)
+    if ESTIMATE in asked.jitter.values():
+        raise SweepError("a forecast uses no measured values: sweep tie --jitter estimate says how large a jitter is")
+    setup = set_up(satellite, reference, asked, all_sources)
     problem = setup.problem
     goals = core.Goal(problem.unknowns, tuple(goal), criterion)
     try:

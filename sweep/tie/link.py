@@ -14,6 +14,7 @@ from linksweep.core.frames import MAS, Array
 from linksweep.core.link import LinkError
 from linksweep.core.tie import mistakes, solution
 from linksweep.core.tie.astrometry import kinds
+from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
 from linksweep.core.unknowns import PARAMETERS, Harmonics, SpinByBin, Unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped
@@ -30,6 +31,9 @@ EXPERIMENT = "linksweep.sweep.tie.experiment:tie"
 
 ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
 RESAMPLES = 1000
+
+# How often noise is estimated from what a clip keeps with it.
+ROUNDS = 20
 
 # The rows of larger tables are not included in a result.
 ROWS_KEPT = 100_000
@@ -53,7 +57,7 @@ FIELD_OF = {
 class Link:
     """A solved link: its setup, the clip and its solution, the covariances by kind of error, and the influence of each
     source (None where there are too many).  ``discrepancy`` is None where it was not asked for.  The first note is what
-    chi2 says of the tables, if anything.
+    chi2 says of the tables, if anything.  ``noise`` is what was estimated, and is in the errors of the setup.
     """
 
     setup: Setup
@@ -65,6 +69,7 @@ class Link:
     count: Any
     misfit: mistakes.Misfit
     notes: tuple[str, ...]
+    noise: Noise | None = None
 
     @property
     def solution(self) -> solution.Solution:
@@ -90,14 +95,19 @@ def solve_link(
         raise SweepError(f"errors {', '.join(errors)!r}: must be among {', '.join(ERRORS)}")
     if resamples < 2:
         raise SweepError(f"{resamples} resamples: must be at least 2")
-    unknowns, effect = setup.problem.unknowns, None
+    unknowns, effect, found = setup.problem.unknowns, None, None
     try:
         with threadpool_limits(1):  # bitwise the same on any number of cores; products of blocks are small
             how = solution.parse_clip(clip)
             if sources is None:
                 sources = solution.sources_of(setup.problem)
             result = solution.clipped(how, sources)
+            doubt, further = _misfit(setup, sources, result), list[str]()
+            if ESTIMATE in setup.jitter.values():
+                setup, sources, result, found, further = _with_noise(setup, how)
             covariances, notes = _covariances(sources, result, errors, resamples, seed)
+            if found is not None:
+                covariances = {"estimated": found.covariance(result.solution)} | covariances
             squares = sources.discrepancies(result.solution.estimate) if per_source else None
             if isinstance(sources, solution.KeptSources):
                 effect = solution.influence(sources.sums, result.solution, unknowns, result.factors)
@@ -105,7 +115,6 @@ def solve_link(
             else:
                 places, sums = sources.heaviest(HEAVIEST)
                 share = solution.shares(sums, result.solution, unknowns) * result.factors[places, None]
-            doubt = _misfit(setup, sources, result)
     except ValueError as error:  # LinkError is one
         raise SweepError(f"{error}{_rows_there_are(setup) if isinstance(error, LinkError) else ''}") from error
     for block, part in zip(unknowns.names, share.T, strict=True):
@@ -114,8 +123,35 @@ def solve_link(
             large = large[np.argsort(-part[large])]
             listed = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
             notes.append(f"more than {100 * solution.LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
-    notes = [*([doubt.text] if doubt.text else []), *setup.notes, *result.notes, *notes]
-    return Link(setup, str(how), result, covariances, effect, squares, sources.count, doubt, tuple(notes))
+    notes = [*([doubt.text] if doubt.text else []), *setup.notes, *further, *result.notes, *notes]
+    return Link(setup, str(how), result, covariances, effect, squares, sources.count, doubt, tuple(notes), found)
+
+
+def _with_noise(setup: Setup, how: solution.Clip) -> tuple[Setup, solution.Sources, solution.Clipped, Noise, list[str]]:
+    """Return the setup with the estimated noise in its errors, the solution with it, and notes.
+
+    The noise is that of the sources that the clip keeps when the noise is in the errors.
+    """
+    problem, tables = setup.problem, ("reference", *setup.missions)
+    if problem.weights != "covariance":
+        raise SweepError(f"jitter estimate is for weights by covariance, not {problem.weights}")
+    kept, notes = np.ones(len(problem.satellite), dtype=bool), []
+    for _ in range(ROUNDS):
+        part = problem.only(np.flatnonzero(kept))
+        found = estimated(part, noises(part, setup.jitter, tables))
+        noisy = found.added_to(problem, noises(problem, setup.jitter, tables))
+        sources = solution.sources_of(noisy)
+        result = solution.clipped(how, sources)
+        if np.array_equal(kept, result.factors > 0.0):
+            break
+        kept = result.factors > 0.0
+    else:
+        notes.append(f"the clip with the estimated noise still changed after {ROUNDS} rounds")
+    if found.left_out:
+        notes.append(
+            f"noise of {', '.join(found.left_out)} cannot be told from that of the rest, and is included there"
+        )
+    return replace(setup, problem=noisy), sources, result, found, notes
 
 
 def _misfit(setup: Setup, sources: solution.Sources, result: solution.Clipped) -> mistakes.Misfit:
@@ -301,6 +337,8 @@ def tie(
         workers, None, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits
     )
     if row_groups.are_enough(satellite, reference, asked):
+        if ESTIMATE in asked.jitter.values():
+            raise SweepError("jitter estimate needs a table that is solved as a whole; say how large it is, motion=0.1")
         with mapped(EXPERIMENT, on, logging.getLogger("linksweep").warning) as run:
             setup, sources = row_groups.set_up_row_groups(satellite, asked, run, per_source)
             link = solve_link(setup, clip, names, resamples, seed, sources, per_source)
@@ -321,7 +359,7 @@ def tie(
 # The variables that label others, beside those that are called as their dimension.
 COORDINATES = (
     *("unit", "block", "ra", "dec", "row_source_index", "row_source", "row_kind", "row_table", "row_epoch"),
-    *("observable_unit", "bin_low", "bin_high"),
+    *("observable_unit", "bin_low", "bin_high", "noise_unit"),
 )
 
 
@@ -333,6 +371,7 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
     import xarray as xr
 
     setup, problem, solved = link.setup, link.setup.problem, link.solution
+    jitter = options.jitter.items()
     unknowns, sign = problem.unknowns, SIGNS[options.sign]
     main = next(iter(link.covariances))
     covariance = np.array(list(link.covariances.values())) / MAS**2
@@ -362,6 +401,13 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         variables |= _of_sources(link, sign)
         if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
             variables |= _of_rows(link, sign)
+    if (found := link.noise) is not None:
+        variables |= {
+            "noise": ("noise", list(found.size)),
+            "noise_unit": ("noise", ["mas/yr" if label.endswith("motion") else "mas" for label in found.size]),
+            "noise_size": ("noise", list(found.size.values()), {"long_name": "added in quadrature to the errors"}),
+            "noise_error": ("noise", list(found.error.values())),
+        }
     variables |= _of_steps(link, sign) | _of_harmonics(link, covariance[0]) | _of_bins(link, errors[0], sign)
     attributes = {
         "result": "tie",
@@ -375,7 +421,7 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "missions_sha256": {name: table.digest for name, table in setup.missions.items()},
         "known_spin": str(options.known_spin) if options.known_spin is not None else "none",
         "aberration_uas_yr": options.aberration,
-        "jitter": ", ".join(f"{k}={p:g}:{m:g}" for k, (p, m) in options.jitter.items()) or "none",
+        "jitter": ", ".join(f"{k}={s if s == ESTIMATE else f'{s[0]:g}:{s[1]:g}'}" for k, s in jitter) or "none",
         "misfit": link.misfit.text if link.misfit.first else "",
         "notes": list(link.notes),
     } | ({} if options.bins is None else {"bin_column": options.bins[0]})

@@ -72,6 +72,10 @@ def _link_tables(link: "xr.Dataset") -> list[Table]:
         _texts("unit", link.unit.values),
     ]
     made = [Table(unknowns, "\n".join(head))]
+    if "noise" in link:
+        columns = [_texts("rows:quantity", link.noise.values), _numbers("noise", link.noise_size, ".5f")]
+        columns += [_numbers("error", link.noise_error, ".5f"), _texts("unit", link.noise_unit.values)]
+        made.append(Table(columns, "noise beyond the stated errors, estimated by restricted maximum likelihood"))
     if "power" in link:
         powers = link[["power", "power_noise", "power_chi2", "power_probability"]].stack(row=("field", "degree"))
         powers = powers.isel(row=np.flatnonzero(np.isfinite(powers["power"].values)))

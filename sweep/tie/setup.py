@@ -15,7 +15,6 @@ from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Ind
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import (
     KINDS,
-    PAIRS,
     Astrometry,
     bends,
     from_tangent_plane,
@@ -23,7 +22,9 @@ from linksweep.core.tie.astrometry import (
     kinds,
     named_rows,
     propagated,
+    with_variance,
 )
+from linksweep.core.tie.noise import ALL, ESTIMATE
 from linksweep.core.tie.problem import Problem, Weights
 from linksweep.core.tie.solution import sources_of
 from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
@@ -37,8 +38,8 @@ SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference"
 
 ICRF3_EPOCH = 2015.0
 
-# Stands for every kind of row that has no jitter of its own.
-ALL = "all"
+# Kinds of rows whose jitter is one of motions if it is one number.
+MOTIONS = ("motion", "three-parameter")
 
 # Stands for a reference whose sources do not move: quasars, for which only the satellite's table is needed.
 ZERO_MOTION = "zero-motion"
@@ -96,7 +97,8 @@ class Options:
     ``unknowns`` as in `parse_unknowns`, None for those of orientation and spin that the tables determine; ``degree``
     adds vector spherical harmonics up to it.  ``bins`` are a column and edges.  ``epoch`` (Julian year) is that of the
     orientation, by default the satellite's.  ``known_spin`` is a vector (mas/yr, in the sign of ``sign``) or the path
-    of a table by magnitude.  ``jitter`` maps kinds of rows to (mas, mas/yr) added in quadrature.  ``aberration``
+    of a table by magnitude.  ``jitter`` maps kinds of rows to (mas, mas/yr) added in quadrature or to "estimate", or is
+    a line as in `parse_jitter`.  ``aberration``
     (uas/yr) carries reference positions without an epoch from 2015.0 to the satellite's epoch.  ``missions`` are
     further tables by name, each in a frame of its own with an orientation and a spin; ``mission_options`` say how
     these are read.  ``where`` is a condition that the satellite's rows must meet, as in `rows_where`.
@@ -109,7 +111,7 @@ class Options:
     epoch: float | None = None
     weights: Weights = "covariance"
     known_spin: Sequence[float] | str | Path | None = None
-    jitter: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    jitter: Mapping[str, Any] = field(default_factory=dict)
     sign: Sign = "reference-satellite"
     corrections: bool = True
     aberration: float = 0.0
@@ -118,6 +120,10 @@ class Options:
     satellite_options: TableOptions = field(default_factory=TableOptions)
     reference_options: TableOptions = field(default_factory=TableOptions)
     mission_options: Mapping[str, TableOptions] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if isinstance(self.jitter, str):
+            object.__setattr__(self, "jitter", parse_jitter(self.jitter))
 
     def check(self) -> None:
         """Raise SweepError for values that are not allowed."""
@@ -133,7 +139,7 @@ class Options:
         if unknown := sorted(set(self.mission_options) - set(self.missions)):
             raise SweepError(f"options of {', '.join(unknown)}: no such mission")
 
-    def jitter_in(self, mission: str | None) -> dict[str, tuple[float, float]]:
+    def jitter_in(self, mission: str | None) -> dict[str, Any]:
         """Return the jitter by kind of row of the reference, or of a mission: ``hipparcos:position``."""
         chosen = {}
         for key, size in self.jitter.items():
@@ -143,6 +149,26 @@ class Options:
             elif colon and table not in self.missions:
                 raise SweepError(f"jitter of {key!r}: no mission {table!r}")
         return chosen
+
+
+def parse_jitter(text: str) -> dict[str, Any]:
+    """Return the jitter of each kind of row of a line like ``position=0.2,five-parameter=0.2:0.05``, or ``estimate``.
+
+    Raises SweepError for any other line.
+    """
+    jitter: dict[str, Any] = {}
+    for item in filter(None, map(str.strip, text.split(","))):
+        kind, size = (ALL, item) if item == ESTIMATE else split_assignment(item)
+        try:
+            sizes = tuple(float(part) for part in size.split(":")) if size != ESTIMATE else (0.0, 0.0)
+        except ValueError:
+            sizes = ()
+        if not (kind and 1 <= len(sizes) <= 2):
+            raise SweepError(f"jitter {item!r}: say --jitter estimate, or KIND=MAS[:MAS_YR] in mas and mas/yr")
+        # one number is the jitter of motions where a kind of rows has nothing else
+        both = (0.0, *sizes) if len(sizes) == 1 and kind.rpartition(":")[2] in MOTIONS else (*sizes, 0.0)[:2]
+        jitter[kind] = ESTIMATE if size == ESTIMATE else both
+    return jitter
 
 
 def parse_bins(text: str) -> tuple[str, list[float]]:
@@ -165,7 +191,7 @@ class Setup:
     """The problem of the matched sources (S) and rows (R), the tables as read, and how they were matched.
 
     ``names`` (S,) are the names of the sources, or numbers.  ``missions`` are the further tables by name; the rows of
-    the first one have the frame 1, and so on.
+    the first one have the frame 1, and so on.  ``jitter`` says which noise is still to be estimated.
     """
 
     satellite: AstrometricTable
@@ -175,13 +201,17 @@ class Setup:
     names: NDArray[Any]
     notes: tuple[str, ...] = ()
     missions: Mapping[str, AstrometricTable] = field(default_factory=dict)
+    jitter: Mapping[str, Any] = field(default_factory=dict)
 
     def attributes(self) -> dict[str, Any]:
         """Return what a dataset says of the tables."""
         pairs = (("satellite", self.satellite), ("reference", self.reference))
         files = {name: table.path for name, table in pairs}
         files |= {f"{name}_columns": table.columns for name, table in pairs}
-        return files | {f"{name}_sha256": table.digest for name, table in pairs} | {"epoch": self.problem.epoch}
+        epochs = self.satellite.astrometry.epoch
+        known = epochs[np.isfinite(epochs)].tolist() or [self.problem.epoch]
+        span = {"epoch": self.problem.epoch, "satellite_epochs": [min(known), max(known)]}
+        return files | {f"{name}_sha256": table.digest for name, table in pairs} | span
 
     def only(self, sources: Indices) -> "Setup":
         """Return the setup of some of the matched sources and their rows."""
@@ -241,7 +271,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
     missions = dict(zip(options.missions, tables[1:], strict=True))
-    return Setup(left, tables[0], matches[0], problem, names, tuple(dict.fromkeys(notes)), missions)
+    return Setup(left, tables[0], matches[0], problem, names, tuple(dict.fromkeys(notes)), missions, options.jitter)
 
 
 def _taken(table: Astrometry, rows: Indices) -> Astrometry:
@@ -462,7 +492,7 @@ def _repeated(matched: Match, rows: Astrometry) -> list[Indices]:
 # ---- what is done to the rows of a reference before the solution
 
 
-def with_jitter(rows: Astrometry, jitter: Mapping[str, tuple[float, float]]) -> Astrometry:
+def with_jitter(rows: Astrometry, jitter: Mapping[str, Any]) -> Astrometry:
     """Return rows with (mas, mas/yr) added in quadrature to the errors of each kind, or of "all"; covariances do not
     change.
 
@@ -478,18 +508,13 @@ def with_jitter(rows: Astrometry, jitter: Mapping[str, tuple[float, float]]) -> 
         there = ", ".join(np.unique(kind_of_row))
         raise SweepError(f"jitter: no row is of the kind {', '.join(absent)}; there are {there}")
     added = np.zeros_like(rows.errors)
-    for kind, (position, motion) in jitter.items():
+    for kind, size in jitter.items():
+        position, motion = (0.0, 0.0) if size == ESTIMATE else size
         if not (0.0 <= position < np.inf and 0.0 <= motion < np.inf):
             raise SweepError(f"jitter of {kind}: {position:g}, {motion:g}: must be finite and not negative")
         at = kind_of_row == kind if kind != ALL else ~np.isin(kind_of_row, list(jitter))  # a named kind has its own
         added[:, at] = MAS * np.array([position, position, position, motion, motion])[:, None]
-    errors = np.hypot(rows.errors, added)
-    correlations = rows.correlations
-    if correlations is not None:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            shrunk = np.where(errors > 0.0, rows.errors / errors, 1.0)
-        correlations = np.array([c * shrunk[i] * shrunk[j] for c, (i, j) in zip(correlations, PAIRS, strict=True)])
-    return replace(rows, errors=errors, correlations=correlations)
+    return with_variance(rows, added**2)
 
 
 def _aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astrometry:

@@ -22,6 +22,7 @@ from linksweep.core.tie.astrometry import (
     kinds,
     named_rows,
     positive_definite,
+    with_variance,
 )
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
@@ -40,6 +41,7 @@ SOURCE_NAMES = ("name", "star", "source", "source_id", "designation", "psr_name"
 QUANTITIES = (
     *(*PARAMETERS, *ACCELERATIONS, "ref_epoch", "radial_velocity"),
     *(*(f"{name}_error" for name in (*PARAMETERS, *ACCELERATIONS)), *CORRELATIONS, "corr_vec", "name"),
+    *("calibrator", "calibrator_error"),
 )
 
 HIPPARCOS_EPOCH = 1991.25
@@ -52,6 +54,9 @@ COARSE = 0.1
 
 # Errors after a mistake in their unit is corrected, mas or mas/yr.
 TYPICAL = (0.005, 300.0)
+
+# Errors of the positions of calibrators, mas.
+CALIBRATORS = (0.005, 50.0)
 
 # Epochs of positions with errors below 10 mas.
 EARLIEST, LATEST = 1970.0, 2060.0
@@ -129,11 +134,7 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     A table whose metadata say ``extragalactic: true`` needs no epoch: its positions hold at any.  Raises
     SweepError with all that is wrong and the rows (counted from 1).
     """
-    if not path.suffix and len(path.parts) == 1 and not path.exists():
-        named = (file for file in sorted(_BUILT_IN.glob("*.ecsv*")) if file.name.split(".")[0] == path.name)
-        path = next(named, path)
-    if path.is_dir():
-        raise SweepError("is a folder, not a table", str(path))
+    path = built_in(path)
     table, options, where = read_file(path), options or TableOptions(), str(path)
     notes = []
     if options.where:
@@ -144,6 +145,16 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     if path.resolve().parent == _BUILT_IN:
         return replace(read, columns="", notes=notes)  # ours are as they were published
     return replace(read, path=str(path), notes=[*notes, *read.notes, *_usual_choices(table, options)])
+
+
+def built_in(path: Path) -> Path:
+    """Return the path of a table, or of a built-in one by its name; raises SweepError for a folder."""
+    if not path.suffix and len(path.parts) == 1 and not path.exists():
+        named = (file for file in sorted(_BUILT_IN.glob("*.ecsv*")) if file.name.split(".")[0] == path.name)
+        path = next(named, path)
+    if path.is_dir():
+        raise SweepError("is a folder, not a table", str(path))
+    return path
 
 
 def _usual_choices(table: Any, options: TableOptions) -> list[str]:
@@ -213,6 +224,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         apparent=(positions == "single-epoch") & np.isfinite(epoch),
         further=further,
         further_correlations=None if further is None else _matrices(correlations, len(read))[:, 5:],
+        **_calibrators(read, notes),
     )
     try:
         kinds(astrometry)
@@ -221,6 +233,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     read.finish()
     if further is not None:
         astrometry = _as_at_epoch(read, astrometry, options, notes)
+    astrometry = with_variance(astrometry, np.outer([1.0, 1.0, 0.0, 0.0, 0.0], astrometry.shared**2))
     return AstrometricTable(where, digest, astrometry, _names(read), notes, _used(read))
 
 
@@ -420,6 +433,26 @@ def _epochs(read: Columns, options: TableOptions) -> Array:
     return np.full(len(read), np.nan if epoch is None else epoch)
 
 
+def _calibrators(read: Columns, notes: list[str]) -> dict[str, Any]:
+    """Return the calibrators of rows and the errors (rad) that rows of a source share by them, if there are any."""
+    if not read.has("calibrator"):
+        read.check(np.full(len(read), read.has("calibrator_error")), "a calibrator_error but no column calibrator")
+        return {}
+    names = read.text(str(read.name("calibrator")), "")
+    if not read.has("calibrator_error"):
+        said = "give the errors of the calibrators' positions (mas) in calibrator_error, 0 where they share none"
+        read.problems.append(f"column {read.name('calibrator')!r} has no errors; {said}")
+        return {}
+    shared = np.where(names == "", 0.0, read.quantity("calibrator_error", "allowed", MAS))
+    read.check(~((shared >= 0.0) & (shared < np.inf)), "a calibrator without an error that is 0 or more")
+    low, high = CALIBRATORS
+    if np.any(unlikely := (shared > 0.0) & ~((shared >= low * MAS) & (shared <= high * MAS))):
+        size = f"{np.median(shared[unlikely]) / MAS:.2g} mas"
+        unit = "is it in arcsec" if np.median(shared[unlikely]) < low * MAS else "is it in uas"
+        notes.append(f"calibrator_error of {size}, {named_rows(np.flatnonzero(unlikely))}: {unit}? Say --unit")
+    return {"calibrator": names, "shared": shared}
+
+
 def _radial_velocity(read: Columns, notes: list[str]) -> Array | None:
     if not read.has("radial_velocity"):
         return None
@@ -434,7 +467,7 @@ def _radial_velocity(read: Columns, notes: list[str]) -> Array | None:
 def _names(read: Columns) -> dict[str, NDArray[np.str_]]:
     """Return the columns of names, best first, and after them all other text."""
     wanted = [read.columns["name"]] if "name" in read.columns else SOURCE_NAMES
-    place = {name: len(wanted) for name in read.names if read.kind(name) in "US"}
+    place = {name: len(wanted) for name in read.names if read.kind(name) in "US" and name != read.name("calibrator")}
     for k, key in reversed(list(enumerate(wanted))):
         if (name := first_found([key], read.names)) is not None:
             place[name] = k

@@ -1,0 +1,194 @@
+"""Tables carried into the other frame, against the simulation's exact step, ERFA, and derivatives by differences."""
+
+from dataclasses import replace
+
+import erfa
+import numpy as np
+import pytest
+from astropy.table import Table
+from click.testing import CliRunner
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import linksweep
+from linksweep import SweepError
+from tests.core.tie.made import DEGREE, EPSILON, MAS, NAMES, OMEGA, PAIRS, gaia, main, seen_by_satellite, stars
+
+SETTINGS = {"deadline": None, "suppress_health_check": [HealthCheck.function_scoped_fixture]}
+
+
+def linked(folder, epsilon, omega, sign="reference-satellite", unknowns="orientation,spin", epoch=2016.0):
+    """A link that has these numbers (rad, rad/yr), with a covariance that a link of two tables has."""
+    truth = stars(30, 9)
+    reference = gaia(folder / "reference.ecsv", truth)
+    satellite = gaia(folder / "satellite.ecsv", replace(truth, values=seen_by_satellite(truth, epsilon, omega)))
+    link = linksweep.tie(satellite, reference, unknowns, sign=sign, epoch=epoch, accept_misfit=True)
+    exact = {"orientation": epsilon, "spin": omega}
+    numbers = np.concatenate([exact[name] for name in unknowns.split(",")]) / MAS
+    link["estimate"][:] = numbers if sign == "reference-satellite" else -numbers
+    return link
+
+
+def values_of(table):
+    return np.array([table[name] * (DEGREE if i < 2 else MAS) for i, name in enumerate(NAMES)])
+
+
+@settings(max_examples=3, **SETTINGS)
+@given(
+    numbers=st.lists(st.floats(-300.0, 300.0), min_size=6, max_size=6),
+    sign=st.sampled_from(["reference-satellite", "satellite-reference"]),
+    seed=st.integers(0, 99),
+)
+def test_it_is_the_exact_inverse_of_what_the_satellite_sees(tmp_path, numbers, sign, seed):
+    epsilon, omega = np.array(numbers[:3]) * MAS, np.array(numbers[3:]) * MAS
+    link, truth = linked(tmp_path, epsilon, omega, sign), stars(25, seed, pm=200.0)
+    seen = gaia(tmp_path / "seen.ecsv", replace(truth, values=seen_by_satellite(truth, epsilon, omega)))
+    moved = linksweep.apply(link, seen)
+    np.testing.assert_allclose(values_of(moved), truth.values, rtol=0.0, atol=1e-6 * MAS)
+    moved.write(tmp_path / "moved.ecsv", overwrite=True)
+    back = linksweep.apply(link, tmp_path / "moved.ecsv", inverse=True)
+    np.testing.assert_allclose(values_of(back), values_of(Table.read(seen)), rtol=0.0, atol=1e-6 * MAS)
+
+
+def test_the_orientation_is_that_of_the_epoch_of_each_row(tmp_path):
+    epsilon, omega = EPSILON[0], 50.0 * OMEGA[0]
+    link, truth = linked(tmp_path, epsilon, omega, epoch=2006.0), stars(25, 2)
+    seen = gaia(tmp_path / "seen.ecsv", replace(truth, values=seen_by_satellite(truth, epsilon + 10.0 * omega, omega)))
+    np.testing.assert_allclose(values_of(linksweep.apply(link, seen)), truth.values, rtol=0.0, atol=1e-6 * MAS)
+
+
+def test_from_fk5_to_hipparcos_as_erfa_does(tmp_path):
+    """ERFA rotates the frame, so its numbers are minus ours."""
+    matrix, spin = erfa.fk5hip()
+    link = linked(tmp_path, -erfa.rm2v(matrix), -matrix @ spin)
+    fk5 = replace(stars(40, 5, pm=300.0), radial_velocity=np.zeros(40))
+    gaia(tmp_path / "fk5.ecsv", fk5)
+    ra, dec, parallax, pmra, pmdec = fk5.values
+    arcsec = 1000.0 * MAS
+    new = erfa.fk52h(ra, dec, pmra / np.cos(dec), pmdec, parallax / arcsec, np.zeros(40))
+    moved = values_of(linksweep.apply(link, tmp_path / "fk5.ecsv"))
+    both = np.array([new[0] % (2 * np.pi), new[1], new[2] * np.cos(new[1]), new[3]])
+    np.testing.assert_allclose(moved[[0, 1, 3, 4]], both, rtol=0.0, atol=2e-5 * MAS)
+    linksweep.apply(link, tmp_path / "fk5.ecsv", tmp_path / "hip.fits")
+    back = erfa.h2fk5(*[*both[:2], both[2] / np.cos(both[1]), both[3]], parallax / arcsec, np.zeros(40))
+    returned = values_of(linksweep.apply(link, tmp_path / "hip.fits", inverse=True))
+    np.testing.assert_allclose(returned[:2], [back[0] % (2 * np.pi), back[1]], rtol=0.0, atol=2e-5 * MAS)
+
+
+def covariance_of(table):
+    errors = np.array([table[f"{name}_error"] for name in NAMES]).T
+    whole = errors[:, :, None] * errors[:, None, :] * np.eye(5)
+    for i, j in PAIRS:
+        whole[:, i, j] = whole[:, j, i] = table[f"{NAMES[i]}_{NAMES[j]}_corr"] * errors[:, i] * errors[:, j]
+    return whole
+
+
+def test_the_covariance_of_the_link_is_added(tmp_path):
+    """Against derivatives by differences of the estimate, with an orientation at another epoch than the stars'."""
+    link, own = linked(tmp_path, EPSILON[0], OMEGA[0], epoch=2011.0), stars(12, 3, pm=5000.0)
+    table = gaia(tmp_path / "own.ecsv", own)
+    moved, step = linksweep.apply(link, table), 10.0
+    derivatives = []
+    for k in range(6):
+        ends = [link.copy(deep=True) for _ in range(2)]
+        for end, sign in zip(ends, (1.0, -1.0), strict=True):
+            end["estimate"][k] += sign * step
+        difference = np.subtract(*(values_of(linksweep.apply(end, table)) for end in ends)) / (2.0 * step * MAS)
+        difference[0] *= np.cos(own.values[1])
+        derivatives.append(difference)
+    jacobian = np.moveaxis(np.array(derivatives), 0, -1).swapaxes(0, 1)
+    expected = own.covariance() / MAS**2 + jacobian @ link.covariance.values @ jacobian.swapaxes(1, 2)
+    np.testing.assert_allclose(covariance_of(moved), expected, rtol=1e-5, atol=1e-9)
+
+
+@pytest.mark.parametrize("form", ["csv", "ecsv", "fits", "parquet"])
+def test_the_file_has_the_columns_of_the_input_and_a_tie_finds_no_rotation(tmp_path, form):
+    link = linked(tmp_path, 20.0 * EPSILON[0], OMEGA[0])
+    out = tmp_path / f"moved.{form}"
+    found = linksweep.apply(link, tmp_path / "satellite.ecsv", out)
+    written, before = Table.read(out), Table.read(tmp_path / "satellite.ecsv")
+    assert written.colnames == before.colnames == found.colnames
+    for name in ("source_id", "parallax", "parallax_error", "ref_epoch", "phot_g_mean_mag"):
+        np.testing.assert_array_equal(written[name], before[name])
+    again = linksweep.tie(out, tmp_path / "reference.ecsv", "orientation,spin")
+    assert np.all(np.abs(again.estimate) < 1e-3 * again.errors.sel(error_kind="formal"))
+    with pytest.raises(SweepError, match="exists already"):
+        linksweep.apply(link, tmp_path / "satellite.ecsv", out)
+
+
+def test_columns_keep_their_units_and_names(tmp_path):
+    link, own = linked(tmp_path, EPSILON[0], OMEGA[0]), stars(10, 4)
+    plain = gaia(tmp_path / "plain.ecsv", own)
+    table = Table.read(plain)
+    for name, unit, factor in (
+        *(("pmra", "arcsec/yr", 1e-3), ("pmra_error", "arcsec/yr", 1e-3)),
+        *(("ra_error", "uas", 1e3), ("dec", "rad", DEGREE)),
+    ):
+        table[name] = table[name] * factor
+        table[name].unit = unit
+    table.rename_column("pmdec", "pm_dec")
+    table.write(tmp_path / "units.ecsv")
+    moved, expected = (linksweep.apply(link, tmp_path / name) for name in ("units.ecsv", "plain.ecsv"))
+    assert str(moved["pmra"].unit) == "arcsec / yr"
+    for name, factor in (("pmra", 1e-3), ("ra_error", 1e3), ("dec", DEGREE), ("ra", 1.0)):
+        np.testing.assert_allclose(moved[name], expected[name] * factor, rtol=1e-12)
+    np.testing.assert_allclose(moved["pm_dec"], expected["pmdec"], rtol=1e-12)
+    with pytest.raises(SweepError, match="CSV cannot say"):
+        linksweep.apply(link, tmp_path / "units.ecsv", tmp_path / "units.csv")
+    assert not (tmp_path / "units.csv").exists()
+
+
+@pytest.mark.parametrize("unknowns", ["orientation", "spin"])
+def test_what_the_link_lacks_stays_and_is_said(tmp_path, unknowns):
+    link, own = linked(tmp_path, EPSILON[0], OMEGA[0], unknowns=unknowns), stars(10, 4)
+    moved = linksweep.apply(link, gaia(tmp_path / "own.ecsv", own))
+    both = {"orientation": EPSILON[0], "spin": OMEGA[0]}
+    whole = linked(tmp_path, *(vector * (name == unknowns) for name, vector in both.items()))
+    np.testing.assert_allclose(values_of(moved), values_of(linksweep.apply(whole, tmp_path / "own.ecsv")), atol=1e-20)
+    lacking = {"orientation": "spin", "spin": "orientation"}[unknowns]
+    assert f"the link has no {lacking}" in " ".join(moved.meta["comments"])
+    assert "correlated" in " ".join(moved.meta["comments"])
+
+
+def test_what_cannot_be_carried_is_refused_by_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    linked(tmp_path, EPSILON[0], OMEGA[0])
+    both = ("satellite.ecsv", "reference.ecsv")
+    ties = {
+        "plain": {},
+        "glide": {"unknowns": "orientation,spin,glide"},
+        "harmonics": {"unknowns": "orientation,spin,vsh_motion:2-2"},
+        "bins": {"bins": ("phot_g_mean_mag", [8.0])},
+        "known": {"known_spin": [0.1, 0.0, 0.0]},
+    }
+    for name, options in ties.items():
+        link = linksweep.tie(*both, **options)
+        if name == "plain":
+            assert CliRunner().invoke(main, ["tie", *both, "-o", "tie.zarr"]).exit_code == 0
+            continue
+        with pytest.raises(
+            SweepError, match={"glide": "has glide too", "harmonics": "vsh_motion too"}.get(name, "spin")
+        ):
+            linksweep.apply(link, "satellite.ecsv")
+    gaia(tmp_path / "dr4.ecsv", stars(10, 1, epoch=2017.5))
+    Table({"a": [1]}).write("other.ecsv")
+    before = sorted(path.name for path in tmp_path.iterdir())
+    for arguments, said in (
+        (("tie.zarr", "dr4.ecsv", "-o", "o.fits"), "epoch 2017.5 in row 1"),
+        (("satellite.ecsv", "satellite.ecsv", "-o", "o.fits"), "is no link of two tables"),
+        (("nowhere.zarr", "satellite.ecsv", "-o", "o.fits"), "is no link of two tables"),
+        (("tie.zarr", "nowhere.ecsv", "-o", "o.fits"), "no such file"),
+        (("tie.zarr", "satellite.ecsv", "-o", "dr4.ecsv"), "exists already"),
+        (("tie.zarr", "satellite.ecsv", "-o", "o.xyz"), ".csv, .ecsv, .fits, .parquet"),
+        (("tie.zarr", "satellite.ecsv"), "-o"),
+        (("tie.zarr", "other.ecsv", "-o", "o.fits"), "'ra'"),
+        (("tie.zarr", "icrf3", "-o", "o.fits"), ""),
+    ):
+        run = CliRunner().invoke(main, ["apply", *arguments])
+        if said:
+            assert (run.exit_code, said in " ".join(run.output.split())) == (2, True), run.output
+    (tmp_path / "o.fits").unlink(missing_ok=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    run = CliRunner().invoke(main, ["apply", "tie.zarr", "satellite.ecsv", "-o", "o.fits"])
+    assert run.exit_code == 0
+    assert "note: carried from the frame of the satellite to the reference by orientation and spin" in run.output

@@ -1,0 +1,296 @@
+"""Estimated noise against dense restricted likelihoods, closed forms and its coverage; errors of calibrators."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy import stats
+from scipy.linalg import block_diag, null_space
+from scipy.optimize import minimize
+
+import linksweep
+from linksweep import SweepError
+from linksweep.core.tie.forecast import Simulation
+from linksweep.core.tie.noise import estimated, noises
+from linksweep.core.tie.problem import Problem, source_sums
+from linksweep.core.tie.solution import solve
+from tests.core.tie.made import MAS, gaia, joined, main, noise, parse_unknowns, stars
+from tests.sweep.tie.test_against_least_squares import MEAN, drawn_tables, linked, turned
+
+WHICH = {"position": [0, 1], "parallax": [2], "motion": [3, 4]}
+
+
+def pieces_of(tables, difference, kinds):
+    """Differences, design and covariances of each source, and those of each noise of variance 1, in mas."""
+    own, rows = tables.own, tables.rows
+    for s in range(len(own)):
+        design, y, a, b, v, m, noisy = np.zeros((5, 6)), [], [], [], [], [], []
+        r = turned(*own.values[:2, s])
+        design[:2, :3], design[:2, 3:], design[3:, 3:] = r, (own.epoch[s] - 2016.0) * r, r
+        lacking = np.isnan(own.errors[:, s])
+        for k in np.flatnonzero(tables.source == s):
+            partials = np.eye(5)
+            partials[0, 3] = partials[1, 4] = rows.epoch[k] - own.epoch[s]
+            seen = np.flatnonzero(np.isfinite(rows.errors[:, k]))
+            y.append(difference[k, seen])
+            a.append((partials @ design)[seen])
+            b.append(partials[seen][:, lacking])
+            m.append(partials[seen])
+            v.append(rows.covariance()[k][np.ix_(seen, seen)] / MAS**2)
+            noisy += [(kinds[k], parameter) for parameter in seen]
+        m = np.concatenate(m)
+        parts = {}
+        for quantity, which in WHICH.items():
+            parts[f"satellite:{quantity}"] = m[:, which] @ m[:, which].T
+            for kind in np.unique(kinds):
+                at = [float(one == kind and parameter in which) for one, parameter in noisy]
+                parts[f"{kind}:{quantity}"] = np.diag(at)
+        d = block_diag(*v) + m @ own.covariance()[s] @ m.T / MAS**2
+        b = np.concatenate(b)
+        yield np.concatenate(y), np.concatenate(a), b[:, np.any(b != 0.0, axis=0)], d, parts
+
+
+@pytest.mark.parametrize(
+    ("seed", "n"), [(1, 18), *(pytest.param(seed, 30, marks=pytest.mark.slow) for seed in (2, 3, 4, 5))]
+)
+def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
+    tables = drawn_tables(tmp_path, seed, n=n, scale=2.0)
+    plain, link = linked(tables), linked(tables, jitter="estimate")
+    pieces = list(pieces_of(tables, plain.difference.values, plain.row_kind.values))
+    y, a, b, d, parts = zip(*pieces, strict=True)
+    y, a, d, labels = np.concatenate(y), np.concatenate(a), block_diag(*d), [str(name) for name in link.noise.values]
+    contrasts = null_space(np.hstack([a, block_diag(*b)]).T)
+    noisy = [contrasts.T @ block_diag(*(one[label] for one in parts)) @ contrasts for label in labels]
+    known, z = contrasts.T @ d @ contrasts, contrasts.T @ y
+
+    def deviance(variances):
+        whole = known + np.tensordot(variances, noisy, axes=1)
+        return np.linalg.slogdet(whole)[1] + z @ np.linalg.solve(whole, z)
+
+    found = link.noise_size.values**2
+    best = min(
+        minimize(deviance, start, bounds=[(0.0, None)] * len(found), options={"maxfun": 10_000}).fun
+        for start in (0.02 * np.ones(len(found)), found + 1e-3)
+    )
+    assert deviance(found) < best + 1e-4
+    # the information, 1/2 tr(P G P G), and the solution with these errors
+    weights = np.linalg.inv(known + np.tensordot(found, noisy, axes=1))
+    half = [weights @ one for one in noisy]
+    deviation = np.sqrt(np.diag(np.linalg.inv([[0.5 * np.sum(one * two.T) for one in half] for two in half])))
+    with np.errstate(divide="ignore"):
+        expected = np.minimum(deviation / (2.0 * np.sqrt(found)), np.sqrt(deviation))
+    np.testing.assert_allclose(link.noise_error, expected, rtol=1e-3)
+    whole = np.linalg.inv(
+        d + np.tensordot(found, [block_diag(*(one[name] for one in parts)) for name in labels], axes=1)
+    )
+    both = np.hstack([a, block_diag(*b)])
+    covariance = np.linalg.pinv(both.T @ whole @ both, rcond=1e-14)[:6, :6]
+    np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), covariance, rtol=1e-3, atol=1e-7)
+    assert list(link.error_kind.values[:2]) == ["estimated", "scaled"]
+    assert np.all(link.error.values >= link.errors.sel(error_kind="formal").values * 0.999)
+
+
+def alike(folder, seed, n=20, size=0.5, error=0.1):
+    """Write tables with equal errors, whose positions scatter by ``size`` beside them."""
+    rng = np.random.default_rng(seed)
+    own = stars(n, seed)
+    own = replace(own, errors=np.full((5, n), error * MAS), correlations=np.zeros((10, n)))
+    values = own.values.copy()
+    offset = rng.normal(0.0, np.hypot(size, np.sqrt(2.0) * error), (2, n)) * MAS
+    values[:2] += offset / np.array([np.cos(own.values[1]), np.ones(n)])
+    errors = np.where(np.arange(5)[:, None] < 2, own.errors, np.nan)
+    rows = replace(own, values=np.where(np.isnan(errors), np.nan, values), errors=errors)
+    return gaia(folder / "a.ecsv", own), gaia(folder / "b.ecsv", rows), own, offset / MAS
+
+
+def test_equal_errors_have_a_closed_form(tmp_path):
+    satellite, reference, own, offset = alike(tmp_path, 3)
+    link = linksweep.tie(satellite, reference, "orientation", reference_options=MEAN, jitter="estimate")
+    design = np.concatenate([turned(*place) for place in own.values[:2].T])
+    x, squares, *_ = np.linalg.lstsq(design, offset.T.ravel(), rcond=None)
+    nu = design.shape[0] - 3
+    variance = squares[0] / nu
+    size = np.sqrt(variance - 2.0 * 0.1**2)
+    assert link.noise.values.tolist() == ["position:position"]
+    assert float(link.noise_size[0]) == pytest.approx(size, rel=1e-4)
+    assert float(link.noise_error[0]) == pytest.approx(variance * np.sqrt(2.0 / nu) / (2.0 * size), rel=1e-3)
+    np.testing.assert_allclose(link.estimate, x, rtol=1e-3, atol=1e-4)
+    formal = variance * np.linalg.inv(design.T @ design)
+    np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), formal, rtol=1e-3, atol=1e-6)
+    # the weights do not depend on the noise, so that errors are those of Student's t
+    factor = stats.t.ppf(stats.norm.cdf(1.0), nu)
+    np.testing.assert_allclose(link.error, factor * np.sqrt(np.diag(formal)), rtol=1e-3)
+    assert float(link.chi2) == pytest.approx(nu, rel=1e-3)
+    assert "satellite:position" in " ".join(link.attrs["notes"])
+
+
+def test_errors_that_are_right_or_too_large_have_no_noise():
+    link = linksweep.tie("psrpi-de200", "timing-de200", "orientation", jitter="estimate")
+    plain = linksweep.tie("psrpi-de200", "timing-de200", "orientation")
+    np.testing.assert_array_equal(link.noise_size, 0.0)
+    np.testing.assert_allclose(link.estimate, plain.estimate)
+    np.testing.assert_allclose(link.error, plain.errors.sel(error_kind="formal"))
+
+
+def drawn(seed, n, rows_each, kind, part=1.0, factor=3.0):
+    """A problem without any rotation, whose ``part`` of stars has errors ``factor`` times those of the tables."""
+    rng = np.random.default_rng(seed)
+    truth = replace(stars(n, seed, pm=1e-3), radial_velocity=np.zeros(n))
+    large = np.where(rng.random(n) < part, factor, 1.0)
+    pieces = []
+    for k in range(rows_each):
+        years, row = rng.uniform(-12.0, 12.0, n), stars(n, seed + 1000 * (k + 1))
+        values = truth.values.copy()
+        values[0] += years * values[3] / np.cos(values[1])
+        values[1] += years * values[4]
+        row = replace(row, values=values + large * noise(rng, row), epoch=truth.epoch + years)
+        if kind == "position":
+            errors = np.where(np.arange(5)[:, None] < 2, row.errors, np.nan)
+            row = replace(row, errors=errors, values=np.where(np.isnan(errors), np.nan, row.values))
+        pieces.append(row)
+    own = replace(truth, values=truth.values + large * noise(rng, truth))
+    source = np.tile(np.arange(n), rows_each)
+    return Problem(own, joined(*pieces), source, parse_unknowns("orientation,spin"), float(truth.epoch[0]))
+
+
+CASES = [(30, 3, "position", 1.0), (30, 3, "position", 0.3), (50, 1, "five", 1.0), (50, 1, "five", 0.4)]
+
+
+@pytest.mark.parametrize(
+    ("seeds", "case"), [(25, CASES[0]), *(pytest.param(400, case, marks=pytest.mark.slow) for case in CASES)]
+)
+def test_the_truth_is_within_the_error_as_often_as_it_should_be(seeds, case):
+    """The stars have errors three times those of the tables; formal errors without noise contain it 0.25 of times."""
+    inside, plain = [], []
+    for seed in range(seeds):
+        problem = drawn(seed, *case)
+        wanted = noises(problem, {"all": "estimate"}, ("reference",))
+        found = estimated(problem, wanted)
+        solved = solve(source_sums(found.added_to(problem, wanted)))
+        inside.append(np.abs(solved.estimate) < np.sqrt(np.diag(found.covariance(solved))))
+        solved = solve(source_sums(problem))
+        plain.append(np.abs(solved.estimate) < np.sqrt(np.diag(solved.covariance)))
+    assert abs(np.mean(inside) - 0.683) < (0.02 if seeds > 100 else 0.1)
+    assert np.mean(plain) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("jitter", "said"),
+    [
+        ("estimate,position=0.1", "no row is of the kind position"),
+        ("five-parameter=200uas", "in mas and mas/yr"),
+        ("estimated", "KIND=MAS"),
+        ("motion=estimate", "no row is of the kind motion"),
+    ],
+)
+def test_wrong_jitter_is_refused(tmp_path, jitter, said):
+    satellite, reference = gaia(tmp_path / "a.ecsv", stars(12, 1)), gaia(tmp_path / "b.ecsv", stars(12, 1))
+    with pytest.raises(SweepError, match=said):
+        linksweep.tie(satellite, reference, jitter=jitter)
+
+
+def test_too_few_rows_and_other_places_are_refused_with_the_reason(tmp_path):
+    few = gaia(tmp_path / "few.ecsv", stars(4, 1))
+    run = CliRunner().invoke(main, ["tie", str(few), str(few), "--jitter", "estimate"])
+    assert run.exit_code == 2
+    assert "an estimate needs 5 rows of the kind five-parameter, and there are 4" in " ".join(run.output.split())
+    with pytest.raises(SweepError, match="weights by covariance"):
+        linksweep.tie("psrpi-de200", "timing-de200", "orientation", jitter="estimate", weights="equal")
+    with pytest.raises(SweepError, match="uses no measured values"):
+        linksweep.forecast("psrpi", "psrpi", "orientation,spin", add=[2030.0], jitter="estimate")
+
+
+def test_a_clip_drops_what_the_noise_does_not_explain(tmp_path):
+    satellite, reference, own, offset = alike(tmp_path, 5, n=40)
+    far = own.values.copy()
+    far[:2] += offset * MAS / np.array([np.cos(own.values[1]), np.ones(40)])
+    far[1, 7] += 40.0 * MAS
+    errors = np.where(np.arange(5)[:, None] < 2, own.errors, np.nan)
+    gaia(reference, replace(own, values=np.where(np.isnan(errors), np.nan, far), errors=errors))
+    options = {"reference_options": MEAN, "jitter": "estimate", "accept_misfit": True}
+    link = linksweep.tie(satellite, reference, "orientation", clip="discrepancy", **options)
+    assert np.flatnonzero(link.weight_factor.values == 0.0).tolist() == [7]
+    assert float(link.noise_size[0]) == pytest.approx(0.5, rel=0.2)
+    link = linksweep.tie(satellite, reference, "orientation", **options)
+    assert any("times its expectation" in note for note in link.attrs["notes"])  # before the noise explained it
+
+
+# ---- calibrators
+
+
+def with_calibrators(folder, seed, n=14):
+    """Write single-epoch rows of which some share a calibrator; return what dense least squares need."""
+    rng = np.random.default_rng(seed)
+    own = replace(stars(n, seed, pm=5.0), radial_velocity=np.zeros(n))
+    source = np.repeat(np.arange(n), 4)
+    rows = replace(own.taken(source), epoch=2016.0 + rng.uniform(-10.0, 10.0, 4 * n))
+    names = rng.choice(["", "J1", "J2"], 4 * n)
+    shared = np.where(names == "", 0.0, rng.uniform(0.1, 1.0, 4 * n))
+    values = rows.values.copy()
+    years = rows.epoch - own.epoch[source]
+    values[0] += (years * values[3] + rng.normal(0.0, 0.3 * MAS, 4 * n)) / np.cos(values[1])
+    values[1] += years * values[4] + rng.normal(0.0, 0.3 * MAS, 4 * n)
+    errors = np.where(np.arange(5)[:, None] < 2, rows.errors, np.nan)
+    rows = replace(rows, values=np.where(np.isnan(errors), np.nan, values), errors=errors)
+    columns = {"source_id": source + 10**17, "calibrator": names, "calibrator_error": shared}
+    satellite, reference = gaia(folder / "own.ecsv", own), gaia(folder / "rows.ecsv", rows, **columns)
+    return SimpleNamespace(
+        satellite=satellite, reference=reference, own=own, rows=rows, source=source, names=names, shared=shared
+    )
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_rows_that_share_a_calibrator_share_its_error(tmp_path, seed):
+    tables = with_calibrators(tmp_path, seed)
+    link = linked(tables)
+    normal, right = np.zeros((6, 6)), np.zeros(6)
+    kinds = np.full(len(tables.source), "position")
+    for s, (y, a, _, d, _) in enumerate(pieces_of(tables, link.difference.values, kinds)):
+        at = np.flatnonzero(tables.source == s)
+        same = (tables.names[at][:, None] == tables.names[at]) * tables.shared[at][:, None] * tables.shared[at]
+        weights = np.linalg.inv(d + np.kron(same, np.eye(2)))
+        normal, right = normal + a.T @ weights @ a, right + a.T @ weights @ y
+    np.testing.assert_allclose(link.estimate, np.linalg.solve(normal, right), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), np.linalg.inv(normal), rtol=1e-4, atol=1e-7)
+    assert linked(tables, jitter="estimate").noise.size
+
+
+def test_draws_have_the_errors_that_calibrators_share(tmp_path):
+    tables = with_calibrators(tmp_path, 3)
+    from linksweep.sweep.tie.setup import Options, set_up
+
+    problem = set_up(tables.satellite, tables.reference, Options("orientation,spin", reference_options=MEAN)).problem
+    expected = solve(source_sums(problem)).covariance
+    draws = Simulation(problem, np.zeros(6)).draws(600, np.random.default_rng(1))
+    found = np.array([solve(one.sums).estimate for one in draws])
+    np.testing.assert_allclose(np.diag(np.cov(found.T)), np.diag(expected), rtol=0.25)
+
+
+@pytest.mark.parametrize(
+    ("column", "said"),
+    [
+        (None, "'calibrator' has no errors; give"),
+        (np.r_[np.nan, np.ones(11)], "a calibrator without an error that is 0 or more in row 1"),
+        (-np.ones(12), "a calibrator without an error that is 0 or more"),
+        ("deg / yr", "not convertible to mas"),
+    ],
+)
+def test_calibrators_without_good_errors_are_refused(tmp_path, column, said):
+    from astropy.table import Column
+
+    one = gaia(tmp_path / "a.ecsv", stars(12, 1))
+    errors = Column(np.ones(12), unit=column) if isinstance(column, str) else column
+    columns = {"calibrator": ["J1"] * 12} | ({} if column is None else {"calibrator_error": errors})
+    other = gaia(tmp_path / "b.ecsv", stars(12, 1), **columns)
+    with pytest.raises(SweepError, match=said):
+        linksweep.tie(one, other)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "uas"), (1e-3, "arcsec")])
+def test_errors_of_calibrators_in_another_unit_are_noted(tmp_path, factor, unit):
+    one = gaia(tmp_path / "a.ecsv", stars(12, 1))
+    other = gaia(tmp_path / "b.ecsv", stars(12, 1), calibrator=["J1"] * 12, calibrator_error=np.full(12, 0.3 * factor))
+    notes = linksweep.tie(one, other).attrs["notes"]
+    assert any(f"is it in {unit}?" in note for note in notes)
