@@ -13,7 +13,7 @@ from linksweep.core.tie.astrometry import PAIRS, Astrometry, named_rows
 from linksweep.core.unknowns import PARAMETERS, Objects, link_unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.result import require_free, stored_table
-from linksweep.sweep.tables.columns import ALONG_RA, CORRELATIONS, Columns, unit_of
+from linksweep.sweep.tables.columns import ALONG_RA, CORRELATIONS, Columns, first_found, unit_of
 from linksweep.sweep.tables.reader import read_table as read_file
 from linksweep.sweep.tie.setup import SIGNS
 from linksweep.sweep.tie.tables import TableOptions, astrometric_table, built_in
@@ -78,7 +78,7 @@ def apply(
     raw = read_file(path)
     stars = astrometric_table(raw, str(path), "", TableOptions(epoch=epoch)).astrometry
     notes = _notes(link, stars, inverse, str(path))
-    if not any(name in raw.colnames or short in raw.colnames for name, short in CORRELATIONS.items()):
+    if not any(first_found(names, raw.colnames) for names in CORRELATIONS.items()):
         if stars.correlations is not None:
             raise SweepError("has no columns like ra_dec_corr for its correlations: write them first", str(path))
         notes.append("the table has no columns of correlations: those that the link adds are lost")
@@ -145,10 +145,10 @@ def _moved(stars: Astrometry, link: "xr.Dataset", inverse: bool) -> dict[str, Ar
     whole[:, [0, 1], [0, 1]] -= stars.shared[:, None] ** 2  # the part of a calibrator has a column of its own
     errors = np.where(stars.present, np.sqrt(np.einsum("nii->in", whole)), np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
-        correlations = np.array([whole[:, i, j] / (errors[i] * errors[j]) for i, j in PAIRS])
+        of_pairs = {(i, j): whole[:, i, j] / (errors[i] * errors[j]) for i, j in PAIRS}
     new = {name: values[i] for i, name in enumerate(PARAMETERS) if name != "parallax"}
     new |= {f"{name}_error": errors[i] for i, name in enumerate(PARAMETERS) if name != "parallax"}
-    return new | dict(zip(CORRELATIONS, correlations, strict=True))
+    return new | {f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr": values for (i, j), values in of_pairs.items()}
 
 
 def _put(read: Columns, new: dict[str, Array], is_csv: bool) -> None:
