@@ -134,14 +134,14 @@ def estimated(problem: Problem, wanted: Mapping[str, Flags]) -> Noise:
         terms = _terms(sources, scaled * scale)
         return terms.value, terms.gradient * scale
 
-    found: Any = minimize(
+    best: Any = minimize(
         likelihood,
         np.ones(len(kept)),
         jac=True,
         bounds=Bounds(np.zeros(len(kept)), np.inf),
         options={"ftol": 1e-14, "gtol": 1e-7},
     )
-    variance = found.x * scale
+    variance = best.x * scale
     terms = _terms(sources, variance)
     scatter = np.sqrt(np.diag(inverted(terms.information)))
     with np.errstate(divide="ignore"):  # where the noise may well be zero, that which is as likely as one sigma
@@ -214,9 +214,9 @@ def _terms(sources: _Padded, variance: Array) -> _Terms:
 def _distinct(information: Array) -> list[int]:
     """Return the noises on which there is information that is not on those before them."""
     kept: list[int] = []
-    for k, own in enumerate(np.diag(information)):
+    for k, size in enumerate(np.diag(information)):
         across = information[kept, k]
-        if own > 0.0 and own - across @ np.linalg.solve(information[np.ix_(kept, kept)], across) > DISTINCT * own:
+        if size > 0.0 and size - across @ np.linalg.solve(information[np.ix_(kept, kept)], across) > DISTINCT * size:
             kept.append(k)
     return kept
 

@@ -22,7 +22,7 @@ HUGE = 1e300
 # The largest value in an array of integers.
 LARGEST_INT = 2**63 - 1
 
-Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file"]
+Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file", "files"]
 
 # Names that the platform uses in every dataset or store.
 RESERVED = ("status", "n_sim_done", "sample", "code", "blocks", "failures", "realisations")
@@ -38,6 +38,7 @@ WORDS: Mapping[Kind, str] = {
     "vector": "a list of three finite numbers",
     "map": 'a table of strings, { quantity = "column" }',
     "file": "the path of a table",
+    "files": 'a table of paths, { name = "table.fits" }',
 }
 
 
@@ -104,7 +105,7 @@ class Parameter:
         name: the name in studies and datasets.
         kind: "float", "int", "str", "bool"; "any" is a number, text or truth value as the study writes it; "vector" has
             three components, "map" is a table of strings, and for a "file" the experiment gets an object that gives the
-            columns of the table in it.
+            columns of the table in it; "files" are several of these by name.
         default: its value where a study says nothing.  None means that the experiment decides, and the meaning says
             how.
         meaning: one line for tables and figures.
@@ -136,12 +137,12 @@ class Parameter:
     @property
     def may_be_axis(self) -> bool:
         """Whether its values can be those of an axis."""
-        return self.kind not in ("vector", "map", "file")
+        return self.kind not in ("vector", "map", "file", "files")
 
     def written_default(self) -> Any:
         """Return the default as a study writes it."""
         if isinstance(self.default, tuple):
-            return dict(self.default) if self.kind == "map" else list(self.default)
+            return dict(self.default) if self.kind in ("map", "files") else list(self.default)
         return self.default.item() if isinstance(self.default, np.generic) else self.default
 
     def parse(self, raw: object) -> Value:
@@ -159,7 +160,7 @@ class Parameter:
         allowed = {"any": str | bool, "bool": bool, "file": str}
         if kind in allowed and isinstance(raw, allowed[kind]):
             return raw
-        if kind == "map" and isinstance(raw, dict) and all(isinstance(text, str) for text in raw.values()):
+        if kind in ("map", "files") and isinstance(raw, dict) and all(isinstance(text, str) for text in raw.values()):
             return tuple(sorted(raw.items()))
         if kind == "vector" and isinstance(raw, list | tuple) and len(raw) == 3:
             return tuple(self._number(x) for x in raw)

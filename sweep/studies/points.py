@@ -56,10 +56,13 @@ class Values:
         with self.problems.at(place, which):
             parameter = self._parameter(name)
             value = parameter.parse(raw)
-            if parameter.kind != "file":
+            if parameter.kind not in ("file", "files"):
                 return value
+            folder = Path.cwd() if place[:2] in self.problems.options else self.folder
             try:
-                return table_file((Path.cwd() if place[:2] in self.problems.options else self.folder) / value)
+                if parameter.kind == "files":
+                    return tuple((key, table_file(folder / path)) for key, path in value)
+                return table_file(folder / value)
             except SweepError as error:  # which does not name the file in its problems
                 raise ValueError(f"{shown(raw)}: {error}") from error
         return None

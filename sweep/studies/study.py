@@ -833,6 +833,7 @@ def _value(parameter: Parameter) -> Schema:
         "vector": _array(number, 3, maxItems=3),
         "map": {"type": "object", "additionalProperties": {"type": "string"}},
         "file": {"type": "string"},
+        "files": {"type": "object", "additionalProperties": {"type": "string"}},
         "any": {"type": ["number", "string", "boolean"]},
     }
     default = {} if parameter.default is None else {"default": parameter.written_default()}

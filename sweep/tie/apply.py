@@ -98,8 +98,8 @@ def apply(
 def _notes(link: "xr.Dataset", stars: Astrometry, inverse: bool, path: str) -> list[str]:
     """Return what is to be said of a link and a table; raises SweepError where one cannot be applied to the other."""
     blocks = dict.fromkeys(map(str, link["block"].values.tolist()))
-    own = [name for name in blocks if name.partition(":")[0] not in link.attrs["missions"]]
-    if further := [name for name in own if name not in ROTATION.names]:
+    applied = [name for name in blocks if name.partition(":")[0] not in link.attrs["missions"]]
+    if further := [name for name in applied if name not in ROTATION.names]:
         raise SweepError(
             f"the link has {', '.join(further)} too, and only orientation and spin are applied: solve again"
         )
@@ -114,8 +114,10 @@ def _notes(link: "xr.Dataset", stars: Astrometry, inverse: bool, path: str) -> l
     if len(without := np.flatnonzero(~np.isfinite(stars.values[:2]).all(axis=0))):
         raise SweepError(f"no position in {named_rows(without)}", path)
     frames = "reference to the satellite" if inverse else "satellite to the reference"
-    notes = [f"carried from the frame of the {frames} by {' and '.join(own)}, with the covariance of the link added"]
-    notes += [f"the link has no {name}, which is not changed" for name in ROTATION.names if name not in own]
+    notes = [
+        f"carried from the frame of the {frames} by {' and '.join(applied)}, with the covariance of the link added"
+    ]
+    notes += [f"the link has no {name}, which is not changed" for name in ROTATION.names if name not in applied]
     return [*notes, "rows are correlated with each other by the link, whose covariance they share"]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from linksweep.core.frames import MAS, Array
 from linksweep.core.tie import forecast
-from linksweep.core.tie.noise import ALL
+from linksweep.core.tie.noise import ALL, noises
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import Clip, KeptSources, Solution, clipped, parse_clip, solve
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
@@ -17,7 +17,7 @@ from linksweep.sweep.contract import Experiment, Output, Parameter, Point, Sweep
 from linksweep.sweep.tie import setup
 from linksweep.sweep.tie.link import FIELD_OF, Link, solve_link, spectrum
 from linksweep.sweep.tie.setup import DECLARED, Setup, number, one_of, year
-from linksweep.sweep.tie.tables import Positions, TableOptions
+from linksweep.sweep.tie.tables import Accelerated, Positions, TableOptions
 
 # ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin
 
@@ -41,6 +41,12 @@ POWER_SHAPE, BIN_SHAPE = (len(FIELDS), HIGHEST_STORED), (MOST_BINS, 3)
 _JITTER = "added in quadrature to the reference's"
 _BY = "how rows are matched: name, COLUMN, position[:ARCSEC]; default name if possible"
 _NO_COLUMN = "of a table without a column of epochs"
+# The tables of a point; keys of missions are NAME:QUANTITY.
+TABLES = ("satellite", "reference", "mission")
+OF_TABLES = {
+    "extragalactic": "the table with mean positions of quasars, which hold at any epoch",
+    "without_cos_dec": "the table whose pmra is mu_alpha, without cos(dec)",
+}
 PARAMETERS = (
     Parameter("satellite", "file", None, "table of the satellite; required"),
     Parameter("reference", "file", None, "table of the reference; without one the rows are those of n_new"),
@@ -67,25 +73,25 @@ PARAMETERS = (
     one_of("candidates", "matched", "for new positions: sources with rows, or all of the satellite's", "all"),
     number("position_jitter", 0.0, f"{_JITTER} positions", "mas"),
     number("motion_jitter", 0.0, f"{_JITTER} motions", "mas/yr"),
+    Parameter("jitter", "str", "", "by kind of row, like position=0.2,five-parameter=0.2:0.05; or estimate"),
+    Parameter("known_spin_table", "file", None, "a spin by magnitude that is subtracted, instead of known_spin"),
     Parameter("known_spin", "vector", None, "subtracted before the fit, reference - satellite; default none", "mas/yr"),
     DECLARED["aberration"],
     Parameter("by", "str", "", _BY),
     Parameter("where", "str", "", "a condition that the satellite's rows must meet, like ruwe < 1.4; default none"),
-    Parameter("satellite_columns", "map", (), "the satellite's names of columns"),
-    Parameter("reference_columns", "map", (), "the reference's names of columns"),
-    year("satellite_epoch", _NO_COLUMN),
-    year("reference_epoch", _NO_COLUMN),
+    Parameter("reference_where", "str", "", "a condition that the reference's rows must meet; default none"),
+    *(Parameter(f"{side}_columns", "map", (), f"names of columns, of {side}") for side in TABLES),
+    *(Parameter(f"{side}_units", "map", (), f"units of columns that have none, of {side}") for side in TABLES),
+    *(year(f"{side}_epoch", _NO_COLUMN) for side in TABLES[:2]),
+    Parameter("missions", "files", (), "further tables of the same sources by name, each in a frame of its own"),
+    Parameter("mission_epochs", "map", (), "epochs of missions without a column of epochs"),
+    one_of("accelerations", TABLE, "positions and motions of rows with accelerations", *get_args(Accelerated)),
+    *(one_of(name, "none", meaning, "satellite", "reference", "both") for name, meaning in OF_TABLES.items()),
     one_of(
         "positions",
         TABLE,
         "the reference's: of a single epoch or mean; default what the table says",
         *get_args(Positions),
-    ),
-    one_of(
-        "extragalactic",
-        "none",
-        "the table with mean positions of quasars, which hold at any epoch",
-        *("satellite", "reference", "both"),
     ),
     Parameter("accept_misfit", "bool", False, "computes points whose tables have chi2 above 1000 times its average"),
     DECLARED["zero_errors"],
@@ -211,12 +217,12 @@ def by_bins(unknowns: Unknowns, values: Array) -> Array:
 
 # ---- what a point stands for: tables as they are, their solution, and the tables to simulate
 
-# The parameters that decide which rows belong to which sources.
-DECIDING = (
-    *("satellite", "reference", "zero_motion", "unknowns", "degree", "bins", "by", "epoch", "weights", "known_spin"),
-    *("aberration", "positions", "zero_errors", "extragalactic", "satellite_columns", "reference_columns"),
-    *("satellite_epoch", "reference_epoch", "position_jitter", "motion_jitter", "candidates", "where"),
+# Parameters that do not decide which rows belong to which sources.
+LATER = (
+    *("clip", "correlations", "g_min", "g_max", "magnitude", "release", "from_release", "n_new", "new_epoch", "goal"),
+    *("new_error", "new_positions", "accept_misfit", "truth", "error_factor", "outliers", "outlier_factor"),
 )
+DECIDING = tuple(parameter.name for parameter in PARAMETERS if parameter.name not in LATER)
 
 
 @dataclass(frozen=True)
@@ -257,6 +263,8 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     matched = np.unique(problem.source)
     solved = solve_link(whole.only(matched), str(clip), ("scaled", "formal", "jackknife")) if len(matched) else None
     notes = [] if solved is None else [*solved.notes]
+    if solved is not None and solved.noise is not None:
+        problem = solved.noise.added_to(problem, noises(problem, whole.jitter, ("reference", *whole.missions)))
     if (release := point["release"]) != TABLE:
         named = None if point["from_release"] == TABLE else point["from_release"]
         old = forecast.release_of(problem.satellite.epoch, release, named)
@@ -278,25 +286,45 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
         raise SweepError("satellite is required: the table of the satellite")
     if reference is not None and zero_motion:
         raise SweepError("zero_motion = true is for quasars without a table, and there is a reference")
-    jitter = point["position_jitter"], point["motion_jitter"]
-    satellite_options, reference_options = (
-        TableOptions(
-            columns=dict(point[f"{side}_columns"]),
-            epoch=point[f"{side}_epoch"],
-            zero_errors=point["zero_errors"],
-            extragalactic=point["extragalactic"] in (side, "both"),
-            positions=None if side == "satellite" or point["positions"] == "table" else point["positions"],
+    sizes = point["position_jitter"], point["motion_jitter"]
+    if point["jitter"] and any(sizes):
+        raise SweepError("jitter is there, and position_jitter or motion_jitter: all=MAS:MAS_YR in jitter is the same")
+    missions, epochs = dict(point["missions"]), dict(point["mission_epochs"])
+    tables = {}
+    for name in ("satellite", "reference", *missions):
+        side, prefix = ("mission", f"{name}:") if name in missions else (name, "")
+        columns, units = (
+            {key.removeprefix(prefix): text for key, text in point[f"{side}_{what}"] if key.startswith(prefix)}
+            for what in ("columns", "units")
         )
-        for side in ("satellite", "reference")
-    )
+        try:
+            epoch = float(epochs.pop(name)) if name in epochs else point.get(f"{name}_epoch")
+        except ValueError as error:
+            raise SweepError(f"mission_epochs: {error}") from error
+        tables[name] = TableOptions(
+            columns=columns,
+            units=units,
+            epoch=epoch,
+            zero_errors=point["zero_errors"],
+            accelerations=None if point["accelerations"] == TABLE else point["accelerations"],
+            extragalactic=point["extragalactic"] in (name, "both"),
+            pmra_cos_dec=False if point["without_cos_dec"] in (name, "both") else None,
+            where=point["reference_where"] or None if name == "reference" else None,
+            positions=None if name != "reference" or point["positions"] == TABLE else point["positions"],
+        )
+    if epochs:
+        raise SweepError(f"mission_epochs: no mission {', '.join(epochs)}")
     options = setup.Options(
-        **{name: point[name] for name in ("unknowns", "degree", "epoch", "weights", "known_spin", "aberration")},
+        **{name: point[name] for name in ("unknowns", "degree", "epoch", "weights", "aberration")},
         bins=setup.parse_bins(point["bins"]) if point["bins"] else None,
         by=point["by"] or None,
         where=point["where"] or None,
-        jitter={ALL: jitter} if any(jitter) else {},
-        satellite_options=satellite_options,
-        reference_options=reference_options,
+        known_spin=point["known_spin"] if point["known_spin_table"] is None else point["known_spin_table"].path,
+        jitter=point["jitter"] or ({ALL: sizes} if any(sizes) else {}),
+        satellite_options=tables.pop("satellite"),
+        reference_options=tables.pop("reference"),
+        missions={name: table.path for name, table in missions.items()},
+        mission_options=tables,
     )
     everything = reference is None or point["candidates"] == "all"
     whole = setup.set_up(
@@ -493,9 +521,18 @@ def warn(point: Point) -> list[str]:
 def unused(point: Point) -> dict[str, str]:
     """Return the parameters that change nothing at a point, each with a clause that says why."""
     reference, limits = point["reference"] is not None, point["g_min"] is not None or point["g_max"] is not None
-    rows = ("truth", "position_jitter", "motion_jitter", "known_spin", "accept_misfit")
+    rows = ("truth", "position_jitter", "motion_jitter", "jitter", "known_spin", "accept_misfit")
+    rows = (*rows, "known_spin_table")
     new = ("new_epoch", "new_error", "new_positions", "goal", "candidates")
-    columns = ("reference_columns", "reference_epoch", "positions", "by", "aberration")
+    columns = (
+        "reference_columns",
+        "reference_units",
+        "reference_where",
+        "reference_epoch",
+        "positions",
+        "by",
+        "aberration",
+    )
     needs = (
         (reference, "there is no reference", columns),
         (reference or point["zero_motion"], "there are no rows of a reference", rows),

@@ -95,7 +95,7 @@ def solve_link(
         raise SweepError(f"errors {', '.join(errors)!r}: must be among {', '.join(ERRORS)}")
     if resamples < 2:
         raise SweepError(f"{resamples} resamples: must be at least 2")
-    unknowns, effect, found = setup.problem.unknowns, None, None
+    unknowns, effect, noise = setup.problem.unknowns, None, None
     try:
         with threadpool_limits(1):  # bitwise the same on any number of cores; products of blocks are small
             how = solution.parse_clip(clip)
@@ -104,10 +104,10 @@ def solve_link(
             result = solution.clipped(how, sources)
             doubt, further = _misfit(setup, sources, result), list[str]()
             if ESTIMATE in setup.jitter.values():
-                setup, sources, result, found, further = _with_noise(setup, how)
+                setup, sources, result, noise, further = _with_noise(setup, how)
             covariances, notes = _covariances(sources, result, errors, resamples, seed)
-            if found is not None:
-                covariances = {"estimated": found.covariance(result.solution)} | covariances
+            if noise is not None:
+                covariances = {"estimated": noise.covariance(result.solution)} | covariances
             squares = sources.discrepancies(result.solution.estimate) if per_source else None
             if isinstance(sources, solution.KeptSources):
                 effect = solution.influence(sources.sums, result.solution, unknowns, result.factors)
@@ -124,7 +124,7 @@ def solve_link(
             listed = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
             notes.append(f"more than {100 * solution.LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
     notes = [*([doubt.text] if doubt.text else []), *setup.notes, *further, *result.notes, *notes]
-    return Link(setup, str(how), result, covariances, effect, squares, sources.count, doubt, tuple(notes), found)
+    return Link(setup, str(how), result, covariances, effect, squares, sources.count, doubt, tuple(notes), noise)
 
 
 def _with_noise(setup: Setup, how: solution.Clip) -> tuple[Setup, solution.Sources, solution.Clipped, Noise, list[str]]:
@@ -138,8 +138,8 @@ def _with_noise(setup: Setup, how: solution.Clip) -> tuple[Setup, solution.Sourc
     kept, notes = np.ones(len(problem.satellite), dtype=bool), []
     for _ in range(ROUNDS):
         part = problem.only(np.flatnonzero(kept))
-        found = estimated(part, noises(part, setup.jitter, tables))
-        noisy = found.added_to(problem, noises(problem, setup.jitter, tables))
+        noise = estimated(part, noises(part, setup.jitter, tables))
+        noisy = noise.added_to(problem, noises(problem, setup.jitter, tables))
         sources = solution.sources_of(noisy)
         result = solution.clipped(how, sources)
         if np.array_equal(kept, result.factors > 0.0):
@@ -147,11 +147,11 @@ def _with_noise(setup: Setup, how: solution.Clip) -> tuple[Setup, solution.Sourc
         kept = result.factors > 0.0
     else:
         notes.append(f"the clip with the estimated noise still changed after {ROUNDS} rounds")
-    if found.left_out:
+    if noise.left_out:
         notes.append(
-            f"noise of {', '.join(found.left_out)} cannot be told from that of the rest, and is included there"
+            f"noise of {', '.join(noise.left_out)} cannot be told from that of the rest, and is included there"
         )
-    return replace(setup, problem=noisy), sources, result, found, notes
+    return replace(setup, problem=noisy), sources, result, noise, notes
 
 
 def _misfit(setup: Setup, sources: solution.Sources, result: solution.Clipped) -> mistakes.Misfit:
@@ -401,12 +401,12 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         variables |= _of_sources(link, sign)
         if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
             variables |= _of_rows(link, sign)
-    if (found := link.noise) is not None:
+    if (noise := link.noise) is not None:
         variables |= {
-            "noise": ("noise", list(found.size)),
-            "noise_unit": ("noise", ["mas/yr" if label.endswith("motion") else "mas" for label in found.size]),
-            "noise_size": ("noise", list(found.size.values()), {"long_name": "added in quadrature to the errors"}),
-            "noise_error": ("noise", list(found.error.values())),
+            "noise": ("noise", list(noise.size)),
+            "noise_unit": ("noise", ["mas/yr" if label.endswith("motion") else "mas" for label in noise.size]),
+            "noise_size": ("noise", list(noise.size.values()), {"long_name": "added in quadrature to the errors"}),
+            "noise_error": ("noise", list(noise.error.values())),
         }
     variables |= _of_steps(link, sign) | _of_harmonics(link, covariance[0]) | _of_bins(link, errors[0], sign)
     attributes = {

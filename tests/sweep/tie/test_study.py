@@ -1,19 +1,24 @@
 """Links of tables as studies: the draws against closed forms, the built-in studies against what was published."""
 
+import inspect
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import xarray as xr
+from astropy.table import Table
 from scipy import stats
 
 import linksweep
 from linksweep import SweepError, load_study
+from linksweep.sweep.cli.group import main
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie, unused
-from tests.core.tie.made import MAS, Objects, gaia, parse_unknowns, spin_block, stars
+from linksweep.sweep.tie.setup import Options
+from linksweep.sweep.tie.tables import TableOptions
+from tests.core.tie.made import MAS, Objects, gaia, gaia_table, noise, parse_unknowns, spin_block, stars
 
 X, Y, Z = range(3)
 
@@ -239,3 +244,127 @@ def test_a_study_runs_into_a_store_and_refuses_what_is_set_in_vain(tmp_path):
     assert dataset["sigma_predicted"].sel(n_new=62, component="epsilon_z") == pytest.approx(0.243, abs=5e-4)
     with pytest.raises(SweepError, match="outlier_factor"):
         run_study(load_study("pulsar-forecast", settings=["outlier_factor=3"]), tmp_path / "t.zarr")
+
+
+# Options of the command that say where it runs and what it prints; a study gives these errors, reference - satellite.
+ABOUT_OUTPUT = {
+    *("workers", "pool", "scheduler", "tls_ca", "tls_cert", "tls_key", "cluster", "time_limit", "memory_limit"),
+    *("dashboard", "errors", "resamples", "seed", "sign", "no_sources", "output", "figures", "as_json"),
+}
+TABLES = ("satellite", "reference", "mission")
+PLACES = {
+    "column": {f"{table}_columns" for table in TABLES},
+    "unit": {f"{table}_units" for table in TABLES},
+    "mission_epoch": {"mission_epochs"},
+    "known_spin": {"known_spin", "known_spin_table"},
+    "where": {"where", "reference_where"},
+}
+
+
+def test_every_option_of_the_command_has_its_place_in_a_study_and_in_python():
+    options = {parameter.name for parameter in main.commands["tie"].params} - ABOUT_OUTPUT
+    study = {parameter.name for parameter in tie.parameters}
+    assert not {name for name in options if not PLACES.get(name, {name}) <= study}
+    python = {field.name for kind in (Options, TableOptions) for field in fields(kind)}
+    python |= set(inspect.signature(linksweep.tie).parameters)
+    by_table = {"column": "columns", "unit": "units", "without_cos_dec": "pmra_cos_dec"}
+    by_table |= {f"{table}_epoch": "epoch" for table in TABLES}
+    assert not {name for name in options if by_table.get(name, name) not in python}
+
+
+def written(folder, **changes):
+    """A study of tables in this folder, and what it finds."""
+    study = {
+        "title": "t",
+        "experiment": "linksweep.sweep.tie.experiment:tie",
+        "fixed": {"unknowns": "orientation,spin", "accept_misfit": True} | changes,
+        "sampling": {"n_sim": 2},
+    }
+    return linksweep.run(study, folder / "s.zarr", pool="serial", fresh=True)
+
+
+CASES = {
+    "jitter": ({"jitter": "estimate"}, {"jitter": "estimate"}),
+    "jitter of a kind": ({"jitter": "five-parameter=0.3:0.1"}, {"jitter": {"five-parameter": (0.3, 0.1)}}),
+    "without_cos_dec": ({"without_cos_dec": "reference"}, {"reference_options": TableOptions(pmra_cos_dec=False)}),
+    "units": (
+        {"reference_units": {"pmra": "arcsec/yr"}},
+        {"reference_options": TableOptions(units={"pmra": "arcsec/yr"})},
+    ),
+    "where": ({"where": "phot_g_mean_mag < 10"}, {"where": "phot_g_mean_mag < 10"}),
+    "reference_where": (
+        {"reference_where": "phot_g_mean_mag < 10"},
+        {"reference_options": TableOptions(where="phot_g_mean_mag < 10")},
+    ),
+    "missions": (
+        {
+            "missions": {"hip": "hip.ecsv"},
+            "mission_epochs": {"hip": "1991.25"},
+            "mission_columns": {"hip:parallax": "plx"},
+        },
+        {
+            "missions": {"hip": "hip.ecsv"},
+            "mission_options": {"hip": TableOptions(epoch=1991.25, columns={"parallax": "plx"})},
+        },
+    ),
+    "known_spin_table": ({"known_spin_table": "spin.ecsv"}, {"known_spin": "spin.ecsv"}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_study_has_what_the_command_has_with_each_option(tmp_path, monkeypatch, case):
+    monkeypatch.chdir(tmp_path)
+    gaia("satellite.ecsv", stars(20, 3))
+    reference = stars(20, 4)
+    gaia(
+        "reference.ecsv",
+        replace(reference, values=stars(20, 3).values + 3.0 * noise(np.random.default_rng(1), reference)),
+    )
+    hip = gaia_table(replace(stars(20, 3), epoch=np.full(20, 1991.25)))
+    hip.remove_column("ref_epoch")
+    hip.rename_column("parallax", "plx")
+    hip.write("hip.ecsv")
+    spins = {"mag_min": [0.0, 8.0], "mag_max": [8.0, 20.0]} | {f"omega_{axis}": [0.1, 0.2] for axis in "xyz"}
+    Table(spins).write("spin.ecsv")
+    in_study, in_python = CASES[case]
+    results = written(tmp_path, satellite="satellite.ecsv", reference="reference.ecsv", **in_study)
+    unknowns = "orientation,spin" + (",hip:orientation,hip:spin" if case == "missions" else "")
+    link = linksweep.tie("satellite.ecsv", "reference.ecsv", unknowns, accept_misfit=True, **in_python)
+    np.testing.assert_allclose(results.estimate.values[:6], link.estimate.values[:6], rtol=1e-9)
+    formal = link.errors.sel(error_kind="formal").values[:6]
+    np.testing.assert_allclose(results.error_formal.values[:6], formal, rtol=1e-9)
+    np.testing.assert_allclose(results.sigma_predicted.values[:6], formal, rtol=1e-9)
+    plain = linksweep.tie("satellite.ecsv", "reference.ecsv", "orientation,spin", accept_misfit=True)
+    assert not np.allclose(plain.estimate, link.estimate[:6], rtol=1e-6)
+
+
+ICRF = """\
+ICRF J000211.9-215309  2359-221     00 02 11.98262436  -21 53 09.8359742  0.00115400 0.0386714   0.971  54818.7 548
+ICRF J001031.0+105829  0007+106  D  00 10 31.00590186   10 58 29.5043827  0.00000491 0.0000930  -0.187  53063.9 472
+ICRF J121031.0-401000  x            12 10 31.00590186  -40 10 00.0000000  0.00000491 0.0000930  -0.187  53063.9 472
+"""
+
+
+def test_a_study_reads_the_text_of_the_icrf(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "icrf.txt").write_text(ICRF)
+    results = written(tmp_path, satellite="icrf.txt", reference="icrf.txt", unknowns="orientation")
+    link = linksweep.tie("icrf.txt", "icrf.txt", "orientation", accept_misfit=True)
+    np.testing.assert_allclose(results.error_formal.values[:3], link.errors.sel(error_kind="formal"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"jitter": "estimate", "position_jitter": 0.1}, "jitter is there, and position_jitter"),
+        ({"jitter": "position"}, "KIND=MAS"),
+        ({"missions": {"hip": "nowhere.ecsv"}}, "no such file"),
+        ({"mission_epochs": {"hip": "1991.25"}}, "no mission hip"),
+        ({"missions": ["psrpi"]}, "a table of paths"),
+    ],
+)
+def test_wrong_options_of_studies_are_refused(tmp_path, monkeypatch, changes, said):
+    monkeypatch.chdir(tmp_path)
+    table = gaia("satellite.ecsv", stars(20, 3))
+    with pytest.raises(SweepError, match=said):
+        written(tmp_path, satellite=str(table), reference=str(table), **changes)
