@@ -119,15 +119,6 @@ def test_a_claim_of_a_law_for_each_model():
     assert (found[0].quantity, found[0].unit) == ("slope of width over n", "")
 
 
-def test_a_slope_over_points_that_are_not_all_done_is_incomplete():
-    status = np.full((2, len(N)), DONE, np.int8)
-    status[1, 3:] = MISSING, FAILED
-    value = np.where(status == DONE, N**-0.5, np.nan)
-    found = compare(grid(value, claims=[claim(published="-0.5", slope=LAW)], status=status))
-    assert [c.verdict for c in found] == ["reproduced", "incomplete"]
-    assert found[1].reason == "failed: 2 of 5 points"
-
-
 def ratio(top, bottom):
     return {"variable": "width", "of": top, "to": bottom}
 
