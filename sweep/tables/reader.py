@@ -34,6 +34,17 @@ _ICRF = re.compile(
 )
 
 
+# A row of Hipparcos-2, hip2.dat of CDS I/311, and the bytes, from 1, and units of its columns.
+_HIP2 = re.compile(r"(?=.{270})[ \d]{5}\d +\d+ \d \d +\d\.\d{10} [ -]\d\.\d{10} ")
+_HIP2_BYTES = {
+    **{"HIP": (1, 6, None), "Sn": (8, 10, None), "So": (12, 12, None), "Nc": (14, 14, None)},
+    **{"RArad": (16, 28, "rad"), "DErad": (30, 42, "rad"), "Plx": (44, 50, "mas"), "pmRA": (52, 59, "mas/yr")},
+    **{"pmDE": (61, 68, "mas/yr"), "e_RArad": (70, 75, "mas"), "e_DErad": (77, 82, "mas"), "e_Plx": (84, 89, "mas")},
+    **{"e_pmRA": (91, 96, "mas/yr"), "e_pmDE": (98, 103, "mas/yr"), "Ntr": (105, 107, None), "F2": (109, 113, None)},
+    **{"Hpmag": (130, 136, "mag"), "B-V": (153, 158, "mag")},
+    **{f"UW{k}": (165 + 7 * k, 171 + 7 * k, None) for k in range(1, 16)},
+}
+
 DELIMITERS = ("\t", ";", "|", ",")
 MISSING = (
     *("", "null", "NULL", "None", "none", "NaN", "nan", "NAN", "N/A", "n/a", "NA", "<NA>"),
@@ -132,6 +143,8 @@ def _text(path: Path, content: bytes) -> Any:
         return _icrf(text)
     if (readme := readme_of(path)) is not None:
         return _cds(path, text, readme)
+    if _HIP2.match(text):
+        return _hipparcos(text)
     return _delimited(text)
 
 
@@ -199,6 +212,27 @@ def _icrf(text: str) -> Any:
         table[name] = [float(row[name]) for row in rows if row]
         table[name].unit = unit
     table.meta["extragalactic"] = True
+    return table
+
+
+def _hipparcos(text: str) -> Any:
+    """Return the columns of hip2.dat that astrometry needs."""
+    import pandas as pd
+
+    fields = [(first - 1, last) for first, last, _ in _HIP2_BYTES.values()]
+    lines = [line for line in text.splitlines() if line.strip()]
+    if short := [str(k) for k, line in enumerate(lines, 1) if not _HIP2.match(line) or len(line) < fields[-1][1]]:
+        raise SweepError(f"is hip2.dat of CDS I/311, but has no such row in line {', '.join(short[:5])}")
+    frame = pd.read_fwf(
+        io.StringIO("\n".join(lines)),
+        colspecs=fields,
+        header=None,
+        names=list(_HIP2_BYTES),
+        dtype_backend="numpy_nullable",
+    )
+    table = _from_frame(frame)
+    for name, (_, _, unit) in _HIP2_BYTES.items():
+        table[name].unit = unit
     return table
 
 

@@ -272,10 +272,10 @@ def tie(
             Parquet table of millions of quasars hardly grows with their number.
         accept_misfit: whether a link is given although chi2 is more than 1000 times its expectation.
         options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``,
-            ``where`` (a condition like "ruwe < 1.4"), ``weights``, ``known_spin``, ``jitter`` (kind of row to (mas,
-            mas/yr)), ``sign``, ``aberration``, ``corrections``, ``missions`` (further tables by name, each with an
-            orientation and a spin of its own), ``satellite_options``, ``reference_options`` and ``mission_options``
-            (`sweep.tie.tables.TableOptions`).
+            ``where`` (a condition like "ruwe < 1.4"), ``weights``, ``known_spin``, ``known_orientation``, ``jitter``
+            (kind of row to (mas, mas/yr)), ``sign``, ``aberration``, ``corrections``, ``missions`` (further tables by
+            name, each with an orientation and a spin of its own), ``satellite_options``, ``reference_options`` and
+            ``mission_options`` (`sweep.tie.tables.TableOptions`).
 
     Returns:
         A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr,
@@ -374,6 +374,7 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "missions": {name: table.path for name, table in setup.missions.items()},
         "missions_sha256": {name: table.digest for name, table in setup.missions.items()},
         "known_spin": str(options.known_spin) if options.known_spin is not None else "none",
+        "known_orientation": str(options.known_orientation) if options.known_orientation is not None else "none",
         "aberration_uas_yr": options.aberration,
         "jitter": ", ".join(f"{k}={p:g}:{m:g}" for k, (p, m) in options.jitter.items()) or "none",
         "misfit": link.misfit.text if link.misfit.first else "",

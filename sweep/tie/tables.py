@@ -23,9 +23,10 @@ from linksweep.core.tie.astrometry import (
     named_rows,
     positive_definite,
 )
+from linksweep.core.tie.forecast import RELEASES, SAME_EPOCH
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, column_of, first_found
+from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, GAIA_MARKS, Columns, column_of, first_found
 from linksweep.sweep.tables.reader import read_table as read_file
 from linksweep.sweep.tables.where import rows_where
 
@@ -74,6 +75,10 @@ USUAL = {
     "astrometric_params_solved": "astrometric_params_solved == 31",
 }
 
+# Releases whose frames and epochs are known.
+ANNOUNCED = ("dr1", "dr2", "dr3", "dr4")
+
+_DESIGNATION = re.compile(r"Gaia E?(DR\d)\b", re.IGNORECASE)
 _ELEMENT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan", re.IGNORECASE)
 
 _BUILT_IN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
@@ -107,8 +112,8 @@ class TableOptions:
 
 @dataclass(frozen=True)
 class AstrometricTable:
-    """The astrometry in a file, the file's path and SHA-256, the columns with names, notes for the user, and which
-    columns were used.
+    """The astrometry in a file, the file's path and SHA-256, the columns with names, notes for the user, which columns
+    were used, and the release of Gaia whose identifiers columns of names have.
     """
 
     path: str
@@ -117,6 +122,7 @@ class AstrometricTable:
     names: Mapping[str, NDArray[np.str_]]
     notes: Sequence[str] = ()
     columns: str = ""
+    releases: Mapping[str, str] = field(default_factory=dict)
 
     def named_notes(self) -> list[str]:
         """Return the notes with the name of the file."""
@@ -218,10 +224,34 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         kinds(astrometry)
     except ValueError as error:
         read.problems.append(str(error))
+    names = _names(read)
+    releases = _releases(read, names, epoch[np.all(present, axis=0)])
     read.finish()
     if further is not None:
         astrometry = _as_at_epoch(read, astrometry, options, notes)
-    return AstrometricTable(where, digest, astrometry, _names(read), notes, _used(read))
+    return AstrometricTable(where, digest, astrometry, names, notes, _used(read), releases)
+
+
+def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Array) -> dict[str, str]:
+    """Return the release of Gaia by column of its designations; rows of two are a problem, as are five-parameter rows
+    at the ``epochs`` of two.
+    """
+    releases = {}
+    for name, column in names.items():
+        there = {said[1].lower() for text in column.tolist() if (said := _DESIGNATION.match(text))}
+        if there:
+            releases[name] = min(there)
+        if len(there) > 1:
+            read.problems.append(
+                f"column {name!r} has rows of {' and '.join(sorted(there))}, each in a frame of its own"
+            )
+    near = {release: np.abs(epochs - RELEASES[release].epoch) < SAME_EPOCH for release in ANNOUNCED}
+    there = {release for release, at in near.items() if np.any(at)}
+    if len(there) > 1 and {*read.names} >= GAIA_MARKS and np.all(np.any([*near.values()], axis=0)):
+        read.problems.append(
+            f"rows have the epochs of {' and '.join(sorted(there))}, each in a frame of its own: take one"
+        )
+    return releases
 
 
 def _used(read: Columns) -> str:
