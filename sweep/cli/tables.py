@@ -216,6 +216,7 @@ MATCHING = passed(
     by=opt("Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]", metavar="HOW"),
     weights=choice("Weights of the differences.", ("covariance", "variance", "equal"), default="covariance"),
     epoch=year("Epoch of the orientation.  [default: the satellite's]"),
+    known_orientation=opt("Subtracted before the fit, in mas.", metavar="X,Y,Z"),
     aberration=opt("Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.", default=0.0, metavar="UAS_YR"),
 )
 LINK = passed(
@@ -315,7 +316,6 @@ def tie(
     resources: "Resources" = options.group(run_on),
     bins: str | None = opt("A spin for each bin, e.g. phot_g_mean_mag=6,8,10.", metavar="COLUMN=EDGES"),
     known_spin: Any = opt("Subtracted before the fit, in mas/yr; or a table by magnitude.", metavar="X,Y,Z|TABLE"),
-    known_orientation: Any = opt("Subtracted before the fit, in mas.", metavar="X,Y,Z"),
     no_sources: bool = flag("Write no values of single sources and rows: for millions of them."),
     matching: dict[str, Any] = MATCHING,
     tables: dict[str, Any] = options.group(_tables),
@@ -341,13 +341,6 @@ def tie(
         known_spin = [float(part) for part in known_spin.split(",")]
     shown = target.as_json or target.output is not None or target.figures is not None
     further = {"per_source": shown and not no_sources, "bins": bins and parse_bins(bins), "known_spin": known_spin}
-    if known_orientation is not None:
-        try:
-            further["known_orientation"] = [float(part) for part in known_orientation.split(",")]
-        except ValueError:
-            raise click.BadParameter(
-                f"{known_orientation!r} is not X,Y,Z in mas", param_hint="--known-orientation"
-            ) from None
     try:
         target.put(linksweep.tie(satellite, reference, resources=resources, **link, **further, **matching, **tables))
     except MisfitError as error:

@@ -88,12 +88,7 @@ def _name_points(axes: Axes, x: Array, y: Array, names: Array) -> None:
     look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5, "va": "center", "in_layout": False}
     look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
     for place, name in zip(zip(x, y, strict=True), names.tolist(), strict=True):
-        for side, up, alignment in (
-            (4.0, 0.0, "left"),
-            (-4.0, 0.0, "right"),
-            (0.0, 7.0, "center"),
-            (0.0, -7.0, "center"),
-        ):
+        for side, up, alignment in ((4, 0, "left"), (-4, 0, "right"), (0, 7, "center"), (0, -7, "center")):
             text = axes.annotate(name, place, xytext=(side, up), ha=alignment, **look)
             box = text.get_window_extent()
             if np.array_equal(Bbox.union([box, inside]).extents, inside.extents) and not box.count_overlaps(taken):

@@ -34,15 +34,13 @@ _ICRF = re.compile(
 )
 
 
-# A row of Hipparcos-2, hip2.dat of CDS I/311, and the bytes, from 1, and units of its columns.
+# A row of Hipparcos-2, hip2.dat of CDS I/311, and where the columns begin and end that astrometry needs.
 _HIP2 = re.compile(r"(?=.{270})[ \d]{5}\d +\d+ \d \d +\d\.\d{10} [ -]\d\.\d{10} ")
-_HIP2_BYTES = {
-    **{"HIP": (1, 6, None), "Sn": (8, 10, None), "So": (12, 12, None), "Nc": (14, 14, None)},
-    **{"RArad": (16, 28, "rad"), "DErad": (30, 42, "rad"), "Plx": (44, 50, "mas"), "pmRA": (52, 59, "mas/yr")},
-    **{"pmDE": (61, 68, "mas/yr"), "e_RArad": (70, 75, "mas"), "e_DErad": (77, 82, "mas"), "e_Plx": (84, 89, "mas")},
-    **{"e_pmRA": (91, 96, "mas/yr"), "e_pmDE": (98, 103, "mas/yr"), "Ntr": (105, 107, None), "F2": (109, 113, None)},
-    **{"Hpmag": (130, 136, "mag"), "B-V": (153, 158, "mag")},
-    **{f"UW{k}": (165 + 7 * k, 171 + 7 * k, None) for k in range(1, 16)},
+_HIP2_COLUMNS = {
+    **{"HIP": (0, 6), "Sn": (7, 10), "RArad": (15, 28), "DErad": (29, 42), "Plx": (43, 50), "pmRA": (51, 59)},
+    **{"pmDE": (60, 68), "e_RArad": (69, 75), "e_DErad": (76, 82), "e_Plx": (83, 89), "e_pmRA": (90, 96)},
+    **{"e_pmDE": (97, 103), "F2": (108, 113), "Hpmag": (129, 136), "B-V": (152, 158)},
+    **{f"UW{k}": (164 + 7 * k, 171 + 7 * k) for k in range(1, 16)},
 }
 
 DELIMITERS = ("\t", ";", "|", ",")
@@ -216,24 +214,15 @@ def _icrf(text: str) -> Any:
 
 
 def _hipparcos(text: str) -> Any:
-    """Return the columns of hip2.dat that astrometry needs."""
+    """Return columns of hip2.dat; their units follow from their names."""
     import pandas as pd
 
-    fields = [(first - 1, last) for first, last, _ in _HIP2_BYTES.values()]
-    lines = [line for line in text.splitlines() if line.strip()]
-    if short := [str(k) for k, line in enumerate(lines, 1) if not _HIP2.match(line) or len(line) < fields[-1][1]]:
-        raise SweepError(f"is hip2.dat of CDS I/311, but has no such row in line {', '.join(short[:5])}")
-    frame = pd.read_fwf(
-        io.StringIO("\n".join(lines)),
-        colspecs=fields,
-        header=None,
-        names=list(_HIP2_BYTES),
-        dtype_backend="numpy_nullable",
-    )
-    table = _from_frame(frame)
-    for name, (_, _, unit) in _HIP2_BYTES.items():
-        table[name].unit = unit
-    return table
+    for k, line in enumerate(text.splitlines(), 1):
+        if line.strip() and not (_HIP2.match(line) and len(line) > _HIP2_COLUMNS["UW15"][0]):
+            raise SweepError(f"is hip2.dat of CDS I/311, but has no such row in line {k}")
+    fields, names = list(_HIP2_COLUMNS.values()), list(_HIP2_COLUMNS)
+    frame = pd.read_fwf(io.StringIO(text), colspecs=fields, header=None, names=names, dtype_backend="numpy_nullable")
+    return _from_frame(frame)
 
 
 # ---- delimited text (CSV, TSV as VizieR sends it, `;` or blanks): names and units above, then rows with gaps

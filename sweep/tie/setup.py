@@ -53,8 +53,6 @@ FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
 
 # Rows of a source within two days may be the same measurement.
 SAME_EPOCH_YR = 0.005
-# So many errors apart they are hardly of the same star.
-FAR_ERRORS = 30.0
 
 _NO_NAME = ("", "--", "nan")
 _NONE = np.zeros(0, dtype=np.int64)
@@ -113,7 +111,7 @@ class Options:
     epoch: float | None = None
     weights: Weights = "covariance"
     known_spin: Sequence[float] | str | Path | None = None
-    known_orientation: Sequence[float] | None = None
+    known_orientation: Sequence[float] | str | None = None
     jitter: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     sign: Sign = "reference-satellite"
     corrections: bool = True
@@ -466,15 +464,12 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
         notes.append(f"{said}: matched by position, and sources have the names of {name}")
     if number := len(matched.unmatched):
         notes.append(f"{number} of {total} rows of {name} match no source: {_listed(table, matched.unmatched)}")
-    exact, nearly, apart = _repeated(matched, rows)
-    if not matched.by.startswith("position"):
-        apart = _NONE
+    exact, nearly = _repeated(matched, rows)
     nearest = matched.source[np.searchsorted(matched.rows, matched.ambiguous)]
     both = zip(nearest[:5], matched.rivals[:5], strict=True)
     pairs = ", ".join(" and ".join(_listed(satellite, np.array([k])) for k in pair) for pair in both)
     for numbers, what in (
         (matched.ambiguous, f"several sources are within the radius ({pairs}); the nearest is taken"),
-        (apart, "far beyond its errors from another row of the source at that epoch; if one is a companion, drop it"),
         (exact, "the same numbers as another row of the source; all are used"),
         (nearly, "nearly the numbers of another row of the source; one measurement that is there twice counts twice"),
     ):
@@ -488,8 +483,8 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
 
 
 def _repeated(matched: Match, rows: Astrometry) -> list[Indices]:
-    """Return the numbers of the table's rows that repeat another row of the same source and epoch: exactly; nearly,
-    which is within a fraction of the errors, or with the same errors; and with a position far beyond them.
+    """Return the numbers of the table's rows that repeat another row of the same source and epoch: exactly, and nearly,
+    which is within a fraction of the errors, or with the same errors.
     """
     source = matched.source
     order = np.lexsort((rows.epoch, rows.present.T @ (1 << np.arange(5)), source))
@@ -504,8 +499,7 @@ def _repeated(matched: Match, rows: Astrometry) -> list[Indices]:
     alike = np.all(~present | np.isclose(first, second, rtol=0.01, atol=0.0), axis=0)
     exact = same & (most == 0.0) & (years == 0.0) & np.all(~present | (first == second), axis=0)
     nearly = same & ~exact & (years < SAME_EPOCH_YR) & ((most < 0.3) | (alike & (most < 2.0)))
-    beyond = same & (years < SAME_EPOCH_YR) & present[0] & (most > FAR_ERRORS)
-    return [np.sort(matched.rows[other[which]]) for which in (exact, nearly, beyond)]
+    return [np.sort(matched.rows[other[which]]) for which in (exact, nearly)]
 
 
 # ---- what is done to the rows of a reference before the solution
@@ -574,7 +568,10 @@ def known_unknowns(options: Options, stars: Astrometry) -> tuple[Unknowns, Array
 
 
 def _vector(name: str, known: Any, unit: str) -> Array:
-    vector = np.asarray(known, dtype=np.float64)
+    try:
+        vector = np.asarray(known.split(",") if isinstance(known, str) else known, dtype=np.float64)
+    except ValueError:
+        vector = np.zeros(0)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise SweepError(f"known {name} {known!r}: give three numbers in {unit}")
     return vector * MAS

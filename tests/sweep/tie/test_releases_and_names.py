@@ -83,7 +83,7 @@ def test_rows_of_two_releases_in_one_table_are_refused(tmp_path, changes, words)
         read_table(gaia(tmp_path / "mixed.ecsv", stars(12), **changes))
 
 
-def test_sources_within_the_radius_companions_and_leftovers_are_named(tmp_path):
+def test_sources_within_the_radius_and_leftovers_are_named(tmp_path):
     made = replace(stars(12, 3, pm=0.0, epoch=2016.0), radial_velocity=np.zeros(12))
     values = made.values.copy()
     values[:2, 1] = values[:2, 0] + np.array([0.0, 0.4 * ARCSEC])  # a companion of S0 in the satellite's table
@@ -91,7 +91,6 @@ def test_sources_within_the_radius_companions_and_leftovers_are_named(tmp_path):
     own = gaia(tmp_path / "own.ecsv", replace(made, values=values), source_id=[f"A{k}" for k in range(12)])
     rows = made.values.copy()
     rows[1, 11] += 0.01  # nothing is there
-    rows[:2, 10] = rows[:2, 9] + np.array([0.0, 0.3 * ARCSEC])  # a companion of S9 in the reference
     reference = gaia_table(replace(made, values=rows))
     reference["source_id"] = names
     reference.remove_row(1)
@@ -99,7 +98,6 @@ def test_sources_within_the_radius_companions_and_leftovers_are_named(tmp_path):
     link = linksweep.tie(own, tmp_path / "other.ecsv", "orientation", by="position", accept_misfit=True)
     assert said(link, "several sources are within the radius (A0 and A1); the nearest is taken")
     assert said(link, "1 of 11 rows of other.ecsv match no source: S11")
-    assert said(link, "if one is a companion")
 
 
 def hip2_text(made, elements, sigma):
