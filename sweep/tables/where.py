@@ -42,9 +42,10 @@ def rows_where(table: Any, condition: str, where: str = "") -> Flags:
     """Return which rows of an astropy Table meet a condition; shape (N,).
 
     It compares columns with numbers, text and each other: ``<``, ``<=``, ``>``, ``>=``, ``==``, ``!=``, ``in`` and
-    ``not in`` a list, joined by ``&``, ``|`` and ``~`` or ``and``, ``or`` and ``not``, with parentheses.  Backticks enclose a name that is no word.  Numbers are those in the file, without its units.  Every
-    comparison with a missing value is false.  Nothing of it is run as Python.  Raises SweepError, with the place, for
-    what it does not understand, and for a condition that no row meets.
+    ``not in`` a list, joined by ``&``, ``|`` and ``~`` or ``and``, ``or`` and ``not``, with parentheses.  Backticks
+    enclose a name that is no word.  Numbers are those in the file, without its units.  Every comparison with a missing
+    value is false.  Nothing of it is run as Python.  Raises SweepError, with the place, for what it does not
+    understand, and for a condition that no row meets.
     """
     return _Condition(Columns(table, where), condition).rows()
 

@@ -24,7 +24,7 @@ from linksweep.core.tie.astrometry import (
     named_rows,
     propagated,
 )
-from linksweep.core.tie.forecast import RELEASES, SAME_EPOCH
+from linksweep.core.tie.forecast import releases_at
 from linksweep.core.tie.problem import Problem, Weights
 from linksweep.core.tie.solution import sources_of
 from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
@@ -347,9 +347,8 @@ def _release(table: AstrometricTable, column: str) -> str:
     """
     if (said := table.releases.get(column)) or column.casefold() != "source_id":
         return said or ""
-    epochs = table.astrometry.epoch
-    near = (name for name, one in RELEASES.items() if np.all(np.abs(epochs - one.epoch) < SAME_EPOCH))
-    return next(iter(table.releases.values()), "") or next(near, "")
+    near = releases_at(table.astrometry.epoch)
+    return next(iter(table.releases.values()), "") or (near[0] if len(near) == 1 else "")
 
 
 def _by_name(satellite: AstrometricTable, reference: AstrometricTable, pair: tuple[str, str], strict: bool) -> Match:
@@ -404,7 +403,7 @@ def _directions(sources: Astrometry, epoch: Array) -> Array:
     start, end = (np.where(both, one, 0.0) for one in (sources.epoch, epoch))
     ra, dec = propagated(sources.values, sources.radial_velocity, start, end)[:2]
     if sources.further is not None:
-        bend = np.einsum("nij,jn->in", bends(end - start, sources.orbit)[:, :2], sources.further[0])
+        bend = np.einsum("nij,jn->in", bends(end - start, sources.orbit, sources.averaged)[:, :2], sources.further[0])
         ra, dec = from_tangent_plane(bend[0], bend[1], ra, dec)
     return triad(ra, dec).r
 

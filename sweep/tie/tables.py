@@ -16,14 +16,14 @@ from linksweep.core.frames import DEGREE, MAS, Array, Flags
 from linksweep.core.tie import mistakes
 from linksweep.core.tie.astrometry import (
     FURTHER,
+    HALF_SPAN,
     PAIRS,
     Astrometry,
-    from_mean_motion,
     kinds,
     named_rows,
     positive_definite,
 )
-from linksweep.core.tie.forecast import RELEASES, SAME_EPOCH
+from linksweep.core.tie.forecast import releases_at
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, GAIA_MARKS, Columns, column_of, first_found
@@ -66,7 +66,7 @@ ALL_PAIRS = (*PAIRS, *((i, j) for i in range(9) for j in range(max(i + 1, 5), 9)
 LARGEST_ACCELERATION = 300.0
 
 # Of solutions that are not of single stars; in DR3 their positions and motions are averages.
-SOLUTION_TYPE, MEAN_MOTION_EPOCH = "nss_solution_type", 2016.0
+SOLUTION_TYPE = "nss_solution_type"
 
 # What the documentation and papers of Gaia recommend.
 USUAL = {
@@ -74,9 +74,6 @@ USUAL = {
     "duplicated_source": "~duplicated_source",
     "astrometric_params_solved": "astrometric_params_solved == 31",
 }
-
-# Releases whose frames and epochs are known.
-ANNOUNCED = ("dr1", "dr2", "dr3", "dr4")
 
 _DESIGNATION = re.compile(r"Gaia E?(DR\d)\b", re.IGNORECASE)
 _ELEMENT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan", re.IGNORECASE)
@@ -219,6 +216,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         apparent=(positions == "single-epoch") & np.isfinite(epoch),
         further=further,
         further_correlations=None if further is None else _matrices(correlations, len(read))[:, 5:],
+        averaged=None if further is None else _averaged(read, epoch, further, options, notes),
     )
     try:
         kinds(astrometry)
@@ -227,8 +225,6 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     names = _names(read)
     releases = _releases(read, names, epoch[np.all(present, axis=0)])
     read.finish()
-    if further is not None:
-        astrometry = _as_at_epoch(read, astrometry, options, notes)
     return AstrometricTable(where, digest, astrometry, names, notes, _used(read), releases)
 
 
@@ -245,12 +241,8 @@ def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Arra
             read.problems.append(
                 f"column {name!r} has rows of {' and '.join(sorted(there))}, each in a frame of its own"
             )
-    near = {release: np.abs(epochs - RELEASES[release].epoch) < SAME_EPOCH for release in ANNOUNCED}
-    there = {release for release, at in near.items() if np.any(at)}
-    if len(there) > 1 and {*read.names} >= GAIA_MARKS and np.all(np.any([*near.values()], axis=0)):
-        read.problems.append(
-            f"rows have the epochs of {' and '.join(sorted(there))}, each in a frame of its own: take one"
-        )
+    if len(there := set(releases_at(epochs))) > 1 and {*read.names} >= GAIA_MARKS:
+        read.problems.append(f"rows have the epochs of {' and '.join(sorted(there))}, each in a frame of its own")
     return releases
 
 
@@ -361,20 +353,14 @@ def _accelerations(read: Columns, five: Flags, options: TableOptions, notes: lis
     return np.where(there, both, 0.0)
 
 
-def _as_at_epoch(read: Columns, table: Astrometry, options: TableOptions, notes: list[str]) -> Astrometry:
-    """Return a table with accelerations whose positions and motions are those at its epoch."""
-    assert table.further is not None, "of a table with accelerations"
-    accelerated = np.any(table.further[1] > 0.0, axis=0)
-    has_types = first_found([SOLUTION_TYPE], read.names) is not None
-    is_mean = has_types and bool(np.all(np.abs(table.epoch[accelerated] - MEAN_MOTION_EPOCH) < 1e-3))
-    if options.accelerations is not None:
-        is_mean = options.accelerations == "mean"
-    what = "positions and motions of rows with accelerations are taken as"
-    if not is_mean:
-        notes.append(f"{what} those at their epoch; else say --accelerations mean")
-        return table
-    notes.append(f"{what} averages, as in DR3, and turned into those at their epoch; else say --accelerations at-epoch")
-    return from_mean_motion(table)
+def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions, notes: list[str]) -> Array:
+    """Return half the time (N,) over which positions and motions of accelerated rows are averages; 0 for none."""
+    of_dr3 = first_found([SOLUTION_TYPE], read.names) and releases_at(epoch[further[1, 0] > 0.0]) == ["dr3"]
+    how = options.accelerations or ("mean" if of_dr3 else "at-epoch")
+    other = "at-epoch" if how == "mean" else "mean"
+    words = "averages, as in DR3" if how == "mean" else "those at their epoch"
+    notes.append(f"positions and motions of rows with accelerations are {words}; else say --accelerations {other}")
+    return np.full(len(epoch), HALF_SPAN if how == "mean" else 0.0)
 
 
 def _elements(read: Columns, name: str) -> Array:
