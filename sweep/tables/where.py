@@ -24,7 +24,6 @@ _COMPARISONS: Mapping[type, Callable[[Any, Any], Any]] = {
     **{ast.In: np.isin, ast.NotIn: partial(np.isin, invert=True)},
 }
 _ALLOWED = "allowed are columns, numbers, text, comparisons, in, not in, &, |, ~ and parentheses"
-_TRUTH = {"true": True, "t": True, "false": False, "f": False}
 
 
 class _Operand(NamedTuple):
@@ -111,7 +110,7 @@ class _Condition:
             one = self._operand(node)
             if one.kind == "text" or not np.all(np.isin(one.values, (0, 1)) | one.missing):
                 raise self._refused(node, f"{one.kind} without a comparison")
-            return np.ones(len(self.read), dtype=bool) & (one.values == 1) & np.logical_not(one.missing)
+            return np.asarray(np.ones(len(self.read), dtype=bool) & (one.values == 1) & np.logical_not(one.missing))
         flags, left = np.ones(len(self.read), dtype=bool), self._operand(node.left)
         for comparison, other in zip(node.ops, node.comparators, strict=True):
             is_in = isinstance(comparison, (ast.In, ast.NotIn))
@@ -142,9 +141,6 @@ class _Condition:
         if kind in "USO":
             values = self.read.text(name, missing="")
             missing = missing | (values == "")
-            words = {text.casefold() for text in np.unique(values[~missing]).tolist()}
-            if words and words <= set(_TRUTH):
-                values = np.array([_TRUTH.get(text.casefold(), False) for text in values.tolist()])
         return self.used.setdefault(name, _Operand(values, missing))
 
 

@@ -31,6 +31,9 @@ EXPERIMENT = "linksweep.sweep.tie.experiment:tie"
 ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
 RESAMPLES = 1000
 
+# A chi2 that is lower by so much with the opposite sign of what is known is no chance.
+WORSE = 10.0
+
 # The rows of larger tables are not included in a result.
 ROWS_KEPT = 100_000
 
@@ -106,6 +109,7 @@ def solve_link(
                 places, sums = sources.heaviest(HEAVIEST)
                 share = solution.shares(sums, result.solution, unknowns) * result.factors[places, None]
             doubt = _misfit(setup, sources, result)
+            notes += _of_known(setup, sources, result)
     except ValueError as error:  # LinkError is one
         raise SweepError(f"{error}{_rows_there_are(setup) if isinstance(error, LinkError) else ''}") from error
     for block, part in zip(unknowns.names, share.T, strict=True):
@@ -134,6 +138,18 @@ def _misfit(setup: Setup, sources: solution.Sources, result: solution.Clipped) -
         solved = solved if in_groups else solution.sources_of(problem).solve(factors)
     kept = np.flatnonzero(factors[: len(problem.satellite)] > 0.0)
     return mistakes.misfit(problem, kept, solved, setup.names, ("reference", *setup.missions))
+
+
+def _of_known(setup: Setup, sources: solution.Sources, result: solution.Clipped) -> list[str]:
+    """Return a note on chi2 with what is known, without it and with the opposite sign; none for tables in groups."""
+    if setup.problem.known is None or not isinstance(sources, solution.KeptSources):
+        return []
+    blocks, values = setup.problem.known
+    trials = (replace(setup.problem, known=(blocks, factor * values)) for factor in (0.0, -1.0))
+    without, opposite = (solution.sources_of(trial).solve(result.factors).squares for trial in trials)
+    worse = ": is its sign right?" if opposite + WORSE < result.solution.squares else ""
+    of_chi2 = f"chi2 is {result.solution.squares:.6g} with what is known subtracted, {without:.6g} without"
+    return [f"{of_chi2}, {opposite:.6g} with the opposite sign{worse}"]
 
 
 def _rows_there_are(setup: Setup) -> str:

@@ -31,7 +31,7 @@ from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_na
 from linksweep.sweep.contract import Parameter, SweepError
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.tables.reader import read_table as read_file
-from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, Zeros, read_table
+from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, Zeros, built_in, read_table
 
 Sign = Literal["reference-satellite", "satellite-reference"]
 SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference": -1.0}
@@ -580,17 +580,19 @@ def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] |
     """Return the block and the values (rad/yr) of a spin that is known: a vector, or a table by bins of a column.
 
     A table has columns COLUMN_min and COLUMN_max of the satellite's magnitude (or other) COLUMN, or mag_min and
-    mag_max for phot_g_mean_mag, and omega_x, omega_y, omega_z in mas/yr or their unit.  Raises SweepError for anything
-    else, and for sources outside its bins.
+    mag_max for phot_g_mean_mag, and omega_x, omega_y, omega_z with a unit; its metadata may have ``sign`` and
+    ``release``.  Raises SweepError for anything else, for sources outside its bins, and for those of another release.
     """
     spin, sign = options.known_spin, SIGNS[options.sign]
     if spin is None:
         return None
     if not isinstance(spin, (str, Path)):
         return Unknowns((spin_block(),)), sign * _vector("spin", spin, "mas/yr, or the path of a table")
-    from astropy.units import Unit
-
-    table = read_file(Path(spin))
+    table, at = read_file(built_in(Path(spin))), releases_at(stars.epoch)
+    if (release := table.meta.get("release")) is not None and at != [release]:
+        there = " and ".join(at) or "no release"
+        raise SweepError(f"spins of {release}, and the satellite's epochs are those of {there}", str(spin))
+    sign = SIGNS[table.meta.get("sign", options.sign)]
     names = [name[:-4] for name in table.colnames if name.endswith("_min") and f"{name[:-4]}_max" in table.colnames]
     axes = [f"omega_{axis}" for axis in "xyz"]
     if len(names) != 1 or not set(axes) <= set(table.colnames):
@@ -605,7 +607,9 @@ def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] |
     values = stars.columns.get(column, np.full(len(stars), np.nan))
     if np.any(outside := ~((values >= low[0]) & (values < high[-1]))):
         raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", str(spin))
-    factors = [(table[name].unit or Unit("mas/yr")).to("mas/yr") for name in axes]
+    if any(table[name].unit is None for name in axes):
+        raise SweepError(f"say the unit of {', '.join(axes)} in the table, uas/yr or mas/yr", str(spin))
+    factors = [table[name].unit.to("mas/yr") for name in axes]
     vectors = [np.asarray(table[name], dtype=np.float64) * factor for name, factor in zip(axes, factors, strict=True)]
     block = spin_by_bin(column, tuple(low[1:].tolist()), tuple(range(len(low))))
     return Unknowns((block,)), sign * np.stack(vectors, axis=1).ravel() * MAS

@@ -76,6 +76,8 @@ USUAL = {
 }
 
 _DESIGNATION = re.compile(r"Gaia E?(DR\d)\b", re.IGNORECASE)
+ZERO_POINT = ("phot_g_mean_mag", "nu_eff_used_in_astrometry", "pseudocolour", "ecl_lat", "astrometric_params_solved")
+
 _ELEMENT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan", re.IGNORECASE)
 
 _BUILT_IN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
@@ -92,8 +94,9 @@ class TableOptions:
     or mean ones; by default as the table's metadata say, else of a single epoch.  Those without an epoch are mean.
     ``accelerations``: whether positions and motions of rows with accelerations are those "at-epoch", or "mean" ones as
     in the acceleration solutions of DR3; by default mean in tables of those.
-    ``where`` is a condition that the rows must meet, as in `rows_where`.  ``zero_errors``: what an error of 0 means.
-    ``pmra_cos_dec``: whether pmra is mu_alpha*; by default it is, unless its unit is one of time.
+    ``where`` is a condition that the rows must meet, as in `rows_where`.  ``parallax_zero_point``: whether that of DR3
+    is subtracted, by magnitude, colour and latitude.  ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``:
+    whether pmra is mu_alpha*; by default it is, unless its unit is one of time.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -103,6 +106,7 @@ class TableOptions:
     positions: Positions | None = None
     accelerations: Accelerated | None = None
     where: str | None = None
+    parallax_zero_point: bool = False
     zero_errors: Zeros = "error"
     pmra_cos_dec: bool | None = None
 
@@ -132,9 +136,7 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     A table whose metadata say ``extragalactic: true`` needs no epoch: its positions hold at any.  Raises
     SweepError with all that is wrong and the rows (counted from 1).
     """
-    if not path.suffix and len(path.parts) == 1 and not path.exists():
-        named = (file for file in sorted(_BUILT_IN.glob("*.ecsv*")) if file.name.split(".")[0] == path.name)
-        path = next(named, path)
+    path = built_in(path)
     if path.is_dir():
         raise SweepError("is a folder, not a table", str(path))
     table, options, where = read_file(path), options or TableOptions(), str(path)
@@ -147,6 +149,13 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     if path.resolve().parent == _BUILT_IN:
         return replace(read, columns="", notes=notes)  # ours are as they were published
     return replace(read, path=str(path), notes=[*notes, *read.notes, *_usual_choices(table, options)])
+
+
+def built_in(path: Path) -> Path:
+    """Return the file of a built-in table by its name; any other path as it is."""
+    if path.suffix or len(path.parts) > 1 or path.exists():
+        return path
+    return next((file for file in sorted(_BUILT_IN.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), path)
 
 
 def _usual_choices(table: Any, options: TableOptions) -> list[str]:
@@ -199,6 +208,8 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     if correlations is None and np.any(np.all(present, axis=0)):
         notes.append("no correlations of the five parameters: they count as 0")
     epoch = _epochs(read, options)
+    if options.parallax_zero_point:
+        values[2] -= _zero_points(read, epoch, notes)
     exact = errors[0] < 10.0 * MAS
     if np.any(exact & ((epoch < EARLIEST) | (epoch > LATEST))):
         span = f"{np.nanmin(epoch[exact]):g} to {np.nanmax(epoch[exact]):g}"
@@ -249,10 +260,31 @@ def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Arra
 def _used(read: Columns) -> str:
     """Return which columns hold quantities, with the numbers of those of errors and correlations."""
     there = [quantity for quantity in QUANTITIES if quantity != "name" and read.has(quantity)]
-    of_errors = sum(quantity.endswith("_error") for quantity in there)
     plain = [str(read.name(quantity)) for quantity in there if not quantity.endswith(("_error", "_corr"))]
-    number = len(there) - of_errors - len(plain)
-    return ", ".join([*plain, f"{of_errors} of errors", *([f"{number} of correlations"] if number else [])])
+    return f"{', '.join(plain)}; {len(there) - len(plain)} of errors and correlations"
+
+
+def _zero_points(read: Columns, epoch: Array, notes: list[str]) -> Array:
+    """Return the zero points of the parallaxes of DR3 (N,), rad, 0 for rows that are out of their range.
+
+    Source: Lindegren et al. 2021, A&A 649, A4, as the authors' package has them.
+    """
+    try:
+        from zero_point import zpt
+    except ImportError as error:
+        raise SweepError("parallax zero points need a package: pip install linksweep[zeropoint]") from error
+    shift, there = np.full(len(read), np.nan), " and ".join(releases_at(epoch)) or "no release"
+    if there != "dr3":
+        read.problems.append(f"parallax zero points are those of dr3, and the epochs are of {there}")
+    elif sum(read.require(name) for name in ZERO_POINT) == len(ZERO_POINT):
+        columns = np.array([read.numbers(str(read.name(name))) for name in ZERO_POINT])
+        known = np.isin(columns[-1], (31, 95))
+        zpt.load_tables()
+        shift[known] = zpt.get_zpt(*columns[:, known], _warnings=False)
+    notes.append(
+        f"zero points of {np.isfinite(shift).sum()} of {len(read)} parallaxes subtracted (Lindegren et al. 2021)"
+    )
+    return np.asarray(np.nan_to_num(shift) * MAS)
 
 
 def _in_radians(read: Columns, quantity: str, options: TableOptions) -> Array:
@@ -369,8 +401,7 @@ def _elements(read: Columns, name: str) -> Array:
     for k, cell in enumerate(read.table[name]):
         text = isinstance(cell, (str, bytes))
         numbers: Any = _ELEMENT.findall(str(cell)) if text else np.ma.filled(np.ma.asarray(cell, float), np.nan).ravel()
-        some = np.asarray(numbers[:36], dtype=np.float64)
-        vectors[: len(some), k] = some
+        vectors[: len(numbers[:36]), k] = numbers[:36]
     return vectors[[j * (j - 1) // 2 + i for i, j in ALL_PAIRS]]
 
 
