@@ -448,8 +448,8 @@ def _listed(table: AstrometricTable, rows: Indices) -> str:
     """Return the names of rows, at most five, or their numbers."""
     if not table.names:
         return named_rows(rows)
-    names = next(iter(table.names.values()))[rows[:5]].tolist()
-    return ", ".join(names) + (f" and {len(rows) - 5} more" if len(rows) > 5 else "")
+    names = list(dict.fromkeys(next(iter(table.names.values()))[rows].tolist()))
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
 
 
 def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: Match, rows: Astrometry) -> list[str]:
