@@ -349,3 +349,11 @@ def test_the_claims_of_the_document_are_valid(tmp_path):
     (tmp_path / "study.toml").write_text(document.partition("```toml normal.toml\n")[2].partition("```")[0])
     kinds = [type(c.quantity()).__name__ for c in linksweep.load_study(str(tmp_path / "study.toml")).claims]
     assert kinds == ["Slope", "Ratio", "Reading"]
+
+
+def test_a_ratio_along_zipped_axes():
+    dataset = grid(np.array([N, N]), claims=[claim(published="5", ratio=ratio({"size": 3.0}, {"size": 1.0}))])
+    dataset = dataset.assign_coords(size=("n", np.arange(1.0, 6.0)))
+    found = compare(dataset)
+    assert [c.where for c in found] == [{"model": "old"}, {"model": "new"}]
+    assert [c.value for c in found] == [5.0, 5.0]
