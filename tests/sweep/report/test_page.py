@@ -17,7 +17,7 @@ import linksweep
 from linksweep import SweepError
 from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.report.page import explorer, pictures, report_of, report_page, section
+from linksweep.sweep.report.page import differences, explorer, pictures, report_of, report_page, section
 from tests.tiers import slow
 
 
