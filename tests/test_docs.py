@@ -188,18 +188,6 @@ def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
     assert "--nworkers 8" in scripts["pbs.yaml"]
 
 
-@pytest.mark.slow
-def test_the_notebook_of_the_document_runs(tmp_path):
-    """As a kernel does: cell by cell in one namespace, without a file to be imported from."""
-    cells = code("function-notebook.md", "python")
-    shown = "\nprint(ds.end.values.tolist()[0], more.end.values.tolist()[0], figure._repr_png_()[:4])\n"
-    script = "\n".join(cells).replace("linksweep.plot", "figure = linksweep.plot") + shown
-    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "[2.0] 2.0 b'\\x89PNG'\n"
-    assert len(list((tmp_path / "results").glob("growth-*.zarr"))) == 2
-
-
 def test_every_page_is_in_the_navigation():
     """Once, in a list of docs/index.md, of which docs/conf.py makes the sidebar."""
     _, *groups = re.split(r"^## ", (ROOT / "docs" / "index.md").read_text(), flags=re.MULTILINE)

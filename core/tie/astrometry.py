@@ -44,7 +44,8 @@ class Astrometry:
     is that of its ``calibrator`` (N,), and which the rows of a source with this calibrator have in common.
 
     ``further`` (2, 5, N) are values and errors of the parameters `FURTHER` of stars whose paths are not straight, zero
-    for those that a star lacks, with their correlations (10, 5, N) with all ten; ``orbit`` (7, N) as in `bends`.
+    for those that a star lacks, with their correlations (10, 5, N) with all ten; ``orbit`` (7, N) and
+    ``averaged`` (N,) as in `bends`.
     """
 
     values: Array
@@ -61,6 +62,7 @@ class Astrometry:
     further: Array | None = None
     further_correlations: Array | None = None
     orbit: Array | None = None
+    averaged: Array | None = None
 
     def __post_init__(self) -> None:
         # broadcast arrays take no memory, however many rows there are
@@ -237,17 +239,20 @@ def parallax_factors(ra: Array, dec: Array, epoch: Array) -> Array:
     return np.stack([np.sum(p * to_barycentre, axis=0), np.sum(q * to_barycentre, axis=0)])
 
 
-def bends(years: Array, orbit: Array | None = None) -> Array:
+def bends(years: Array, orbit: Array | None = None, averaged: Array | None = None) -> Array:
     """Return the derivatives of (ra, dec, parallax, pmra, pmdec) by the parameters `FURTHER`; shape (N, 5, 5).
 
     ``years`` (N,) since the star's epoch; ``orbit`` (7, N) has period (yr), eccentricity, periastron (years since the
     epoch) and the Thiele-Innes elements A, B, F, G for a semi-axis of 1, zero for none.  An orbit displaces positions;
-    its motion is not that of years.  Source: Binnendijk 1960, Properties of Double Stars.
+    its motion is not that of years.  Source: Binnendijk 1960, Properties of Double Stars.  ``averaged`` (N,) is half
+    the time over which positions and motions are averages, 0 for those at the epoch.
     """
+    square = (0.0 if averaged is None else averaged) ** 2
     bend = np.zeros((len(years), 5, 5))
-    bend[:, 0, 0] = bend[:, 1, 1] = bend[:, 3, 2] = bend[:, 4, 3] = 0.5 * years**2
+    bend[:, 0, 0] = bend[:, 1, 1] = 0.5 * (years**2 - square / 3.0)
+    bend[:, 3, 2] = bend[:, 4, 3] = 0.5 * (years**2 - square / 3.0)
     bend[:, 3, 0] = bend[:, 4, 1] = years
-    bend[:, 0, 2] = bend[:, 1, 3] = years**3 / 6.0
+    bend[:, 0, 2] = bend[:, 1, 3] = (years**3 - square * years) / 6.0
     if orbit is not None:
         period, e, periastron, a, b, f, g = orbit
         mean = (((years - periastron) / np.where(period > 0.0, period, 1.0) + 0.5) % 1.0 - 0.5) * 2.0 * np.pi
@@ -257,28 +262,6 @@ def bends(years: Array, orbit: Array | None = None) -> Array:
         x, y = np.cos(anomaly) - e, np.sqrt(1.0 - e**2) * np.sin(anomaly)
         bend[:, 0, 4], bend[:, 1, 4] = b * x + g * y, a * x + f * y
     return bend
-
-
-def from_mean_motion(table: Astrometry) -> Astrometry:
-    """Return a table with accelerations whose positions and motions are averages over an observed time, as in DR3, with
-    those at its epoch: the model there is 1/2 (t^2 - T^2/3) a + 1/6 (t^2 - T^2) t da/dt.
-    """
-    assert table.further is not None, "of a table with accelerations"
-    step = np.eye(10)
-    step[(0, 1), (5, 6)] = step[(3, 4), (7, 8)] = -(HALF_SPAN**2) / 6.0
-    shift = step[:5, 5:] @ table.further[0]
-    shift[0] /= np.cos(table.values[1])
-    covariance = step @ table.covariance() @ step.T
-    sigma = np.sqrt(np.einsum("nii->in", covariance))
-    safe = np.where(sigma > 0.0, sigma, 1.0)
-    correlations = np.moveaxis(covariance, 0, -1) / (safe[:, None] * safe)
-    return replace(
-        table,
-        values=table.values + shift,
-        errors=np.where(table.present, sigma[:5], table.errors),
-        correlations=np.array([correlations[pair] for pair in PAIRS]),
-        further_correlations=correlations[:, 5:],
-    )
 
 
 def offsets(ra: Array, dec: Array, from_ra: Array, from_dec: Array) -> Array:
@@ -360,7 +343,7 @@ def differences(
     if spin is not None:
         values -= np.einsum("rij,jr->ir", partials, spin[:, source])
     if star.further is not None:
-        bend = bends(years, star.orbit)
+        bend = bends(years, star.orbit, star.averaged)
         bend[~apparent, :, 4] = 0.0  # like the parallax, an orbit is not seen in mean positions
         partials = np.concatenate([partials, bend], axis=2)
         values -= np.einsum("rij,jr->ir", bend, star.further[0])

@@ -41,6 +41,13 @@ RELEASES = {
 SAME_EPOCH = 0.01
 
 
+def releases_at(epochs: Array) -> list[str]:
+    """Return the releases whose epochs a table has (N,), in Julian years; none if it has others too."""
+    known = np.unique(epochs[np.isfinite(epochs)])
+    near = [{name for name, one in RELEASES.items() if abs(one.epoch - epoch) < SAME_EPOCH} for epoch in known]
+    return sorted(set().union(*near)) if all(near) else []
+
+
 def release_of(epochs: Array, new: str, named: str | None = None) -> str:
     """Return the release from which a table's errors are scaled to ``new``: that of its epochs (N,), in Julian years.
 
@@ -50,9 +57,7 @@ def release_of(epochs: Array, new: str, named: str | None = None) -> str:
     for name in (named or new, new):
         if name not in RELEASES:
             raise ValueError(f"no release {name!r}; there are {', '.join(RELEASES)}")
-    known = np.unique(epochs[np.isfinite(epochs)])
-    near = [{name for name, one in RELEASES.items() if abs(one.epoch - epoch) < SAME_EPOCH} for epoch in known]
-    at = sorted(set().union(*near)) if all(near) else []
+    known, at = np.unique(epochs[np.isfinite(epochs)]), releases_at(epochs)
     if len(at) > 1:
         raise ValueError(f"the satellite has epochs of {' and '.join(at)}; errors are scaled from one release")
     if not at and named is None:

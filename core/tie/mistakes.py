@@ -16,7 +16,7 @@ from scipy.special import chdtr, chdtrc, chdtri
 
 from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import PAIRS, Astrometry, from_mean_motion, kinds
+from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, source_sums
 from linksweep.core.tie.solution import Solution, discrepancies, solve
 
@@ -331,7 +331,8 @@ def _accelerations() -> Iterator[tuple[str, int, Change]]:
     yield "accelerations of {} that are half of them, as factors of t^2", 0, changed(lambda both: both * 2.0)
     for ratio, unit in ((1e3, "arcsec taken for mas"), (1e-3, "uas taken for mas")):
         yield f"accelerations of {{}}, {unit}", 0, changed(partial(np.multiply, ratio))
-    yield "positions of {} at the epoch that are averages: say --accelerations mean", 0, from_mean_motion
+    averages = "positions of {} at the epoch that are averages: say --accelerations mean"
+    yield averages, 0, lambda table: replace(table, averaged=np.full(len(table), HALF_SPAN))
 
 
 def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bool = False) -> Change:
@@ -388,7 +389,7 @@ def _applied(problem: Problem, part: _Part, change: Change) -> Problem | None:
     of_satellite = part.table == "satellite"
     table = problem.satellite if of_satellite else problem.rows
     new, arrays, differs = change(table), {}, False
-    for name in ("values", "errors", "epoch", "apparent", "correlations", "further"):
+    for name in ("values", "errors", "epoch", "apparent", "correlations", "further", "averaged"):
         if (after := getattr(new, name)) is not None:
             before = getattr(table, name)
             arrays[name] = np.where(part.at, after, np.zeros_like(after) if before is None else before)

@@ -156,11 +156,9 @@ def _tables(
     zero_errors: Any = choice("What an error of 0 means.", ("error", "missing", "exact"), default="error"),
     without_cos_dec: Sequence[str] = table("The table whose pmra is mu_alpha, without cos(dec)."),
     extragalactic: Sequence[str] = table("The table with mean positions of quasars, which hold at any epoch."),
-    where: Sequence[str] = many(
-        "Only rows, of the satellite or TABLE, that meet this, e.g. 'ruwe < 1.4 & phot_g_mean_mag < 13'.",
-        metavar="[TABLE:]CONDITION",
-    ),
+    where: Sequence[str] = many("Rows of the satellite, or TABLE: 'ruwe < 1.4 & ~flag'.", metavar="[TABLE:]CONDITION"),
     accelerations: Any = choice("Positions and motions of rows with accelerations.", ("at-epoch", "mean")),
+    parallax_zero_point: Sequence[str] = table("The table of DR3 whose parallax zero points are subtracted."),
     jitter: Sequence[str] = many(
         "Added in quadrature to rows of a kind, or of all; or estimate: from their scatter.",
         metavar="KIND=MAS[:MAS_YR]|estimate",
@@ -180,6 +178,7 @@ def _tables(
     _require_tables("--mission-epoch", dict(mission_epoch), further)
     _require_tables("--without-cos-dec", without_cos_dec, names)
     _require_tables("--extragalactic", extragalactic, names)
+    _require_tables("--parallax-zero-point", parallax_zero_point, names)
     tables = {
         name: TableOptions(
             columns=columns[name],
@@ -190,6 +189,7 @@ def _tables(
             zero_errors=zero_errors,
             accelerations=accelerations,
             where=chosen.get(name),
+            parallax_zero_point=name in parallax_zero_point,
             pmra_cos_dec=False if name in without_cos_dec else None,
         )
         for name in names
@@ -207,6 +207,7 @@ MATCHING = passed(
     by=opt("Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]", metavar="HOW"),
     weights=choice("Weights of the differences.", ("covariance", "variance", "equal"), default="covariance"),
     epoch=year("Epoch of the orientation.  [default: the satellite's]"),
+    known_orientation=opt("Subtracted before the fit, in mas.", metavar="X,Y,Z"),
     aberration=opt("Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.", default=0.0, metavar="UAS_YR"),
 )
 LINK = passed(

@@ -146,7 +146,6 @@ class Live:
         self.value, self.reach = value, _reach(value)
         self.parts, self.digest, self.paths = self.reach.parts, _digest(self.reach.parts), sys.path
         self.name = value.name if isinstance(value, Experiment) else name_of(value)
-        self.acting = [name for name in self.reach.acting if name != "__main__"]
         self.path = _importable(value) or f"{SESSION}:{self.name}-{self.digest}"
 
     @cached_property
@@ -181,8 +180,9 @@ class Live:
         vars(self).update(state)
         # Where this session finds what the function imports when it is called.
         sys.path += [path for path in self.paths if path not in sys.path]
-        for name in self.acting:
-            importlib.import_module(name)
+        for name in self.parts:
+            if name.startswith("module ") and name != "module __main__":  # acts on others while it is imported
+                importlib.import_module(name.removeprefix("module "))
         self.value = pickle.loads(self.pickled)
 
 
@@ -194,7 +194,7 @@ def _pickler(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
         # In Python 3.11 a cached property holds a lock, which has no pickle.
         cached_property: lambda value: (cached_property, (value.func,), {"attrname": value.attrname}),
         WeakKeyDictionary: lambda value: (WeakKeyDictionary, ()),
-        type(_warn): lambda value: (_cached, (value.__wrapped__, value.cache_parameters())),
+        type(_warn): lambda value: (lru_cache(**value.cache_parameters()), (value.__wrapped__,)),
     }
 
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
@@ -208,11 +208,6 @@ def _pickler(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
             return super().reducer_override(value)
 
     return Pickler(file)
-
-
-def _cached(function: Callable[..., Any], parameters: Mapping[str, Any]) -> Callable[..., Any]:
-    made: Callable[..., Any] = lru_cache(**parameters)(function)
-    return made
 
 
 @dataclass(frozen=True)
@@ -451,8 +446,7 @@ def changes_of_code(code: Mapping[str, str], reference: str, experiment: Experim
 def _unsteady(reference: str) -> frozenset[str]:
     """Return the names of values that two new processes of the same code have otherwise, such as a time; say so."""
     code = f"import json; from linksweep.sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
-    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
-    processes = [new_process(code, **pipes) for _ in range(2)]
+    processes = [new_process(code, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) for _ in range(2)]
     one, other = (json.loads((each.communicate()[0].splitlines() or [b"{}"])[-1]) for each in processes)
     differing = frozenset(name for name in one if one[name] != other.get(name))
     for name in sorted(differing):

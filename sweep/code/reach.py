@@ -93,10 +93,9 @@ def digest_of(content: str | bytes) -> str:
 @cache  # a process computes with what it has imported, whatever is installed meanwhile
 def version_of(distribution: str) -> str:
     """Return the version of a distribution when this was first called; "not installed" if there was none."""
-    try:
+    with suppress(PackageNotFoundError):
         return version(distribution)
-    except PackageNotFoundError:
-        return "not installed"
+    return "not installed"
 
 
 @cache
@@ -137,8 +136,7 @@ class Reach:
 
     ``parts`` has the digest or a short form of each function, class, value and distribution, by its kind and name;
     ``places`` the file and line of what is in a file; ``unnoticed`` the types of values that have no canonical form, by
-    name; ``modules`` the user's modules among them, and ``taken`` the attributes that are taken of each; ``acting`` the
-    names of those that act on others while they are imported.
+    name; ``modules`` the user's modules among them, and ``taken`` the attributes that are taken of each.
 
     What code changes while it runs, such as a cache, is not the same from call to call: it counts by the statements
     with which it begins.  So the roots are walked twice: first only what runs when they are called, which says what
@@ -153,7 +151,6 @@ class Reach:
         self.unnoticed: dict[str, str] = {}
         self.modules: dict[str, ModuleType] = {}
         self.taken: dict[str, set[str]] = defaultdict(set)
-        self.acting: list[str] = []
         # Whose form is made, and whether any of it is left out.
         self._value, self._is_changing = "", False
         # The objects are kept beside their ids, so that no other object gets the same id meanwhile.
@@ -329,7 +326,6 @@ class Reach:
             self.parts[f"file {Path(file).name}"] = digest_of(Path(file).read_bytes())
         acts = [one for one in tree_of(file, vars(module)).body if _is_act(one, calls=name != "__main__")]
         if acts and not self._running:
-            self.acting.append(name)
             self._keep(f"module {name}", "".join(map(unparsed, acts)) + self._names(acts, vars(module)))
 
     def _whole(self, module: ModuleType) -> None:

@@ -22,7 +22,10 @@ HUGE = 1e300
 # The largest value in an array of integers.
 LARGEST_INT = 2**63 - 1
 
-Kind = Literal["float", "int", "str", "bool", "any", "vector", "map", "file", "files"]
+Kind = Literal["float", "int", "str", "bool", "any", "object", "vector", "map", "file", "files"]
+
+# The key in place of an object in the study of a store.
+LABEL = "label"
 
 # Names that the platform uses in every dataset or store.
 RESERVED = ("status", "n_sim_done", "sample", "code", "blocks", "failures", "realisations")
@@ -34,7 +37,8 @@ WORDS: Mapping[Kind, str] = {
     "int": "an integer",
     "str": "a string",
     "bool": "true or false",
-    "any": "a finite number, a string, true or false",
+    "any": "a finite number, a string, true or false, or in Python any object",
+    "object": "an object of another type than numbers, texts and truth values",
     "vector": "a list of three finite numbers",
     "map": 'a table of strings, { quantity = "column" }',
     "file": "the path of a table",
@@ -103,9 +107,10 @@ class Parameter:
 
     Args:
         name: the name in studies and datasets.
-        kind: "float", "int", "str", "bool"; "any" is a number, text or truth value as the study writes it; "vector" has
-            three components, "map" is a table of strings, and for a "file" the experiment gets an object that gives the
-            columns of the table in it; "files" are several of these by name.
+        kind: "float", "int", "str", "bool"; "any" is a number, text or truth value as the study writes it, or an object
+            of Python, which has a label; "object" is the latter only; "vector" has three components, "map" is a table
+            of strings, and for a "file" the experiment gets an object that gives the columns of the table in it;
+            "files" are several of these by name.
         default: its value where a study says nothing.  None means that the experiment decides, and the meaning says
             how.
         meaning: one line for tables and figures.
@@ -118,6 +123,9 @@ class Parameter:
         define: a function that makes a further choice of a "str" from a study's table [define.PARAMETER.NAME].
         defined: the choices that one study defines; the experiment gets these objects.
         required: whether every study must set it; then there is no default.
+        optional: whether None is a value, too.
+        when: the values of other parameters with which this one has an effect, ``{"kernel": ("rbf",)}``; where it has
+            none, a grid has one point in which it is missing.
     """
 
     name: str
@@ -133,11 +141,18 @@ class Parameter:
     define: Define | None = field(default=None, compare=False, repr=False)
     defined: tuple[Named, ...] = ()
     required: bool = False
+    optional: bool = False
+    when: Mapping[str, Sequence[Any]] = field(default_factory=dict)
 
     @property
     def may_be_axis(self) -> bool:
         """Whether its values can be those of an axis."""
         return self.kind not in ("vector", "map", "file", "files")
+
+    @property
+    def takes_objects(self) -> bool:
+        """Whether its values can be objects of any type."""
+        return self.kind in ("any", "object")
 
     def written_default(self) -> Any:
         """Return the default as a study writes it."""
@@ -147,6 +162,23 @@ class Parameter:
 
     def parse(self, raw: object) -> Value:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
+        if self.optional and (raw is None or (raw == "None" and self.kind in ("float", "int", "bool"))):
+            return None
+        found = self._object(raw) if self.takes_objects else raw
+        return found if isinstance(found, Named) else self._plain(found)
+
+    def _object(self, raw: Any) -> Any:
+        """Return the object with a label that ``raw`` is or names, ``raw`` itself where it is none."""
+        is_label = isinstance(raw, dict) and raw.keys() == {LABEL}
+        label = raw[LABEL] if is_label else raw if isinstance(raw, str) and not self.choices else None
+        named = next((one for one in self.defined if one.name == label), None)
+        if named is None and is_label:
+            raise ValueError(
+                f"{self.name} = {shown(label)} is the label of an object that only its script can make again"
+            )
+        return raw if named is None else named
+
+    def _plain(self, raw: object) -> Value:
         kind, known = self.kind, self._known()
         if kind == "str" and isinstance(raw, str) and (not self.choices or raw in known):
             return next((named for named in self.defined if named.name == raw), raw)
@@ -165,6 +197,15 @@ class Parameter:
         if kind == "vector" and isinstance(raw, list | tuple) and len(raw) == 3:
             return tuple(self._number(x) for x in raw)
         raise self._refused(raw)
+
+    def written(self, value: Value) -> Any:
+        """Return a value, or those of an axis, as the study of a store has it: in place of an object its label."""
+        if isinstance(value, tuple) and self.may_be_axis:
+            return [self.written(one) for one in value]
+        if not isinstance(value, Named):
+            return value
+        is_list = isinstance(value.value, list) and all(type(one) in (bool, int, float, str) for one in value.value)
+        return value.name if self.kind == "str" else value.value if is_list else {LABEL: value.name}
 
     def _number(self, raw: object, whole: bool | None = None) -> float:
         whole = self.kind == "int" if whole is None else whole

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, TypeGuard, TypeVar, Union, cast, get
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Experiment, GeneratorPair, Kind, Output, Parameter, Point, SweepError, shown
+from linksweep.sweep.contract import Experiment, GeneratorPair, Kind, Named, Output, Parameter, Point, SweepError, shown
 from linksweep.sweep.contract.parameter import name_problem, packages_problems, parameter_problems
 from linksweep.sweep.contract.reducer import Array, Outcome, Reducer, ResultError, Rows
 from linksweep.sweep.contract.units import unit_problem
@@ -27,7 +27,6 @@ RNG, N_SIM = "rng", "n_sim"
 
 KINDS: dict[Any, Kind] = {float: "float", int: "int", bool: "bool", str: "str", Any: "any"}
 NUMPY_KINDS: dict[type, Kind] = {np.bool_: "bool", np.integer: "int", np.floating: "float", np.str_: "str"}
-ALLOWED = "float, int, bool, str or Literal[...]"
 
 ATTRIBUTE = "__linksweep__"
 """The attribute of a function that holds its declaration."""
@@ -160,24 +159,26 @@ def _read_signature(function: Callable[..., Any], problems: list[str]) -> "Funct
     if (first := next(iter(arguments), "")) in ("self", "cls") and "." in getattr(function, "__qualname__", ""):
         problems.append(f"is a method and takes {first}; give the method of an object, thing.{name}")
         arguments = {}
-    parameters, others, rng = [], [], RNG in arguments
+    parameters, defaults, rng = [], [], RNG in arguments
     for argument in arguments.values():
         if argument.kind not in (argument.POSITIONAL_OR_KEYWORD, argument.KEYWORD_ONLY):
             problems.append(f"{argument} is {argument.kind.description}, and parameters are given by name; {wrap}")
         elif argument.name != RNG and not (rng and argument.name == N_SIM):
             try:
-                if (parameter := _parameter(argument)) is not None:
-                    parameters.append(parameter)
-                else:
-                    others.append(argument.name)
+                parameters.append(parameter := _parameter(argument))
+                if argument.default is not argument.empty and not parameter.optional:
+                    defaults.append(argument.name)
             except ValueError as error:
                 problems.append(str(error))
     made = _undeclared(name, tuple(parameters), Declaration(), rng)
-    return replace(made, call=function, takes_n_sim=rng and N_SIM in arguments, others=tuple(others))
+    return replace(made, call=function, takes_n_sim=rng and N_SIM in arguments, with_default=tuple(defaults))
 
 
-def _parameter(argument: inspect.Parameter) -> Parameter | None:
-    """Return the parameter of one argument, None for one that always stays at its default; raises ValueError."""
+def _parameter(argument: inspect.Parameter) -> Parameter:
+    """Return the parameter of one argument; raises ValueError.
+
+    Its default is None where that of the argument is no value that a study can write: then the call leaves it out.
+    """
     name, annotation = argument.name, argument.annotation
     required = argument.default is argument.empty
     default = None if required else argument.default
@@ -193,16 +194,25 @@ def _parameter(argument: inspect.Parameter) -> Parameter | None:
         kind = "any" if default is None else KINDS.get(type(default))
     else:
         kind, choices = _kind(annotation)
-    if kind is None and required:
-        wrong = annotation.__name__ if isinstance(annotation, type) else shown(annotation)
-        raise ValueError(f"parameter {name}: the type {wrong} is none of {ALLOWED}")
-    if kind is None or (default is not None and type(default) not in KINDS):
-        return None
+    optional = type(None) in get_args(annotation) or (default is None and not required)
+    optional |= kind == "any" and annotation in (argument.empty, Any)
+    kind = kind or "object"
+    if default is not None and type(default) not in KINDS:
+        kind, default, optional = "object" if annotation is argument.empty else kind, None, False
     if kind == "float" and type(default) is int:  # the digest of a point with 1 would differ from that with 1.0
         default = float(default)
     meaning = noted.meaning or (noted.name if noted.name != name else "") or name.replace("_", " ")
     choices = choices or noted.choices
-    return replace(noted, name=name, kind=kind, default=default, meaning=meaning, choices=choices, required=required)
+    return replace(
+        noted,
+        name=name,
+        kind=kind,
+        default=default,
+        meaning=meaning,
+        choices=choices,
+        required=required,
+        optional=optional,
+    )
 
 
 def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
@@ -214,7 +224,7 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
         kinds = {KINDS.get(type(choice)) for choice in choices}
     elif get_origin(annotation) in (Union, types.UnionType):
         parts = [_kind(part) for part in get_args(annotation) if part is not type(None)]
-        kinds = {kind for kind, _ in parts}  # without None: a study cannot write it, and leaves the parameter out
+        kinds = {kind for kind, _ in parts}  # without None, of which `Parameter.optional` tells
         if kinds == {"int", "float"}:
             return "float", ()
         choices = tuple(choice for _, some in parts for choice in some)
@@ -222,7 +232,7 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
         kinds = {kind for one, kind in KINDS.items() if annotation is one}
         if isinstance(annotation, type):
             kinds |= {kind for base, kind in NUMPY_KINDS.items() if issubclass(annotation, base)}
-    if not kinds or None in kinds:
+    if not kinds or kinds == {None}:
         return None, ()
     return (kinds.pop() if len(kinds) == 1 else "any"), choices
 
@@ -323,7 +333,7 @@ class FunctionExperiment(Experiment):
     """A plain function as an experiment.
 
     ``layout`` describes its results, None before the first.  ``rng`` says whether it takes a generator; without one it
-    is evaluated once at each point.  ``others`` are arguments that cannot be parameters and stay at their defaults.  An
+    is evaluated once at each point.  ``with_default`` are arguments that are left out where a point has none.  An
     experiment that is made from the record in a store has no function to ``call`` and computes nothing.
     """
 
@@ -331,7 +341,7 @@ class FunctionExperiment(Experiment):
     declaration: Declaration = Declaration()
     rng: bool = False
     takes_n_sim: bool = False
-    others: tuple[str, ...] = ()
+    with_default: tuple[str, ...] = ()
     layout: Layout | None = None
 
     def __post_init__(self) -> None:
@@ -339,8 +349,6 @@ class FunctionExperiment(Experiment):
 
     def parameter(self, name: str) -> Parameter:
         """Return the declared parameter; raises ValueError that says why an argument cannot be one."""
-        if name in self.others:
-            raise ValueError(f"is in {self.name} of a type that is none of {ALLOWED}: it stays at its default")
         if self.rng and name in ("n_sim", "precision", "max_n_sim"):
             raise ValueError(f"belongs to the sampling: sampling={{{name!r}: ...}}, in a study file [sampling]")
         return super().parameter(name)
@@ -407,6 +415,7 @@ class FunctionExperiment(Experiment):
         Raises ResultError for an invalid result, and whatever the function raises.
         """
         call, declared = self.call, self.declared
+        points = [self._arguments(point) for point in points]
         assert call is not None, "the record of an experiment computes nothing"
         if self.vectorised:  # the caller sends many points only to such functions
             columns = {name: np.array([point[name] for point in points]) for name in points[0]}
@@ -422,6 +431,11 @@ class FunctionExperiment(Experiment):
                 realised = [results.flatten(call(**point, rng=rng), declared) for _ in range(n_sim)]
             outcomes.append(drawn(realised, self.name, self.declaration.outputs))
         return outcomes
+
+    def _arguments(self, point: Point) -> dict[str, Any]:
+        """Return what the function gets at a point: objects in place of labels, and nothing where it has a default."""
+        values = {name: value.value if isinstance(value, Named) else value for name, value in point.items()}
+        return {name: value for name, value in values.items() if value is not None or name not in self.with_default}
 
     def learned(self, outcomes: Mapping[int, Outcome]) -> "tuple[FunctionExperiment, dict[int, Any], dict[int, str]]":
         """Return the experiment with the layout that the first result has, with floats where any result has; the fields

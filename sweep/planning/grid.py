@@ -57,8 +57,9 @@ class Grid:
         self.rows: dict[str, list[tuple[Value, ...]]] = {
             name: list(zip(*(study.axes[axis] for axis in axes), strict=True)) for name, axes in self.dimensions.items()
         }
-        first: dict[tuple[Value, ...], int] = {}
-        places = [first.setdefault(values, place) for place, values in enumerate(self.rows.get(POINT, ()))]
+        first: dict[Any, int] = {}
+        rows = self.rows.get(POINT, ())
+        places = [first.setdefault((values, *map(type, values)), place) for place, values in enumerate(rows)]
         self.first_rows = np.array(places) if len(first) < len(places) else None
         self._fixed = study.experiment.defaults() | dict(study.fixed)
         self._names = [axis for axes in self.dimensions.values() for axis in axes]
@@ -145,9 +146,13 @@ class Grid:
         found = []
         for name in sorted(values):
             key, default = json.dumps(name), defaults[name]
-            texts = {v: f"{key}: {as_json(v)}" for v in values[name] if v != default}
+            # True is 1 to Python, but another point.
+            different = {
+                (type(v), v) for v in values[name] if v != default or (type(v) is bool) != (type(default) is bool)
+            }
+            texts = {one: f"{key}: {as_json(one[1])}" for one in different}
             if texts:
-                found.append((name, dimension_of.get(name), [texts.get(value) for value in values[name]]))
+                found.append((name, dimension_of.get(name), [texts.get((type(v), v)) for v in values[name]]))
         return found
 
     def _along(self, indices: NDArray[np.intp]) -> list[Iterator[tuple[Value, ...]]]:
@@ -258,8 +263,9 @@ def _repeated(grid: Grid) -> list[str]:
     table may.
     """
     sentences: list[str] = []
-    for dimension in grid.rows.keys() - {POINT}:
-        axes = grid.dimensions[dimension]
+    for dimension, axes in grid.dimensions.items():
+        if dimension == POINT or len(axes) == 1:
+            continue
         counts = {values: n for values, n in Counter(grid.rows[dimension]).items() if n > 1}
         for values in list(counts)[:MAX_PROBLEMS]:
             place = ",".join(f"{name}={value}" for name, value in zip(axes, values, strict=True))

@@ -191,9 +191,7 @@ def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
     """Return the document from which a store makes the union again."""
 
     def written(names: Sequence[str]) -> dict[str, Any]:
-        return {
-            name: [value.name if isinstance(value, Named) else value for value in whole.axes[name]] for name in names
-        }
+        return {name: whole.experiment.parameter(name).written(whole.axes[name]) for name in names}
 
     columns = () if whole.points is None else whole.points.names
     document = {**asked.document, "axes": written([name for name in whole.axes if name not in columns])}

@@ -88,8 +88,8 @@ def _name_points(axes: Axes, x: Array, y: Array, names: Array) -> None:
     look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5, "va": "center", "in_layout": False}
     look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
     for place, name in zip(zip(x, y, strict=True), names.tolist(), strict=True):
-        for side, alignment in ((4.0, "left"), (-4.0, "right")):
-            text = axes.annotate(name, place, xytext=(side, 0.0), ha=alignment, **look)
+        for side, up, alignment in ((4, 0, "left"), (-4, 0, "right"), (0, 7, "center"), (0, -7, "center")):
+            text = axes.annotate(name, place, xytext=(side, up), ha=alignment, **look)
             box = text.get_window_extent()
             if np.array_equal(Bbox.union([box, inside]).extents, inside.extents) and not box.count_overlaps(taken):
                 taken.append(box)
@@ -306,7 +306,8 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
     surprise = chdtrc(np.maximum(count, 1.0), discrepancy)
     figure.draw_without_rendering()
     for axes, weight in zip(grid, share.T, strict=True):
-        order = dict.fromkeys([*np.argsort(surprise)[:4], *np.argsort(-weight)[:4]])
+        matters = np.argsort(-weight * np.nan_to_num(ratio))[:2]  # the upper right: much weight, and a bad fit
+        order = dict.fromkeys([*matters, *np.argsort(surprise)[:4], *np.argsort(-weight)[:4]])
         chosen = np.array([k for k in order if kept[k] and weight[k] > 0.0], dtype=int)
         _name_points(axes, weight[chosen], ratio[chosen], names[chosen])
     return figure

@@ -152,7 +152,8 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
         for name in axes:
             parameter = experiment.parameter(name)
             values: Any = study.axes[name]
-            if parameter.kind == "str" or isinstance(values[0], str):
+            kinds = {type(value) for value in values}
+            if parameter.kind == "str" or not (kinds <= {int, float} or kinds == {bool}):
                 values = np.array([str(value) for value in values], dtype=object)
             coordinates[name] = (dimension, np.array(values), _attributes(parameter))
     for dimension, (values, unit) in experiment.dimension_coordinates().items():

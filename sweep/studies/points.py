@@ -2,6 +2,8 @@
 table [points] of a study, which is a file, a design, columns, or a table in Python.
 """
 
+import datetime
+import json
 import math
 import sys
 import warnings
@@ -9,16 +11,19 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from enum import Enum
 from functools import partial
 from itertools import pairwise
 from os import PathLike
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from linksweep.sweep.code.load import Code
-from linksweep.sweep.contract import Array, Experiment, Parameter, SweepError, Value, shown, suggest
+from linksweep.sweep.code.reach import reach_of
+from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, shown, suggest
+from linksweep.sweep.contract.parameter import LABEL
 from linksweep.sweep.contract.units import factor_between, is_quantity
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.document import Place, Problems
@@ -35,6 +40,12 @@ NEAR = 1e-12
 
 MORRIS_LEVELS = 4
 """Values of each parameter in a Morris design; an even number."""
+
+LONGEST_LABEL = 100
+"""Characters of what Python prints for an object that can be its label."""
+
+PLAIN_TYPES = (bool, int, float, str, type(None), Named)
+"""Types of values that a parameter of any kind has as they are; all others are objects with a label."""
 
 PLAIN = frozenset("biufU")
 """Kinds of arrays whose ``tolist`` returns Python's own numbers and texts."""
@@ -55,7 +66,8 @@ class Values:
         """Return the value at a place, None if it is wrong; problems begin with ``which``."""
         with self.problems.at(place, which):
             parameter = self._parameter(name)
-            value = parameter.parse(raw)
+            is_object = parameter.takes_objects and not isinstance(raw, PLAIN_TYPES) and not is_label(raw)
+            value = parameter.parse(labelled(raw) if is_object else raw)
             if parameter.kind not in ("file", "files"):
                 return value
             folder = Path.cwd() if place[:2] in self.problems.options else self.folder
@@ -88,7 +100,8 @@ class Values:
             if not (raw_values := axis_values(spec, whole=parameter.kind == "int")):
                 raise ValueError("an axis needs at least one value")
             values = self.several(place, name, raw_values)
-            if repeated := [shown(value) for value, n in Counter(values or ()).items() if n > 1]:
+            counts = Counter((type(value), value) for value in values or ())
+            if repeated := [shown(value) for (_, value), n in counts.items() if n > 1]:
                 self.problems.add(place, f"duplicate values {first_of(repeated, 10)}")
             require_distinct(values or ())
             return values
@@ -107,15 +120,8 @@ class Values:
                 return None
         if len(self.problems.sentences) > before:
             return None
-        # NumPy has no arrays of several types, and the kind "any" takes several
         kinds = {type(value) for value in values} if self.experiment.parameter(name).kind == "any" else set()
-        if kinds == {int, float}:
-            return tuple(float(value) for value in values)
-        if len(kinds) > 1:
-            types = ", ".join(sorted(kind.__name__ for kind in kinds))
-            self.problems.add(place, f"has values of several types ({types}); an axis is of one")
-            return None
-        return tuple(values)
+        return tuple(float(value) for value in values) if kinds == {int, float} else tuple(values)
 
 
 def require_distinct(values: Sequence[Value]) -> None:
@@ -422,13 +428,13 @@ def _in_units(columns: Columns, units: Mapping[str, str], values: Values, where:
                 raise ValueError("has a unit, but is no column")
             cells: list[Any] = [cell.decode() if isinstance(cell, bytes) else cell for cell in columns[name]]
             missing = np.array([cell is None or cell != cell for cell in cells], dtype=bool)  # noqa: PLR0124 (NaN)
-            if missing.any():
+            if missing.any() and not values.experiment.parameter(name).optional:
                 raise ValueError(f"has no value in row {rows_listed(missing)}")
             if (factor := factor_between(theirs, unit) if theirs else 1.0) is None:
                 raise ValueError(
                     f"its column is in {theirs}, and the parameter {f'is in {unit}' if unit else 'has no unit'}"
                 )
-            is_scaled = factor != 1.0 and not any(isinstance(cell, str) for cell in cells)
+            is_scaled = factor != 1.0 and not any(isinstance(cell, str | None) for cell in cells)
             right[name] = [factor * cell for cell in cells] if is_scaled else cells
     return right
 
@@ -474,6 +480,59 @@ def _designed(form: PointsForm, values: Values) -> tuple[Columns, dict[str, Any]
 # Objects of Python in place of a file
 
 
+def labelled(value: Any, label: str = "") -> Named:
+    """Return an object as the value of a parameter: under a label, by default its name or what Python prints for it,
+    and known by its canonical form and the code that it reaches.
+
+    Raises ValueError for an object without a canonical form, and for one that has no label of its own and gets none.
+
+    >>> labelled((1, "a")).name, labelled(Path("a/b")).name, labelled(math.sqrt).name
+    ("(1, 'a')", 'a/b', 'sqrt')
+    """
+    found = reach_of({"value": value})
+    if found.unnoticed:
+        raise ValueError(f"{shown(value)} has no canonical form, so that it cannot be told from others")
+    parts, code = found.parts, getattr(value, "__code__", None)
+    if code is not None and (code.co_name == "<lambda>" or not any(key.startswith("function ") for key in parts)):
+        # There may be several in a line, or no source at all.
+        parts = parts | {"code": f"{code.co_code.hex()} {[one for one in code.co_consts if type(one) in PLAIN_TYPES]}"}
+    if not label:
+        name = value.name if isinstance(value, Enum) else getattr(value, "__name__", "")
+        texts = str if isinstance(value, PurePath | datetime.date | datetime.time | np.datetime64) else repr
+        label = name or " ".join(texts(value).split())
+        if label == "<lambda>" or " at 0x" in label or "..." in label or len(label) > LONGEST_LABEL:
+            raise ValueError(f"{shown(value)} has no label of its own; give it one, {{'label': value}}")
+    return Named(str(label), json.dumps(parts, sort_keys=True), value)
+
+
+def is_label(raw: object) -> bool:
+    """Return whether something in a study stands for an object, by its label."""
+    return isinstance(raw, dict) and raw.keys() == {LABEL}
+
+
+def plain_values(values: Any, where: str) -> Any:
+    """Return the values of an axis or a column as a study has them: numbers and texts, and others as objects."""
+    if isinstance(values, Mapping):
+        is_range = bool(values.keys() & {"start", "values"})
+        return plain(values, where) if is_range else [plain_value(one, where, label) for label, one in values.items()]
+    kind = getattr(getattr(values, "dtype", None), "kind", "O")
+    if kind in PLAIN or isinstance(values, str | bytes | set | frozenset | Iterator | range) or is_quantity(values):
+        return plain(values, where)
+    return [plain_value(one, where) for one in values] if isinstance(values, Iterable) else values
+
+
+def plain_value(value: Any, where: str, label: str = "") -> Any:
+    """Return a value as a study has it, as `plain_values`; without a ``label`` lists and tables stay as they are."""
+    if not label and isinstance(value, (*PLAIN_TYPES, list, tuple, Mapping)):
+        return value
+    if not label and ((isinstance(value, np.generic) and value.dtype.kind in PLAIN) or is_quantity(value)):
+        return plain(value, where)
+    try:
+        return labelled(value, label)
+    except ValueError as error:
+        raise SweepError(f"{where}: {error}") from error
+
+
 def plain(value: Any, where: str) -> Any:
     """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers.
 
@@ -510,13 +569,16 @@ def plain_points(points: Any) -> dict[str, Any]:
         if is_form or isinstance(points.get("columns"), dict):
             return dict(plain(points, "points"))
         quantities, units = columns_of({name: column for name, column in points.items() if is_quantity(column)})
-        columns = plain({name: quantities.get(name, column) for name, column in points.items()}, "points")
+        columns = {
+            str(name): plain_values(quantities.get(name, column), f"points.{name}") for name, column in points.items()
+        }
     elif hasattr(points, "colnames"):
         columns, units = columns_of({name: points[name] for name in points.colnames})
     elif hasattr(points, "columns") and hasattr(points, "to_dict"):
         if not points.columns.is_unique:
             raise SweepError("points: two columns have the same name")
-        columns = {str(name): points[name].astype(object).where(points[name].notna(), None).tolist() for name in points}
+        cells = {str(name): points[name].astype(object).where(points[name].notna(), None).tolist() for name in points}
+        columns = {name: plain_values(column, f"points.{name}") for name, column in cells.items()}
     else:
         wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"
         raise SweepError(f"points = {shown(points)}: {wanted}")

@@ -17,7 +17,7 @@ from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies import study as sections
 from linksweep.sweep.studies.document import Options, Place, Problems, find_study, parsed, read_text, reference_in
 from linksweep.sweep.studies.part import PART, Part
-from linksweep.sweep.studies.points import Columns, Values, plain, plain_points, read_points
+from linksweep.sweep.studies.points import Columns, Values, plain, plain_points, plain_value, plain_values, read_points
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Form, Sampling, Study
 from linksweep.sweep.tables.file import TableFile
 
@@ -132,8 +132,13 @@ def live_study(document: Mapping[str, Any]) -> Study:
     written: dict[str, Any] = {
         str(key): plain_points(value) if key == "points" else plain(value, str(key))
         for key, value in document.items()
-        if key != "experiment"
+        if key not in ("experiment", "axes", "fixed")
     }
+    for table, made in (("axes", plain_values), ("fixed", plain_value)):
+        if isinstance(entries := document.get(table), Mapping):
+            written[table] = {str(name): made(value, f"{table}.{name}") for name, value in entries.items()}
+        elif table in document:
+            written[table] = entries
     function = document.get("experiment", DEFAULT_EXPERIMENT)
     if isinstance(function, str):
         written["experiment"], name = function, function.rpartition(":")[2]
@@ -177,6 +182,7 @@ class _Reader:
                 if name not in {**axes, **fixed}:
                     sentence = f"{name} has no default: the study must set it, here or in [axes]"
                     problems.add(("fixed", name), sentence)
+        experiment = self._with_labels(experiment, axes, fixed)
         published = None if form.published is None else _read_published(form.published, values, axes)
         changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
         # Claims about zipped axes need the groups before these are known to be right.
@@ -207,8 +213,25 @@ class _Reader:
             conclusion=checked.conclusion,
             text=self.text,
             overrides=tuple(f"{flag} {text}" for flag, text in self.options.written),
-            document=self._portable(form, fixed, columns, origin),
+            document=self._portable(form, experiment, {**axes, **fixed}, columns, origin),
         )
+
+    def _with_labels(
+        self, experiment: Experiment, axes: Mapping[str, tuple[Value, ...] | None], fixed: Mapping[str, Value]
+    ) -> Experiment:
+        """Return the experiment with the objects that the study gives its parameters, each under one label."""
+        parameters = []
+        for parameter in experiment.parameters:
+            known = {one.name: one for one in parameter.defined}
+            values = (*(axes.get(parameter.name) or ()), fixed.get(parameter.name))
+            for value in values if parameter.takes_objects else ():
+                if known.setdefault(str(value), value) != value:
+                    place = ("axes" if parameter.name in axes else "fixed", parameter.name)
+                    self.problems.add(place, f"two values have the label {shown(str(value))}: give each its own")
+            objects = tuple(one for one in known.values() if isinstance(one, Named))
+            parameters.append(replace(parameter, defined=objects))
+        same = tuple(parameters) == experiment.parameters
+        return experiment if same else replace(experiment, parameters=tuple(parameters))
 
     def _form_and_experiment(self) -> tuple[Form, Experiment, bool]:
         """Return the document, as the options have changed it, without statements and without broken sections, so that
@@ -239,18 +262,24 @@ class _Reader:
         return Form.model_validate({"title": "", **whole}), experiment, not {"axes", "points"} & form
 
     def _portable(
-        self, form: Form, fixed: Mapping[str, Value], columns: Columns, origin: Mapping[str, Any]
+        self, form: Form, experiment: Experiment, values: Mapping[str, Any], columns: Columns, origin: Mapping[str, Any]
     ) -> dict[str, Any]:
-        """Return the document with absolute paths of files, and with the values of a table of points in place of its
-        file or design.
+        """Return the document with absolute paths of files, labels of objects, and with the values of a table of points
+        in place of its file or design.
         """
         document = {**self.document, "experiment": absolute_reference(form.experiment, self.folder)}
-        if "fixed" in document:
-            paths = {name: value.path for name, value in fixed.items() if isinstance(value, TableFile)}
-            document["fixed"] = document["fixed"] | paths
         if form.points is not None:
             # the values and not the file or the function that gave them: a store is continued as it was begun
-            document["points"] = {"columns": dict(columns), **({"origin": dict(origin)} if origin else {})}
+            known = {one.name: one for one in experiment.parameters}
+            written = {name: known[name].written(values[name]) for name in columns}
+            document["points"] = {"columns": written, **({"origin": dict(origin)} if origin else {})}
+        if "fixed" in document:
+            paths = {name: one.path for name, one in values.items() if isinstance(one, TableFile)}
+            document["fixed"] = document["fixed"] | paths
+        objects = {one.name: one for one in experiment.parameters if one.takes_objects and one.defined}
+        for key in {"axes", "fixed"} & document.keys():
+            written = {name: objects[name].written(values[name]) for name in objects.keys() & document[key].keys()}
+            document[key] = document[key] | written
         for name, by_name in form.define.items():
             for word, table in by_name.items():
                 absolute = {

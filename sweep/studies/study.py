@@ -129,7 +129,8 @@ class Condition:
         """Return whether a parameter's value meets the condition."""
         if self.among is not None:
             return value in self.among
-        return (self.above is None or value > self.above) and (self.below is None or value < self.below)
+        is_number = isinstance(value, int | float)
+        return is_number and (self.above is None or value > self.above) and (self.below is None or value < self.below)
 
 
 def _condition(name: str, written: Any, context: Context) -> Condition:

@@ -34,6 +34,15 @@ _ICRF = re.compile(
 )
 
 
+# A row of Hipparcos-2, hip2.dat of CDS I/311, and where the columns begin and end that astrometry needs.
+_HIP2 = re.compile(r"(?=.{270})[ \d]{5}\d +\d+ \d \d +\d\.\d{10} [ -]\d\.\d{10} ")
+_HIP2_COLUMNS = {
+    **{"HIP": (0, 6), "Sn": (7, 10), "RArad": (15, 28), "DErad": (29, 42), "Plx": (43, 50), "pmRA": (51, 59)},
+    **{"pmDE": (60, 68), "e_RArad": (69, 75), "e_DErad": (76, 82), "e_Plx": (83, 89), "e_pmRA": (90, 96)},
+    **{"e_pmDE": (97, 103), "F2": (108, 113), "Hpmag": (129, 136), "B-V": (152, 158)},
+    **{f"UW{k}": (164 + 7 * k, 171 + 7 * k) for k in range(1, 16)},
+}
+
 DELIMITERS = ("\t", ";", "|", ",")
 MISSING = (
     *("", "null", "NULL", "None", "none", "NaN", "nan", "NAN", "N/A", "n/a", "NA", "<NA>"),
@@ -132,6 +141,8 @@ def _text(path: Path, content: bytes) -> Any:
         return _icrf(text)
     if (readme := readme_of(path)) is not None:
         return _cds(path, text, readme)
+    if _HIP2.match(text):
+        return _hipparcos(text)
     return _delimited(text)
 
 
@@ -200,6 +211,18 @@ def _icrf(text: str) -> Any:
         table[name].unit = unit
     table.meta["extragalactic"] = True
     return table
+
+
+def _hipparcos(text: str) -> Any:
+    """Return columns of hip2.dat; their units follow from their names."""
+    import pandas as pd
+
+    for k, line in enumerate(text.splitlines(), 1):
+        if line.strip() and not (_HIP2.match(line) and len(line) > _HIP2_COLUMNS["UW15"][0]):
+            raise SweepError(f"is hip2.dat of CDS I/311, but has no such row in line {k}")
+    fields, names = list(_HIP2_COLUMNS.values()), list(_HIP2_COLUMNS)
+    frame = pd.read_fwf(io.StringIO(text), colspecs=fields, header=None, names=names, dtype_backend="numpy_nullable")
+    return _from_frame(frame)
 
 
 # ---- delimited text (CSV, TSV as VizieR sends it, `;` or blanks): names and units above, then rows with gaps

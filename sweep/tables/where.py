@@ -6,7 +6,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
-from functools import reduce
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,34 +21,30 @@ _PIECES = re.compile(r"`[^`]*`|'[^']*'|\"[^\"]*\"|\s|.", re.DOTALL)
 _COMPARISONS: Mapping[type, Callable[[Any, Any], Any]] = {
     **{ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge},
     **{ast.Eq: operator.eq, ast.NotEq: operator.ne},
-    **{ast.In: np.isin, ast.NotIn: lambda values, some: ~np.isin(values, some)},
+    **{ast.In: np.isin, ast.NotIn: partial(np.isin, invert=True)},
 }
-_ARITHMETIC: Mapping[type, Callable[[Any, Any], Any]] = {
-    **{ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv},
-}
-_ALLOWED = "allowed are numbers, text, columns, + - * /, comparisons, in, not in, &, |, ~ and parentheses"
-_TRUTH = {"true": True, "t": True, "false": False, "f": False}
+_ALLOWED = "allowed are columns, numbers, text, comparisons, in, not in, &, |, ~ and parentheses"
 
 
 class _Operand(NamedTuple):
-    """Values (N,), or one, and where they are missing."""
+    """Values (N,), or one, or a list of them, and where they are missing."""
 
     values: Any
     missing: Any = False
 
     @property
     def kind(self) -> str:
-        return {"U": "text", "b": "true or false"}.get(np.asarray(self.values).dtype.kind, "numbers")
+        return {"U": "text", "b": "true or false"}.get(self.values.dtype.kind, "numbers")
 
 
 def rows_where(table: Any, condition: str, where: str = "") -> Flags:
     """Return which rows of an astropy Table meet a condition; shape (N,).
 
     It compares columns with numbers, text and each other: ``<``, ``<=``, ``>``, ``>=``, ``==``, ``!=``, ``in`` and
-    ``not in`` a list, joined by ``&``, ``|`` and ``~`` or ``and``, ``or`` and ``not``, with ``+ - * /`` and
-    parentheses.  Backticks enclose a name that is no word.  Numbers are those in the file, without its units.  Every
-    comparison with a missing value is false.  Nothing of it is run as Python.  Raises SweepError, with the place, for
-    what it does not understand, and for a condition that no row meets.
+    ``not in`` a list, joined by ``&``, ``|`` and ``~`` or ``and``, ``or`` and ``not``, with parentheses.  Backticks
+    enclose a name that is no word.  Numbers are those in the file, without its units.  Every comparison with a missing
+    value is false.  Nothing of it is run as Python.  Raises SweepError, with the place, for what it does not
+    understand, and for a condition that no row meets.
     """
     return _Condition(Columns(table, where), condition).rows()
 
@@ -83,27 +79,26 @@ class _Condition:
 
     def rows(self) -> Flags:
         try:
-            with warnings.catch_warnings(), np.errstate(all="ignore"):
+            with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of the compiler, about what is refused below
                 flags = self._flags(ast.parse(self.python, mode="eval").body)
         except SyntaxError as error:
             at_end = len(self.python) + 1  # where it has no offset
-            raise self._error(error.msg, (error.offset or at_end) - 1) from None
-        except (ValueError, RecursionError, MemoryError, OverflowError, TypeError) as error:
-            raise self._error(str(error), 0) from None
+            raise self._refused((error.offset or at_end) - 1, error.msg) from None
+        except (ValueError, RecursionError, MemoryError, OverflowError) as error:
+            raise self._refused(0, str(error)) from None
         if not flags.any():
             spans = ", ".join(f"{name} is {_span(column)}" for name, column in self.used.items())
             raise SweepError(f"where {self.text!r} keeps none of {len(self.read)} rows; {spans}", self.read.where)
         return flags
 
-    def _error(self, what: str, at: int) -> SweepError:
+    def _refused(self, at: ast.expr | int, what: str) -> SweepError:
+        if isinstance(at, ast.expr):
+            at = len(self.python.encode()[: at.col_offset].decode(errors="ignore"))
         place = self.origin[at] if at < len(self.origin) else len(self.text)
         rest = self.text[place : place + 20].strip()
         shown = f"at character {place + 1}, {rest!r}" if rest else "at the end"
         return SweepError(f"where {self.text!r}: {what}, {shown}; {_ALLOWED}", self.read.where)
-
-    def _refused(self, node: ast.expr, what: str) -> SweepError:
-        return self._error(what, len(self.python.encode()[: node.col_offset].decode(errors="ignore")))
 
     def _flags(self, node: ast.expr) -> Flags:
         if isinstance(node, ast.BoolOp):
@@ -111,48 +106,29 @@ class _Condition:
             return np.asarray(reduce(join, map(self._flags, node.values)))
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             return np.logical_not(self._flags(node.operand))
-        flags = np.ones(len(self.read), dtype=bool)
         if not isinstance(node, ast.Compare):
             one = self._operand(node)
             if one.kind == "text" or not np.all(np.isin(one.values, (0, 1)) | one.missing):
                 raise self._refused(node, f"{one.kind} without a comparison")
-            return np.asarray(flags & (np.asarray(one.values) == 1) & ~np.asarray(one.missing))
-        left = self._operand(node.left)
+            return np.asarray(np.ones(len(self.read), dtype=bool) & (one.values == 1) & np.logical_not(one.missing))
+        flags, left = np.ones(len(self.read), dtype=bool), self._operand(node.left)
         for comparison, other in zip(node.ops, node.comparators, strict=True):
-            if (compare := _COMPARISONS.get(type(comparison))) is None:
-                raise self._refused(other, "not a comparison")
-            right = self._list(other) if isinstance(comparison, (ast.In, ast.NotIn)) else self._operand(other)
-            if left.kind != right.kind and "text" in (left.kind, right.kind):
-                raise self._refused(other, f"{left.kind} compared with {right.kind}")
-            flags &= compare(left.values, right.values) & ~np.asarray(left.missing | right.missing)
+            is_in = isinstance(comparison, (ast.In, ast.NotIn))
+            right, compare = self._operand(other, is_in), _COMPARISONS.get(type(comparison))
+            if compare is None or (left.kind != right.kind and "text" in (left.kind, right.kind)):
+                raise self._refused(other, f"{left.kind} cannot be compared with {right.kind} in this way")
+            flags &= compare(left.values, right.values) & np.logical_not(left.missing | right.missing)
             left = right
         return flags
 
-    def _operand(self, node: ast.expr) -> _Operand:
-        if isinstance(node, ast.Constant) and isinstance(node.value, (bool, int, float, str)):
-            return _Operand(node.value)
-        if isinstance(node, ast.Name):
+    def _operand(self, node: ast.expr, is_list: bool = False) -> _Operand:
+        if isinstance(node, ast.Name) and not is_list:
             return self._column(node)
-        parts: tuple[Any, ...] = (None, None, None)
-        if isinstance(node, ast.BinOp):
-            parts = node.left, node.op, node.right
-        elif isinstance(node, ast.UnaryOp):
-            parts = ast.Constant(0), ast.Sub() if isinstance(node.op, ast.USub) else None, node.operand
-        compute = _ARITHMETIC.get(type(parts[1]))
-        if compute is None:
-            raise self._refused(node, "not allowed")
-        left, right = self._operand(parts[0]), self._operand(parts[2])
-        if {left.kind, right.kind} != {"numbers"}:
-            raise self._refused(node, f"arithmetic with {left.kind} and {right.kind}")
-        values = compute(*(np.asarray(one.values, dtype=np.float64) for one in (left, right)))
-        return _Operand(values, np.isnan(values) | left.missing | right.missing)
-
-    def _list(self, node: ast.expr) -> _Operand:
-        if isinstance(node, (ast.List, ast.Tuple, ast.Set)) and node.elts:
-            with suppress(ValueError):  # of what is no literal, or no list of one length
-                if (values := np.array(list(ast.literal_eval(node)))).ndim == 1 and values.dtype.kind in "biufU":
-                    return _Operand(values)
-        raise self._refused(node, "not a list of numbers or of text like [1, 2]")
+        with suppress(ValueError):  # of what is no literal, or no list of one length
+            literal = np.asarray(ast.literal_eval(node))
+            if literal.ndim == is_list and literal.dtype.kind in "biufU":
+                return _Operand(literal)
+        raise self._refused(node, f"not {'a list of numbers or of text like [1, 2]' if is_list else 'allowed'}")
 
     def _column(self, node: ast.Name) -> _Operand:
         asked = self.quoted.get(node.id, node.id)
@@ -165,12 +141,9 @@ class _Condition:
         if kind in "USO":
             values = self.read.text(name, missing="")
             missing = missing | (values == "")
-            words = {text.casefold() for text in np.unique(values[~missing]).tolist()}
-            if words and words <= set(_TRUTH):
-                values = np.array([_TRUTH.get(text.casefold(), False) for text in values.tolist()])
         return self.used.setdefault(name, _Operand(values, missing))
 
 
 def _span(column: _Operand) -> str:
-    there = np.sort(np.asarray(column.values)[~column.missing]).tolist()
+    there = np.sort(column.values[~column.missing]).tolist()
     return f"{there[0]} to {there[-1]}" if there else "missing in all"

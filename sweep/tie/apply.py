@@ -103,8 +103,9 @@ def _notes(link: "xr.Dataset", stars: Astrometry, inverse: bool, path: str) -> l
         raise SweepError(
             f"the link has {', '.join(further)} too, and only orientation and spin are applied: solve again"
         )
-    if "bin" in link.dims or link.attrs["known_spin"] != "none":
-        raise SweepError("the link has a spin by bins, or beside a known one: solve for one spin, without --known-spin")
+    known = [name for name in ("known_spin", "known_orientation") if link.attrs.get(name, "none") != "none"]
+    if "bin" in link.dims or known:
+        raise SweepError(f"the link is beside {' and '.join(known) or 'spins by bins'}: solve for orientation and spin")
     low, high = link.attrs.get("satellite_epochs", [link.attrs["epoch"]] * 2)
     other = np.flatnonzero((stars.epoch < low - SAME_EPOCH) | (stars.epoch > high + SAME_EPOCH))
     if len(other) and not inverse:

@@ -46,6 +46,7 @@ TABLES = ("satellite", "reference", "mission")
 OF_TABLES = {
     "extragalactic": "the table with mean positions of quasars, which hold at any epoch",
     "without_cos_dec": "the table whose pmra is mu_alpha, without cos(dec)",
+    "parallax_zero_point": "the table of DR3 whose parallax zero points are subtracted",
 }
 PARAMETERS = (
     Parameter("satellite", "file", None, "table of the satellite; required"),
@@ -75,6 +76,7 @@ PARAMETERS = (
     number("motion_jitter", 0.0, f"{_JITTER} motions", "mas/yr"),
     Parameter("jitter", "str", "", "by kind of row, like position=0.2,five-parameter=0.2:0.05; or estimate"),
     Parameter("known_spin_table", "file", None, "a spin by magnitude that is subtracted, instead of known_spin"),
+    Parameter("known_orientation", "vector", None, "subtracted before the fit, as known_spin; default none", "mas"),
     Parameter("known_spin", "vector", None, "subtracted before the fit, reference - satellite; default none", "mas/yr"),
     DECLARED["aberration"],
     Parameter("by", "str", "", _BY),
@@ -308,6 +310,7 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
             zero_errors=point["zero_errors"],
             accelerations=None if point["accelerations"] == TABLE else point["accelerations"],
             extragalactic=point["extragalactic"] in (name, "both"),
+            parallax_zero_point=point["parallax_zero_point"] in (name, "both"),
             pmra_cos_dec=False if point["without_cos_dec"] in (name, "both") else None,
             where=point["reference_where"] or None if name == "reference" else None,
             positions=None if name != "reference" or point["positions"] == TABLE else point["positions"],
@@ -315,7 +318,7 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
     if epochs:
         raise SweepError(f"mission_epochs: no mission {', '.join(epochs)}")
     options = setup.Options(
-        **{name: point[name] for name in ("unknowns", "degree", "epoch", "weights", "aberration")},
+        **{name: point[name] for name in ("unknowns", "degree", "epoch", "weights", "aberration", "known_orientation")},
         bins=setup.parse_bins(point["bins"]) if point["bins"] else None,
         by=point["by"] or None,
         where=point["where"] or None,
@@ -521,8 +524,16 @@ def warn(point: Point) -> list[str]:
 def unused(point: Point) -> dict[str, str]:
     """Return the parameters that change nothing at a point, each with a clause that says why."""
     reference, limits = point["reference"] is not None, point["g_min"] is not None or point["g_max"] is not None
-    rows = ("truth", "position_jitter", "motion_jitter", "jitter", "known_spin", "accept_misfit")
-    rows = (*rows, "known_spin_table")
+    rows = (
+        "truth",
+        "position_jitter",
+        "motion_jitter",
+        "jitter",
+        "known_spin",
+        "accept_misfit",
+        "known_spin_table",
+        "known_orientation",
+    )
     new = ("new_epoch", "new_error", "new_positions", "goal", "candidates")
     columns = (
         "reference_columns",

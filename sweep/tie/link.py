@@ -35,6 +35,9 @@ RESAMPLES = 1000
 # How often noise is estimated from what a clip keeps with it.
 ROUNDS = 20
 
+# A chi2 that is lower by so much with the opposite sign of what is known is no chance.
+WORSE = 10.0
+
 # The rows of larger tables are not included in a result.
 ROWS_KEPT = 100_000
 
@@ -115,6 +118,7 @@ def solve_link(
             else:
                 places, sums = sources.heaviest(HEAVIEST)
                 share = solution.shares(sums, result.solution, unknowns) * result.factors[places, None]
+            notes += _of_known(setup, sources, result)
     except ValueError as error:  # LinkError is one
         raise SweepError(f"{error}{_rows_there_are(setup) if isinstance(error, LinkError) else ''}") from error
     for block, part in zip(unknowns.names, share.T, strict=True):
@@ -170,6 +174,18 @@ def _misfit(setup: Setup, sources: solution.Sources, result: solution.Clipped) -
         solved = solved if in_groups else solution.sources_of(problem).solve(factors)
     kept = np.flatnonzero(factors[: len(problem.satellite)] > 0.0)
     return mistakes.misfit(problem, kept, solved, setup.names, ("reference", *setup.missions))
+
+
+def _of_known(setup: Setup, sources: solution.Sources, result: solution.Clipped) -> list[str]:
+    """Return a note on chi2 with what is known, without it and with the opposite sign; none for tables in groups."""
+    if setup.problem.known is None or not isinstance(sources, solution.KeptSources):
+        return []
+    blocks, values = setup.problem.known
+    trials = (replace(setup.problem, known=(blocks, factor * values)) for factor in (0.0, -1.0))
+    without, opposite = (solution.sources_of(trial).solve(result.factors).squares for trial in trials)
+    worse = ": is its sign right?" if opposite + WORSE < result.solution.squares else ""
+    of_chi2 = f"chi2 is {result.solution.squares:.6g} with what is known subtracted, {without:.6g} without"
+    return [f"{of_chi2}, {opposite:.6g} with the opposite sign{worse}"]
 
 
 def _rows_there_are(setup: Setup) -> str:
@@ -308,10 +324,10 @@ def tie(
             Parquet table of millions of quasars hardly grows with their number.
         accept_misfit: whether a link is given although chi2 is more than 1000 times its expectation.
         options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``,
-            ``where`` (a condition like "ruwe < 1.4"), ``weights``, ``known_spin``, ``jitter`` (kind of row to (mas,
-            mas/yr)), ``sign``, ``aberration``, ``corrections``, ``missions`` (further tables by name, each with an
-            orientation and a spin of its own), ``satellite_options``, ``reference_options`` and ``mission_options``
-            (`sweep.tie.tables.TableOptions`).
+            ``where`` (a condition like "ruwe < 1.4"), ``weights``, ``known_spin``, ``known_orientation``, ``jitter``
+            (kind of row to (mas, mas/yr)), ``sign``, ``aberration``, ``corrections``, ``missions`` (further tables by
+            name, each with an orientation and a spin of its own), ``satellite_options``, ``reference_options`` and
+            ``mission_options`` (`sweep.tie.tables.TableOptions`).
 
     Returns:
         A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr,
@@ -420,6 +436,7 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "missions": {name: table.path for name, table in setup.missions.items()},
         "missions_sha256": {name: table.digest for name, table in setup.missions.items()},
         "known_spin": str(options.known_spin) if options.known_spin is not None else "none",
+        "known_orientation": str(options.known_orientation) if options.known_orientation is not None else "none",
         "aberration_uas_yr": options.aberration,
         "jitter": ", ".join(f"{k}={s if s == ESTIMATE else f'{s[0]:g}:{s[1]:g}'}" for k, s in jitter) or "none",
         "misfit": link.misfit.text if link.misfit.first else "",

@@ -53,7 +53,7 @@ class RowGroup:
     def problem(self) -> Problem:
         """Return the problem of the rows; raises SweepError for wrong ones, with their numbers in the row group."""
         stars = self.read().astrometry
-        known, source = setup.known_spin(self.options, stars), np.arange(len(stars))
+        known, source = setup.known_unknowns(self.options, stars), np.arange(len(stars))
         rows = setup.with_jitter(setup.zero_motion(len(stars)), self.options.jitter_in(None))
         return Problem(stars, rows, source, self.unknowns, self.epoch, self.options.weights, known)
 

@@ -24,6 +24,7 @@ from linksweep.core.tie.astrometry import (
     propagated,
     with_variance,
 )
+from linksweep.core.tie.forecast import releases_at
 from linksweep.core.tie.noise import ALL, ESTIMATE
 from linksweep.core.tie.problem import Problem, Weights
 from linksweep.core.tie.solution import sources_of
@@ -31,7 +32,7 @@ from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_na
 from linksweep.sweep.contract import Parameter, SweepError
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.tables.reader import read_table as read_file
-from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, Zeros, read_table
+from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, Zeros, built_in, read_table
 
 Sign = Literal["reference-satellite", "satellite-reference"]
 SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference": -1.0}
@@ -97,11 +98,11 @@ class Options:
     ``unknowns`` as in `parse_unknowns`, None for those of orientation and spin that the tables determine; ``degree``
     adds vector spherical harmonics up to it.  ``bins`` are a column and edges.  ``epoch`` (Julian year) is that of the
     orientation, by default the satellite's.  ``known_spin`` is a vector (mas/yr, in the sign of ``sign``) or the path
-    of a table by magnitude.  ``jitter`` maps kinds of rows to (mas, mas/yr) added in quadrature or to "estimate", or is
-    a line as in `parse_jitter`.  ``aberration``
-    (uas/yr) carries reference positions without an epoch from 2015.0 to the satellite's epoch.  ``missions`` are
-    further tables by name, each in a frame of its own with an orientation and a spin; ``mission_options`` say how
-    these are read.  ``where`` is a condition that the satellite's rows must meet, as in `rows_where`.
+    of a table by magnitude, ``known_orientation`` a vector (mas).  ``jitter`` maps kinds of rows to (mas, mas/yr) added
+    in quadrature or to "estimate", or is a line as in `parse_jitter`.  ``aberration`` (uas/yr) carries reference
+    positions without an epoch from 2015.0 to the satellite's epoch.  ``missions`` are further tables by name, each in a
+    frame of its own with an orientation and a spin; ``mission_options`` say how these are read.  ``where`` is a
+    condition that the satellite's rows must meet, as in `rows_where`.
     """
 
     unknowns: str | None = None
@@ -111,6 +112,7 @@ class Options:
     epoch: float | None = None
     weights: Weights = "covariance"
     known_spin: Sequence[float] | str | Path | None = None
+    known_orientation: Sequence[float] | str | None = None
     jitter: Mapping[str, Any] = field(default_factory=dict)
     sign: Sign = "reference-satellite"
     corrections: bool = True
@@ -245,7 +247,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
             matched = match(left, table, options.by)
             rows = _taken(table.astrometry, matched.rows)
             far = far_rows(left, table, matched)
-            notes += [*table.named_notes(), *match_notes(table, matched, rows), *far]
+            notes += [*table.named_notes(), *match_notes(left, table, matched, rows), *far]
         if rows.further is not None:
             notes.append(f"accelerations of the {name or 'reference'} are not compared: its rows are of their epochs")
             rows = replace(rows, further=None)
@@ -267,7 +269,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights)
     try:
         unknowns = unknowns_for(options, problem, notes)
-        problem = replace(problem, unknowns=unknowns, known=known_spin(options, stars))
+        problem = replace(problem, unknowns=unknowns, known=known_unknowns(options, stars))
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
     missions = dict(zip(options.missions, tables[1:], strict=True))
@@ -279,10 +281,13 @@ def _taken(table: Astrometry, rows: Indices) -> Astrometry:
 
 
 def _names(left: AstrometricTable, reference: AstrometricTable, matched: "Match") -> NDArray[np.str_]:
-    """Return the names of all sources: the satellite's first column of names, else the reference's, else numbers."""
-    if left.names:
+    """Return the names of all sources: the satellite's first column of names, else the reference's, else numbers; those
+    of the reference first if the tables have identifiers of two releases.
+    """
+    if left.names and not matched.releases:
         return next(iter(left.names.values()))
-    names = np.arange(1, len(left.astrometry) + 1).astype(np.str_).astype(object)
+    numbers = np.arange(1, len(left.astrometry) + 1).astype(np.str_)
+    names = next(iter(left.names.values()), numbers).astype(object)
     if reference.names:
         names[matched.source] = next(iter(reference.names.values()))[matched.rows]
     return names.astype(np.str_)
@@ -320,7 +325,8 @@ def default_epoch(epochs: Array) -> float:
 @dataclass(frozen=True)
 class Match:
     """The rows that were matched (R,), the source of the satellite for each (R,), how they were matched, the rows left
-    over, and those for which several sources were within the radius, so that the nearest was taken.
+    over, those for which several sources were within the radius, so that the nearest was taken, and the second nearest.
+    ``releases`` are those of Gaia whose identifiers the two tables have, where they differ.
     """
 
     rows: Indices
@@ -328,13 +334,16 @@ class Match:
     by: str
     unmatched: Indices = field(default_factory=_NONE.copy)
     ambiguous: Indices = field(default_factory=_NONE.copy)
+    rivals: Indices = field(default_factory=_NONE.copy)
+    releases: tuple[str, ...] = ()
 
 
 def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | None = None) -> Match:
     """Match by ``name``, by a column that both tables have, or by ``position`` within 1 arcsec (``position:R``).
 
-    By default by name if columns of names in both tables have a name in common, and by position otherwise.
-    Raises SweepError if nothing matches, or if the satellite's table has a name twice.
+    By default by name if columns of names in both tables have a name in common, and by position otherwise.  Identifiers
+    of two releases of Gaia are different names.  Raises SweepError if nothing matches, or if the satellite's table has
+    a name twice.
     """
     kind, _, radius = (by or "").partition(":")
     if kind == "position":
@@ -342,18 +351,33 @@ def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | No
     pairs = [(name, name) for name in satellite.names if name in reference.names and kind in ("", "name", name)]
     if kind in ("", "name"):
         pairs += [(a, b) for a in satellite.names for b in reference.names if a != b]
+    releases: tuple[str, ...] = ()
+    if kind in ("", "name"):
+        of_pairs = [(_release(satellite, a), _release(reference, b)) for a, b in pairs]
+        releases = next((both for both in of_pairs if all(both) and both[0] != both[1]), ())
+        pairs = [pair for pair, both in zip(pairs, of_pairs, strict=True) if not all(both) or both[0] == both[1]]
     for pair in pairs:
         matched = _by_name(satellite, reference, pair, strict=kind == pair[0] or pair[0].casefold() in SOURCE_NAMES)
         if len(matched.rows):
             return matched
     if by is None:
-        return _by_position(satellite, reference, "")
+        return replace(_by_position(satellite, reference, ""), releases=releases)
     said = []
     for table, column in zip((satellite, reference), pairs[0] if pairs else (None, None), strict=True):
         names = [str(name) for name in table.names.get(str(column), ()) if name.casefold() not in _NO_NAME]
         there = f"names in {', '.join(table.names) or 'no column'}"
         said.append(f"{table.path} has {f'{column} like {names[0]!r}' if names else there}")
     raise SweepError(f"match by {by!r}: {'no name is in both tables; ' if pairs else ''}{', '.join(said)}")
+
+
+def _release(table: AstrometricTable, column: str) -> str:
+    """Return the release of Gaia whose identifiers a column of names has, as these or the table's epochs say; ''
+    for other names.
+    """
+    if (said := table.releases.get(column)) or column.casefold() != "source_id":
+        return said or ""
+    near = releases_at(table.astrometry.epoch)
+    return next(iter(table.releases.values()), "") or (near[0] if len(near) == 1 else "")
 
 
 def _by_name(satellite: AstrometricTable, reference: AstrometricTable, pair: tuple[str, str], strict: bool) -> Match:
@@ -386,19 +410,20 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
     if len(without := np.flatnonzero(~np.isfinite(rows.values[:2]).all(axis=0))):
         raise SweepError(f"match by position: no position in {named_rows(without)}; match by name", reference.path)
     chord = 2.0 * np.sin(0.5 * radius * ARCSEC)
-    place, several = np.full(len(rows), -1), np.zeros(len(rows), dtype=bool)
+    place, several, second = np.full(len(rows), -1), np.zeros(len(rows), dtype=bool), np.full(len(rows), -1)
     epochs = np.where(np.isfinite(rows.epoch), rows.epoch, np.inf)
     for epoch in np.unique(epochs):  # the sources move, so that each epoch has a tree of its own
         at = np.flatnonzero(epochs == epoch)
         tree = cKDTree(_directions(sources, np.full(len(sources), epoch)).T)
         distance, nearest = map(np.asarray, tree.query(triad(*rows.values[:2, at]).r.T, k=2))
         place[at] = np.where(distance[:, 0] <= chord, nearest[:, 0], -1)
-        several[at] = distance[:, 1] <= chord
+        several[at], second[at] = distance[:, 1] <= chord, nearest[:, 1]
     matched = np.flatnonzero(place >= 0)
     if not len(matched):
         raise SweepError(f"no row of the reference is within {radius:g} arcsec of a source", reference.path)
     how = f"position within {radius:g} arcsec"
-    return Match(matched, place[matched], how, np.flatnonzero(place < 0), np.flatnonzero(several))
+    ambiguous = np.flatnonzero(several)
+    return Match(matched, place[matched], how, np.flatnonzero(place < 0), ambiguous, second[ambiguous])
 
 
 def _directions(sources: Astrometry, epoch: Array) -> Array:
@@ -407,7 +432,7 @@ def _directions(sources: Astrometry, epoch: Array) -> Array:
     start, end = (np.where(both, one, 0.0) for one in (sources.epoch, epoch))
     ra, dec = propagated(sources.values, sources.radial_velocity, start, end)[:2]
     if sources.further is not None:
-        bend = np.einsum("nij,jn->in", bends(end - start, sources.orbit)[:, :2], sources.further[0])
+        bend = np.einsum("nij,jn->in", bends(end - start, sources.orbit, sources.averaged)[:, :2], sources.further[0])
         ra, dec = from_tangent_plane(bend[0], bend[1], ra, dec)
     return triad(ra, dec).r
 
@@ -448,15 +473,31 @@ def _elsewhere(satellite: AstrometricTable, table: AstrometricTable, matched: Ma
     return f"{', '.join(list(pairs)[:3])}: are names exchanged?" if pairs else ""
 
 
-def match_notes(table: AstrometricTable, matched: Match, rows: Astrometry) -> list[str]:
+def _listed(table: AstrometricTable, rows: Indices) -> str:
+    """Return the names of rows, at most five, or their numbers."""
+    if not table.names:
+        return named_rows(rows)
+    names = list(dict.fromkeys(next(iter(table.names.values()))[rows].tolist()))
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: Match, rows: Astrometry) -> list[str]:
     """Return notes on rows that match no source, several, or the same one with the same numbers; ``rows`` are those
     that were matched.
     """
-    total, name = len(table.astrometry), Path(table.path).name
-    notes = [f"{len(matched.unmatched)} of {total} rows of {name} match no source"] if len(matched.unmatched) else []
+    total, name, notes = len(table.astrometry), Path(table.path).name, []
+    if matched.releases:
+        one, other = matched.releases
+        said = f"identifiers of {one} in the satellite and of {other} in {name} are different names"
+        notes.append(f"{said}: matched by position, and sources have the names of {name}")
+    if number := len(matched.unmatched):
+        notes.append(f"{number} of {total} rows of {name} match no source: {_listed(table, matched.unmatched)}")
     exact, nearly = _repeated(matched, rows)
+    nearest = matched.source[np.searchsorted(matched.rows, matched.ambiguous)]
+    both = zip(nearest[:5], matched.rivals[:5], strict=True)
+    pairs = ", ".join(" and ".join(_listed(satellite, np.array([k])) for k in pair) for pair in both)
     for numbers, what in (
-        (matched.ambiguous, "several sources are within the radius; the nearest is taken"),
+        (matched.ambiguous, f"several sources are within the radius ({pairs}); the nearest is taken"),
         (exact, "the same numbers as another row of the source; all are used"),
         (nearly, "nearly the numbers of another row of the source; one measurement that is there twice counts twice"),
     ):
@@ -537,24 +578,45 @@ def _aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astromet
     return replace(rows, values=values)
 
 
-def known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | None:
+def known_unknowns(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | None:
+    """Return the blocks and the values (rad, rad/yr) of an orientation and a spin that are known; None without any."""
+    known = [] if (spin := _known_spin(options, stars)) is None else [spin]
+    if options.known_orientation is not None:
+        block = parse_unknowns("orientation", corrections=options.corrections)
+        known.append((block, SIGNS[options.sign] * _vector("orientation", options.known_orientation, "mas")))
+    if not known:
+        return None
+    blocks = tuple(block for unknowns, _ in known for block in unknowns.blocks)
+    return Unknowns(blocks), np.concatenate([values for _, values in known])
+
+
+def _vector(name: str, known: Any, unit: str) -> Array:
+    try:
+        vector = np.asarray(known.split(",") if isinstance(known, str) else known, dtype=np.float64)
+    except ValueError:
+        vector = np.zeros(0)
+    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
+        raise SweepError(f"known {name} {known!r}: give three numbers in {unit}")
+    return vector * MAS
+
+
+def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | None:
     """Return the block and the values (rad/yr) of a spin that is known: a vector, or a table by bins of a column.
 
     A table has columns COLUMN_min and COLUMN_max of the satellite's magnitude (or other) COLUMN, or mag_min and
-    mag_max for phot_g_mean_mag, and omega_x, omega_y, omega_z in mas/yr or their unit.  Raises SweepError for anything
-    else, and for sources outside its bins.
+    mag_max for phot_g_mean_mag, and omega_x, omega_y, omega_z with a unit; its metadata may have ``sign`` and
+    ``release``.  Raises SweepError for anything else, for sources outside its bins, and for those of another release.
     """
     spin, sign = options.known_spin, SIGNS[options.sign]
     if spin is None:
         return None
     if not isinstance(spin, (str, Path)):
-        vector = np.asarray(spin, dtype=np.float64)
-        if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-            raise SweepError(f"known spin {spin!r}: give three numbers in mas/yr, or the path of a table")
-        return Unknowns((spin_block(),)), sign * vector * MAS
-    from astropy.units import Unit
-
-    table = read_file(Path(spin))
+        return Unknowns((spin_block(),)), sign * _vector("spin", spin, "mas/yr, or the path of a table")
+    table, at = read_file(built_in(Path(spin))), releases_at(stars.epoch)
+    if (release := table.meta.get("release")) is not None and at != [release]:
+        there = " and ".join(at) or "no release"
+        raise SweepError(f"spins of {release}, and the satellite's epochs are those of {there}", str(spin))
+    sign = SIGNS[table.meta.get("sign", options.sign)]
     names = [name[:-4] for name in table.colnames if name.endswith("_min") and f"{name[:-4]}_max" in table.colnames]
     axes = [f"omega_{axis}" for axis in "xyz"]
     if len(names) != 1 or not set(axes) <= set(table.colnames):
@@ -569,7 +631,9 @@ def known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | 
     values = stars.columns.get(column, np.full(len(stars), np.nan))
     if np.any(outside := ~((values >= low[0]) & (values < high[-1]))):
         raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", str(spin))
-    factors = [(table[name].unit or Unit("mas/yr")).to("mas/yr") for name in axes]
+    if any(table[name].unit is None for name in axes):
+        raise SweepError(f"say the unit of {', '.join(axes)} in the table, uas/yr or mas/yr", str(spin))
+    factors = [table[name].unit.to("mas/yr") for name in axes]
     vectors = [np.asarray(table[name], dtype=np.float64) * factor for name, factor in zip(axes, factors, strict=True)]
     block = spin_by_bin(column, tuple(low[1:].tolist()), tuple(range(len(low))))
     return Unknowns((block,)), sign * np.stack(vectors, axis=1).ravel() * MAS
@@ -589,8 +653,12 @@ def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknow
     names = [name for name in named if name not in of_missions]
     if options.unknowns is None or (of_missions and not names):
         here = np.flatnonzero(problem.rows.frame == 0)
-        names = _determined(replace(problem, rows=problem.rows.taken(here), source=problem.source[here]))
-        if len(names) == 1:
+        plain = replace(problem, rows=problem.rows.taken(here), source=problem.source[here])
+        names = _determined(plain)
+        if names == ["orientation"] and _determine(plain, ["spin"]):
+            years = np.nanmedian(np.where(plain.rows.present[0], plain.rows.epoch, np.nan)) - problem.epoch
+            notes.append(f"the tables determine only epsilon + t omega, here t = {years:.4g} years; omega counts as 0")
+        elif len(names) == 1:
             notes.append(f"of orientation and spin the tables determine only the {names[0]}")
     for rotation, glide, harmonics in (
         ("orientation", "position_glide", "vsh_position"),
@@ -606,18 +674,24 @@ def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknow
     return parse_unknowns(",".join(names), options.bins, problem.satellite.columns, options.corrections, missions)
 
 
+def _determine(problem: Problem, names: Sequence[str], missions: Sequence[str] = ()) -> bool:
+    """Return whether the rows determine some unknowns together."""
+    unknowns = parse_unknowns(",".join(names), missions=missions)
+    trial = sources_of(replace(problem, unknowns=unknowns, weights="covariance"))
+    try:
+        trial.solve(np.ones(len(problem.satellite)))
+    except LinkError:
+        return False
+    return True
+
+
 def _determined(
     problem: Problem, beside: Sequence[str] = (), mission: str = "", missions: Sequence[str] = ()
 ) -> list[str]:
     """Return those of orientation and spin, of the satellite or a mission, that rows determine together with others."""
     for blocks in (("orientation", "spin"), ("orientation",), ("spin",)):
         names = [f"{mission}:{block}" if mission else block for block in blocks]
-        unknowns = parse_unknowns(",".join([*beside, *names]), missions=missions)
-        trial = sources_of(replace(problem, unknowns=unknowns, weights="covariance"))
-        try:
-            trial.solve(np.ones(len(problem.satellite)))
-        except LinkError:
-            continue
-        return names
+        if _determine(problem, [*beside, *names], missions):
+            return names
     frame = f"the frame of {mission}" if mission else "the satellite's frame"
     raise LinkError(f"the tables determine neither the orientation nor the spin of {frame}")

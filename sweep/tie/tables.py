@@ -16,17 +16,18 @@ from linksweep.core.frames import DEGREE, MAS, Array, Flags
 from linksweep.core.tie import mistakes
 from linksweep.core.tie.astrometry import (
     FURTHER,
+    HALF_SPAN,
     PAIRS,
     Astrometry,
-    from_mean_motion,
     kinds,
     named_rows,
     positive_definite,
     with_variance,
 )
+from linksweep.core.tie.forecast import releases_at
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, column_of, first_found
+from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, GAIA_MARKS, Columns, column_of, first_found
 from linksweep.sweep.tables.reader import read_table as read_file
 from linksweep.sweep.tables.where import rows_where
 
@@ -70,7 +71,7 @@ ALL_PAIRS = (*PAIRS, *((i, j) for i in range(9) for j in range(max(i + 1, 5), 9)
 LARGEST_ACCELERATION = 300.0
 
 # Of solutions that are not of single stars; in DR3 their positions and motions are averages.
-SOLUTION_TYPE, MEAN_MOTION_EPOCH = "nss_solution_type", 2016.0
+SOLUTION_TYPE = "nss_solution_type"
 
 # What the documentation and papers of Gaia recommend.
 USUAL = {
@@ -78,6 +79,9 @@ USUAL = {
     "duplicated_source": "~duplicated_source",
     "astrometric_params_solved": "astrometric_params_solved == 31",
 }
+
+_DESIGNATION = re.compile(r"Gaia E?(DR\d)\b", re.IGNORECASE)
+ZERO_POINT = ("phot_g_mean_mag", "nu_eff_used_in_astrometry", "pseudocolour", "ecl_lat", "astrometric_params_solved")
 
 _ELEMENT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan", re.IGNORECASE)
 
@@ -95,8 +99,9 @@ class TableOptions:
     or mean ones; by default as the table's metadata say, else of a single epoch.  Those without an epoch are mean.
     ``accelerations``: whether positions and motions of rows with accelerations are those "at-epoch", or "mean" ones as
     in the acceleration solutions of DR3; by default mean in tables of those.
-    ``where`` is a condition that the rows must meet, as in `rows_where`.  ``zero_errors``: what an error of 0 means.
-    ``pmra_cos_dec``: whether pmra is mu_alpha*; by default it is, unless its unit is one of time.
+    ``where`` is a condition that the rows must meet, as in `rows_where`.  ``parallax_zero_point``: whether that of DR3
+    is subtracted, by magnitude, colour and latitude.  ``zero_errors``: what an error of 0 means.  ``pmra_cos_dec``:
+    whether pmra is mu_alpha*; by default it is, unless its unit is one of time.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -106,14 +111,15 @@ class TableOptions:
     positions: Positions | None = None
     accelerations: Accelerated | None = None
     where: str | None = None
+    parallax_zero_point: bool = False
     zero_errors: Zeros = "error"
     pmra_cos_dec: bool | None = None
 
 
 @dataclass(frozen=True)
 class AstrometricTable:
-    """The astrometry in a file, the file's path and SHA-256, the columns with names, notes for the user, and which
-    columns were used.
+    """The astrometry in a file, the file's path and SHA-256, the columns with names, notes for the user, which columns
+    were used, and the release of Gaia whose identifiers columns of names have.
     """
 
     path: str
@@ -122,6 +128,7 @@ class AstrometricTable:
     names: Mapping[str, NDArray[np.str_]]
     notes: Sequence[str] = ()
     columns: str = ""
+    releases: Mapping[str, str] = field(default_factory=dict)
 
     def named_notes(self) -> list[str]:
         """Return the notes with the name of the file."""
@@ -135,6 +142,8 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     SweepError with all that is wrong and the rows (counted from 1).
     """
     path = built_in(path)
+    if path.is_dir():
+        raise SweepError("is a folder, not a table", str(path))
     table, options, where = read_file(path), options or TableOptions(), str(path)
     notes = []
     if options.where:
@@ -148,13 +157,10 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
 
 
 def built_in(path: Path) -> Path:
-    """Return the path of a table, or of a built-in one by its name; raises SweepError for a folder."""
-    if not path.suffix and len(path.parts) == 1 and not path.exists():
-        named = (file for file in sorted(_BUILT_IN.glob("*.ecsv*")) if file.name.split(".")[0] == path.name)
-        path = next(named, path)
-    if path.is_dir():
-        raise SweepError("is a folder, not a table", str(path))
-    return path
+    """Return the file of a built-in table by its name; any other path as it is."""
+    if path.suffix or len(path.parts) > 1 or path.exists():
+        return path
+    return next((file for file in sorted(_BUILT_IN.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), path)
 
 
 def _usual_choices(table: Any, options: TableOptions) -> list[str]:
@@ -207,6 +213,8 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     if correlations is None and np.any(np.all(present, axis=0)):
         notes.append("no correlations of the five parameters: they count as 0")
     epoch = _epochs(read, options)
+    if options.parallax_zero_point:
+        values[2] -= _zero_points(read, epoch, notes)
     exact = errors[0] < 10.0 * MAS
     if np.any(exact & ((epoch < EARLIEST) | (epoch > LATEST))):
         span = f"{np.nanmin(epoch[exact]):g} to {np.nanmax(epoch[exact]):g}"
@@ -224,26 +232,66 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         apparent=(positions == "single-epoch") & np.isfinite(epoch),
         further=further,
         further_correlations=None if further is None else _matrices(correlations, len(read))[:, 5:],
+        averaged=None if further is None else _averaged(read, epoch, further, options, notes),
         **_calibrators(read, notes),
     )
     try:
         kinds(astrometry)
     except ValueError as error:
         read.problems.append(str(error))
+    names = _names(read)
+    releases = _releases(read, names, epoch[np.all(present, axis=0)])
     read.finish()
-    if further is not None:
-        astrometry = _as_at_epoch(read, astrometry, options, notes)
     astrometry = with_variance(astrometry, np.outer([1.0, 1.0, 0.0, 0.0, 0.0], astrometry.shared**2))
-    return AstrometricTable(where, digest, astrometry, _names(read), notes, _used(read))
+    return AstrometricTable(where, digest, astrometry, names, notes, _used(read), releases)
+
+
+def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Array) -> dict[str, str]:
+    """Return the release of Gaia by column of its designations; rows of two are a problem, as are five-parameter rows
+    at the ``epochs`` of two.
+    """
+    releases = {}
+    for name, column in names.items():
+        there = {said[1].lower() for text in column.tolist() if (said := _DESIGNATION.match(text))}
+        if there:
+            releases[name] = min(there)
+        if len(there) > 1:
+            read.problems.append(
+                f"column {name!r} has rows of {' and '.join(sorted(there))}, each in a frame of its own"
+            )
+    if len(there := set(releases_at(epochs))) > 1 and {*read.names} >= GAIA_MARKS:
+        read.problems.append(f"rows have the epochs of {' and '.join(sorted(there))}, each in a frame of its own")
+    return releases
 
 
 def _used(read: Columns) -> str:
     """Return which columns hold quantities, with the numbers of those of errors and correlations."""
     there = [quantity for quantity in QUANTITIES if quantity != "name" and read.has(quantity)]
-    of_errors = sum(quantity.endswith("_error") for quantity in there)
     plain = [str(read.name(quantity)) for quantity in there if not quantity.endswith(("_error", "_corr"))]
-    number = len(there) - of_errors - len(plain)
-    return ", ".join([*plain, f"{of_errors} of errors", *([f"{number} of correlations"] if number else [])])
+    return f"{', '.join(plain)}; {len(there) - len(plain)} of errors and correlations"
+
+
+def _zero_points(read: Columns, epoch: Array, notes: list[str]) -> Array:
+    """Return the zero points of the parallaxes of DR3 (N,), rad, 0 for rows that are out of their range.
+
+    Source: Lindegren et al. 2021, A&A 649, A4, as the authors' package has them.
+    """
+    try:
+        from zero_point import zpt
+    except ImportError as error:
+        raise SweepError("parallax zero points need a package: pip install linksweep[zeropoint]") from error
+    shift, there = np.full(len(read), np.nan), " and ".join(releases_at(epoch)) or "no release"
+    if there != "dr3":
+        read.problems.append(f"parallax zero points are those of dr3, and the epochs are of {there}")
+    elif sum(read.require(name) for name in ZERO_POINT) == len(ZERO_POINT):
+        columns = np.array([read.numbers(str(read.name(name))) for name in ZERO_POINT])
+        known = np.isin(columns[-1], (31, 95))
+        zpt.load_tables()
+        shift[known] = zpt.get_zpt(*columns[:, known], _warnings=False)
+    notes.append(
+        f"zero points of {np.isfinite(shift).sum()} of {len(read)} parallaxes subtracted (Lindegren et al. 2021)"
+    )
+    return np.asarray(np.nan_to_num(shift) * MAS)
 
 
 def _in_radians(read: Columns, quantity: str, options: TableOptions) -> Array:
@@ -344,20 +392,14 @@ def _accelerations(read: Columns, five: Flags, options: TableOptions, notes: lis
     return np.where(there, both, 0.0)
 
 
-def _as_at_epoch(read: Columns, table: Astrometry, options: TableOptions, notes: list[str]) -> Astrometry:
-    """Return a table with accelerations whose positions and motions are those at its epoch."""
-    assert table.further is not None, "of a table with accelerations"
-    accelerated = np.any(table.further[1] > 0.0, axis=0)
-    has_types = first_found([SOLUTION_TYPE], read.names) is not None
-    is_mean = has_types and bool(np.all(np.abs(table.epoch[accelerated] - MEAN_MOTION_EPOCH) < 1e-3))
-    if options.accelerations is not None:
-        is_mean = options.accelerations == "mean"
-    what = "positions and motions of rows with accelerations are taken as"
-    if not is_mean:
-        notes.append(f"{what} those at their epoch; else say --accelerations mean")
-        return table
-    notes.append(f"{what} averages, as in DR3, and turned into those at their epoch; else say --accelerations at-epoch")
-    return from_mean_motion(table)
+def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions, notes: list[str]) -> Array:
+    """Return half the time (N,) over which positions and motions of accelerated rows are averages; 0 for none."""
+    of_dr3 = first_found([SOLUTION_TYPE], read.names) and releases_at(epoch[further[1, 0] > 0.0]) == ["dr3"]
+    how = options.accelerations or ("mean" if of_dr3 else "at-epoch")
+    other = "at-epoch" if how == "mean" else "mean"
+    words = "averages, as in DR3" if how == "mean" else "those at their epoch"
+    notes.append(f"positions and motions of rows with accelerations are {words}; else say --accelerations {other}")
+    return np.full(len(epoch), HALF_SPAN if how == "mean" else 0.0)
 
 
 def _elements(read: Columns, name: str) -> Array:
@@ -366,8 +408,7 @@ def _elements(read: Columns, name: str) -> Array:
     for k, cell in enumerate(read.table[name]):
         text = isinstance(cell, (str, bytes))
         numbers: Any = _ELEMENT.findall(str(cell)) if text else np.ma.filled(np.ma.asarray(cell, float), np.nan).ravel()
-        some = np.asarray(numbers[:36], dtype=np.float64)
-        vectors[: len(some), k] = some
+        vectors[: len(numbers[:36]), k] = numbers[:36]
     return vectors[[j * (j - 1) // 2 + i for i, j in ALL_PAIRS]]
 
 

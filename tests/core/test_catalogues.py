@@ -186,3 +186,11 @@ def test_a_bright_limit_inside_a_bin_keeps_the_law_of_the_counts():
     v_mag = np.concatenate([quasars(seed, 14.5, v_min=14.2).v_mag for seed in range(400)])
     low = ratio ** ((14.2 - 14.0) / 0.5)
     assert stats.kstest((ratio ** ((v_mag - 14.0) / 0.5) - low) / (ratio - low), "uniform").pvalue > P_VALUE
+
+
+@pytest.mark.parametrize(("v_min", "left"), [(14.0, 88 - 28), (14.5, 88 - 49), (None, 88), (5.0, 88)])
+def test_a_bright_limit_of_quasars_leaves_out_those_that_the_counts_say(v_min, left):
+    sky = quasars(3, 15.0, v_min=v_min)
+    assert len(sky) == left
+    assert sky.v_mag.min() >= (v_min or BRIGHTEST)
+    assert sky.v_mag.max() <= 15.0

@@ -96,27 +96,6 @@ def test_points_without_a_problem_can_be_computed(changes):
 
 
 @pytest.mark.parametrize(
-    ("contents", "changes"),
-    [
-        ({}, {}),
-        ({}, {"v_max": 11.0}),
-        ({}, {"n_obj": 3, "v_max": 14.0, "solve_glide": True}),
-        ({}, {"reference_errors": "catalogue"}),
-        (
-            {f"reference_{name}_error": np.full(6, 0.3) for name in ("ra", "dec", "pmra", "pmdec")},
-            {"reference_errors": "catalogue", "satellite_errors": "catalogue", "weighting": "equal"},
-        ),
-        ({}, {"satellite_errors": "catalogue", "positions": "isotropic"}),
-        ({"errors": False}, {"model": "gaia-2001"}),
-        ({"magnitudes": False}, {"satellite_errors": "catalogue"}),
-        ({"magnitudes": False, "errors": False}, {"satellite_errors": "none"}),
-    ],
-)
-def test_files_without_a_problem_can_be_computed(contents, changes, tmp_path):
-    computes(from_file(gaia_table(tmp_path, **contents), **changes))
-
-
-@pytest.mark.parametrize(
     ("changes", "problem"),
     [
         ({"catalogue": "quasars", "v_max": 12.0}, "v_max = 12 mag is outside the quasar counts"),

@@ -305,17 +305,6 @@ def test_catalogues_of_which_some_have_no_errors_are_not_computed_together():
         simulate_stack(physics, 5, streams(8))
 
 
-def test_nor_are_those_with_correlated_errors():
-    def draw(rng):
-        found = objects(rng)
-        shape = found.ra.shape
-        return replace(found, own=OwnErrors(np.full((*shape, 4), MAS), np.broadcast_to(np.eye(4), (*shape, 4, 4))))
-
-    physics = of_law(draw, satellite_errors=CatalogueErrors())
-    with pytest.raises(LinkError, match="correlated"):
-        simulate_stack(physics, 5, streams(12))
-
-
 def test_nor_are_those_of_which_some_have_objects_near_a_pole():
     """Where sines and cosines of noisy positions are computed in another way."""
 

@@ -140,16 +140,6 @@ def test_the_table_comes_back_from_the_store(main_job, sweep):
     assert json.loads(out)["rows"][12]["sigma_spin_published"] is None
 
 
-def test_ecsv_is_read_by_astropy_with_its_units(main_job, sweep):
-    from astropy.table import QTable
-
-    _, out, _ = sweep("show", main_job[0] / "results" / "quasars.zarr", "--format", "ecsv")
-    table = QTable.read(out, format="ascii.ecsv")
-    assert len(table) == 26
-    assert table["sigma_spin"].unit == u.mas / u.yr
-    assert table["sigma_spin_published"].mask.sum() == 6
-
-
 def test_error_free_data_return_the_truth(tmp_path, sweep):
     """epsilon and omega come back to 1e-6 of their size."""
     (tmp_path / "exact.toml").write_text(

@@ -14,10 +14,8 @@ from hypothesis import strategies as st
 import linksweep
 from linksweep.sweep.formatting import (
     described,
-    in_short,
     prefixed,
     short_meaning,
-    with_unit,
 )
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.table_writer import Column, Table
@@ -146,15 +144,3 @@ def test_a_prefix_that_reads_well(values, unit, chosen):
 )
 def test_what_takes_no_prefix_stays(value, unit):
     assert prefixed(value, unit) == (unit, 1.0)
-
-
-def test_numbers_in_sentences():
-    assert with_unit(0.0005411, 0.0000038, "mas / yr") == "0.5411 ± 0.0038 uas/yr"
-    assert with_unit(2.8e-9, 2.5e-11, "mas") == "0.000002800 ± 0.000000025 uas"
-    assert with_unit(100.0) == "100"
-    assert in_short(0.0005411, 0.0000038, "mas / yr") == "0.54 uas/yr"
-    assert [
-        in_short(*numbers) for numbers in [(15533.0,), (1.0594, 0.01), (656.2, 3.0), (-0.004, 0.3), (2.0, 0.001)]
-    ] == [
-        *("15,533", "1.06", "660", "0.0", "2.0"),
-    ]

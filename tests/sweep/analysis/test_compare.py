@@ -119,15 +119,6 @@ def test_a_claim_of_a_law_for_each_model():
     assert (found[0].quantity, found[0].unit) == ("slope of width over n", "")
 
 
-def test_a_slope_over_points_that_are_not_all_done_is_incomplete():
-    status = np.full((2, len(N)), DONE, np.int8)
-    status[1, 3:] = MISSING, FAILED
-    value = np.where(status == DONE, N**-0.5, np.nan)
-    found = compare(grid(value, claims=[claim(published="-0.5", slope=LAW)], status=status))
-    assert [c.verdict for c in found] == ["reproduced", "incomplete"]
-    assert found[1].reason == "failed: 2 of 5 points"
-
-
 def ratio(top, bottom):
     return {"variable": "width", "of": top, "to": bottom}
 
@@ -358,3 +349,11 @@ def test_the_claims_of_the_document_are_valid(tmp_path):
     (tmp_path / "study.toml").write_text(document.partition("```toml normal.toml\n")[2].partition("```")[0])
     kinds = [type(c.quantity()).__name__ for c in linksweep.load_study(str(tmp_path / "study.toml")).claims]
     assert kinds == ["Slope", "Ratio", "Reading"]
+
+
+def test_a_ratio_along_zipped_axes():
+    dataset = grid(np.array([N, N]), claims=[claim(published="5", ratio=ratio({"size": 3.0}, {"size": 1.0}))])
+    dataset = dataset.assign_coords(size=("n", np.arange(1.0, 6.0)))
+    found = compare(dataset)
+    assert [c.where for c in found] == [{"model": "old"}, {"model": "new"}]
+    assert [c.value for c in found] == [5.0, 5.0]

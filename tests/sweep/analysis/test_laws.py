@@ -279,11 +279,3 @@ def test_what_does_not_level_off_says_so(y, fall, says):
     found = level_off(y, 1e-6 * y, fall).isel(model=0)
     assert found["conclusion"].item() == says
     assert abs(found["limit"].item()) == np.inf
-
-
-def test_unknown_errors_come_from_the_scatter():
-    y = law(V) * (1.0 + 0.004 * np.random.default_rng(25).standard_normal(len(V)))
-    unknown, known = level_off(y, None).isel(model=0), level_off(y, 0.004 * y).isel(model=0)
-    assert np.isnan(unknown.chi2)
-    assert float(unknown.plateau) == pytest.approx(float(known.plateau), rel=1e-4)
-    assert 0.3 < float(unknown.plateau_error / known.plateau_error) < 2.0

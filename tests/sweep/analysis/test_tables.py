@@ -56,20 +56,6 @@ def test_the_dataset_has_exact_integers_beside_gaps(store, sweep):
         assert (code, "no numbers to draw or to fit" in err) == (2, True)
 
 
-def test_excluded_points_meet_no_condition_and_have_no_ratio(tmp_path):
-    def k(a: int, b: int):
-        return a * b
-
-    points = {"a": [1, 2, 3], "b": [4, 5, 6]}
-    document = {"experiment": k, "points": {"columns": points}, "exclude": [{"a": 2}]}
-    dataset = linksweep.run(document, tmp_path / "p.zarr", pool="serial")
-    found = json.loads(shown("find", str(tmp_path / "p.zarr"), "--where", "k < 1e30", "--json"))["rows"]
-    assert [row["a"] for row in found] == [1, 3]
-    document = {"experiment": k, "axes": points, "exclude": [{"a": 2, "b": 5}]}
-    dataset = linksweep.run(document, tmp_path / "g.zarr", pool="serial")
-    assert np.isnan(linksweep.ratio(dataset, "k", "a", of=2, to=1)["ratio"].values).tolist() == [False, True, False]
-
-
 def test_an_integer_beyond_those_of_floats_chooses_its_own_point(tmp_path):
     def f(a: int):
         return float(a % 10)

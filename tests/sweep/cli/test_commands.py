@@ -6,9 +6,7 @@ import subprocess
 import sys
 
 import click
-import numpy as np
 import pytest
-import xarray as xr
 
 import linksweep
 from tests.conftest import COINS, main, run_sweep
@@ -152,22 +150,6 @@ def test_a_figure_of_failed_points_alone_is_refused(tmp_path):
         assert code == 2
         assert f"half: there is no value to draw here: of {count} points {count} failed" in err
         assert not picture.exists()
-
-
-def cooling(a: float):
-    t = np.array([0.0, 1.0, 2.0])
-    return {"tot": a, "curve": xr.DataArray(a * np.exp(-t), dims="t", coords={"t": t})}
-
-
-def test_an_output_is_shown_where_a_place_along_its_own_dimension_is_chosen(tmp_path):
-    linksweep.run(cooling, tmp_path / "cooling.zarr", axes={"a": [1.0, 2.0]}, pool="serial")
-    whole = run_sweep("show", tmp_path / "cooling.zarr")[1]
-    assert "curve: values at each point, 3 along t" in " ".join(whole.split())
-    code, out, _ = run_sweep("show", tmp_path / "cooling.zarr", "--at", "t=1")
-    assert code == 0
-    lines = [line.split() for line in out.splitlines()]
-    assert next(line for line in lines if "tot" in line) == ["a", "tot", "curve"]
-    assert next(line[-1] for line in lines if line[:1] == ["2"]) == "0.7358"
 
 
 def wave(a: int, kind: str, b: float = 1.0):

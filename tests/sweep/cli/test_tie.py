@@ -1,14 +1,11 @@
 """The commands tie and forecast as users type them, and what is made of their stores: shown, drawn and reported."""
 
 import json
-from dataclasses import replace
 
-import numpy as np
 import pytest
 import xarray as xr
 
 from tests.conftest import run_sweep
-from tests.core.tie.made import EPSILON, MAS, OMEGA, gaia, missions
 
 LINK = ("psrpi-de200", "timing-de200", "--unknowns", "orientation", "--clip", "discrepancy", "--errors", "jackknife")
 
@@ -51,32 +48,6 @@ def test_a_forecast_is_printed():
     assert "chosen for spin" in out
     assert "all observed at 2030" in out
     assert max(map(len, out.splitlines())) <= 88  # a page of the documentation has room for it
-
-
-@pytest.mark.slow
-def test_two_missions_have_an_orientation_and_a_spin_each(tmp_path):
-    made = missions(n=20, noisy=False)
-    rows, names = made.rows, np.arange(20)
-    first, other = rows.frame == 1, rows.frame == 0
-    gaia(tmp_path / "hipparcos.ecsv", replace(rows.taken(first), radial_velocity=np.zeros(20)), source_id=names)
-    vlbi = replace(rows.taken(other), radial_velocity=np.zeros(other.sum()))
-    gaia(tmp_path / "vlbi.ecsv", vlbi, source_id=names[: other.sum()])
-    gaia(tmp_path / "gaia.ecsv", made.satellite, source_id=names)
-    store = tmp_path / "tie.zarr"
-    tables = (tmp_path / "gaia.ecsv", tmp_path / "vlbi.ecsv", "--mission", f"hip={tmp_path}/hipparcos.ecsv")
-    code, out, err = run_sweep("tie", *tables, "--errors", "jackknife", "-o", store)
-    assert code == 0, err
-    assert "reference - hip: " in out
-    assert "hip:omega_z" in out
-    with xr.open_zarr(store) as found:
-        estimate = found.estimate.values.reshape(4, 3)
-        np.testing.assert_allclose(estimate[[0, 2]], EPSILON / MAS, atol=5e-4)
-        np.testing.assert_allclose(estimate[[1, 3]], OMEGA / MAS, atol=2e-5)
-        assert set(found.row_table.values) == {"reference", "hip"}
-        assert list(found.attrs["missions"]) == ["hip"]
-    for kind in ("solution", "residuals", "jackknife", "ranking"):
-        assert run_sweep("plot", store, "--kind", kind, "-o", tmp_path / f"{kind}.png")[0] == 0
-    assert "hip:epsilon_x" not in run_sweep("tie", *tables, "--unknowns", "orientation,spin,hip:spin")[1]
 
 
 @pytest.mark.parametrize(

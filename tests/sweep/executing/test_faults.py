@@ -185,17 +185,6 @@ def test_a_scheduler_that_dies_ends_the_run_and_loses_nothing(
 
 
 @pytest.mark.slow
-def test_workers_do_not_outlive_their_client(link_study, tmp_path, start_sweep):
-    process = start_sweep("run", link_study, "-o", tmp_path / "s.zarr", *LONG, "--workers", 2)
-    started_to_write(tmp_path / "s.zarr", process)
-    family = below(process.pid)
-    assert len(workers_below(process.pid)) == 2
-    process.kill()
-    process.communicate()
-    wait_until(lambda: not any(command_of(pid) for pid in family), "the workers' end", 20)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("pool", ["processes", "threads"])
 def test_a_local_run_listens_nowhere_and_leaves_nothing(link_study, tmp_path, start_sweep, monkeypatch, pool):
     store = tmp_path / "s.zarr"

@@ -31,8 +31,8 @@ def test_name_type_default_unit_meaning_and_bounds():
     parameters = {parameter.name: parameter for parameter in study.experiment.parameters}
     assert {name: parameter.kind for name, parameter in parameters.items()} == {
         **{"beta": "float", "n": "int", "solver": "str", "order": "int", "damped": "bool", "name": "str"},
-        **{"shift": "float", "factor": "float", "anything": "any"},
-    }  # options stays at its default
+        **{"shift": "float", "factor": "float", "anything": "any", "options": "object"},
+    }
     beta = parameters["beta"]
     assert (beta.required, beta.meaning, beta.unit, beta.above) == (True, "contact rate", "1/d", 0)
     assert (parameters["solver"].choices, parameters["n"].default) == (("RK45", "LSODA"), 1000)
@@ -73,7 +73,7 @@ REFUSED = {
     "a method of a class": (Thing.method, "is a method and takes self"),
     "async": (waiting, "async"),
     "a generator": (yielding, "a generator"),
-    "types": (odd, r"(?s)parameter x: the type list is none of float.*parameter y: the type complex"),
+    "types": (odd, r"(?s)axes.x: x = 1.0: must be an object of another type.*y has no default"),
 }
 
 
@@ -92,7 +92,7 @@ def drawn(x: float, *, rng):
 @pytest.mark.parametrize(
     ("function", "name", "said"),
     [
-        (several, "options", "is in several of a type that is none of float, .*: it stays at its default"),
+        (several, "options", "options = 1: must be an object of another type than numbers"),
         (several, "optons", "unknown parameter 'optons'"),
         (several, "n_sim", "unknown parameter 'n_sim'"),
         (drawn, "n_sim", r"belongs to the sampling: sampling=\{'n_sim': \.\.\.\}"),

@@ -20,7 +20,7 @@ from linksweep.sweep.planning.grid import PointCache, make_grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.work_queue import TASK_S, TUNED, Pending
-from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 from tests.tiers import examples, slow
 
@@ -342,3 +342,17 @@ def test_the_ledger_knows_a_block_by_all_that_decides_its_sums():
     others = [block._replace(**{name: 7}) for name in ("group", "part", "n_cat", "n_sim")]
     keys = {ledger_key(bytes(16), each) for each in (block, *others)} | {ledger_key(bytes([1] * 16), block)}
     assert len(keys) == 6
+
+
+@pytest.mark.parametrize("common", [False, True])
+@pytest.mark.parametrize("groups", [0, 3])
+def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, groups):
+    """By which the time left is estimated: points that share a draw cost less than each alone."""
+    study = load_study("quasars", ["n_cat=5", "n_sim=777", f"common_random_numbers={str(common).lower()}"])
+    plan = Plan(make_grid(study))
+    blocks = [(point, block) for point in plan.grid.points() for block in plan.blocks(plan.cost(point.parameters))]
+    keys = [ledger_key(point.digest, block) for point, block in blocks if block.group < groups]
+    accumulator = Accumulator(plan, BlockRows(keys), np.ones(len(keys), study.experiment.reducer.dtype))
+    works = [work for task in Pending(plan, accumulator).take(10**6) for work in task]
+    assert works
+    assert accumulator.survey.pending.cost == pytest.approx(sum(work.cost for work in works))

@@ -44,15 +44,6 @@ def test_every_study_has_a_picture_without_options(dataset_of, name, panels, alo
     assert len(figure._repr_png_()) > 10_000  # as a notebook shows it
 
 
-@pytest.mark.slow
-def test_what_is_too_much_for_one_picture_says_what_to_fix(dataset_of):
-    part = {"component": ["omega_x", "omega_y", "omega_z"]}
-    with pytest.raises(SweepError, match="too many for one picture; fix some with --at"):
-        linksweep.plot(dataset_of("aberration").sel(part), "lines", variables=["sigma"])
-    with pytest.raises(SweepError, match="too many for one picture; fix some with --at"):
-        linksweep.plot(dataset_of("aberration"), over=["v_max", "sky_contrast"])
-
-
 def test_incomplete_stores_say_so_in_the_title(dataset_of):
     dataset = dataset_of("sqrt-n")
     dataset["status"][2] = 0
@@ -73,12 +64,6 @@ def test_lines_have_points_with_errors_prediction_and_published_values(dataset_o
     drawn = [line.get_ydata() for line in axes.lines if len(line.get_ydata()) == one.sizes["v_max"]]
     assert any(np.array_equal(ydata, one["sigma_spin_rms_predicted"].values, equal_nan=True) for ydata in drawn)
     assert texts(axes.figure.legends[0]) == ["simulated", "predicted", "published"]
-
-
-def test_one_point_shows_what_is_simulated_predicted_and_published(dataset_of):
-    [axes] = axes_of(linksweep.plot(dataset_of("galaxies")))
-    assert [text.get_text() for text in axes.get_yticklabels()] == ["simulated", "predicted", "published"]
-    assert any("0.16 mas/yr" in text.get_text() for text in axes.texts)
 
 
 def test_a_law_is_drawn_as_fitted_with_its_guide(dataset_of):

@@ -63,20 +63,6 @@ def test_a_legend_takes_no_height_from_its_panel(dataset_of):
     assert panel.get_window_extent().height / panel.figure.dpi > 0.85
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["solution", "residuals", "weight", "ranking", "jackknife", "trajectory"])
-def test_figures_of_a_link_fit_a_column(kind):
-    options = {"clip": "discrepancy:1", "errors": "jackknife,bootstrap,scaled"}
-    link = linksweep.tie("psrpi-de200", "timing-de200", "orientation", **options)
-    with settings(WIDTH):
-        figure = drawn(link, kind)
-    assert figure.get_figwidth() == pytest.approx(WIDTH / 25.4)
-    labels = [text for axes in figure.axes for text in (axes.title, axes.xaxis.label, axes.yaxis.label)]
-    for text in [*labels, figure._suptitle, *(text for legend in figure.legends for text in legend.get_texts())]:
-        box = text.get_window_extent()
-        assert not text.get_text() or -1.0 <= box.x0 <= box.x1 <= figure.bbox.width + 1.0, text
-
-
 def letters_in(town: str) -> int:
     return len(town)
 

@@ -17,7 +17,7 @@ import linksweep
 from linksweep import SweepError
 from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.report.page import explorer, pictures, report_of, report_page, section
+from linksweep.sweep.report.page import differences, explorer, pictures, report_of, report_page, section
 from tests.tiers import slow
 
 
@@ -271,3 +271,29 @@ def test_incomplete_results_say_so_first(results):
 def test_a_dataset_of_something_else_is_refused():
     with pytest.raises(SweepError, match="no result of a study"):
         linksweep.answer(xr.Dataset({"x": 1.0}))
+
+
+@pytest.mark.parametrize(
+    ("value", "phrase"),
+    [
+        (np.full((2, 3), np.nan), "No point has a value yet."),
+        (np.full((2, 3), 7.0), "7 mas"),
+        ([[np.nan, np.nan, 3.0], [np.nan] * 3], "3 mas at kind=one, size=4"),
+        ([[1.0, -1.0, 0.0], [0.0] * 3], "between -1 mas (kind=one, size=2) and 1 mas"),
+        ([[1.0, np.inf, 2.0], [1.0] * 3], "It is not a finite number at 1 point."),
+    ],
+)
+def test_answers_of_odd_grids(value, phrase):
+    assert phrase in sentences(grid(value))
+    report_page([("odd.zarr", grid(value))])
+
+
+@pytest.mark.parametrize("factor", [1.0, 1000.0])
+def test_differences_from_a_prediction_are_in_errors_and_have_no_unit(factor):
+    values, error = factor * np.array(VALUES), 0.1 * factor * np.array(VALUES)
+    errors = {"mc_error": 0.6 * error, "catalogue_error": 0.8 * error}
+    dataset = grid(values, predicted=np.full((2, 3), 5.0 * factor), **errors)
+    found = differences(dataset, "share")["share_from_prediction"]
+    assert "units" not in found.attrs
+    np.testing.assert_allclose(found.values, (values - 5.0 * factor) / error, rtol=1e-12)
+    assert differences(grid(values, **errors), "share") is None

@@ -95,30 +95,6 @@ def test_chi2_is_a_headline_result(store, page):
     assert max(float(row["chi2_ratio"]) for row in results) > 5.0  # errors are three times too small
 
 
-def test_what_the_tables_say_comes_first(store, page):
-    """In the headline of the page, in what a run prints, and in a notebook."""
-    headline = re.findall(r"<p>(.*?)</p>", re.search(r'<div class="headline">(.*?)</div>', page, re.DOTALL)[1])
-    sentences = linksweep.answer(linksweep.open(store)).sentences
-    for told in (headline, sentences):
-        assert [re.match(r"\w+", one)[0] for one in told] == ["estimate", "chi2_ratio", "sigma_orientation"]
-        assert [told[0].index(f"error_{kind}") for kind in KINDS] == sorted(told[0].index(f"error_{k}") for k in KINDS)
-        assert all(label in told[0] for label in LABELS)
-    jackknife = [float(link.errors.sel(error_kind="jackknife")[:3].max()) for link in links(store).values()]
-    assert f"to {max(jackknife):.3g} mas" in sentences[0]
-    figures = re.findall(r"<figcaption>(.*?) <span", page)
-    assert [name.split(". ")[0] for name in figures[:6]] == [f"estimate ({label})" for label in LABELS]
-    assert all("Error bars are error_scaled." in name for name in figures[:6])
-
-
-def test_show_prints_the_estimate_with_its_errors(store, sweep):
-    _, printed, _ = sweep("show", store)
-    link = links(store)["none"]
-    (row,) = [line.split() for line in printed.splitlines() if line.split()[:2] == ["none", "epsilon_x"]]
-    numbers = [link.estimate[0], *(link.errors.sel(error_kind=kind)[0] for kind in KINDS)]
-    factor = 1e3 if "estimate [uas]" in printed else 1.0
-    assert [float(cell) for cell in row[2:]] == pytest.approx([factor * float(one) for one in numbers], rel=0.05)
-
-
 def test_without_rows_of_a_reference_nothing_is_said_of_the_tables(tmp_path, sweep):
     path = tmp_path / "s.zarr"
     assert sweep("run", "pulsar-forecast", "--set", "n_sim=2", "--axis", "n_new=10,62", "-o", path)[0] == 0

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 import linksweep
 from linksweep import Output, SweepError, experiment
 from tests.sweep.opening import OpenStore
-from tests.tiers import examples, slow
+from tests.tiers import examples
 
 
 def run(function, store, **given):
@@ -171,42 +171,6 @@ def test_statistics_are_made_of_integers_that_floats_hold_and_of_no_others(tmp_p
     assert "beyond 2**53" in json.loads(ds.attrs["failures"])["beyond=1"]
 
 
-def test_dimensions_come_in_the_declared_order(tmp_path):
-    """Of three, where the way there is not the way back."""
-    values = np.arange(24.0).reshape(2, 3, 4)
-    array = xr.DataArray(values, dims=("a", "b", "c"), coords={"b": [5, 6, 7]})
-
-    @experiment(outputs=[Output("cube", dims=("c", "a", "b"))])
-    def turned():
-        return {"cube": array}
-
-    @experiment(outputs=[Output("cube", dims=("c", "a", "b"), statistics=["mean", "median"])])
-    def random(*, rng):
-        return {"cube": array + 0.0 * rng.normal()}
-
-    fixed = run(turned, tmp_path / "t")
-    drawn = run(random, tmp_path / "r", sampling={"n_sim": 6})
-    for cube in (fixed.cube, drawn.cube_mean, drawn.cube_median):
-        assert cube.dims == ("c", "a", "b")
-        assert np.array_equal(cube.values, values.transpose(2, 0, 1))
-    assert fixed.cube.sel(b=6).values.tolist() == values[:, 1, :].T.tolist()
-
-
-@pytest.mark.parametrize("pool", ["serial", "threads", slow("processes")])
-def test_a_precision_takes_the_same_realisations_in_every_run(tmp_path, pool):
-    """Once each: those of the first points, which say what the function returns, are not computed again."""
-    study = {
-        "axes": {"load": [0.2, 0.5, 0.8]},
-        "sampling": {"n_sim": 64, "precision": 0.06, "seed": 1},
-        "store": tmp_path / "q.zarr",
-    }
-    ds = linksweep.run(queue, pool=pool, workers=1 if pool == "serial" else 2, **study)
-    keys = OpenStore(tmp_path / "q.zarr").ledger().rows.keys_of_rows()
-    assert len(keys) == len(set(keys))
-    assert ds.n_sim_done.values.tolist() == [3584, 1536, 1536]
-    assert linksweep.run(queue, **study).drop_attrs().identical(ds.drop_attrs())
-
-
 def test_an_imported_function_is_declared_in_a_script_also_for_worker_processes(tmp_path, monkeypatch):
     (tmp_path / "pairs.py").write_text("FACTOR = 3.0\n\n\ndef pair(x: float):\n    return FACTOR * x, x\n")
     monkeypatch.syspath_prepend(tmp_path)
@@ -282,14 +246,3 @@ def test_killed_before_the_rows_have_the_types_of_the_record_no_integer_is_round
     ds = run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 10]})
     assert ds.status.values.tolist() == [1, 1, 2]
     assert "beyond 2**53" in json.loads(ds.attrs["failures"])["k=10"]
-
-
-def test_realisations_in_another_order_are_refused_by_name(tmp_path):
-    def draws(k: int, rng):
-        both = {"a": rng.normal(), "b": 10.0 + rng.normal()}
-        return dict(reversed(both.items())) if k else both
-
-    ds = run(draws, tmp_path / "s.zarr", axes={"k": [0, 1]}, sampling={"n_sim": 8})
-    assert json.loads(ds.attrs["failures"]) == {
-        "k=1": "draws: not as at the first point: its results are in another order"
-    }

@@ -40,13 +40,6 @@ def test_samples_are_the_realisations_behind_the_results(kept):
     assert len(np.unique(estimate.isel(model=0, n_obj=0, component=0))) == 14_000
 
 
-@pytest.mark.slow
-def test_keeping_samples_changes_no_other_number(kept, tmp_path):
-    without = LINK | {"sampling": {**LINK["sampling"], "keep_samples": False}}
-    dataset, _ = run_study(study_from_dict(without), tmp_path / "without.zarr", SERIAL)
-    xr.testing.assert_identical(kept.drop_vars("estimate").drop_attrs(), dataset.drop_attrs())
-
-
 def test_samples_are_the_same_in_any_order_and_after_a_kill(kept, tmp_path):
     study = study_from_dict(LINK)
     store = tmp_path / "other.zarr"

@@ -304,3 +304,11 @@ def test_galactic_coordinates_are_those_of_astropy():
 def test_different_identifiers_are_never_merged():
     labels, _ = labels_of(*(catalogue(positions([10.0], [0.0]), 3.0, [name]) for name in (5, 6)))
     assert labels == [[0], [1]]
+
+
+def test_errors_grow_with_time_and_stay_without_proper_motion():
+    where = positions([10.0], [60.0], 0.1)
+    pm, pm_error = np.array([5.0 * MAS]), np.array([3.0 * MAS])
+    later = at_epoch(where, pm, pm, pm_error, 0 * pm_error, np.array([-20.0]))
+    np.testing.assert_allclose(later.ra_error / MAS, np.hypot(100.0, 60.0))
+    np.testing.assert_allclose(later.dec_error / MAS, 100.0)

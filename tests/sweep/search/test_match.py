@@ -145,11 +145,6 @@ def test_json_is_the_summary(folder):
     assert report["notes"] == ["extra has no proper motions: its positions were taken as they are"]
 
 
-def test_proper_motions_bring_stars_to_the_epoch(folder):
-    report = json.loads(run(*ARGUMENTS, "--json", "--epoch", "1991.25").stdout)
-    assert report["classes"]["all"]["n"] == 2
-
-
 def test_radius_by_name_and_for_all(folder):
     def n(*radii):
         return json.loads(run(*ARGUMENTS, *radii, "--json", "--overwrite").stdout)["classes"]["all"]["n"]

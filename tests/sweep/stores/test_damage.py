@@ -391,8 +391,19 @@ def test_a_flipped_root_is_damaged_wherever_the_bit(place, coins, step):
             location.delete("blocks/zarr.json")
         for at in range(0, len(root), step):
             location.put("zarr.json", flip(root, at))
-            with pytest.raises(SweepError, match="damaged"):
+            with pytest.raises(SweepError, match=r"(?s)\A(?!.*nothing is damaged).*damaged"):
                 linksweep.open(place)
+
+
+def test_every_bit_of_a_document_counts():
+    document = {"zarr_format": 3, "node_type": "group", "attributes": {"seed": 7, "axes": "v_max"}}
+    content = opening.sealed(document, "zarr.json")
+    assert opening.unsealed(content, "zarr.json")["attributes"]["seed"] == 7
+    for at, bit in itertools.product(range(len(content)), range(8)):
+        with pytest.raises(ValueError, match=r"."):
+            opening.unsealed(flip(content, at, bit), "zarr.json")
+    with pytest.raises(ValueError, match="does not match"):
+        opening.unsealed(content, "blocks/zarr.json")
 
 
 def test_a_store_whose_two_documents_are_damaged_says_what_to_do(whole):

@@ -128,10 +128,10 @@ def test_a_step_is_not_rounded_away(law, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "values", [{1, 2}, map(float, (1, 2)), 3.0, {"start": 1}, [1, "a"]], ids=lambda value: type(value).__name__
+    "values", [{1, 2}, map(float, (1, 2)), 3.0, {"start": 1}], ids=lambda value: type(value).__name__
 )
 def test_objects_without_order_or_that_give_their_values_once_are_refused(values, law, tmp_path):
-    with pytest.raises(SweepError, match=r"axes\.e: .*(write a list|several types)"):
+    with pytest.raises(SweepError, match=r"axes\.e: .*write a list"):
         run(law, tmp_path / "s.zarr", axes={"e": values})
 
 

@@ -239,3 +239,20 @@ def test_what_is_wrong_is_refused_with_its_place(here, sweep, old, new, message)
         assert message in err
         assert "Traceback" not in err
     assert not (here / "results").exists()
+
+
+def test_one_curve_under_two_names_is_one_value(here):
+    copy = STUDY[STUDY.index("[define.model.small]") : STUDY.index("[define.model.coded]")].replace("small", "copy")
+    edited(here, ("[fixed]", f"{copy}[fixed]"), ('"small", "coded"', '"small", "copy"'))
+    with pytest.raises(SweepError, match="duplicate values 'small'"):
+        linksweep.load_study("own.toml")
+
+
+def test_another_curve_as_fixed_value_is_another_study(here, sweep):
+    fixed = (("model = [", "# "), ("[fixed]", '[fixed]\nmodel = "small"'))
+    edited(here, *fixed)
+    run()
+    edited(here, *fixed, ("150.0", "151.0"))
+    status, _, err = sweep("run", "own.toml", "-o", "s.zarr", cwd=here)
+    assert status == 2
+    assert "fixed.model: 'sha256:" in err

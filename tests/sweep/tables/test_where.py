@@ -34,7 +34,7 @@ def literals(column):
 @st.composite
 def comparisons(draw):
     column = draw(st.sampled_from((*NUMBERS, *TEXTS)))
-    form = draw(st.sampled_from(("one", "chain", "in", "columns", "sum", "flag")))
+    form = draw(st.sampled_from(("one", "chain", "in", "columns", "flag")))
     comparison = draw(st.sampled_from(("<", "<=", ">", ">=", "==", "!=")))
     if form == "in":
         some = ", ".join(draw(st.lists(literals(column), min_size=1, max_size=3)))
@@ -46,7 +46,6 @@ def comparisons(draw):
     return {
         "chain": f"{draw(literals(column))} {draw(st.sampled_from(('<', '<=')))} {column} < {draw(literals(column))}",
         "columns": f"a {comparison} b",
-        "sum": f"(a {draw(st.sampled_from('+-*/'))} 2 * b) {comparison} {draw(literals('a'))}",
     }.get(form, f"{column} {comparison} {draw(literals(column))}")
 
 
@@ -97,12 +96,13 @@ def test_any_text_gives_rows_or_is_refused_with_its_place(condition):
         ("ruwe.real < 1", "not allowed"),
         ("[1, 2][0] < ruwe", "not allowed"),
         ("(lambda: ruwe)() < 1", "not allowed"),
-        ("ruwe < 1.4 & name < 3", "text compared with numbers, at character 21, '3'"),
-        ("ruwe < name", "numbers compared with text"),
-        ("ruwe is 1", "not a comparison"),
+        ("ruwe < 1.4 & name < 3", "text cannot be compared with numbers in this way, at character 21, '3'"),
+        ("ruwe < name", "numbers cannot be compared with text"),
+        ("ruwe is 1", "cannot be compared with numbers in this way"),
+        ("ruwe < [1, 2]", "not allowed"),
         ("ruwe", "numbers without a comparison"),
         ("name", "text without a comparison"),
-        ("name + 1 < 2", "arithmetic with text"),
+        ("ruwe + 1 < 2", "not allowed"),
         ("ruwe in 3", "not a list"),
         ("ruwe in [name]", "not a list"),
         ("ruwe ** 2 < 3", "not allowed"),
@@ -120,7 +120,7 @@ def test_what_is_refused_names_the_place_and_the_cause(condition, words):
 def stars():
     table = Table({"name": ["A", "B", "C", ""], "g": np.float32([12.0, 13.0, 14.0, 15.0])})
     table["ruwe"] = MaskedColumn([0.9, 1.4, 2.0, 1.0], mask=[False, False, False, True])
-    table["good"] = ["true", "False", "T", ""]
+    table["good"] = [1, 0, 1, 0]
     table["duplicated_source"] = MaskedColumn([True, False, False, True], mask=[False] * 3 + [True])
     table["pair"] = np.zeros((4, 2))
     table["B-V"] = [0.1, np.nan, 0.5, 0.7]
@@ -138,12 +138,12 @@ def stars():
         ("ruwe == ruwe", [0, 1, 2]),
         ("RUWE < 1.4 | g == 15", [0, 3]),
         ("good", [0, 2]),
-        ("~duplicated_source & good == False", [1]),
+        ("~duplicated_source & ~good", [1, 3]),
         ("duplicated_source == 1", [0]),
         ("name in ['A', 'C']", [0, 2]),
         ("name not in ('A', 'C')", [1]),
         ("`B-V` < 0.6 & `lambda` > 1", [2]),
-        ("-ruwe < -1", [1, 2]),
+        ("-1 < ruwe", [0, 1, 2]),
         ("12 < g <= 14\n", [1, 2]),
         ("name == 'A & B' | g > 14.5", [3]),
     ],

@@ -325,7 +325,7 @@ def test_a_study_has_what_the_command_has_with_each_option(tmp_path, monkeypatch
     hip.rename_column("parallax", "plx")
     hip.write("hip.ecsv")
     spins = {"mag_min": [0.0, 8.0], "mag_max": [8.0, 20.0]} | {f"omega_{axis}": [0.1, 0.2] for axis in "xyz"}
-    Table(spins).write("spin.ecsv")
+    Table(spins, units=dict.fromkeys(("omega_x", "omega_y", "omega_z"), "mas/yr")).write("spin.ecsv")
     in_study, in_python = CASES[case]
     results = written(tmp_path, satellite="satellite.ecsv", reference="reference.ecsv", **in_study)
     unknowns = "orientation,spin" + (",hip:orientation,hip:spin" if case == "missions" else "")

@@ -1,0 +1,163 @@
+"""Values of any type on axes, as constants and in tables: under labels, known by their canonical form."""
+
+import datetime
+import enum
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import linksweep
+from linksweep import SweepError
+from tests.tiers import examples, slow
+
+
+class Colour(enum.Enum):
+    RED = 1
+    BLUE = 2
+
+
+@dataclass(frozen=True)
+class Size:
+    width: int
+
+
+class Net:
+    """Its repr has an address, so that it needs a label."""
+
+    def __init__(self, width):
+        self.width = width
+
+
+def double(x):
+    return 2 * x
+
+
+def described(thing, x: float = 1.0):
+    if isinstance(thing, Net):
+        return {"text": f"net {thing.width}", "y": thing.width * x}
+    return {"text": f"{type(thing).__name__} {getattr(thing, '__name__', thing)!r}", "y": x}
+
+
+def run(store, **given):
+    return linksweep.run(described, store, **{"pool": "serial", **given})
+
+
+FEW = (
+    None,
+    True,
+    1,
+    2.5,
+    "a",
+    (1, "b"),
+    [1, 2],
+    {"k": (1,)},
+    Colour.RED,
+    Colour.BLUE,
+    Size(3),
+    double,
+    Net,
+    np.arange(3),
+)
+FEW += (
+    datetime.date(2026, 1, 1),
+    np.datetime64("2026-01-02"),
+    Path("a/b"),
+    partial(double, 3).func,
+    1j,
+    frozenset({1}),
+)
+
+
+@pytest.mark.parametrize("pool", ["serial", *map(slow, ["processes", "threads"])])
+def test_an_axis_has_values_of_all_types(pool, tmp_path):
+    values = list({repr(value): value for value in FEW}.values())
+    ds = run(tmp_path / "s.zarr", axes={"thing": values}, pool=pool)
+    assert ds.text.values.tolist() == [described(value)["text"] for value in values]
+    labels = {"a": "a", "a/b": "a/b", "RED": "RED", "double": "double", "Net": "Net", "2026-01-01": "2026-01-01"}
+    assert labels.items() <= {label: label for label in ds.thing.values.tolist()}.items()
+    again = run(tmp_path / "s.zarr", axes={"thing": values[::-1]})
+    assert again.text.values.tolist() == ds.text.values.tolist()[::-1]
+    assert linksweep.open(tmp_path / "s.zarr").sizes["thing"] == len(values)
+
+
+PLAIN = st.one_of(st.none(), st.booleans(), st.floats(1, 9), st.text("abc", max_size=3))
+THINGS = st.recursive(
+    PLAIN,
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3),
+        st.lists(inner, max_size=3).map(tuple),
+        st.dictionaries(st.text("ab", max_size=2), inner, max_size=2),
+    ),
+    max_leaves=5,
+)
+
+
+@given(things=st.lists(THINGS, min_size=1, max_size=6, unique_by=repr), seed=st.randoms())
+@settings(max_examples=examples(25), deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+def test_what_is_there_under_a_label_is_not_computed_again(tmp_path_factory, things, seed):
+    calls = []
+
+    def seen(thing):
+        calls.append(thing)
+        return repr(thing)
+
+    store = tmp_path_factory.mktemp("objects") / "s.zarr"
+    labelled = {f"label {number}": thing for number, thing in enumerate(things)}
+    first = linksweep.run(seen, store, axes={"thing": labelled}, pool="serial")
+    assert first.seen.values.tolist() == list(map(repr, things))
+    number, names = len(calls), list(labelled)
+    seed.shuffle(names)
+    again = linksweep.run(seen, store, axes={"thing": {name: labelled[name] for name in names}}, pool="serial")
+    assert len(calls) == number
+    assert again.seen.values.tolist() == first.seen.sel(thing=names).values.tolist()
+
+
+def test_labels_of_several_runs_join_and_constants_and_tables_have_objects(tmp_path):
+    run(tmp_path / "s.zarr", axes={"thing": {"small": Net(8), "large": Net(16)}, "x": [1.0, 2.0]})
+    run(tmp_path / "s.zarr", axes={"thing": {"huge": Net(32), "small": Net(8)}, "x": [2.0]})
+    whole = linksweep.open(tmp_path / "s.zarr")
+    assert whole.thing.values.tolist() == ["small", "large", "huge"]
+    assert whole.y.sel(x=2.0).values.tolist() == [16.0, 32.0, 64.0]
+    assert run(tmp_path / "c.zarr", fixed={"thing": (1, 2)}).text.item() == "tuple (1, 2)"
+    things = [(1, 2), None, Colour.BLUE]
+    for number, points in enumerate((pd.DataFrame({"thing": things, "x": [1.0, 2.0, 3.0]}), {"thing": things})):
+        table = run(tmp_path / f"t{number}.zarr", points=points)
+        assert table.thing.values.tolist() == ["(1, 2)", "None", "BLUE"]
+        assert table.text.values.tolist() == [described(thing)["text"] for thing in things]
+
+
+@pytest.mark.parametrize(
+    ("axes", "said"),
+    [
+        ({"thing": [Net(1)]}, "has no label of its own"),
+        ({"thing": [lambda: 1]}, "has no label of its own"),
+        ({"thing": {"one": (x for x in ())}}, "has no canonical form"),
+        ({"thing": {"one": Net(1), "two": Net(1)}}, "duplicate values 'one'"),
+        ({"thing": [(1,), "(1,)"]}, "two values have the label"),
+        ({"thing": [1], "x": [None]}, "x = None: must be a finite number"),
+    ],
+)
+def test_objects_that_cannot_be_told_apart_are_refused(axes, said, tmp_path):
+    with pytest.raises(SweepError, match=said):
+        run(tmp_path / "s.zarr", axes=axes)
+    assert not (tmp_path / "s.zarr").exists()
+
+
+def test_what_may_be_none_can_be_none(tmp_path, sweep):
+    (tmp_path / "m.py").write_text(
+        "from typing import Optional\n"
+        "def f(a: Optional[float] = None, b: int | None = 3, name: str = 'x'):\n"
+        "    return {'text': f'{a} {b} {name}'}\n"
+    )
+    asked = ("--axis", "a=None,1", "--axis", "b=None,3", "--axis", "name=1e3,true")
+    code, _, err = sweep("run", "m.py:f", *asked, "-o", "s.zarr", "-q", cwd=tmp_path)
+    assert code == 0, err
+    ds = linksweep.open(tmp_path / "s.zarr")
+    assert ds.text.sel(b="None", name="1e3").values.tolist() == ["None None 1e3", "1.0 None 1e3"]
+    assert sweep("reproduce", "s.zarr", "--at", "a=None,b=3,name=true", cwd=tmp_path)[0] == 0

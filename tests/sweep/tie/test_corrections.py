@@ -1,0 +1,110 @@
+"""What is known of DR3 and subtracted: parallax zero points and the spin by magnitude; other releases are refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+import linksweep
+from linksweep import SweepError
+from linksweep.sweep.tie.tables import TableOptions, read_table
+from tests.core.tie.made import MAS, gaia, stars
+
+zpt = pytest.importorskip("zero_point").zpt
+
+SHIFTED = TableOptions(parallax_zero_point=True)
+
+
+def dr3(n=30):
+    """Return columns of gaia_source: five- and six-parameter solutions, one of two and one too bright."""
+    rng = np.random.default_rng(1)
+    six = np.arange(n) % 3 == 0
+    solved = np.where(six, 95, 31)
+    solved[4] = 3
+    magnitude = rng.uniform(7.0, 20.0, n)
+    magnitude[5] = 4.0
+    return {
+        "phot_g_mean_mag": magnitude,
+        "nu_eff_used_in_astrometry": np.where(six, np.nan, rng.uniform(1.2, 1.8, n)),
+        "pseudocolour": np.where(six, rng.uniform(1.25, 1.7, n), np.nan),
+        "ecl_lat": rng.uniform(-90.0, 90.0, n),
+        "astrometric_params_solved": solved,
+    }
+
+
+def test_parallaxes_are_those_of_the_authors_package(tmp_path):
+    columns, made = dr3(), stars(30)
+    found = read_table(gaia(tmp_path / "gaia.ecsv", made, **columns), SHIFTED)
+    zpt.load_tables()
+    for k in range(30):
+        wanted = 0.0
+        if k not in (4, 5):
+            wanted = zpt.get_zpt(*(column[[k]] for column in columns.values()))[0]
+        assert (made.values[2, k] - found.astrometry.values[2, k]) / MAS == pytest.approx(wanted, abs=1e-9)
+    assert any("zero points of 28 of 30 parallaxes subtracted" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("epoch", "dropped", "words"),
+    [(2017.5, None, "those of dr3, and the epochs are of dr4"), (2016.0, "ecl_lat", "no column 'ecl_lat'")],
+)
+def test_zero_points_of_another_release_are_refused(tmp_path, epoch, dropped, words):
+    columns = {name: column for name, column in dr3().items() if name != dropped}
+    path = gaia(tmp_path / "gaia.ecsv", replace(stars(30), epoch=np.full(30, epoch)), **columns)
+    with pytest.raises(SweepError, match=words):
+        read_table(path, SHIFTED)
+
+
+def edr3_to_icrf(pmra, pmdec, ra, dec, magnitude):
+    """Return the motions that Cantat-Gaudin & Brandt 2021 (A&A 649, A124) give, mas/yr, in three bins."""
+    x, y, z = {8.0: (18.4, 33.8, -11.3), 12.6: (27.3, 76.6, 0.5), 15.0: (0.0, 0.0, 0.0)}[magnitude]
+    along_ra = -np.sin(dec) * np.cos(ra) * x - np.sin(dec) * np.sin(ra) * y + np.cos(dec) * z
+    return pmra - along_ra / 1000.0, pmdec - (np.sin(ra) * x - np.cos(ra) * y) / 1000.0
+
+
+def bright(folder, epoch=2016.0):
+    """Write motions with the spin of bright stars of EDR3, and those without it."""
+    made = replace(stars(30, 2, epoch=epoch), radial_velocity=np.zeros(30))
+    magnitude = np.tile([8.0, 12.6, 15.0], 10)
+    values = made.values.copy()
+    for k in range(30):
+        ra, dec, _, pmra, pmdec = made.values[:, k]
+        values[3:, k] = np.array(edr3_to_icrf(pmra / MAS, pmdec / MAS, ra, dec, magnitude[k])) * MAS
+    magnitudes = {"phot_g_mean_mag": magnitude}
+    return gaia(folder / "gaia.ecsv", made, **magnitudes), gaia(folder / "true.ecsv", replace(made, values=values))
+
+
+@pytest.mark.parametrize("sign", ["reference-satellite", "satellite-reference"])
+def test_the_published_spin_of_bright_stars_is_subtracted(tmp_path, sign):
+    tables = bright(tmp_path)
+    bins = ("phot_g_mean_mag", [10.0, 14.0])
+    as_it_is = linksweep.tie(*tables, "spin", bins=bins)
+    np.testing.assert_allclose(as_it_is.spin_by_bin[0], [-0.0184, -0.0338, 0.0113], atol=1e-6)
+    link = linksweep.tie(*tables, "spin", bins=bins, known_spin="edr3-spin", sign=sign)
+    np.testing.assert_allclose(link.estimate, 0.0, atol=1e-6)
+
+
+def test_chi2_says_whether_the_sign_of_what_is_known_is_right(tmp_path):
+    tables = bright(tmp_path)
+    Table.read("linksweep/sweeps/data/edr3-spin.ecsv").write(tmp_path / "spins.ecsv")
+    table = Table.read(tmp_path / "spins.ecsv")
+    for axis in "xyz":
+        table[f"omega_{axis}"] *= -100.0
+    table.write(tmp_path / "opposite.ecsv")
+    said = {}
+    for name in ("spins", "opposite"):
+        link = linksweep.tie(*tables, "spin", known_spin=tmp_path / f"{name}.ecsv", accept_misfit=True)
+        said[name] = next(note for note in link.attrs["notes"] if "with the opposite sign" in note)
+    assert "sign right?" not in said["spins"]
+    assert "sign right?" in said["opposite"]
+
+
+def test_spins_of_another_release_or_without_a_unit_are_refused(tmp_path):
+    tables = bright(tmp_path, epoch=2017.5)
+    with pytest.raises(SweepError, match="spins of dr3, and the satellite's epochs are those of dr4"):
+        linksweep.tie(*tables, "spin", known_spin="edr3-spin")
+    bare = Table({"mag_min": [0.0], "mag_max": [30.0], **{f"omega_{axis}": [10.0] for axis in "xyz"}})
+    bare.write(tmp_path / "bare.csv")
+    with pytest.raises(SweepError, match="say the unit of omega_x, omega_y, omega_z"):
+        linksweep.tie(*tables, "spin", known_spin=tmp_path / "bare.csv")

@@ -1,0 +1,163 @@
+"""Which rows are taken as which star: identifiers of two releases, companions, leftovers; and Hipparcos-2 as it is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+import linksweep
+from linksweep import SweepError
+from linksweep.sweep.tie.tables import TableOptions, read_table
+from tests.core.tie.made import (
+    ARCSEC,
+    MAS,
+    PAIRS,
+    gaia,
+    gaia_table,
+    propagated,
+    random_correlations,
+    seen_by_satellite,
+    stars,
+)
+
+MEAN = {"reference_options": TableOptions(positions="mean")}
+TURN = np.array([1.0, -2.0, 3.0]) * MAS
+
+
+def two_tables(folder, n=12, own=None, other=None, epoch=2017.5):
+    """Write the tables of two releases, the second without the satellite's turn; return their paths."""
+    made = replace(stars(n, 3, epoch=epoch), radial_velocity=np.zeros(n))
+    there = propagated(made.values, made.radial_velocity, made.epoch, np.full(n, 2016.0))
+    own, other = own or {}, other or {}
+    seen = replace(made, values=seen_by_satellite(made, TURN, 0.0 * TURN))
+    return (
+        gaia(folder / "own.ecsv", seen, **own),
+        gaia(folder / "other.ecsv", replace(made, values=there, epoch=np.full(n, 2016.0)), **other),
+    )
+
+
+def said(link, words):
+    return any(words in note for note in link.attrs["notes"])
+
+
+def designations(release, numbers):
+    return [f"Gaia {release} {number}" for number in numbers]
+
+
+def test_identifiers_of_two_releases_are_different_names(tmp_path):
+    numbers = np.arange(12) + 100
+    exchanged = np.roll(numbers, 1)  # the same numbers, of other stars
+    own = {"source_id": exchanged, "designation": designations("DR4", exchanged)}
+    other = {"source_id": numbers, "designation": designations("DR3", numbers)}
+    tables = two_tables(tmp_path, own=own, other=other)
+    link = linksweep.tie(*tables, "orientation,spin")
+    np.testing.assert_allclose(link.estimate[:3], TURN / MAS, atol=1e-4)
+    assert said(link, "identifiers of dr4 in the satellite and of dr3 in other.ecsv are different names")
+    assert link.source.values.tolist() == [str(number) for number in numbers]
+    # without designations the epochs say it
+    bare = two_tables(tmp_path, own={"source_id": exchanged}, other={"source_id": numbers})
+    assert said(linksweep.tie(*bare, "orientation,spin"), "are different names")
+    # another name that both have is as good as ever
+    hip = {"hip": numbers}
+    named = two_tables(tmp_path, own=own | hip, other=other | hip)
+    assert linksweep.tie(*named, "orientation").attrs["matched_by"] == "hip"
+
+
+def test_one_release_is_matched_by_its_identifiers(tmp_path):
+    numbers = np.arange(12) + 100
+    same = {"designation": designations("EDR3", numbers)}, {"designation": designations("DR3", numbers)}
+    tables = two_tables(tmp_path, own=same[0], other=same[1], epoch=2016.0)
+    assert linksweep.tie(*tables, "orientation").attrs["matched_by"] == "source_id"
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"ref_epoch": np.repeat([2016.0, 2017.5], 6)}, "epochs of dr3 and dr4"),
+        ({"designation": [*designations("DR2", range(6)), *designations("DR3", range(6))]}, "rows of dr2 and dr3"),
+    ],
+)
+def test_rows_of_two_releases_in_one_table_are_refused(tmp_path, changes, words):
+    with pytest.raises(SweepError, match=words):
+        read_table(gaia(tmp_path / "mixed.ecsv", stars(12), **changes))
+
+
+def test_sources_within_the_radius_and_leftovers_are_named(tmp_path):
+    made = replace(stars(12, 3, pm=0.0, epoch=2016.0), radial_velocity=np.zeros(12))
+    values = made.values.copy()
+    values[:2, 1] = values[:2, 0] + np.array([0.0, 0.4 * ARCSEC])  # a companion of S0 in the satellite's table
+    names = [f"S{k}" for k in range(12)]
+    own = gaia(tmp_path / "own.ecsv", replace(made, values=values), source_id=[f"A{k}" for k in range(12)])
+    rows = made.values.copy()
+    rows[1, 11] += 0.01  # nothing is there
+    reference = gaia_table(replace(made, values=rows))
+    reference["source_id"] = names
+    reference.remove_row(1)
+    reference.write(tmp_path / "other.ecsv")
+    link = linksweep.tie(own, tmp_path / "other.ecsv", "orientation", by="position", accept_misfit=True)
+    assert said(link, "several sources are within the radius (A0 and A1); the nearest is taken")
+    assert said(link, "1 of 11 rows of other.ecsv match no source: S11")
+
+
+def hip2_text(made, elements, sigma):
+    """Return rows of hip2.dat, byte by byte."""
+    lines = []
+    for k in range(len(made)):
+        ra, dec, *rest = made.values[:, k]
+        plx, pmra, pmdec = np.array(rest) / MAS
+        five = "".join(f" {error:6.2f}" for error in sigma[k])
+        line = f"{k + 1:6d} {5:3d} 0 1 {ra:13.10f} {dec:13.10f} {plx:7.2f} {pmra:8.2f} {pmdec:8.2f}{five}"
+        line += f" {60:3d} {0.5:5.2f} {0:2d} {0.0:6.1f} {0:4d} {9.5:7.4f} {0.001:6.4f} {0.02:5.3f} 0 {0.5:6.3f}"
+        line += f" {0.01:5.3f} {0.55:6.3f}" + "".join(f"{element:7.2f}" for element in elements[:, k])
+        assert len(line) == 276
+        lines.append(line)
+    return "\n".join(lines) + "\n"
+
+
+def test_raw_hip2_is_recognised_without_its_readme(tmp_path):
+    rng = np.random.default_rng(4)
+    made, wanted = stars(8), random_correlations(rng, 8)
+    matrix = np.tile(np.eye(5), (8, 1, 1))
+    for row, (i, j) in zip(wanted, PAIRS, strict=True):
+        matrix[:, i, j] = matrix[:, j, i] = row
+    upper = np.linalg.cholesky(np.linalg.inv(matrix)).swapaxes(1, 2)
+    elements = np.array([upper[:, i, j] for j in range(5) for i in range(j + 1)])
+    elements *= 900.0 / np.abs(elements).max(axis=0)  # a factor is the same, and large numbers keep their digits
+    sigma = rng.uniform(0.5, 2.0, (8, 5))
+    (tmp_path / "hip2.dat").write_text(hip2_text(made, elements, sigma))
+    read = read_table(tmp_path / "hip2.dat")
+    np.testing.assert_allclose(read.astrometry.values[:2], made.values[:2], atol=1e-10)
+    np.testing.assert_allclose(read.astrometry.values[2:], made.values[2:], atol=0.006 * MAS)
+    np.testing.assert_allclose(read.astrometry.errors / MAS, sigma.T, atol=0.006)
+    np.testing.assert_allclose(read.astrometry.correlations, wanted, atol=2e-3)
+    assert set(read.astrometry.epoch) == {1991.25}
+    assert next(iter(read.names.values())).tolist() == [str(k + 1) for k in range(8)]
+    cut = (tmp_path / "hip2.dat").read_text().splitlines()
+    (tmp_path / "cut.dat").write_text("\n".join([*cut[:2], cut[2][:200], *cut[3:]]))
+    with pytest.raises(SweepError, match="no such row in line 3"):
+        read_table(tmp_path / "cut.dat")
+
+
+def test_what_is_known_is_taken_out_in_the_sign_of_the_results(tmp_path):
+    tables = two_tables(tmp_path)
+    free = linksweep.tie(*tables, "orientation,spin", epoch=2016.0)
+    known = {"known_orientation": [0.5, 0.0, -1.0], "known_spin": [0.0, 0.2, 0.0]}
+    for sign, factor in (("reference-satellite", 1.0), ("satellite-reference", -1.0)):
+        link = linksweep.tie(*tables, "orientation,spin", epoch=2016.0, sign=sign, **known)
+        wanted = factor * free.estimate.values - np.concatenate(list(known.values()))
+        np.testing.assert_allclose(link.estimate, wanted, atol=1e-5)
+    with pytest.raises(SweepError, match="known orientation"):
+        linksweep.tie(*tables, known_orientation=[1.0, 2.0])
+
+
+def test_positions_of_one_epoch_give_epsilon_and_omega_only_together(tmp_path):
+    made = replace(stars(12, 3, epoch=2016.0), radial_velocity=np.zeros(12))
+    errors = np.where(np.arange(5)[:, None] < 2, made.errors, np.nan)
+    table = gaia_table(replace(made, errors=errors, epoch=np.full(12, 2010.0)))
+    positions = Table({name: table[name] for name in ("source_id", "ra", "ra_error", "dec", "dec_error", "ref_epoch")})
+    positions.write(tmp_path / "vlbi.ecsv")
+    positions.write(tmp_path / "own.ecsv")
+    link = linksweep.tie(tmp_path / "own.ecsv", tmp_path / "vlbi.ecsv", epoch=2016.0, **MEAN)
+    assert said(link, "determine only epsilon + t omega, here t = -6 years")
+    assert link.unknown.values.tolist() == ["epsilon_x", "epsilon_y", "epsilon_z"]
