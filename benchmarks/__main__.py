@@ -24,6 +24,7 @@ from benchmarks import (
     memory,
     million,
     overhead,
+    parts,
     scale,
     scaling,
     small_catalogues,
@@ -44,6 +45,7 @@ BENCHMARKS = {
     "cluster": cluster.measure,
     "scale": scale.measure,
     "million": million.measure,
+    "parts": parts.measure,
     "tie": tie.measure,
 }
 

@@ -103,7 +103,7 @@ class Astrometry:
         if self.correlations is not None:
             for correlation, (i, j) in zip(self.correlations, PAIRS, strict=True):
                 covariance[:, i, j] = covariance[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
-        if self.further_correlations is not None:
+        if self.further is not None and self.further_correlations is not None:
             covariance[:, :, 5:] = (
                 np.moveaxis(self.further_correlations, -1, 0) * sigma[:, :, None] * sigma[:, None, 5:]
             )

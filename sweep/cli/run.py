@@ -519,8 +519,6 @@ def merge(
     """
     from linksweep.sweep.running.merge import merge as merge_stores
 
-    if not stores:
-        raise click.UsageError("name the stores to merge, as in `sweep merge S.part-* -o S`")
     dataset = merge_stores(stores, output, accept_code=accept_code, trust=trust)
     group.print_headlines(dataset, as_json)
     click.echo(f"wrote {output}", err=True)

@@ -3,7 +3,6 @@
 import shlex
 import subprocess
 import sys
-from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,17 +19,14 @@ SCRIPT = """\
 #!/bin/sh
 # Submits {name} as a job array of {total} parts, and a job that merges them when all have ended.
 set -e
-array=$(sbatch --parsable --array=1-{total} --job-name={name} --output={folder}/%A_%a.log{more} <<'END_OF_JOB'
+array=$(sbatch --parsable --array=1-{total} --output={folder}/%A_%a.log {options} <<'END_OF_JOB'
 #!/bin/bash
-cd {here} || exit
 exec {run} --part "$SLURM_ARRAY_TASK_ID/{total}" --workers "${{SLURM_CPUS_PER_TASK:-1}}" --break-lock
 END_OF_JOB
 )
-echo "job array $array"
-sbatch --dependency="afterany:${{array%%;*}}" --job-name={name} --output={folder}/merge-%j.log{more} <<'END_OF_JOB'
+sbatch --dependency="afterany:${{array%%;*}}" --output={folder}/merge-%j.log {options} <<'END_OF_JOB'
 #!/bin/bash
-cd {here} || exit
-exec {merge}
+exec {merge} {store}.part-{{1..{total}}}-of-{total}
 END_OF_JOB
 """
 
@@ -49,36 +45,28 @@ def submit(
     sweep submit quasars --slurm 100 --sbatch --time=1:00:00
     sweep submit quasars --slurm 100 --go
     """
-    from linksweep.sweep.formatting import counted
     from linksweep.sweep.planning.grid import make_grid
-    from linksweep.sweep.planning.parts import deal
-    from linksweep.sweep.planning.plan import Plan
     from linksweep.sweep.running.merge import require_free
     from linksweep.sweep.stores.location import Folder
 
     study, store = asked.load()
-    costs: dict[int, float] = defaultdict(float)
-    for unit, number in deal(Plan(make_grid(study)), tasks):
-        costs[number] += unit.cost
+    make_grid(study)  # its mistakes are named here, not in a hundred logs
     require_free(store, study, [{"study_digest": study.digest(), "parts": tasks}])
-    pairs = [("--set", asked.settings), ("--axis", asked.axes), ("--range", asked.ranges)]
-    pairs += [
-        ("--points", [asked.points] if asked.points else []),
-        ("--design", [asked.design] if asked.design else []),
-    ]
-    overrides = [word for name, values in pairs for value in values for word in (name, value)]
+    changes = {"--set": asked.settings, "--axis": asked.axes, "--range": asked.ranges}
+    changes |= {"--points": [asked.points or ""], "--design": [asked.design or ""]}
+    overrides = [f"{name}={value}" for name, values in changes.items() for value in values if value]
     trust = ["--trust"] if asked.trust else []
-    sweep, place = [sys.executable, "-P", "-m", "linksweep"], shlex.quote(str(store))
-    merge = shlex.join([*sweep, "merge", *(["--trust"] if asked.trust or not study.is_ours else []), "-o", str(store)])
+    sweep = [sys.executable, "-P", "-m", "linksweep"]
     folder = (store.path.parent if isinstance(store, Folder) else Path.cwd()) / f"{store.name}.slurm"
     script = SCRIPT.format(
         name=shlex.quote(study.name),
         total=tasks,
         folder=shlex.quote(str(folder)),
-        here=shlex.quote(str(Path.cwd())),
-        more="".join(f" {shlex.quote(option)}" for option in more),
+        options=shlex.join([f"--job-name={study.name}", f"--chdir={Path.cwd()}", *more]),
         run=shlex.join([*sweep, "run", asked.study, *overrides, *trust, "-o", str(store)]),
-        merge=f"{merge} {place}.part-{{1..{tasks}}}-of-{tasks}",
+        # Who submits a study trusts its code; parts are written on other hosts than the one that merges them.
+        merge=shlex.join([*sweep, "merge", *(trust if study.is_ours else ["--trust"]), "-o", str(store)]),
+        store=shlex.quote(str(store)),
     )
     file = folder / "submit.sh"
     try:
@@ -86,16 +74,8 @@ def submit(
             raise linksweep.SweepError("is there already, and another one; submit it with sh, or remove it", str(file))
         folder.mkdir(parents=True, exist_ok=True)
         file.write_text(script)
-    except OSError as error:
-        raise linksweep.SweepError(f"cannot be written: {error.strerror}", str(file)) from error
-    even = max(costs.values()) * len(costs) / sum(costs.values())
-    click.echo(
-        f"{counted(len(costs), 'part')} with work, the largest {even:.2f} times the mean; wrote {file}", err=True
-    )
-    if not go:
-        click.echo(f"sh {shlex.quote(str(file))}")
-        return
-    try:
-        subprocess.run(["sh", str(file)], check=True)
+        click.echo(f"wrote {file}" + ("" if go else f"; submit it with: sh {shlex.quote(str(file))}"), err=True)
+        if go:
+            subprocess.run(["sh", str(file)], check=True)
     except (OSError, subprocess.CalledProcessError) as error:
-        raise linksweep.SweepError(f"could not be submitted: {error}", str(file)) from error
+        raise linksweep.SweepError(f"cannot be written or submitted: {error}", str(file)) from error

@@ -303,6 +303,12 @@ class Target:
 def tie(
     satellite: Path = arg(type=FILE),
     reference: str = arg(),
+    more_epochs: tuple[Path, ...] = arg(nargs=-1, type=FILE, metavar="[--epochs FILE...]"),
+    epochs: tuple[Path, ...] = many("Files of Gaia's epoch astrometry, in the place of catalogue rows.", type=FILE),
+    star_model: Sequence[Any] = many(
+        "The path of a star with epochs, or of all: 5, 7 or 9 parameters, or orbit.", type=Assigned("STAR=MODEL")
+    ),
+    orbits: Path | None = opt("A table of orbits: period, eccentricity, Thiele-Innes elements ...", type=FILE),
     link: dict[str, Any] = LINK,
     resources: "Resources" = options.group(run_on),
     bins: str | None = opt("A spin for each bin, e.g. phot_g_mean_mag=6,8,10.", metavar="COLUMN=EDGES"),
@@ -330,9 +336,13 @@ def tie(
     with suppress(ValueError, AttributeError):
         # Else it is the name of a table, or None.
         known_spin = [float(part) for part in known_spin.split(",")]
+    if more_epochs and not epochs:
+        raise click.UsageError(f"unexpected {more_epochs[0]}: two tables, and --epochs before other files")
     shown = target.as_json or target.output is not None or target.figures is not None
-    further = {"per_source": shown and not no_sources, "bins": bins and parse_bins(bins), "known_spin": known_spin}
+    further: dict[str, Any] = {"per_source": shown and not no_sources, "bins": bins and parse_bins(bins)}
+    further |= {"known_spin": known_spin, "star_models": dict(star_model), "orbits": orbits}
     try:
+        further["epochs"] = epochs + more_epochs
         target.put(linksweep.tie(satellite, reference, resources=resources, **link, **further, **matching, **tables))
     except MisfitError as error:
         target.put(error.link, rejected=True)

@@ -48,6 +48,8 @@ TALK_MM = 250.0  # the default width of a figure in the style of a talk
 LETTER_WIDTH, PANEL_WIDTH, WIDE = 0.58, 14.0, 25.0
 BESIDE_INCHES = 0.5  # what the labels and ticks of a panel take of its width and height
 
+MASK = "\ue000\ue001"  # letters for private use, of which Unicode says that nobody else does
+_SYMBOL = re.compile(r"\$[^$]*\$")
 _width: ContextVar[float | None] = ContextVar("width", default=None)
 
 
@@ -123,10 +125,13 @@ def panel_size(axes: Axes) -> tuple[float, float]:
 
 def in_lines(text: str, inches: float, least: int = 12) -> str:
     """Return a text in lines that are as long as a width allows, but of at least ``least`` letters."""
-    # mathematical markup is not seen, but counts as letters: lines are rather too short than too long
-    letters = max(int(inches / in_letters(LETTER_WIDTH)), least)
-    lines = (textwrap.wrap(line, letters, break_long_words=False, break_on_hyphens=False) for line in text.split("\n"))
-    return "\n".join("\n".join(line) for line in lines)
+    letters, symbols = max(int(inches / in_letters(LETTER_WIDTH)), least), iter(_SYMBOL.findall(text))
+    # a symbol counts as the letters that are seen of it, and stays in one piece
+    masked = _SYMBOL.sub(lambda symbol: MASK[0] + MASK[1] * (len(plain(symbol[0])) - 1), text)
+    lines = (
+        textwrap.wrap(line, letters, break_long_words=False, break_on_hyphens=False) for line in masked.split("\n")
+    )
+    return re.sub(f"{MASK[0]}{MASK[1]}*", lambda _: next(symbols), "\n".join("\n".join(line) for line in lines))
 
 
 def require_format(path: Path) -> None:

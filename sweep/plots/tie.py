@@ -235,7 +235,7 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
             look = style.marks(number, 5.0)
             signal, noise = (1000.0 * np.sqrt(one[name].values) for name in ("power", "power_noise"))
             upper.plot(x, signal, label=kind, **look)
-            upper.plot(degree, noise, color=look["color"], markersize=10.0, label=f"noise, {kind}", **style.DASH)
+            upper.plot(x, noise, color=look["color"], markersize=10.0, label=f"noise, {kind}", **style.DASH)
             significance = -ndtri(np.clip(one["power_probability"].values, 1e-300, 1.0))
             lower.plot(x, np.minimum(significance, most), **look)
         style.logarithmic(upper, "y", 1000.0 * np.sqrt(chosen[["power", "power_noise"]].to_array().values))

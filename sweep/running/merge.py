@@ -9,7 +9,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate, groupby
+from itertools import accumulate, groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -148,30 +148,28 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         keys = b"".join(ledger.rows)
         sources.append(_Source(location, kept, replace(study, part=part), layout, ledger.dtype, keys, ledger.failures))
     if not sources:
-        raise SweepError("no store there", ", ".join(map(str, places)))
+        raise SweepError("no store there; name those to merge, as in S.part-*", ", ".join(map(str, places)))
     return sorted(sources, key=lambda source: source.study.part or Part(0, 0))
 
 
 def _study_in(location: Location, attributes: Mapping[str, Any], trust: bool) -> tuple[Study, Layout | None]:
     record = json.loads(attributes.get(RECORD, "{}"))
-    plain = "function" in record
     layout = layout_of_record(record)
-    if not plain:
-        return study_of(location, trust=trust), layout
-    return recorded_study(attributes, str(location), whole=PART in attributes and layout is not None), layout
+    if "function" in record:
+        return recorded_study(attributes, str(location), whole=PART in attributes and layout is not None), layout
+    return study_of(location, trust=trust), layout
 
 
 def _require_alike(sources: Sequence[_Source], accept_code: bool) -> None:
     """Raise SweepError that says how stores differ, if they do."""
-    parts: dict[Part | None, _Source] = {}
-    for source in sources:
-        part, first = source.study.part, sources[0]
-        if part is not None and part in parts:
-            raise SweepError(f"is part {part}, and so is {parts[part].location}", str(source.location))
-        if (part and part.total) != (first.study.part and first.study.part.total):
-            which = [f"part {one}" if one else "no part of a study" for one in (first.study.part, part)]
-            raise SweepError(f"is {which[0]}, and {source.location} is {which[1]}", str(first.location))
-        parts[part] = source
+    first = sources[0]
+    for before, source in pairwise(sources):
+        parts = [one.study.part for one in (first, before, source)]
+        if parts[2] is not None and parts[1] == parts[2]:
+            raise SweepError(f"is part {parts[2]}, and so is {before.location}", str(source.location))
+        if len({part and part.total for part in parts}) > 1:
+            which = [f"part {part}" if part else "no part of a study" for part in parts]
+            raise SweepError(f"is {which[0]}, and {source.location} is {which[2]}", str(first.location))
         if found := _differences(first, source, accept_code):
             raise SweepError([f"cannot be merged with {source.location}: these differ", *found], str(first.location))
 
@@ -327,12 +325,8 @@ def _require_same_bits(sources: Sequence[_Source], dtype: np.dtype[np.void]) -> 
 
 def _failures(sources: Sequence[_Source]) -> dict[bytes, Record]:
     """Return the failures of all stores: of a point that failed in several, that of the earliest block."""
-    failed: dict[bytes, Record] = {}
-    for source in sources:
-        for digest, record in source.failed.items():
-            if digest not in failed or _block_of(record) < _block_of(failed[digest]):
-                failed[digest] = record
-    return failed
+    records = (pair for source in reversed(sources) for pair in source.failed.items())
+    return dict(sorted(records, key=lambda pair: _block_of(pair[1]), reverse=True))
 
 
 def _block_of(record: Record) -> tuple[float, ...]:

@@ -109,13 +109,10 @@ def _of_parts(store: Location, parts: Sequence[Part]) -> dict[str, Any]:
     for total, some in groupby(parts, key=lambda part: part.total):
         states: dict[str, list[int]] = {"complete": [], "with failed points": [], "running": []}
         for part in some:
-            place = located(part.place(store))
-            attributes = OpenStore(place).attributes
-            if holder(place):
-                states["running"].append(part.number)
-            elif attributes["complete"]:
-                failed = attributes.get("failures", "{}") != "{}"
-                states["with failed points" if failed else "complete"].append(part.number)
+            attributes = OpenStore(part.place(store)).attributes
+            ended = "complete" if attributes.get("failures", "{}") == "{}" else "with failed points"
+            if (runs := holder(part.place(store))) or attributes["complete"]:
+                states["running" if runs else ended].append(part.number)
         states["lost"] = sorted({*range(1, total + 1)}.difference(*states.values()))
         report[f"of {total} parts"] = {state: in_ranges(numbers) for state, numbers in states.items() if numbers}
     return report

@@ -66,11 +66,11 @@ def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | No
     if opened is None:
         return None
     different = differences(opened.attributes, study, keep)
-    parts = [opened.attributes.get(PART), study.part and str(study.part)]
-    if parts[0] != parts[1]:
-        different.append("{}: {} in the store, {} in the study".format(PART, *(part or "the whole" for part in parts)))
-    elif study.part and not different and opened.attributes["study_digest"] != study.digest():
-        different.append("part: of other points or realisations in the store than in the study")
+    before, asked = opened.attributes.get(PART, "the whole"), str(study.part or "the whole")
+    if before != asked:
+        different.append(f"part: {before} in the store, {asked} in the study")
+    elif study.part and opened.attributes["study_digest"] != study.digest():
+        different.append(f"part: {asked} of other points or realisations in the store than in the study")
     if different:
         ways = "" if keep else ", or --keep (keep=True), with which constants that differ become axes"
         raise SweepError(

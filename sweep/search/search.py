@@ -13,15 +13,7 @@ import pandas as pd
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array
 from linksweep.sweep.contract import SweepError, suggest
 from linksweep.sweep.formatting import split_assignment
-from linksweep.sweep.search.crossmatch import (
-    MAX_RADIUS,
-    GalaxyCatalogue,
-    Matches,
-    Positions,
-    Rules,
-    at_epoch,
-    cross_match,
-)
+from linksweep.sweep.search import crossmatch
 from linksweep.sweep.tables.columns import EPOCHS, Columns, unit_of
 from linksweep.sweep.tables.reader import read_table
 from linksweep.sweep.tables.where import conditions, rows_where
@@ -72,7 +64,7 @@ class Search:
     radius_arcsec: Mapping[str, float]
     readings: Mapping[str, Reading]
     epoch: float
-    rules: Rules
+    rules: crossmatch.Rules
     epoch_difference_yr: float
     second_epoch_error_mas: float
 
@@ -84,7 +76,7 @@ class Result:
     search: Search
     stars: tuple[pd.DataFrame, ...]
     galaxies: tuple[pd.DataFrame, ...]
-    matches: Matches
+    matches: crossmatch.Matches
 
 
 def table_name(path: Path) -> str:
@@ -105,9 +97,9 @@ def plan_search(
     where: Sequence[str] = (),
     missing_pm: Literal["error", "zero"] = "error",
     epoch: float = 2000.0,
-    k_sigma: float = Rules.k_sigma,
-    crowding_radius_arcsec: float = Rules.crowding_radius / ARCSEC,
-    crowding_stars: int = Rules.crowding_stars,
+    k_sigma: float = crossmatch.Rules.k_sigma,
+    crowding_radius_arcsec: float = crossmatch.Rules.crowding_radius / ARCSEC,
+    crowding_stars: int = crossmatch.Rules.crowding_stars,
     merge_radius_arcsec: float | None = None,
     epoch_difference_yr: float = 20.0,  # the paper's: 117 and 127 mas give about 6 mas/yr
     second_epoch_error_mas: float = 0.0,
@@ -140,7 +132,9 @@ def plan_search(
     problems: list[str] = []
 
     def number(option: str, texts: Sequence[str], tables: Sequence[str], common: Sequence[str]) -> dict[str, float]:
-        low, high, unit = (*EPOCHS, "yr") if option == "--ref-epoch" else (0.0, MAX_RADIUS / ARCSEC, "arcsec")
+        low, high, unit = (
+            (*EPOCHS, "yr") if option == "--ref-epoch" else (0.0, crossmatch.MAX_RADIUS / ARCSEC, "arcsec")
+        )
 
         def checked(_key: str, text: str) -> float:
             try:
@@ -181,7 +175,7 @@ def plan_search(
     }
     return Search(
         *(star_paths, tuple(galaxies), dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | radii, readings, epoch),
-        Rules(k_sigma, crowding_radius_arcsec * ARCSEC, crowding_stars, merge_radius),
+        crossmatch.Rules(k_sigma, crowding_radius_arcsec * ARCSEC, crowding_stars, merge_radius),
         *(epoch_difference_yr, second_epoch_error_mas),
     )
 
@@ -241,30 +235,30 @@ def find_matches(search: Search) -> Result:
             more = f" and {len(again) - 5} more" if len(again) > 5 else ""
             raise SweepError(f"TYC {names}{more}: in the star table and again in the supplement")
     parts = [_star_positions(table, search.epoch) for table in stars]
-    positions = Positions(*map(np.concatenate, zip(*parts, strict=True)))
+    positions = crossmatch.Positions(*map(np.concatenate, zip(*parts, strict=True)))
     supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars])
     catalogues = [
-        GalaxyCatalogue(_positions(table), table["PGC"].to_numpy(), radius * ARCSEC)
+        crossmatch.GalaxyCatalogue(_positions(table), table["PGC"].to_numpy(), radius * ARCSEC)
         for table, radius in zip(galaxies, search.radius_arcsec.values(), strict=True)
     ]
     try:
-        return Result(search, stars, galaxies, cross_match(positions, supplement, catalogues, search.rules))
+        return Result(search, stars, galaxies, crossmatch.cross_match(positions, supplement, catalogues, search.rules))
     except ValueError as error:
         raise SweepError(str(error)) from error
 
 
-def _positions(table: pd.DataFrame) -> Positions:
+def _positions(table: pd.DataFrame) -> crossmatch.Positions:
     units = {"ra": DEGREE, "dec": DEGREE, "ra_error": MAS, "dec_error": MAS}
-    return Positions(*(table[name].to_numpy() * unit for name, unit in units.items()))
+    return crossmatch.Positions(*(table[name].to_numpy() * unit for name, unit in units.items()))
 
 
-def _star_positions(table: pd.DataFrame, epoch: float) -> Positions:
+def _star_positions(table: pd.DataFrame, epoch: float) -> crossmatch.Positions:
     positions = _positions(table)
     if "pmra" not in table:
         return positions
     none = np.zeros(len(table))
     motions = {key: np.nan_to_num(table.get(key, none)) * MAS for key in MOTIONS}
-    return at_epoch(positions, **motions, years=epoch - table["ref_epoch"].to_numpy())
+    return crossmatch.at_epoch(positions, **motions, years=epoch - table["ref_epoch"].to_numpy())
 
 
 def read_sky_table(path: Path, reading: Reading, stars: bool) -> pd.DataFrame:

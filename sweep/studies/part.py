@@ -1,10 +1,9 @@
 """A part of a study: one of several shares of its work, which are computed without each other and merged afterwards."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import count, groupby
 
 from linksweep.sweep.contract import shown
 
@@ -46,15 +45,15 @@ class Part:
         ValueError where this is none, and for an array with gaps, which is some tasks of a larger one.
         """
         names = (TASK, "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_MAX", "SLURM_ARRAY_TASK_COUNT")
-        task, first, last, count = (int(text) if (text := environment.get(n, "")).isdecimal() else -1 for n in names)
+        task, first, last, tasks = (int(text) if (text := environment.get(n, "")).isdecimal() else -1 for n in names)
         instead = f"; name the part, as in --part ${TASK}/100"
-        if min(task, first, last, count) < 0:
+        if min(task, first, last, tasks) < 0:
             raise ValueError(f"array: {', '.join(names)} do not say which task of a job array this is{instead}")
-        if last - first + 1 != count:
+        if last - first + 1 != tasks:
             raise ValueError(
-                f"array: {count} tasks from {first} to {last} do not say how many parts there are{instead}"
+                f"array: {tasks} tasks from {first} to {last} do not say how many parts there are{instead}"
             )
-        return cls.parsed(f"{task - first + 1}/{count}")
+        return cls.parsed(f"{task - first + 1}/{tasks}")
 
     def __str__(self) -> str:
         return f"{self.number}/{self.total}"
@@ -66,10 +65,8 @@ class Part:
     @classmethod
     def named(cls, place: object) -> "Part | None":
         """Return the part whose `place` it is by its name, None for another place."""
-        match = re.search(r"\.part-([1-9]\d*)-of-(\d+)$", str(place))
-        with suppress(ValueError):
-            return cls.parsed(f"{match[1]}/{match[2]}") if match else None
-        return None
+        match = re.search(r"\.part-([1-9]\d{0,5})-of-([1-9]\d{0,5})$", str(place))
+        return cls(int(match[2]), int(match[1])) if match else None
 
 
 def in_ranges(numbers: Iterable[int]) -> str:
@@ -78,10 +75,6 @@ def in_ranges(numbers: Iterable[int]) -> str:
     >>> in_ranges([7, 1, 2, 3])
     '1-3, 7'
     """
-
-    def spans() -> Iterator[str]:
-        for _, neighbours in groupby(enumerate(sorted(numbers)), key=lambda pair: pair[1] - pair[0]):
-            first, *rest = [number for _, number in neighbours]
-            yield f"{first}-{rest[-1]}" if rest else f"{first}"
-
-    return ", ".join(spans())
+    places = count()
+    runs = [list(run) for _, run in groupby(sorted(numbers), key=lambda number: number - next(places))]
+    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)

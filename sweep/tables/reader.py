@@ -59,18 +59,19 @@ _WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years":
 _BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
 
 
-def read_table(path: Path) -> Any:
+def read_table(path: Path, repeated: bool = False) -> Any:
     """Return the table in a file as an astropy Table, its columns with units where the file gives them.
 
     Missing values are masked, or NaN.  The format follows from the content, not from the name.  RAdeg and DEdeg (deg)
-    are added to a table with the columns RAh, RAm, RAs and DE-, DEd, DEm, DEs of CDS.  Raises SweepError that names
-    the file, and the row where there is one, for what cannot be read.
+    are added to a table with the columns RAh, RAm, RAs and DE-, DEd, DEm, DEs of CDS.  With
+    ``repeated`` text may have several columns of a name, of which the first one counts, as Gaia's epoch astrometry in
+    CSV has.  Raises SweepError that names the file, and the row where there is one, for what cannot be read.
     """
     try:
         content = path.read_bytes()
         with warnings.catch_warnings():  # about units and headers that do not matter for the columns that are used
             warnings.simplefilter("ignore")
-            table = _read(path, content)
+            table = _read(path, content, repeated)
             _add_degrees(table)
         return table
     except OSError as error:
@@ -102,7 +103,7 @@ def _by_astropy(form: str, source: Any, **options: Any) -> Any:
         return Table.read(source, format=form, **options)
 
 
-def _read(path: Path, content: bytes) -> Any:
+def _read(path: Path, content: bytes, repeated: bool) -> Any:
     packed = next((unpack for mark, unpack in _PACKED.items() if content.startswith(mark)), None)
     if packed is not None:
         try:
@@ -121,10 +122,10 @@ def _read(path: Path, content: bytes) -> Any:
         return _votable(content)
     if start.startswith(b"# %ecsv"):
         return _ecsv(content)
-    return _text(path, content)
+    return _text(path, content, repeated)
 
 
-def _text(path: Path, content: bytes) -> Any:
+def _text(path: Path, content: bytes, repeated: bool) -> Any:
     if b"\0" in content[:4096]:
         raise SweepError("is neither a table format that is known nor text")
     try:
@@ -143,7 +144,7 @@ def _text(path: Path, content: bytes) -> Any:
         return _cds(path, text, readme)
     if _HIP2.match(text):
         return _hipparcos(text)
-    return _delimited(text)
+    return _delimited(text, repeated)
 
 
 def _require_one(tables: Sequence[str]) -> None:
@@ -177,6 +178,8 @@ def _votable(content: bytes) -> Any:
 def _ecsv(content: bytes) -> Any:
     """Read the header with astropy and the rows with pandas, which takes a twentieth of the time."""
     end = re.match(rb"(#.*\n)*", content).end()  # type: ignore[union-attr]  # it matches nothing, too
+    if b"subtype:" in content[:end]:  # arrays, of which there would have to be one
+        return _by_astropy("ascii.ecsv", content.decode("utf-8", "replace"))
     names, _, body = content[end:].partition(b"\n")
     header = content[:end].decode("utf-8", "replace")
     table = _by_astropy("ascii.ecsv", header + names.decode("utf-8", "replace") + "\n")
@@ -228,7 +231,7 @@ def _hipparcos(text: str) -> Any:
 # ---- delimited text (CSV, TSV as VizieR sends it, `;` or blanks): names and units above, then rows with gaps
 
 
-def _delimited(text: str) -> Any:
+def _delimited(text: str, repeated: bool) -> Any:
     """Return the table in delimited text; missing values are masked.
 
     Lines that begin with # are comments; the names of the columns stand in the first other line, or in the last comment
@@ -236,6 +239,8 @@ def _delimited(text: str) -> Any:
     """
     content = text.replace("\r\n", "\n").replace("\r", "\n").encode()
     names, units, delimiter, start = _layout(content)
+    if repeated:
+        names = [f"{name} {k}" if name in names[:k] else name for k, name in enumerate(names)]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise SweepError(f"two columns are called {', '.join(map(repr, twice))}")
     table = _rows(content[start:], names, delimiter)

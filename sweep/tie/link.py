@@ -20,6 +20,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.tie import row_groups
+from linksweep.sweep.tie.epochs import described
 from linksweep.sweep.tie.setup import SIGNS, Options, Setup, set_up
 from linksweep.sweep.tie.tables import UNITS
 
@@ -118,6 +119,8 @@ def solve_link(
             else:
                 places, sums = sources.heaviest(HEAVIEST)
                 share = solution.shares(sums, result.solution, unknowns) * result.factors[places, None]
+            if setup.epochs is not None and setup.epochs.doubt.text:
+                doubt = setup.epochs.doubt
             notes += _of_known(setup, sources, result)
     except ValueError as error:  # LinkError is one
         raise SweepError(f"{error}{_rows_there_are(setup) if isinstance(error, LinkError) else ''}") from error
@@ -326,8 +329,9 @@ def tie(
         options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``,
             ``where`` (a condition like "ruwe < 1.4"), ``weights``, ``known_spin``, ``known_orientation``, ``jitter``
             (kind of row to (mas, mas/yr)), ``sign``, ``aberration``, ``corrections``, ``missions`` (further tables by
-            name, each with an orientation and a spin of its own), ``satellite_options``, ``reference_options`` and
-            ``mission_options`` (`sweep.tie.tables.TableOptions`).
+            name, each with an orientation and a spin of its own), ``epochs`` (files of Gaia's epoch astrometry),
+            ``star_models`` (star or "all" to 5, 7, 9 or orbit), ``orbits`` (a table of elements),
+            ``satellite_options``, ``reference_options`` and ``mission_options`` (`sweep.tie.tables.TableOptions`).
 
     Returns:
         A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr,
@@ -375,7 +379,7 @@ def tie(
 # The variables that label others, beside those that are called as their dimension.
 COORDINATES = (
     *("unit", "block", "ra", "dec", "row_source_index", "row_source", "row_kind", "row_table", "row_epoch"),
-    *("observable_unit", "bin_low", "bin_high", "noise_unit"),
+    *("observable_unit", "bin_low", "bin_high", "path_model", "transit_path", "noise_unit"),
 )
 
 
@@ -417,6 +421,8 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         variables |= _of_sources(link, sign)
         if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
             variables |= _of_rows(link, sign)
+        if setup.epochs is not None:
+            variables |= described(setup.epochs, problem, solved, link.clipped.factors)
     if (noise := link.noise) is not None:
         variables |= {
             "noise": ("noise", list(noise.size)),
@@ -435,6 +441,7 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         **setup.attributes(),
         "missions": {name: table.path for name, table in setup.missions.items()},
         "missions_sha256": {name: table.digest for name, table in setup.missions.items()},
+        "epochs": {} if setup.epochs is None else setup.epochs.files,
         "known_spin": str(options.known_spin) if options.known_spin is not None else "none",
         "known_orientation": str(options.known_orientation) if options.known_orientation is not None else "none",
         "aberration_uas_yr": options.aberration,

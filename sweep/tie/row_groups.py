@@ -32,7 +32,7 @@ MOST_NOTES = 5
 def are_enough(satellite: str | Path, reference: str | Path, options: setup.Options) -> bool:
     """Return whether a table is read by row groups: many quasars in Parquet, of which no row needs a match."""
     path = Path(satellite)
-    alone = str(reference) == setup.ZERO_MOTION and not (options.missions or options.where)
+    alone = str(reference) == setup.ZERO_MOTION and not (options.missions or options.where or options.epochs)
     alone = alone and not options.satellite_options.where
     return alone and path.is_file() and is_parquet(path) and sum(row_groups(path)[0]) >= FROM_ROWS
 

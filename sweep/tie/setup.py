@@ -32,6 +32,7 @@ from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_na
 from linksweep.sweep.contract import Parameter, SweepError
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.tables.reader import read_table as read_file
+from linksweep.sweep.tie.epochs import Epochs, with_observations
 from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, Zeros, built_in, read_table
 
 Sign = Literal["reference-satellite", "satellite-reference"]
@@ -102,7 +103,9 @@ class Options:
     in quadrature or to "estimate", or is a line as in `parse_jitter`.  ``aberration`` (uas/yr) carries reference
     positions without an epoch from 2015.0 to the satellite's epoch.  ``missions`` are further tables by name, each in a
     frame of its own with an orientation and a spin; ``mission_options`` say how these are read.  ``where`` is a
-    condition that the satellite's rows must meet, as in `rows_where`.
+    condition that the satellite's rows must meet, as in `rows_where`.  ``epochs`` are files of Gaia's epoch astrometry,
+    ``star_models`` (5, 7, 9 or orbit) the models of stars that have it, or of "all", and ``orbits`` a table of the
+    elements of orbits.
     """
 
     unknowns: str | None = None
@@ -122,6 +125,9 @@ class Options:
     satellite_options: TableOptions = field(default_factory=TableOptions)
     reference_options: TableOptions = field(default_factory=TableOptions)
     mission_options: Mapping[str, TableOptions] = field(default_factory=dict)
+    epochs: Sequence[str | Path] = ()
+    star_models: Mapping[str, str] = field(default_factory=dict)
+    orbits: str | Path | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.jitter, str):
@@ -140,6 +146,8 @@ class Options:
             raise SweepError(str(error)) from error
         if unknown := sorted(set(self.mission_options) - set(self.missions)):
             raise SweepError(f"options of {', '.join(unknown)}: no such mission")
+        if (self.star_models or self.orbits is not None) and not self.epochs:
+            raise SweepError("models and orbits are of stars with epoch astrometry: give its files as epochs")
 
     def jitter_in(self, mission: str | None) -> dict[str, Any]:
         """Return the jitter by kind of row of the reference, or of a mission: ``hipparcos:position``."""
@@ -193,7 +201,8 @@ class Setup:
     """The problem of the matched sources (S) and rows (R), the tables as read, and how they were matched.
 
     ``names`` (S,) are the names of the sources, or numbers.  ``missions`` are the further tables by name; the rows of
-    the first one have the frame 1, and so on.  ``jitter`` says which noise is still to be estimated.
+    the first one have the frame 1, and so on.  ``jitter`` says which noise is still to be estimated.  The rows of
+    ``epochs`` are numbers of sources, -1 for others.
     """
 
     satellite: AstrometricTable
@@ -203,6 +212,7 @@ class Setup:
     names: NDArray[Any]
     notes: tuple[str, ...] = ()
     missions: Mapping[str, AstrometricTable] = field(default_factory=dict)
+    epochs: Epochs | None = None
     jitter: Mapping[str, Any] = field(default_factory=dict)
 
     def attributes(self) -> dict[str, Any]:
@@ -234,7 +244,10 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         raise SweepError(
             f"each source needs a position, and there is no ra and dec in {named_rows(without)}", left.path
         )
-    notes = left.named_notes()
+    notes, epochs = left.named_notes(), None
+    if options.epochs:
+        left, epochs = with_observations(left, options.epochs, options.star_models, options.orbits)
+        notes += epochs.notes
     tables, matches, parts = [], [], []
     for frame, name in enumerate((None, *options.missions)):
         if name is None and str(reference) == ZERO_MOTION:
@@ -273,7 +286,12 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
     missions = dict(zip(options.missions, tables[1:], strict=True))
-    return Setup(left, tables[0], matches[0], problem, names, tuple(dict.fromkeys(notes)), missions, options.jitter)
+    if epochs is not None:
+        number = {row: k for k, row in enumerate(sources.tolist())}
+        epochs = epochs._replace(rows=np.array([number.get(row, -1) for row in epochs.rows]))
+    return Setup(
+        left, tables[0], matches[0], problem, names, tuple(dict.fromkeys(notes)), missions, epochs, options.jitter
+    )
 
 
 def _taken(table: Astrometry, rows: Indices) -> Astrometry:

@@ -131,7 +131,7 @@ def test_saltelli_designs_of_both_functions(borehole_indices, tmp_path):
     low, high = axes.get_xlim()
     assert low < float((found["first"] - found.first_error).min())
     assert high > 1.0
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["first order", "total"]
+    assert [text.get_text() for text in axes.figure.legends[0].get_texts()] == ["first order", "total"]
     deep = sensitivity(run(borehole, tmp_path / "b.zarr", points=design | {"ranges": BOREHOLE}))
     for name, truth in zip(("first", "total"), borehole_indices, strict=True):
         ok, deviations = agrees(deep, name, truth)

@@ -121,6 +121,7 @@ class Interrupted(LocalCluster):
         os.kill(os.getpid(), signal.SIGINT)
 
 
+@pytest.mark.slow
 def test_an_interrupted_start_leaves_no_process_in_a_session():
     with pytest.raises(KeyboardInterrupt), own_cluster(Interrupted, {"n_workers": 1, "threads_per_worker": 1}):
         pass
@@ -177,6 +178,7 @@ def test_a_server_of_another_kind_that_speaks_first():
             pass
 
 
+@pytest.mark.slow
 def test_the_address_of_a_worker():
     options = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
     with own_cluster(LocalCluster, options) as cluster:

@@ -171,6 +171,7 @@ def test_what_a_child_leaves_running_does_not_keep_the_run(tmp_path):
     assert not waited.exists()
 
 
+@pytest.mark.slow
 def test_what_it_prints_is_kept_apart_from_results(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(

@@ -41,6 +41,7 @@ def test_results_come_in_the_order_of_the_pieces(resources):
         assert list(run(pow, [])) == []
 
 
+@pytest.mark.slow
 def test_what_a_piece_raises_is_raised_and_not_tried_again(cluster):
     with mapped(EXPERIMENT, Resources(scheduler=cluster.scheduler_address), print) as run:
         with pytest.raises(ZeroDivisionError):
@@ -82,6 +83,7 @@ def busy(seconds):
         pass
 
 
+@pytest.mark.slow
 def test_a_worker_that_goes_while_it_is_asked_is_not_missed(cluster, monkeypatch):
     """It answers with what Dask says of a connection that is closed."""
     gone = {"tcp://127.0.0.1:9": CommClosedError("closed")}

@@ -1,4 +1,4 @@
-"""A study on a real SLURM, through dask-jobqueue."""
+"""A study on a real SLURM: through dask-jobqueue, and as a job array of parts."""
 
 import pytest
 import xarray as xr
@@ -68,4 +68,27 @@ def test_cancelled_jobs_cost_nothing_but_time(link_study, tmp_path, start_sweep,
     _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, err
     assert quiet(err), err
+    xr.testing.assert_identical(results(store), reference)
+
+
+def test_a_job_array_computes_the_parts_and_merges_them(link_study, tmp_path, sweep, slurm, reference):
+    """One of the tasks is left out: its part is named, and a later array computes it."""
+    store = tmp_path / "s.zarr"
+    asked = ("submit", link_study, "-o", store, *LONG, "--slurm", "4", "--sbatch", "--mem=500M")
+
+    def ended():
+        wait_until(lambda: not slurm.run("squeue", "-h"), "the end of all jobs")
+        return "\n".join(path.read_text() for path in sorted((tmp_path / "s.zarr.slurm").glob("merge-*.log")))
+
+    code, _, err = sweep(*asked, cwd=tmp_path)
+    assert code == 0, err
+    script = tmp_path / "s.zarr.slurm" / "submit.sh"
+    whole = script.read_text()
+    script.write_text(whole.replace("--array=1-4", "--array=1,2,4"))
+    slurm.run("sh", str(script))
+    assert "lost parts: 3 of 4" in ended()
+    assert "lost parts: 3 of 4" in sweep("status", store)[1]
+    script.write_text(whole.replace("--array=1-4", "--array=3"))
+    slurm.run("sh", str(script))
+    assert "wrote" in ended()
     xr.testing.assert_identical(results(store), reference)

@@ -1,0 +1,486 @@
+"""Links with epoch astrometry: made scans in Gaia's formats, against least squares in which every parameter of every
+star is an unknown, and against what ESA's gaiasupdate finds.
+"""
+
+import json
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from astropy.table import Table, vstack
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import linksweep
+from linksweep import SweepError
+from linksweep.core.tie.astrometry import bends
+from tests.core.tie.made import DEGREE, MAS, NAMES, PAIRS, gaia_table, parallax_factors, propagated, seen_by_satellite
+from tests.core.tie.made import stars as made_stars
+
+EPSILON, OMEGA = np.array([0.4, -0.3, 0.5]) * MAS, np.array([-0.05, 0.06, 0.04]) * MAS
+EPOCH = 2017.5
+NODE, INCLINATION, PERIASTRON = np.radians([50.0, 60.0, 110.0])
+
+
+def elements():
+    """Return an orbit as `bends` needs it: period, eccentricity, periastron and A, B, F, G of a semi-axis of 1."""
+    cw, sw, cn, sn, ci = np.cos(PERIASTRON), np.sin(PERIASTRON), np.cos(NODE), np.sin(NODE), np.cos(INCLINATION)
+    shape = (cw * cn - sw * sn * ci, cw * sn + sw * cn * ci, -sw * cn - cw * sn * ci, -sw * sn + cw * cn * ci)
+    return np.array([2.3, 0.3, 0.4, *shape])
+
+
+ORBIT = elements()
+PARAMETERS = {"5": 5, "7": 7, "9": 9, "orbit": 6}
+
+
+@dataclass
+class Sky:
+    """Stars, their scans as one table with a row for each passage over the field of view, and rows of VLBI."""
+
+    satellite: Table
+    scans: Table
+    vlbi: Table
+    design: list  # the derivatives of the used observations by five, four and one parameters, for each star
+    values: list
+    errors: list
+    truth: np.ndarray  # parameters of each star in the reference's frame, beyond the five too
+
+
+def drawn(seed, models, n_transits=24, noise=1.0, bend=1.0, excess=0.0, ccds=9, vlbi=3, rows=True):
+    """Return a sky; stars have the paths of ``models``, and accelerations or orbits times ``bend``."""
+    rng, n = np.random.default_rng(seed), len(models)
+    made = made_stars(n, seed, pm=40.0, parallax=8.0, epoch=EPOCH)
+    made = replace(made, radial_velocity=np.zeros(n))
+    further = np.zeros((n, 5))
+    for s, model in enumerate(models):
+        used = {"5": [], "7": [0, 1], "9": [0, 1, 2, 3], "orbit": [4]}[model]
+        further[s, used] = bend * np.array([0.4, -0.5, 0.1, 0.15, 1.5])[used] * MAS * rng.choice([-1.0, 1.0], len(used))
+    orbits = np.where(np.array(models) == "orbit", ORBIT[:, None], 0.0)
+    seen = seen_by_satellite(made, EPSILON, OMEGA)
+    names = 10**17 + 7 * np.arange(n)
+    parts, designs, values, errors, fitted = [], [], [], [], []
+    for s in range(n):
+        years = np.sort(rng.uniform(2014.7, 2020.0, n_transits)) - EPOCH
+        angle, factor = rng.uniform(-180.0, 180.0, n_transits), np.zeros(n_transits)
+        for k, year in enumerate(years):
+            east, north = parallax_factors(seen[:1, s], seen[1:2, s], np.array([EPOCH + year]))[:, 0]
+            factor[k] = np.float32(east * np.sin(angle[k] * DEGREE) + north * np.cos(angle[k] * DEGREE))
+        times = (years[:, None] + EPOCH - 2010.0) * 3.15576e16 + 4.86e9 * np.arange(ccds)
+        delay = (rng.uniform(-4.8e11, 4.8e11, n_transits)).astype(np.float32)
+        angles = angle[:, None] + 1e-4 * np.arange(ccds)
+        colour = rng.normal(0.0, 0.3, n_transits).astype(np.float32)
+        t = (times.astype(np.int64) + np.float64(delay[:, None])) / 3.15576e16 - 7.5
+        sine, cosine = np.sin(angles * DEGREE), np.cos(angles * DEGREE)
+        flat = bends(t.ravel(), np.repeat(orbits[:, [s]], t.size, axis=1))[:, :2]
+        design = np.array(
+            [
+                *(sine, cosine, np.repeat(factor[:, None], ccds, axis=1), sine * t, cosine * t),
+                *np.moveaxis(sine.ravel()[:, None] * flat[:, 0] + cosine.ravel()[:, None] * flat[:, 1], 1, 0).reshape(
+                    5, *t.shape
+                ),
+                -1e3 * np.repeat(colour[:, None], ccds, axis=1),
+            ]
+        )
+        error = rng.uniform(0.1, 0.5, t.shape).astype(np.float32).astype(np.float64)
+        size = np.hypot(error, excess)
+        truth = np.array([0.0, 0.0, *seen[2:, s], *further[s], 0.0]) / MAS
+        w = np.einsum("kij,k->ij", design, truth) + noise * size * rng.normal(size=t.shape)
+        used = rng.random(t.shape) < 0.9
+        used[:, 0] = False
+        part = Table({"source_id": np.full(n_transits, names[s])})
+        part["transit_id"] = np.arange(n_transits) + 1000 * s
+        part["obs_time_bary_corr"], part["parallax_factor_al"], part["colour_factor_al"] = delay, factor, colour
+        part["agis_source_excess_noise"] = np.full(n_transits, excess)
+        part["ra0"], part["dec0"] = np.full((2, n_transits), seen[:2, [s]] / DEGREE)
+        arrays = {"obs_time_tcb": times.astype(np.int64), "scan_pos_angle": angles, "centroid_pos_al": w}
+        for name, array in (arrays | {"centroid_pos_error_al": error, "used_by_agis_al": used}).items():
+            part[name] = array
+        parts.append(part)
+        a, y, sigma = design[:, used].T, w[used], size[used]
+        designs.append(a)
+        values.append(y)
+        errors.append(sigma)
+        fitted.append(fit(a[:, [0, 1, 2, 3, 4, 10]], y, sigma))
+    satellite = as_table(fitted, seen, names)
+    return Sky(
+        satellite,
+        vstack(parts),
+        observed(rng, made, further, orbits, names, vlbi, noise),
+        designs,
+        values,
+        errors,
+        further,
+    )
+
+
+def fit(design, values, errors):
+    """Return a solution in mas with the expectation of the colour, as Gaia's, and its covariance."""
+    normal = (design / errors[:, None] ** 2).T @ design
+    normal[-1, -1] += 0.085e-3**-2
+    covariance = np.linalg.inv(normal)
+    return covariance @ (design / errors[:, None] ** 2).T @ values, covariance
+
+
+def as_table(fitted, origin, names):
+    """Return a satellite's table of solutions."""
+    values = np.array([one[0][:5] for one in fitted]).T * MAS
+    values[0] = origin[0] + values[0] / np.cos(origin[1])
+    values[1] += origin[1]
+    covariance = np.array([one[1] for one in fitted])
+    sigma = np.sqrt(np.einsum("nii->in", covariance))[:5]
+    correlations = np.array([covariance[:, i, j] / sigma[i] / sigma[j] for i, j in PAIRS])
+    made = made_stars(len(names), 1, epoch=EPOCH)
+    zeros = np.zeros(len(names))
+    table = replace(made, values=values, errors=sigma * MAS, correlations=correlations, radial_velocity=zeros)
+    return gaia_table(table, source_id=names)
+
+
+def observed(rng, made, further, orbits, names, number, noise):
+    """Return positions by VLBI of single epochs, far from that of Gaia."""
+    found = []
+    for s in range(len(names)):
+        one = made.taken(np.array([s]))
+        for epoch in rng.uniform(2008.0, 2026.0, number):
+            there = propagated(one.values, one.radial_velocity, one.epoch, np.array([epoch]))
+            bent = bends(np.array([epoch - EPOCH]), orbits[:, [s]])[0] @ further[s]
+            factors = parallax_factors(there[0], there[1], np.array([epoch]))[:, 0]
+            error = rng.uniform(0.05, 0.15, 2)
+            step = bent[:2] + factors * there[2, 0] + noise * error * rng.normal(size=2) * MAS
+            row = Table({"source_id": [names[s]], "ref_epoch": [epoch]})
+            for k, key in enumerate(NAMES[:2]):
+                row[key] = [(there[k, 0] + step[k] / (np.cos(there[1, 0]) if k == 0 else 1.0)) / DEGREE]
+                row[f"{key}_error"] = [error[k]]
+            found.append(row)
+    return vstack(found)
+
+
+ARRAYS = ("obs_time_tcb", "scan_pos_angle", "centroid_pos_al", "centroid_pos_error_al", "used_by_agis_al")
+UNITS = dict(zip(ARRAYS[:4], ("ns", "deg", "mas", "mas"), strict=True)) | {"obs_time_bary_corr": "ns", "ra0": "deg"}
+
+
+def written(folder, scans, form="ecsv", units=True):
+    """Write scans as DataLink gives them; DPAC's Parquet has other names."""
+    table, path = scans.copy(), folder / f"scans.{form.removeprefix('dpac.')}"
+    for name, unit in UNITS.items() if units else ():
+        table[name].unit = unit
+    if form == "csv":
+        frame = pd.DataFrame({name: list(table[name]) for name in table.colnames})
+        for name in ARRAYS:
+            frame[name] = [
+                json.dumps(np.asarray(cell).tolist()).replace("[", "(").replace("]", ")") for cell in table[name]
+            ]
+        text = frame.to_csv(index=False)
+        path.write_text(text.replace("used_by_agis_al\n", "used_by_agis_al\n", 1))
+    elif form == "dpac.parquet":
+        frame = pd.DataFrame({name: list(np.asarray(table[name]).tolist()) for name in table.colnames})
+        frame.columns = [re.sub("_([a-z])", lambda found: found[1].upper(), name) for name in frame.columns]
+        frame.to_parquet(path)
+    else:
+        table.write(path, overwrite=True, **({"format": "votable"} if form == "xml" else {}))
+    return path
+
+
+def linked(folder, sky, unknowns="orientation,spin", form="ecsv", scans=None, satellite=None, units=True, **options):
+    satellite, vlbi = sky.satellite if satellite is None else satellite, folder / "vlbi.ecsv"
+    satellite.write(folder / "gaia.ecsv", overwrite=True)
+    sky.vlbi.write(vlbi, overwrite=True)
+    path = written(folder, sky.scans if scans is None else scans, form, units)
+    return linksweep.tie(folder / "gaia.ecsv", vlbi, unknowns, epochs=[path], errors="formal", **options)
+
+
+def with_every_parameter(link, sky, models):
+    """Return unknowns, covariance and all parameters from one large system of observations and rows, in mas.
+
+    The rows are as the link has them, differences from the paths without it.
+    """
+    n, k = len(models), 6
+    sizes = [PARAMETERS[model] + 1 for model in models]
+    starts = k + np.concatenate([[0], np.cumsum(sizes)])
+    free = [
+        np.r_[0:5, {"5": [], "7": [5, 6], "9": [5, 6, 7, 8], "orbit": [9]}[model], 10].astype(int) for model in models
+    ]
+    blocks, right = [], []
+    alone = []
+    for s in range(n):
+        a, y, sigma = sky.design[s][:, free[s]] / sky.errors[s][:, None], sky.values[s] / sky.errors[s], sky.errors[s]
+        prior = np.zeros((1, sizes[s]))
+        prior[0, -1] = 1.0 / 0.085e-3
+        a, y = np.vstack([a, prior]), np.append(y, 0.0)
+        found = (
+            np.linalg.lstsq(a * np.r_[np.ones(sizes[s] - 1), 1e-4], y, rcond=None)[0]
+            * np.r_[np.ones(sizes[s] - 1), 1e-4]
+        )
+        alone.append(found)
+        block = np.zeros((len(y), starts[-1]))
+        block[:, starts[s] : starts[s + 1]] = a
+        blocks.append(block)
+        right.append(y - a @ found)
+    for r, s in enumerate(link.row_source_index.values):
+        ra, dec = np.radians([link.ra.values[s], link.dec.values[s]])
+        turn = np.array(
+            [[-np.cos(ra) * np.sin(dec), -np.sin(ra) * np.sin(dec), np.cos(dec)], [np.sin(ra), -np.cos(ra), 0]]
+        )
+        years = link.row_epoch.values[r] - EPOCH
+        bend = bends(np.array([years]), ORBIT[:, None])[0, :2]
+        factors = parallax_factors(np.array([ra]), np.array([dec]), link.row_epoch.values[[r]])
+        partials = np.hstack([np.eye(2), factors, years * np.eye(2), bend, np.zeros((2, 1))])[:, free[s]]
+        block = np.zeros((2, starts[-1]))
+        block[:, :6], block[:, starts[s] : starts[s + 1]] = np.hstack([turn, years * turn]), partials
+        errors = np.array([sky.vlbi["ra_error"][r], sky.vlbi["dec_error"][r]])
+        blocks.append(block / errors[:, None])
+        right.append(link.difference.values[r, :2] / errors)
+    matrix, right = np.concatenate(blocks), np.concatenate(right)
+    scale = np.ones(starts[-1])
+    scale[starts[1:] - 1] = 1e-4
+    found, *_ = np.linalg.lstsq(matrix * scale, right, rcond=None)
+    covariance = np.linalg.inv((matrix * scale).T @ (matrix * scale)) * scale * scale[:, None]
+    squares = np.sum((right - matrix * scale @ found) ** 2)
+    paths = [one + (found * scale)[starts[s] : starts[s + 1]] for s, one in enumerate(alone)]
+    sigma = [np.sqrt(np.diag(covariance))[starts[s] : starts[s + 1]] for s in range(n)]
+    return found[:6], covariance[:6, :6], squares, paths, sigma, free
+
+
+def orbits(folder, names, campbell=False):
+    """Write elements of `ORBIT` as Gaia's archive does, with a semi-axis of 3.2 mas or with angles."""
+    table = Table({"source_id": np.asarray(names, dtype=np.int64)})
+    table["period"], table["eccentricity"], table["t_periastron"] = ORBIT[0] * 365.25, ORBIT[1], ORBIT[2] * 365.25
+    if campbell:
+        for name, angle in (("nodeangle", NODE), ("inclination", INCLINATION), ("arg_periastron", PERIASTRON)):
+            table[name] = np.degrees(angle)
+    for letter, value in zip("" if campbell else "abfg", () if campbell else ORBIT[3:], strict=True):
+        table[f"{letter}_thiele_innes"] = 3.2 * value
+    table.write(folder / "orbits.ecsv", overwrite=True)
+    return folder / "orbits.ecsv"
+
+
+def models_of(folder, sky, models, campbell=False):
+    """Return the options that say which path each star has."""
+    names = sky.satellite["source_id"].astype(str)
+    chosen = {"star_models": {names[s]: model for s, model in enumerate(models) if model in ("7", "9")}}
+    bound = names[np.array(models) == "orbit"]
+    return chosen | ({"orbits": orbits(folder, bound, campbell)} if len(bound) else {})
+
+
+@settings(max_examples=6, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.lists(st.sampled_from(["5", "7", "9", "orbit"]), min_size=5, max_size=7),
+    st.integers(14, 30),
+    st.booleans(),
+)
+def test_a_link_is_that_of_all_observations_with_every_parameter(tmp_path_factory, seed, models, n_transits, noisy):
+    folder = tmp_path_factory.mktemp("scans")
+    models = ["5"] * len(models) if noisy else models  # the noise of AGIS is that of straight paths
+    sky = drawn(seed, models, n_transits, excess=0.1 * noisy)
+    scans = sky.scans[np.random.default_rng(seed).permutation(len(sky.scans))]
+    chosen = models_of(folder, sky, models, campbell=bool(seed % 2))
+    link = linked(folder, sky, scans=scans, epoch=EPOCH, accept_misfit=True, **chosen)
+    assert link.path_model.values.tolist() == models
+    estimate, covariance, squares, paths, sigma, free = with_every_parameter(link, sky, models)
+    error = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(link.estimate / error, estimate / error, atol=1e-3)
+    np.testing.assert_allclose(link.covariance / np.outer(error, error), covariance / np.outer(error, error), atol=1e-3)
+    assert float(link.chi2) + float(link.path_chi2.sum()) == pytest.approx(squares, rel=1e-4)
+    for s in range(len(models)):
+        found = link.path_estimate.values[s]
+        np.testing.assert_allclose(found[free[s]] / sigma[s], paths[s] / sigma[s], atol=2e-3)
+        np.testing.assert_allclose(link.path_error.values[s, free[s]], sigma[s], rtol=1e-3)
+        assert np.isnan(np.delete(found, free[s])).all()
+    assert np.all(np.abs(link.estimate.values - np.array([*EPSILON, *OMEGA]) / MAS) < 5.0 * error)
+
+
+FORMATS = ["ecsv", "fits", "xml", "csv", "parquet", "dpac.parquet"]
+
+
+def test_each_format_gives_the_link_of_what_gaiasupdate_finds(tmp_path):
+    """In a table with its parameters and covariance, linked without the observations."""
+    from gaiasupdate.epoch_astrometry import GaiaEpochAstrometryArchive
+
+    sky = drawn(5, ["5"] * 6, excess=0.15)
+    frame = pd.DataFrame({name: list(np.asarray(sky.scans[name]).tolist()) for name in sky.scans.colnames})
+    frame["ccd_proc_flags"] = frame["ipd_error_al"] = frame["used_by_agis_al"]
+    frame["nu_eff_used_in_astrometry"] = 0.0016
+    names = sky.satellite["source_id"].tolist()
+    fitted = [GaiaEpochAstrometryArchive.supdate(frame, name) for name in names]
+    fitted = [(one["parameters"], one["parameter_covariance_matrix_formal"]) for one in fitted]
+    origin = np.array([[sky.scans[name][24 * s] * DEGREE for s in range(6)] for name in ("ra0", "dec0")])
+    as_table(fitted, origin, names).write(tmp_path / "supdate.ecsv")
+    first = linked(tmp_path, sky)
+    same = linksweep.tie(tmp_path / "supdate.ecsv", tmp_path / "vlbi.ecsv", "orientation,spin", errors="formal")
+    np.testing.assert_allclose(first.estimate / first.error, same.estimate / same.error, atol=3e-4)
+    np.testing.assert_allclose(first.error, same.error, rtol=3e-4)
+    assert first.attrs["misfit"] == same.attrs["misfit"] == ""
+    for form in FORMATS[1:]:
+        other = linked(tmp_path, sky, form=form)
+        np.testing.assert_allclose(other.estimate / first.error, first.estimate / first.error, atol=1e-5, err_msg=form)
+        np.testing.assert_allclose(other.transit_residual, first.transit_residual, atol=1e-5, err_msg=form)
+    assert first.sizes["transit"] == len(sky.scans)
+    assert float((first.transit_residual / first.transit_error).std()) == pytest.approx((19 / 24) ** 0.5, abs=0.15)
+
+
+def shifts(seed, models, folder, bend=0.2):
+    """Return how far links are from the truth in their errors: with catalogue rows, and with observations (6,)."""
+    sky = drawn(seed, models, n_transits=20, ccds=4, bend=bend)
+    right = linked(folder, sky, epoch=EPOCH, form="fits", **models_of(folder, sky, models))
+    wrong = linksweep.tie(
+        folder / "gaia.ecsv", folder / "vlbi.ecsv", "orientation,spin", errors="formal", accept_misfit=True
+    )
+    truth = np.array([*EPSILON, *OMEGA]) / MAS
+    return [((link.estimate - truth) / link.error).values for link in (wrong, right)]
+
+
+@pytest.mark.parametrize("number", [6, pytest.param(200, marks=pytest.mark.slow)])
+def test_a_star_that_accelerates_does_not_bias_the_link(tmp_path, number):
+    """The five parameters of its row do, by several errors: in one direction, because its acceleration is the same."""
+    models = ["7", "5", "5", "5", "9", "5"]
+    wrong, right = np.moveaxis([shifts(seed, models, tmp_path) for seed in range(number)], 1, 0)
+    assert np.sqrt(np.mean(wrong**2)) > 5.0
+    assert np.sqrt(np.mean(right**2)) == pytest.approx(1.0, abs=4.0 / np.sqrt(number))
+    assert np.all(np.abs(right.mean(axis=0)) < 4.0 / np.sqrt(number))
+
+
+def times(name, factor, add=0.0):
+    return lambda scans: scans.replace_column(name, scans[name] * factor + add)
+
+
+def one_star(name, factor):
+    def change(scans):
+        scans[name] = np.where(scans["source_id"][:, None] == scans["source_id"][0], factor, 1.0) * scans[name]
+
+    return change
+
+
+NS_PER_YEAR, REFUSED, CHI2 = 3.15576e16, "is not ns since 2010.0", "the likely cause: "
+MISTAKES = {
+    "times in years": (times("obs_time_tcb", 1.0 / NS_PER_YEAR, 2010.0), f"{REFUSED}.*{CHI2}Julian years"),
+    "times in days": (times("obs_time_tcb", 365.25 / NS_PER_YEAR), f"{REFUSED}.*{CHI2}days since 2010"),
+    "times in s": (times("obs_time_tcb", 1e-9), f"{REFUSED}.*{CHI2}s since 2010"),
+    "julian dates": (times("obs_time_tcb", 365.25 / NS_PER_YEAR, 2455197.5), f"{REFUSED}.*{CHI2}Julian dates"),
+    "MJD": (times("obs_time_tcb", 365.25 / NS_PER_YEAR, 55197.0), f"{REFUSED}.*{CHI2}modified Julian dates"),
+    "times since 2000": (times("obs_time_tcb", 1.0, 10.0 * NS_PER_YEAR), f"{REFUSED}.*{CHI2}ns since 2000"),
+    "times 1.5 years late": (times("obs_time_tcb", 1.0, 1.5 * NS_PER_YEAR), f"{CHI2}times 1.5 years too late"),
+    "angles in radians": (times("scan_pos_angle", DEGREE), f"{CHI2}scan angles in radians, taken for degrees"),
+    "angles from east": (times("scan_pos_angle", -1.0, 90.0), f"{CHI2}sine and cosine of the scan angles exchanged"),
+    "angles reversed": (times("scan_pos_angle", -1.0), f"{CHI2}scan angles with reversed sign"),
+    "positions reversed": (times("centroid_pos_al", -1.0), f"{CHI2}positions along the scan with reversed sign"),
+    "angles turned": (times("scan_pos_angle", 1.0, 180.0), f"{CHI2}scan angles off by 180 deg"),
+    "errors in uas": (times("centroid_pos_error_al", 1e3), f"{CHI2}errors too large, uas taken for mas"),
+    "errors in arcsec": (times("centroid_pos_error_al", 1e-3), f"{CHI2}errors too small, arcsec taken for mas"),
+    "parallax": (times("parallax_factor_al", -1.0), f"{CHI2}parallax factors with reversed sign"),
+    "positions in arcsec": (times("centroid_pos_al", 1e-3), f"{CHI2}positions along the scan, arcsec taken for mas"),
+    "one star's angles": (one_star("scan_pos_angle", -1.0), "of 100000000000000000 .*scan angles with reversed sign"),
+    "one star's errors": (one_star("centroid_pos_error_al", 1e3), "of 100000000000000000 .*errors too large, uas"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_refused_or_named_with_its_cause(tmp_path, mistake):
+    change, said = MISTAKES[mistake]
+    for seed in range(2):
+        sky = drawn(seed, ["5"] * 5, excess=0.02 * seed)
+        scans = sky.scans.copy()
+        change(scans)
+        try:
+            found = linked(tmp_path, sky, scans=scans, form="fits", units=False).attrs["misfit"]
+        except SweepError as error:
+            found = str(error)
+        assert re.search(said, found), found
+
+
+@pytest.mark.parametrize("models", [["5"] * 5, ["7", "5", "9", "5", "7"]])
+def test_nothing_is_suspected_of_good_observations(tmp_path, models):
+    for seed in range(3):
+        sky = drawn(seed, models, bend=0.2)
+        link = linked(tmp_path, sky, form="fits", **models_of(tmp_path, sky, models))
+        assert link.attrs["misfit"] == ""
+
+
+def without(name):
+    return lambda sky: sky.scans.remove_column(name)
+
+
+def of_dr3(sky):
+    sky.satellite["ref_epoch"] = 2016.0
+    sky.scans.remove_columns(["ra0", "dec0"])
+
+
+REFUSALS = {
+    "no column obs_time_bary_corr": without("obs_time_bary_corr"),
+    "no column source_id": without("source_id"),
+    "take the table of the same release": of_dr3,
+    "scan_pos_angle from .* rad: not": lambda sky: times("scan_pos_angle", 1.0, 620.0)(sky.scans),
+    "parallax_factor_al from": lambda sky: times("parallax_factor_al", 100.0)(sky.scans),
+    "centroid_pos_error_al from 0 ": lambda sky: times("centroid_pos_error_al", 0.0)(sky.scans),
+    "no source 5000, 5007": lambda sky: sky.scans.replace_column("source_id", sky.scans["source_id"] - 10**17 + 5000),
+    "no observation in .* was used by AGIS": lambda sky: times("used_by_agis_al", 0)(sky.scans),
+    "of 100000000000000000": lambda sky: sky.scans.remove_rows(slice(1, 24)),
+    "observations are there twice": lambda sky: setattr(sky, "scans", vstack([sky.scans, sky.scans[:3]])),
+}
+
+
+@pytest.mark.parametrize("said", REFUSALS)
+def test_what_cannot_be_used_is_refused_by_name(tmp_path, said):
+    sky = drawn(1, ["5"] * 3)
+    REFUSALS[said](sky)
+    with pytest.raises(SweepError, match=said):
+        linked(tmp_path, sky, units=False)
+
+
+def test_stars_without_observations_and_strangers_are_named(tmp_path):
+    sky = drawn(3, ["5"] * 6)
+    star = sky.scans["source_id"].copy()
+    sky.scans["source_id"] = np.where(star == star[0], 77, star)
+    link = linked(tmp_path, sky)
+    said = " ".join(link.attrs["notes"])
+    assert "no source 77, of which there are observations" in said
+    assert "no observations of 100000000000000000, which keep their rows" in said
+    assert link.path.values.tolist() == sky.satellite["source_id"].astype(str)[1:].tolist()
+
+
+def test_models_and_orbits_are_of_stars_with_observations(tmp_path):
+    sky = drawn(1, ["5"] * 4)
+    name = str(sky.satellite["source_id"][1])
+    for options, said in (
+        ({"star_models": {"all": "6"}}, "models are 5, 7, 9, orbit"),
+        ({"star_models": {"S1": "7"}}, "stars with observations"),
+        ({"star_models": {name: "orbit"}}, f"no elements of the orbit of {name}"),
+    ):
+        with pytest.raises(SweepError, match=said):
+            linked(tmp_path, sky, **options)
+    assert linked(tmp_path, sky, star_models={"all": "7", name: "5"}).path_model.values.tolist() == ["7", "5", "7", "7"]
+    with pytest.raises(SweepError, match="give its files as epochs"):
+        linksweep.tie(tmp_path / "gaia.ecsv", tmp_path / "vlbi.ecsv", star_models={"all": "7"})
+
+
+def test_text_in_a_file_is_never_run(tmp_path):
+    sky = drawn(1, ["5"] * 3)
+    path = written(tmp_path, sky.scans, "csv")
+    text = path.read_text()
+    start = text.index('"(')
+    path.write_text(
+        text[:start] + f"\"__import__('pathlib').Path('{tmp_path}/ran').touch()" + text[text.index('"', start + 1) :]
+    )
+    sky.satellite.write(tmp_path / "gaia.ecsv")
+    sky.vlbi.write(tmp_path / "vlbi.ecsv")
+    with pytest.raises(SweepError, match="cannot be read as epoch astrometry"):
+        linksweep.tie(tmp_path / "gaia.ecsv", tmp_path / "vlbi.ecsv", epochs=[path])
+    assert not (tmp_path / "ran").exists()
+
+
+def test_the_command_takes_files_after_epochs(tmp_path, sweep):
+    sky = drawn(2, ["5", "7", "5", "5"], bend=0.2)
+    whole = linked(tmp_path, sky, star_models={str(sky.satellite["source_id"][1]): "7"})
+    half = len(sky.scans) // 2
+    for name, part in (("one.fits", sky.scans[:half]), ("two.fits", sky.scans[half:])):
+        part.write(tmp_path / name)
+    model = f"{sky.satellite['source_id'][1]}=7"
+    command = ["tie", "gaia.ecsv", "vlbi.ecsv", "--unknowns", "orientation,spin", "--epochs", "one.fits", "two.fits"]
+    status, out, err = sweep(*command, "--star-model", model, "-o", "tie.zarr", "--json", cwd=tmp_path)
+    assert status == 0, err
+    assert json.loads(out)  # nothing else is printed there
+    np.testing.assert_allclose(linksweep.open(tmp_path / "tie.zarr").estimate, whole.estimate, rtol=1e-6, atol=1e-9)
+    status, _, err = sweep("tie", "gaia.ecsv", "vlbi.ecsv", "one.fits", cwd=tmp_path)
+    assert status == 2
+    assert "one.fits" in err
