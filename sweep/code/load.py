@@ -410,7 +410,7 @@ def _reach(value: Any) -> Reach:
     if isinstance(value, Experiment):
         roots = {one.name: getattr(value, one.name) for one in fields(value) if one.name not in DESCRIBING}
         roots |= {f"define of {p.name}": p.define for p in value.parameters if p.define is not None}
-    reached = Reach(roots, Reach(roots).changes())
+    reached = reach.reach_of(roots)
     _places.update(reached.places)
     for name, kind in reached.unnoticed.items():
         _warn(f"changes of {name}, a {kind}, are not noticed")

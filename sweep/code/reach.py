@@ -126,6 +126,11 @@ def distributions_of(module: str | None) -> tuple[str, ...] | None:
     return distributions_at(file or next(iter(folders), None), top)
 
 
+def reach_of(roots: Mapping[str, Any]) -> "Reach":
+    """Return all that some objects reach."""
+    return Reach(roots, Reach(roots).changes())
+
+
 class Reach:
     """All that some objects reach.
 
