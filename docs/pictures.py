@@ -46,6 +46,7 @@ sweep run window.py:window --axis beta=2:10:2 -o window.zarr
 sweep run flow.py:flow --design sobol:128 --range rw=0.05:0.15 --range length=1120:1680 --range hu=990:1110 -o flow.zarr
 sweep tie psrpi-de200 timing-de200 --unknowns orientation --errors jackknife,bootstrap -o pulsars.zarr
 sweep tie icrf3 icrf2 --degree 2 --clip rayleigh -o icrf.zarr
+sweep tie dr4-gaia dr4-vlbi --epochs dr4-epochs --star-model 1003=7 --star-model 1006=7 -o dr4.zarr
 sweep forecast psrpi psrpi --unknowns orientation,spin --add 2026,2030 --error 0.1 --choose 5 --for spin -o plan.zarr
 """
 """The commands that compute what the pictures show: those of the pages, with fewer realisations of what takes long."""

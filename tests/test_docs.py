@@ -29,6 +29,7 @@ PAGES = {
     "benchmarks.md": ["scaling.svg"],
     "calibration.md": ["accuracy.svg"],
     "coming-from.md": ["lost.svg"],
+    "dr4.md": ["dr4.svg", "figures/solution.png"],
     "experiments.md": ["walk.svg"],
     "function-package.md": ["window.svg"],
     "function-quantile.md": ["waiting.svg"],
@@ -70,6 +71,7 @@ def test_the_commands_of_a_page_run_and_write_what_it_shows(document, tmp_path, 
 
 SCRIPTS = {
     "coming-from.md": ("lost.py", 1),
+    "dr4.md": ("", 0),
     "planning-observations.md": ("", 0),
     "points.md": ("flow.py", 1),
     "results.md": ("", 0),
@@ -98,7 +100,7 @@ def test_the_study_of_the_document_runs(tmp_path, sweep):
     assert xr.open_zarr(tmp_path / "results" / "study.zarr").attrs["complete"] == 1
 
 
-@pytest.mark.parametrize("document", ["tie.md", "planning-observations.md"])
+@pytest.mark.parametrize("document", ["tie.md", "planning-observations.md", "dr4.md"])
 def test_the_numbers_of_real_tables_are_those_that_are_printed(document, tmp_path, sweep):
     status, out, err = sweep(*shlex.split(commands(document)[0])[1:], cwd=tmp_path)
     assert status == 0, err

@@ -279,9 +279,6 @@ def _require(is_wanted: bool, wanted: str, reference: str, value: object) -> Non
 
 def keep(function: Callable[..., Any] | Experiment) -> str:
     """Make a function available in this process, as it is now, by the reference that is returned."""
-    known = _importable(function)
-    if known is not None and distributions_of(function.__module__) is not None:
-        return known
     return _remember(Live(function)).path
 
 
@@ -417,7 +414,7 @@ def _reach(value: Any) -> Reach:
     _places.update(reached.places)
     for name, kind in reached.unnoticed.items():
         _warn(f"changes of {name}, a {kind}, are not noticed")
-    folder = Path(getattr(sys.modules.get(value.__module__), "__file__", None) or "x").parent
+    folder = Path(getattr(sys.modules.get(getattr(value, "__module__", "")), "__file__", None) or "x").parent
     for name in getattr(getattr(value, ATTRIBUTE, None), "reads", ()):
         file = folder / name
         reached.parts[f"file {name}"] = digest_of(file.read_bytes()) if file.is_file() else "not there"

@@ -188,6 +188,7 @@ def described(sweep, folder, store, *options):
     return (folder / "a.txt").read_text().strip().split("\n\n")
 
 
+@pytest.mark.slow
 def test_a_description_gives_the_range_of_what_is_drawn(store_of, tmp_path, sweep):
     _, text = described(sweep, tmp_path, store_of("quasars"), "--variable", "sigma_orientation")
     assert "It is between" in text

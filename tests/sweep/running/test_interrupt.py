@@ -275,6 +275,7 @@ def f(x: float = 1.0):
 """
 
 
+@pytest.mark.slow
 def test_the_exit_code_does_not_depend_on_what_was_interrupted(tmp_path, start_sweep):
     (tmp_path / "f.py").write_text(INTERRUPTS_ITSELF)
     process = start_sweep("run", f"{tmp_path}/f.py:f", "--axis", "x=1,2", "--pool", "serial", "-o", tmp_path / "s.zarr")

@@ -72,6 +72,7 @@ n_sim = 10
 """
 
 
+@pytest.mark.slow
 def test_a_finished_store_starts_no_process_and_imports_no_executor(tmp_path):
     (tmp_path / "s.toml").write_text(TOML.format(COINS))
     run_study(load_study(str(tmp_path / "s.toml")), tmp_path / "s.zarr", SERIAL)
