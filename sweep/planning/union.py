@@ -20,7 +20,7 @@ SMALL, SPARSEST = 1000, 10
 UNITED = "united"
 """The key in the origin of a table of points that was made of several studies: others may add rows to it."""
 
-EARLIER = "with the points of earlier runs"
+EARLIER = "with the points of other runs"
 
 Row = tuple[Value, ...]
 Rows = dict[tuple[str, ...], list[Row]]

@@ -10,14 +10,13 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, groupby, pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.code.load import Code, SourceFunction, code_differences
-from linksweep.sweep.contract import Experiment, Named, SweepError, Value
+from linksweep.sweep.code.load import code_differences
+from linksweep.sweep.contract import Experiment, SweepError
 from linksweep.sweep.contract.block import DIGEST_BYTES, KEY_BYTES, BlockRows
 from linksweep.sweep.contract.reducer import converted, lost_integers, same_rows
 from linksweep.sweep.executing.versions import DECIDING
@@ -29,6 +28,7 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.parts import lost_parts
 from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.union import united
 from linksweep.sweep.running.code import records_of
 from linksweep.sweep.running.reproduce import study_of
 from linksweep.sweep.running.writer import BLOCK, Writer, create_store, differences, find_store, open_store
@@ -37,8 +37,7 @@ from linksweep.sweep.stores.ledger import Ledger, Record
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
 from linksweep.sweep.stores.store import CODE, OpenStore, Store, is_new
 from linksweep.sweep.studies.part import LOST, PART, Part, in_ranges
-from linksweep.sweep.studies.reader import study_of_attributes
-from linksweep.sweep.studies.record import RECORD, Recorded, provenance, recorded, recorded_study
+from linksweep.sweep.studies.record import RECORD, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import Study
 
 # The attribute of a store made of others: JSON of where their results come from.
@@ -75,8 +74,8 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     """Make the store ``into`` of stores of one experiment, and return its results; a run can go on with it.
 
     Parts of a study make what one run of it makes, or go on with what some of them made before; parts that are lost are
-    named in the attribute `LOST`.  Of other stores the points are those of all: a grid where they fill one, else a
-    table of points; what several have is kept once.  Raises SweepError, with nothing written, for stores of other
+    named in the attribute `LOST`.  Of other stores the points are those of all, as those of several runs in one
+    store; what several have is kept once.  Raises SweepError, with nothing written, for stores of other
     experiments, samplings, parts or code (unless ``accept_code``), for points whose bits differ between them, for one
     that is being written, and where something else is at the place already.
     """
@@ -84,10 +83,9 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     _require_alike(sources, accept_code)
     place, part = located(into), sources[0].study.part
     experiment = _experiment(sources)
-    if part is None:
-        study = _study(sources, experiment, str(place))
-    else:
-        study = replace(sources[0].study, experiment=experiment, part=None)
+    study = replace(sources[0].study, experiment=experiment, part=None)
+    for source in sources[1:] if part is None else ():
+        study = united(source.study, study)
     about = _about(sources)
     told = {MERGED: json.dumps(about)}
     require_free(place, study, about)
@@ -102,7 +100,7 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
         for source in sources:
             failed |= _take(store, source, sources, experiment, failed if part else {})
         store.flush()
-        accumulator = Accumulator(plan, store.rows, store.read(), samples=store.samples)
+        accumulator = Accumulator(plan, store.rows, store.read(), only=(), samples=store.samples)
         _fail(store, accumulator, failed)
         if part and (lost := lost_parts(plan, accumulator.status, store.rows, part.total)):
             told[LOST] = f"{in_ranges(lost)} of {part.total}"
@@ -226,72 +224,6 @@ def _experiment(sources: Sequence[_Source]) -> Experiment:
 def _first(sources: Sequence[_Source]) -> _Source:
     """Return the store whose results say what results are like: the first in which a point was ever computed."""
     return next((source for source in sources if source.layout is not None), sources[0])
-
-
-def _study(sources: Sequence[_Source], experiment: Experiment, where: str) -> Study:
-    """Return the study of the points of all."""
-    studies = [source.study for source in sources]
-    first = studies[0]
-    document = {key: value for key, value in first.document.items() if key not in _GRID}
-    crossed = [_crossed(study) for study in studies]
-    tables = [study.points is not None for study in studies]
-    same = all(own == crossed[0] for own in crossed) and all(tables) and not any(s.excluded for s in studies)
-    axes = crossed[0] if same else {}
-    settings = [study.experiment.defaults() | dict(study.fixed) for study in studies]
-    differing = [name for name in settings[0] if any(own[name] != settings[0][name] for own in settings)]
-    names = [
-        name
-        for name in dict.fromkeys([*(name for study in studies for name in study.axes), *differing])
-        if name not in axes
-    ]
-    settled = (parameters for study in studies for _, parameters in Grid(study).parameters())
-    rows = list(dict.fromkeys(tuple(parameters[name] for name in names) for parameters in settled))
-    columns = {name: list(dict.fromkeys(row[k] for row in rows)) for k, name in enumerate(names)}
-    fixed = {name: raw for name, raw in document.get("fixed", {}).items() if name not in names}
-    if fixed:
-        document["fixed"] = fixed
-    else:
-        document.pop("fixed", None)
-    whole = int(np.prod([len(values) for values in columns.values()], dtype=object)) == len(rows)
-    if whole and not same and not any(tables):
-        document["axes"] = {name: _written(_ordered(values)) for name, values in columns.items()}
-    else:
-        document["axes"] = {name: _written(values) for name, values in axes.items()}
-        document["points"] = {"columns": {name: _written([row[k] for row in rows]) for k, name in enumerate(names)}}
-        if first.points is not None and len(rows) == len(first.axes[first.points.names[0]]):
-            document["points"]["origin"] = dict(first.points.origin)
-    attributes = {"study_document": json.dumps(document), "study": "", "study_overrides": "", "study_name": first.name}
-    plain = "function" in experiment.as_record()
-    return study_of_attributes(attributes, where, (Recorded if plain else _Known)(experiment))
-
-
-class _Known(Recorded):
-    """The code of stores that may run what they name: whether they may was asked when they were opened."""
-
-    def function(self, reference: str, folder: Path) -> SourceFunction:
-        """Return a function."""
-        return Code().function(reference, folder)
-
-
-# Sections of a study about its grid.
-_GRID = ("axes", "points", "grid", "exclude", "published", "claim")
-
-
-def _crossed(study: Study) -> dict[str, tuple[Value, ...]]:
-    """Return the axes of a study that share a dimension with no other axis."""
-    own = () if study.points is None else study.points.names
-    zipped = {name for group in study.zipped for name in group}
-    return {name: values for name, values in study.axes.items() if name not in own and name not in zipped}
-
-
-def _ordered(values: Sequence[Value]) -> list[Value]:
-    """Return numbers in ascending order, anything else as it is."""
-    numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
-    return sorted(values) if numbers else list(values)
-
-
-def _written(values: Sequence[Value]) -> list[Any]:
-    return [value.name if isinstance(value, Named) else value for value in values]
 
 
 def _require_same_bits(sources: Sequence[_Source], dtype: np.dtype[np.void]) -> None:

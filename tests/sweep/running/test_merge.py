@@ -51,18 +51,17 @@ def test_two_halves_of_a_grid_are_the_grid(run, tmp_path):
     assert json.loads(linksweep.open(tmp_path / "c.zarr").attrs[MERGED]) == told
 
 
-def test_what_is_no_grid_together_is_a_table_of_points(run, tmp_path):
+def test_points_are_a_grid_with_gaps_or_beside_a_table_a_table(run, tmp_path):
     run("a.zarr", axes={"x": [1.0, 2.0]}, fixed={"k": 3})
     run("b.zarr", axes={"k": [3, 4]}, fixed={"x": 2.0})
     ds = merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
-    assert list(zip(ds.x.values.tolist(), ds.k.values.tolist(), ds.y.values.tolist(), strict=True)) == [
-        (1.0, 3, 3.0),
-        (2.0, 3, 6.0),
-        (2.0, 4, 8.0),
-    ]
-    run("d.zarr", axes={"x": [1.0]}, fixed={"k": 5})
+    assert (ds.x.values.tolist(), ds.k.values.tolist()) == ([1.0, 2.0], [3, 4])
+    assert ds.y.transpose("x", "k").values.tolist()[1] == [6.0, 8.0]
+    assert ds.status.transpose("x", "k").values.tolist() == [[1, 0], [1, 1]]
+    run("d.zarr", points={"x": [1.0, 5.0], "k": [3, 5]})
     more = merge([tmp_path / "c.zarr", tmp_path / "d.zarr"], tmp_path / "e.zarr")
-    assert more.y.values.tolist() == [3.0, 6.0, 8.0, 5.0]
+    rows = zip(more.x.values.tolist(), more.k.values.tolist(), more.y.values.tolist(), strict=True)
+    assert {row for row in rows if row[2] == row[2]} == {(1.0, 3, 3.0), (2.0, 3, 6.0), (2.0, 4, 8.0), (5.0, 5, 25.0)}
 
 
 @pytest.mark.slow
