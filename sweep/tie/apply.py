@@ -1,6 +1,7 @@
 """`apply`: a table of the satellite's frame in that of the reference, by the link of the two."""
 
 import tempfile
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -88,7 +89,9 @@ def apply(
     if output is not None:
         try:
             with tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}-") as folder:
-                raw.write(Path(folder) / output.name)
+                with warnings.catch_warnings():  # about long names in a FITS header
+                    warnings.simplefilter("ignore")
+                    raw.write(Path(folder) / output.name)
                 (Path(folder) / output.name).rename(output)
         except OSError as error:
             raise SweepError(f"cannot be written: {error.strerror or error}", str(output)) from error
