@@ -77,9 +77,7 @@ def read_observations(path: Path) -> Any:
         with redirect_stdout(io.StringIO()):  # astroquery asks the archive for news, and prints that there are none
             import gaiasupdate.epoch_astrometry  # noqa: F401  (it gives frames their methods)
     except ImportError as error:
-        raise SweepError(
-            "is epoch astrometry, which needs gaiasupdate: install linksweep[epochs]", str(path)
-        ) from error
+        raise SweepError("needs gaiasupdate to be read: install linksweep[epochs]", str(path)) from error
     table = read_file(built_in(path), repeated=True)
     table.rename_columns(table.colnames, [re.sub("(?<=[a-z0-9])([A-Z])", r"_\1", n).lower() for n in table.colnames])
     if missing := [name for name in ("source_id", *NEEDED) if name not in table.colnames]:
@@ -152,9 +150,8 @@ def with_observations(
     rows, star = np.unique(frame["place"].to_numpy(dtype=np.int64), return_inverse=True)
     frame["transit_id"] = frame.groupby(["place", "file", "transit_id"], sort=False).ngroup()
     first, stars, names = frame.groupby(star).first(), left.astrometry.taken(rows), columns[0]
-    without = np.delete(names, rows).tolist()
-    notes = [strangers] if unknown else []
-    notes += [f"no observations of {first_of(without, 5)}, which keep their rows"] if len(without) else []
+    without = first_of(np.delete(names, rows).tolist(), 5)
+    notes = [strangers] * bool(unknown) + [f"no observations of {without}, which keep their rows"] * bool(without)
     origin = stars.values[:2]
     if {"ra0", "dec0"} <= set(frame) and first[["ra0", "dec0"]].notna().all(axis=None):
         origin = first[["ra0", "dec0"]].to_numpy().T
@@ -169,7 +166,9 @@ def with_observations(
         found = transits.paths()
         for _ in range(3 if np.any(model != "5") else 0):  # AGIS has no other path, so that its noise is what is left
             left_over = [
-                estimate_excess_noise(found.residuals[star == s], observed[ERROR][star == s], 1.0, found.dof[s])
+                estimate_excess_noise(
+                    found.residuals[star == s], observed[ERROR][star == s], 1.0, max(found.dof[s], 1.0)
+                )
                 for s in range(len(rows))
             ]
             transits = replace(transits, noise=np.where(model == "5", noise, np.minimum(noise, left_over)))
@@ -220,9 +219,8 @@ def _orbits(place: Mapping[str, int], path: Path, epoch: float) -> dict[int, Arr
     else:
         plane = np.array([read.numbers(name) for name in THIELE_INNES]).T.reshape(-1, 2, 2)
     plane /= np.linalg.norm(plane, ord=2, axis=(1, 2), keepdims=True)  # the largest singular value is the semi-axis
-    read.check(
-        ~((period > 0.0) & (e >= 0.0) & (e < 1.0) & np.isfinite(periastron + plane.sum(axis=(1, 2)))), "no orbit"
-    )
+    closed = (period > 0.0) & (e >= 0.0) & (e < 1.0) & np.isfinite(periastron + plane.sum(axis=(1, 2)))
+    read.check(~closed, "a period, an eccentricity or other elements of no orbit")
     read.finish()
     orbit = np.array([period, e, periastron, *plane.reshape(-1, 4).T])
     return {place[name]: orbit[:, k] for k, name in enumerate(read.text(str(star))) if name in place}

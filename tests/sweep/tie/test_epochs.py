@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from astropy.table import Table, vstack
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 import linksweep
@@ -18,6 +18,7 @@ from linksweep import SweepError
 from linksweep.core.tie.astrometry import bends
 from tests.core.tie.made import DEGREE, MAS, NAMES, PAIRS, gaia_table, parallax_factors, propagated, seen_by_satellite
 from tests.core.tie.made import stars as made_stars
+from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([0.4, -0.3, 0.5]) * MAS, np.array([-0.05, 0.06, 0.04]) * MAS
 EPOCH = 2017.5
@@ -263,7 +264,7 @@ def models_of(folder, sky, models, campbell=False):
     return chosen | ({"orbits": orbits(folder, bound, campbell)} if len(bound) else {})
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None, phases=[Phase.explicit, Phase.reuse, Phase.generate])
 @given(
     st.integers(0, 10**6),
     st.lists(st.sampled_from(["5", "7", "9", "orbit"]), min_size=5, max_size=7),
@@ -291,33 +292,41 @@ def test_a_link_is_that_of_all_observations_with_every_parameter(tmp_path_factor
     assert np.all(np.abs(link.estimate.values - np.array([*EPSILON, *OMEGA]) / MAS) < 5.0 * error)
 
 
-FORMATS = ["ecsv", "fits", "xml", "csv", "parquet", "dpac.parquet"]
+FORMATS = ["ecsv", "fits", "csv", *map(slow, ("xml", "parquet", "dpac.parquet"))]
 
 
-def test_each_format_gives_the_link_of_what_gaiasupdate_finds(tmp_path):
+def test_a_link_is_that_of_what_gaiasupdate_finds(tmp_path):
     """In a table with its parameters and covariance, linked without the observations."""
     from gaiasupdate.epoch_astrometry import GaiaEpochAstrometryArchive
 
-    sky = drawn(5, ["5"] * 6, excess=0.15)
+    sky = drawn(5, ["5"] * 4, excess=0.15)
     frame = pd.DataFrame({name: list(np.asarray(sky.scans[name]).tolist()) for name in sky.scans.colnames})
     frame["ccd_proc_flags"] = frame["ipd_error_al"] = frame["used_by_agis_al"]
     frame["nu_eff_used_in_astrometry"] = 0.0016
     names = sky.satellite["source_id"].tolist()
     fitted = [GaiaEpochAstrometryArchive.supdate(frame, name) for name in names]
     fitted = [(one["parameters"], one["parameter_covariance_matrix_formal"]) for one in fitted]
-    origin = np.array([[sky.scans[name][24 * s] * DEGREE for s in range(6)] for name in ("ra0", "dec0")])
+    origin = np.array([[sky.scans[name][24 * s] * DEGREE for s in range(4)] for name in ("ra0", "dec0")])
     as_table(fitted, origin, names).write(tmp_path / "supdate.ecsv")
-    first = linked(tmp_path, sky)
+    link = linked(tmp_path, sky)
     same = linksweep.tie(tmp_path / "supdate.ecsv", tmp_path / "vlbi.ecsv", "orientation,spin", errors="formal")
-    np.testing.assert_allclose(first.estimate / first.error, same.estimate / same.error, atol=3e-4)
-    np.testing.assert_allclose(first.error, same.error, rtol=3e-4)
-    assert first.attrs["misfit"] == same.attrs["misfit"] == ""
-    for form in FORMATS[1:]:
-        other = linked(tmp_path, sky, form=form)
-        np.testing.assert_allclose(other.estimate / first.error, first.estimate / first.error, atol=1e-5, err_msg=form)
-        np.testing.assert_allclose(other.transit_residual, first.transit_residual, atol=1e-5, err_msg=form)
-    assert first.sizes["transit"] == len(sky.scans)
-    assert float((first.transit_residual / first.transit_error).std()) == pytest.approx((19 / 24) ** 0.5, abs=0.15)
+    np.testing.assert_allclose(link.estimate / link.error, same.estimate / same.error, atol=3e-4)
+    np.testing.assert_allclose(link.error, same.error, rtol=3e-4)
+    assert link.attrs["misfit"] == same.attrs["misfit"] == ""
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_each_format_is_read(tmp_path, form):
+    sky = drawn(5, ["5"] * 4)
+    path = written(tmp_path, sky.scans, form)
+    sky.satellite.write(tmp_path / "gaia.ecsv")
+    sky.vlbi.write(tmp_path / "vlbi.ecsv")
+    link = linksweep.tie(tmp_path / "gaia.ecsv", tmp_path / "vlbi.ecsv", "orientation,spin", epochs=[path])
+    own = linksweep.tie(tmp_path / "gaia.ecsv", tmp_path / "vlbi.ecsv", "orientation,spin")
+    np.testing.assert_allclose(link.estimate / link.error, own.estimate / own.error, atol=3e-4)  # of the same scans
+    assert link.sizes["transit"] == len(sky.scans)
+    spread = float((link.transit_residual / link.transit_error).std())
+    assert spread == pytest.approx((19 / 24) ** 0.5, abs=0.15)
 
 
 def shifts(seed, models, folder, bend=0.2):
@@ -331,13 +340,13 @@ def shifts(seed, models, folder, bend=0.2):
     return [((link.estimate - truth) / link.error).values for link in (wrong, right)]
 
 
-@pytest.mark.parametrize("number", [6, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [2, slow(200)])
 def test_a_star_that_accelerates_does_not_bias_the_link(tmp_path, number):
     """The five parameters of its row do, by several errors: in one direction, because its acceleration is the same."""
     models = ["7", "5", "5", "5", "9", "5"]
     wrong, right = np.moveaxis([shifts(seed, models, tmp_path) for seed in range(number)], 1, 0)
     assert np.sqrt(np.mean(wrong**2)) > 5.0
-    assert np.sqrt(np.mean(right**2)) == pytest.approx(1.0, abs=4.0 / np.sqrt(number))
+    assert np.sqrt(np.mean(right**2)) == pytest.approx(1.0, abs=1.5 / np.sqrt(number))
     assert np.all(np.abs(right.mean(axis=0)) < 4.0 / np.sqrt(number))
 
 
@@ -378,23 +387,20 @@ MISTAKES = {
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_is_refused_or_named_with_its_cause(tmp_path, mistake):
     change, said = MISTAKES[mistake]
-    for seed in range(2):
-        sky = drawn(seed, ["5"] * 5, excess=0.02 * seed)
-        scans = sky.scans.copy()
-        change(scans)
-        try:
-            found = linked(tmp_path, sky, scans=scans, form="fits", units=False).attrs["misfit"]
-        except SweepError as error:
-            found = str(error)
-        assert re.search(said, found), found
+    sky = drawn(len(mistake), ["5"] * 4, excess=0.02 * (len(mistake) % 2))
+    change(sky.scans)
+    try:
+        found = linked(tmp_path, sky, form="fits", units=False).attrs["misfit"]
+    except SweepError as error:
+        found = str(error)
+    assert re.search(said, found), found
 
 
 @pytest.mark.parametrize("models", [["5"] * 5, ["7", "5", "9", "5", "7"]])
 def test_nothing_is_suspected_of_good_observations(tmp_path, models):
-    for seed in range(3):
-        sky = drawn(seed, models, bend=0.2)
-        link = linked(tmp_path, sky, form="fits", **models_of(tmp_path, sky, models))
-        assert link.attrs["misfit"] == ""
+    sky = drawn(3, models, bend=0.2)
+    link = linked(tmp_path, sky, form="fits", **models_of(tmp_path, sky, models))
+    assert link.attrs["misfit"] == ""
 
 
 def without(name):
