@@ -328,9 +328,9 @@ def tie(
         accept_misfit: whether a link is given although chi2 is more than 1000 times its expectation.
         options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``,
             ``where`` (a condition like "ruwe < 1.4"), ``weights``, ``known_spin``, ``known_orientation``, ``jitter``
-            (kind of row to (mas, mas/yr)), ``sign``, ``aberration``, ``corrections``, ``missions`` (further tables by
-            name, each with an orientation and a spin of its own), ``epochs`` (files of Gaia's epoch astrometry),
-            ``star_models`` (star or "all" to 5, 7, 9 or orbit), ``orbits`` (a table of elements),
+            (kind of row to (mas, mas/yr), or "estimate"), ``sign``, ``aberration``, ``corrections``, ``missions``
+            (further tables by name, each with an orientation and a spin of its own), ``epochs`` (files of Gaia's epoch
+            astrometry), ``star_models`` (star or "all" to 5, 7, 9 or orbit), ``orbits`` (a table of elements),
             ``satellite_options``, ``reference_options`` and ``mission_options`` (`sweep.tie.tables.TableOptions`).
 
     Returns:

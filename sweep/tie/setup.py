@@ -130,8 +130,11 @@ class Options:
     orbits: str | Path | None = None
 
     def __post_init__(self) -> None:
-        if isinstance(self.jitter, str):
-            object.__setattr__(self, "jitter", parse_jitter(self.jitter))
+        line: Any = self.jitter
+        if not isinstance(line, str):
+            sizes = (size if isinstance(size, str) else ":".join(map(str, np.ravel(size))) for size in line.values())
+            line = ",".join(f"{kind}={size}" for kind, size in zip(line, sizes, strict=True))
+        object.__setattr__(self, "jitter", parse_jitter(line))
 
     def check(self) -> None:
         """Raise SweepError for values that are not allowed."""

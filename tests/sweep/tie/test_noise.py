@@ -183,6 +183,10 @@ def test_the_truth_is_within_the_error_as_often_as_it_should_be(seeds, case):
         ("five-parameter=200uas", "in mas and mas/yr"),
         ("estimated", "KIND=MAS"),
         ("motion=estimate", "no row is of the kind motion"),
+        ({"five-parameter": "0.2 mas"}, "in mas and mas/yr"),
+        ({"five-parameter": None}, "in mas and mas/yr"),
+        ({"five-parameter": (0.1, 0.2, 0.3)}, "in mas and mas/yr"),
+        ({"five-parameter": -0.1}, "not negative"),
     ],
 )
 def test_wrong_jitter_is_refused(tmp_path, jitter, said):
