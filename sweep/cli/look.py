@@ -75,6 +75,7 @@ def show(
     store: "Location" = STORE,
     table_format: str = choice("", ("text", "csv", "ecsv"), "--format", default="text"),
     at: At = AT,
+    stars: bool = flag("Of a link, a row for each source: Q/n, Cook's distance, share, jackknife shift."),
     as_json: bool = JSON,
 ) -> None:
     """Print the results in STORE as a table, and the components of the points with the worst condition; of a stored
@@ -85,7 +86,12 @@ def show(
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
     table_format = json_or(table_format, as_json)
-    if (link := options.link_in(store, at)) is not None:
+    link = options.link_in(store, at)
+    if stars:
+        from linksweep.sweep.tie.result import of_stars
+
+        click.echo(getattr(of_stars({} if link is None else link), table_format)().rstrip("\n"))
+    elif link is not None:
         group.print_result(link, table_format)
     else:
         # Formats for programs keep excluded points: a column has the status.

@@ -175,9 +175,9 @@ def _tables(
     chosen = conditions(where, names, ("satellite",))
     epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **dict(mission_epoch)}
     _require_tables("--mission-epoch", dict(mission_epoch), further)
-    _require_tables("--without-cos-dec", without_cos_dec, names)
-    _require_tables("--extragalactic", extragalactic, names)
-    _require_tables("--parallax-zero-point", parallax_zero_point, names)
+    named = {"--without-cos-dec": without_cos_dec, "--extragalactic": extragalactic}
+    for option, some in (named | {"--parallax-zero-point": parallax_zero_point}).items():
+        _require_tables(option, some, names)
     tables = {
         name: TableOptions(
             columns=columns[name],
