@@ -8,7 +8,6 @@ import pytest
 
 from benchmarks.mutants import copy_of_checkout, mutants, nearest_tests
 from tests.documents import ROOT
-from tests.tiers import slow
 
 FRAMES = "core/frames.py"
 
@@ -18,7 +17,8 @@ def run(*options):
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("file", [FRAMES, slow("sweep/tables/reader.py")])
+@pytest.mark.slow
+@pytest.mark.parametrize("file", [FRAMES, "sweep/tables/reader.py"])
 def test_a_mutant_is_a_program_that_differs_in_one_place(file):
     whole = (ROOT / file).read_bytes()
     assert len(mutants(file)) > 20

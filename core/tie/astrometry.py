@@ -99,7 +99,7 @@ class Astrometry:
         if self.further is not None:
             sigma = np.concatenate([sigma, self.further[1].T], axis=1)
         covariance = np.zeros((len(self), *2 * sigma.shape[1:]))
-        covariance[:, range(5), range(5)] = sigma[:, :5] ** 2
+        covariance[:, range(sigma.shape[1]), range(sigma.shape[1])] = sigma**2
         if self.correlations is not None:
             for correlation, (i, j) in zip(self.correlations, PAIRS, strict=True):
                 covariance[:, i, j] = covariance[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
@@ -249,8 +249,7 @@ def bends(years: Array, orbit: Array | None = None, averaged: Array | None = Non
     """
     square = (0.0 if averaged is None else averaged) ** 2
     bend = np.zeros((len(years), 5, 5))
-    bend[:, 0, 0] = bend[:, 1, 1] = 0.5 * (years**2 - square / 3.0)
-    bend[:, 3, 2] = bend[:, 4, 3] = 0.5 * (years**2 - square / 3.0)
+    bend[:, 0, 0] = bend[:, 1, 1] = bend[:, 3, 2] = bend[:, 4, 3] = 0.5 * (years**2 - square / 3.0)
     bend[:, 3, 0] = bend[:, 4, 1] = years
     bend[:, 0, 2] = bend[:, 1, 3] = (years**3 - square * years) / 6.0
     if orbit is not None:

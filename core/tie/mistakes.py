@@ -47,7 +47,7 @@ LARGER = {
     1.0 / 1.5e4: "mas taken for seconds of time",
 }
 # No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr).
-LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0}
+LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0, "mas/yr2": 300.0, "mas/yr3": 300.0}
 
 # Shifts of epochs (years) from which the best is looked for.
 STARTS = (0.0, *(sign * years for years in (2.0, 5.0, 10.0, 20.0, 50.0, 100.0) for sign in (1.0, -1.0)))
@@ -331,8 +331,8 @@ def _accelerations() -> Iterator[tuple[str, int, Change]]:
     yield "accelerations of {} that are half of them, as factors of t^2", 0, changed(lambda both: both * 2.0)
     for ratio, unit in ((1e3, "arcsec taken for mas"), (1e-3, "uas taken for mas")):
         yield f"accelerations of {{}}, {unit}", 0, changed(partial(np.multiply, ratio))
-    averages = "positions of {} at the epoch that are averages: say --accelerations mean"
-    yield averages, 0, lambda table: replace(table, averaged=np.full(len(table), HALF_SPAN))
+    mean = "positions of {} that are averages: say --accelerations mean"
+    yield mean, 0, lambda table: replace(table, averaged=np.full(len(table), HALF_SPAN))
 
 
 def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bool = False) -> Change:

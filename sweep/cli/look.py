@@ -11,7 +11,6 @@ import click
 
 import linksweep
 from linksweep.sweep.cli import group, options
-from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command, print_result
 from linksweep.sweep.cli.options import AT, JSON, STORE, At, arg, choice, flag, json_or, many, opt, parsed, part_of
 from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress
 from linksweep.sweep.formatting import to_json
@@ -32,7 +31,7 @@ PAPER_ORDER = (
 """The studies of Metz & Geffert 2004, by section; all others follow, sorted by name."""
 
 
-@command("Look", "List the built-in studies and their answers", name="list")
+@group.command("Look", "List the built-in studies and their answers", name="list")
 def list_studies(as_json: bool = JSON) -> None:
     """List the built-in studies: the title and question of each, and its answer where it was run in this directory.
 
@@ -71,11 +70,12 @@ def _answer(name: str) -> list[str]:
         return [f"Its store cannot be read: {'; '.join(error.problems)}"]
 
 
-@command("Look", "Print results as a table, CSV, ECSV or JSON")
+@group.command("Look", "Print results as a table, CSV, ECSV or JSON")
 def show(
     store: "Location" = STORE,
     table_format: str = choice("", ("text", "csv", "ecsv"), "--format", default="text"),
     at: At = AT,
+    stars: bool = flag("Of a link, a row for each source: Q/n, Cook's distance, share, jackknife shift."),
     as_json: bool = JSON,
 ) -> None:
     """Print the results in STORE as a table, and the components of the points with the worst condition; of a stored
@@ -86,12 +86,17 @@ def show(
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
     table_format = json_or(table_format, as_json)
-    if (link := options.link_in(store, at)) is not None:
-        print_result(link, table_format)
+    link = options.link_in(store, at)
+    if stars:
+        from linksweep.sweep.tie.result import of_stars
+
+        click.echo(getattr(of_stars({} if link is None else link), table_format)().rstrip("\n"))
+    elif link is not None:
+        group.print_result(link, table_format)
     else:
         # Formats for programs keep excluded points: a column has the status.
         with part_of(store, at, excluded_too=table_format != "text") as part:
-            print_result(part, table_format)
+            group.print_result(part, table_format)
 
 
 @parsed
@@ -155,7 +160,7 @@ class Drawing:
             return draw_figure(dataset, *chosen), dataset
 
 
-@command("Look", "Draw results")
+@group.command("Look", "Draw results")
 def plot(
     drawn: Drawing = options.group(Drawing),
     width: float | None = opt("How wide it is printed, e.g. 88mm or 180mm.", metavar="MM", callback=_millimetres),
@@ -252,7 +257,7 @@ class AskedStores:
         return [store for _, store in places.values()]
 
 
-@command("Look", "Write one HTML page with everything")
+@group.command("Look", "Write one HTML page with everything")
 def report(
     asked: AskedStores = options.group(AskedStores),
     output: Path | None = options.output("The page; replaces an earlier report.  [default: NAME-report.html]"),
@@ -277,7 +282,7 @@ def report(
     click.echo(f"wrote {path}", err=True)
 
 
-@command("Look", "Fit a law along an axis")
+@group.command("Look", "Fit a law along an axis")
 def fit(
     store: "Location" = STORE,
     over: str | None = opt("The axis to fit along.  [default: the only one with several numbers]"),
@@ -316,10 +321,10 @@ def fit(
             result = linksweep.fit_power_law(dataset, variable, over, expect)
         else:
             result = linksweep.fit_levelling(dataset, variable, over, (fall or 5.0) / 100.0)
-    print_result(result, "json" if as_json else "text")
+    group.print_result(result, "json" if as_json else "text")
 
 
-@command("Look", "Find where a condition is met along an axis")
+@group.command("Look", "Find where a condition is met along an axis")
 def find(
     store: "Location" = STORE,
     where: str = opt("VARIABLE, one of < <= > >=, NUMBER and unit.", required=True, metavar="CONDITION"),
@@ -345,10 +350,10 @@ def find(
             group.print_headlines(laws.points_where(dataset, limit), as_json)
             return
         result = laws.find(dataset, limit, require_axis(dataset, limit.variable, over))
-    print_result(result, "json" if as_json else "text")
+    group.print_result(result, "json" if as_json else "text")
 
 
-@command("Look", "Say which parameters decide a result")
+@group.command("Look", "Say which parameters decide a result")
 def sensitivity(
     store: "Location" = STORE,
     variable: str | None = opt("What varies.  [default: the main result]"),
@@ -369,12 +374,12 @@ def sensitivity(
         group.require_writable(output)
     with part_of(store, at) as dataset:
         result = linksweep.sensitivity(dataset, variable)
-    print_result(result, "json" if as_json else "text")
+    group.print_result(result, "json" if as_json else "text")
     if output is not None:
         group.save_result(result, output)
 
 
-@command("Compare", "Compare with published numbers and claims")
+@group.command("Compare", "Compare with published numbers and claims")
 def compare(
     asked: AskedStores = options.group(AskedStores),
     table_format: str = choice("", ("text", "csv"), "--format", default="text"),
@@ -412,4 +417,4 @@ def compare(
         below = [*verdicts.notes(comparisons), *remarks, verdicts.summary_line(comparisons)]
         group.print_tables(verdicts.tables(comparisons), ["", *below])
     if not verdicts.all_is_well(comparisons):
-        sys.exit(EXIT_FAILED_POINTS)
+        sys.exit(group.EXIT_FAILED_POINTS)

@@ -18,7 +18,6 @@ import click
 
 import linksweep
 from linksweep.sweep.cli import group, options
-from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
 from linksweep.sweep.cli.options import POSITIVE, WORKERS, choice, flag, opt, parsed
 from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
 from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_json, without_secrets
@@ -261,7 +260,7 @@ def print_verified(study: "linksweep.Study", store: "Location", points: int, sho
     return bool(again.differing)
 
 
-@command("Run", "Run a study into a store; print table and answer")
+@group.command("Run", "Run a study into a store; print table and answer")
 def run(
     asked: options.AskedStudy = options.group(options.AskedStudy),
     how: Running = options.group(Running),
@@ -298,10 +297,10 @@ def run(
     failures = run_with_progress(study, store, how, retry=retry, fresh=fresh, only=only, keep=keep, redo=redo)
     differing = verify and print_verified(study, store, verify, not how.watching.quiet)
     if failures or differing:
-        sys.exit(EXIT_FAILED_POINTS)
+        sys.exit(group.EXIT_FAILED_POINTS)
 
 
-@command("Run", "Say what a run would do, and write nothing")
+@group.command("Run", "Say what a run would do, and write nothing")
 def plan(
     asked: options.AskedStudy = options.group(options.AskedStudy),
     workers: int | None = opt("Local workers, for the estimate of the time.  [default: one per core]", type=WORKERS),
@@ -346,7 +345,7 @@ def _counts(text: str) -> tuple[int, ...]:
     return tuple(map(int, words))
 
 
-@command("Run", "Measure how a study scales with workers")
+@group.command("Run", "Measure how a study scales with workers")
 def scaling(
     study: str = options.STUDY,
     workers: tuple[int, ...] = opt("Numbers of workers, from 1 up.", default="1,2", callback=_counts),
@@ -381,7 +380,7 @@ def scaling(
         group.save_result(dataset, path)
 
 
-@command("Store care", "Say how far a run is, and what failed")
+@group.command("Store care", "Say how far a run is, and what failed")
 def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> None:
     """Say how far the run in STORE is, what failed, and where the results come from.
 
@@ -415,7 +414,7 @@ def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> N
             group.print_wrapped(f"{key}: {value}", later="  ")
 
 
-@command("Store care", "Compare files with checksums; set damaged aside")
+@group.command("Store care", "Compare files with checksums; set damaged aside")
 def check(
     store: "Location" = options.STORE,
     repair: bool = flag("Set damaged files aside, in STORE.damaged; the next run computes again."),
@@ -446,10 +445,10 @@ def check(
         click.echo("\n".join([*lines, *(f"{store} {remark}" for remark in report.remarks)]))
     if report:
         click.echo(f"`sweep check {store} --repair` repairs what can be repaired", err=True)
-        sys.exit(EXIT_FAILED_POINTS)
+        sys.exit(group.EXIT_FAILED_POINTS)
 
 
-@command("Store care", "Compute points again, to the bit")
+@group.command("Store care", "Compute points again, to the bit")
 def reproduce(
     store: "Location" = options.STORE,
     at: str | None = opt("The point, e.g. model=gaia,v_max=16.", metavar="AXIS=VALUE[,AXIS=VALUE]"),
@@ -472,7 +471,9 @@ def reproduce(
     if at is None:
         if debug or as_json:
             raise click.UsageError(f"{'--pdb' if debug else '--json'} is for one point; name it with --at")
-        sys.exit(EXIT_FAILED_POINTS if print_verified(computing.study_of(store, trust=trust), store, points) else 0)
+        sys.exit(
+            group.EXIT_FAILED_POINTS if print_verified(computing.study_of(store, trust=trust), store, points) else 0
+        )
     try:
         again = computing.reproduce(store, at, trust=trust)
     except linksweep.SweepError:
@@ -484,7 +485,7 @@ def reproduce(
             import pdb
 
             pdb.post_mortem(error.__traceback__)
-        sys.exit(EXIT_FAILED_POINTS)
+        sys.exit(group.EXIT_FAILED_POINTS)
     group.print_headlines(again.dataset.assign_attrs(title=again.place, complete=1), as_json)
     for sentence in again.other_code:
         click.echo(f"computed by other code than the store was: {sentence}", err=True)
@@ -496,10 +497,10 @@ def reproduce(
         click.echo(f"differs from {store} in {', '.join(again.differences)}", err=True)
         for name, (stored, computed) in again.differences.items():
             click.echo(f"  {name}: {json.dumps(stored.tolist())} stored, {json.dumps(computed.tolist())} now", err=True)
-        sys.exit(EXIT_FAILED_POINTS)
+        sys.exit(group.EXIT_FAILED_POINTS)
 
 
-@command("Store care", "Make one store of parts, or of several stores")
+@group.command("Store care", "Make one store of parts, or of several stores")
 def merge(
     stores: "tuple[Location, ...]" = options.STORES,
     output: "Location" = options.output("The new store.", type=str, required=True, callback=options.place),
@@ -523,4 +524,4 @@ def merge(
     group.print_headlines(dataset, as_json)
     click.echo(f"wrote {output}", err=True)
     if not dataset.attrs["complete"]:
-        sys.exit(EXIT_FAILED_POINTS)
+        sys.exit(group.EXIT_FAILED_POINTS)

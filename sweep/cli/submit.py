@@ -9,8 +9,7 @@ from pathlib import Path
 import click
 
 import linksweep
-from linksweep.sweep.cli import options
-from linksweep.sweep.cli.group import command
+from linksweep.sweep.cli import group, options
 from linksweep.sweep.cli.options import flag, many, opt
 
 # `afterany`: a part in which points fail ends with exit code 1.  A lock that is left over on another host is that of
@@ -31,7 +30,7 @@ END_OF_JOB
 """
 
 
-@command("Run", "Run a study as a job array of SLURM")
+@group.command("Run", "Run a study as a job array of SLURM")
 def submit(
     asked: options.AskedStudy = options.group(options.AskedStudy),
     tasks: int = opt("Tasks of the array, a part in each.", "--slurm", type=click.IntRange(1, 100_000), required=True),

@@ -15,7 +15,6 @@ import click
 
 import linksweep
 from linksweep.sweep.cli import group, options
-from linksweep.sweep.cli.group import EXIT_FAILED_POINTS, command
 from linksweep.sweep.cli.options import FILE, JSON, POSITIVE, arg, choice, flag, many, opt, passed
 from linksweep.sweep.cli.run import resources as run_on
 from linksweep.sweep.formatting import split_assignment, to_json
@@ -50,7 +49,7 @@ class Assigned(click.ParamType):  # type: ignore[type-arg]  # generic only in ne
         return self.fail(f"{value!r} is not {self.name}", param, ctx)
 
 
-@command("Your own", "Write a commented study to start from")
+@group.command("Your own", "Write a commented study to start from")
 def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     """Write NAME.toml, a study of EXPERIMENT to start from: it runs as it is, and has every parameter in a comment.
 
@@ -79,7 +78,7 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     click.echo(f"wrote {path}; edit it, then: sweep plan {path}", err=True)
 
 
-@command("Your own", "List the parameters of a study or experiment")
+@group.command("Your own", "List the parameters of a study or experiment")
 def params(
     experiment: str = EXPERIMENT,
     schema: bool = flag("Print the JSON Schema of studies, by which editors complete them."),
@@ -176,9 +175,9 @@ def _tables(
     chosen = conditions(where, names, ("satellite",))
     epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **dict(mission_epoch)}
     _require_tables("--mission-epoch", dict(mission_epoch), further)
-    _require_tables("--without-cos-dec", without_cos_dec, names)
-    _require_tables("--extragalactic", extragalactic, names)
-    _require_tables("--parallax-zero-point", parallax_zero_point, names)
+    named = {"--without-cos-dec": without_cos_dec, "--extragalactic": extragalactic}
+    for option, some in (named | {"--parallax-zero-point": parallax_zero_point}).items():
+        _require_tables(option, some, names)
     tables = {
         name: TableOptions(
             columns=columns[name],
@@ -299,7 +298,7 @@ class Target:
         group.print_result(result, "json" if self.as_json else "text")
 
 
-@command("Your own", "Solve for the link of two real tables")
+@group.command("Your own", "Solve for the link of two real tables")
 def tie(
     satellite: Path = arg(type=FILE),
     reference: str = arg(),
@@ -347,10 +346,10 @@ def tie(
     except MisfitError as error:
         target.put(error.link, rejected=True)
         click.echo(f"error: {error.said('--accept-misfit')}", err=True)
-        sys.exit(EXIT_FAILED_POINTS)
+        sys.exit(group.EXIT_FAILED_POINTS)
 
 
-@command("Your own", "Forecast a link with new observations")
+@group.command("Your own", "Forecast a link with new observations")
 def forecast(
     satellite: Path = arg(type=FILE),
     reference: str = arg(),
@@ -375,7 +374,7 @@ def forecast(
     target.put(linksweep.forecast(satellite, reference, add=epochs, goal=blocks, **plan, **matching, **tables))
 
 
-@command("Your own", "Carry a table into the frame of a link's reference")
+@group.command("Your own", "Carry a table into the frame of a link's reference")
 def apply(
     link: Path = arg(type=FILE),
     table: Path = arg(type=FILE),
@@ -397,7 +396,7 @@ def apply(
     click.echo(f"wrote {output}", err=True)
 
 
-@command("Your own", "Find the galaxies in a star catalogue")
+@group.command("Your own", "Find the galaxies in a star catalogue")
 def match(
     stars: Path = arg(type=FILE),
     galaxies: tuple[Path, ...] = arg(nargs=-1, required=True, type=FILE),

@@ -393,7 +393,7 @@ class Reach:
         scope = ChainMap(imported, cells, dict(names))
         for chain in sorted({chain for node in nodes for chain in _chains(node)}):
             name, *path = chain.split(".")
-            if name in BY_NAME and name not in scope:
+            if name in BY_NAME and name not in scope and names.get("__name__") in sys.modules:
                 self._follow(self._whole, sys.modules[names["__name__"]])
             if name not in scope or name not in wanted:
                 continue
@@ -416,7 +416,7 @@ class Reach:
             base = f"{'.' * one.level}{one.module or ''}" if isinstance(one, ast.ImportFrom) else ""
             with suppress(Exception):  # raised again by the function where it is called
                 modules = [resolve_name(base or alias.name, names.get("__package__")) for alias in one.names]
-                if {self._is_users(module.partition(".")[0]) for module in modules} != {False}:
+                if True in [self._is_users(module.partition(".")[0]) for module in modules]:
                     exec(unparsed(one), {"__package__": names.get("__package__")}, bound)
         return bound
 

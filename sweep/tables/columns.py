@@ -43,11 +43,9 @@ _NINE = (*PARAMETERS, *ACCELERATIONS)
 _AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE", *ACCELERATIONS)
 # The correlations as the Gaia archive calls them, and as VizieR does: the ten of five parameters in its order, and then
 # those with accelerations.
+ALL_PAIRS = tuple((i, j) for start in (0, 5) for i in range(9) for j in range(max(i + 1, start), 9) if start or j < 5)
 CORRELATIONS: Mapping[str, str] = {
-    f"{_NINE[i]}_{_NINE[j]}_corr": f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor"
-    for first in (1, 5)
-    for i in range(9)
-    for j in range(max(i + 1, first), 5 if first == 1 else 9)
+    f"{_NINE[i]}_{_NINE[j]}_corr": f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor" for i, j in ALL_PAIRS
 }
 
 ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")

@@ -37,10 +37,9 @@ _ICRF = re.compile(
 # A row of Hipparcos-2, hip2.dat of CDS I/311, and where the columns begin and end that astrometry needs.
 _HIP2 = re.compile(r"(?=.{270})[ \d]{5}\d +\d+ \d \d +\d\.\d{10} [ -]\d\.\d{10} ")
 _HIP2_COLUMNS = {
-    **{"HIP": (0, 6), "Sn": (7, 10), "RArad": (15, 28), "DErad": (29, 42), "Plx": (43, 50), "pmRA": (51, 59)},
-    **{"pmDE": (60, 68), "e_RArad": (69, 75), "e_DErad": (76, 82), "e_Plx": (83, 89), "e_pmRA": (90, 96)},
-    **{"e_pmDE": (97, 103), "F2": (108, 113), "Hpmag": (129, 136), "B-V": (152, 158)},
-    **{f"UW{k}": (164 + 7 * k, 171 + 7 * k) for k in range(1, 16)},
+    **{"HIP": (0, 6), "RArad": (15, 28), "DErad": (29, 42), "Plx": (43, 50), "pmRA": (51, 59), "pmDE": (60, 68)},
+    **{"e_RArad": (69, 75), "e_DErad": (76, 82), "e_Plx": (83, 89), "e_pmRA": (90, 96), "e_pmDE": (97, 103)},
+    **{"Hpmag": (129, 136)} | {f"UW{k}": (164 + 7 * k, 171 + 7 * k) for k in range(1, 16)},
 }
 
 DELIMITERS = ("\t", ";", "|", ",")

@@ -83,8 +83,8 @@ class _Condition:
                 warnings.simplefilter("ignore")  # of the compiler, about what is refused below
                 flags = self._flags(ast.parse(self.python, mode="eval").body)
         except SyntaxError as error:
-            at_end = len(self.python) + 1  # where it has no offset
-            raise self._refused((error.offset or at_end) - 1, error.msg) from None
+            at = (error.offset or len(self.python) + 1) - 1  # it has no offset at the end
+            raise self._refused(at, error.msg) from None
         except (ValueError, RecursionError, MemoryError, OverflowError) as error:
             raise self._refused(0, str(error)) from None
         if not flags.any():

@@ -257,9 +257,8 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     whole = _within(_set_up(tuple((name, point[name]) for name in DECIDING)), point)
     problem = whole.problem
     if not point["correlations"]:
-        ours, rows = (replace(one, correlations=None) for one in (problem.satellite, problem.rows))
-        if ours.further is not None:
-            ours = replace(ours, further_correlations=np.eye(10)[:, 5:, None].repeat(len(ours), axis=2))
+        both = problem.satellite, problem.rows
+        ours, rows = (replace(one, correlations=None, further_correlations=None) for one in both)
         problem = replace(problem, satellite=ours, rows=rows)
         whole = replace(whole, problem=problem)
     matched = np.unique(problem.source)

@@ -186,9 +186,9 @@ def _of_known(setup: Setup, sources: solution.Sources, result: solution.Clipped)
     blocks, values = setup.problem.known
     trials = (replace(setup.problem, known=(blocks, factor * values)) for factor in (0.0, -1.0))
     without, opposite = (solution.sources_of(trial).solve(result.factors).squares for trial in trials)
-    worse = ": is its sign right?" if opposite + WORSE < result.solution.squares else ""
-    of_chi2 = f"chi2 is {result.solution.squares:.6g} with what is known subtracted, {without:.6g} without"
-    return [f"{of_chi2}, {opposite:.6g} with the opposite sign{worse}"]
+    question = ": is its sign right?" if opposite + WORSE < result.solution.squares else ""
+    said = f"chi2 is {result.solution.squares:.6g} with what is known subtracted, {without:.6g} without, {opposite:.6g}"
+    return [f"{said} with the opposite sign{question}"]
 
 
 def _rows_there_are(setup: Setup) -> str:

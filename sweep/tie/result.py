@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from linksweep.sweep.contract import SweepError
 from linksweep.sweep.table_writer import Column, Table
 
 if TYPE_CHECKING:
@@ -40,6 +41,22 @@ def records(result: "xr.Dataset") -> Table:
     coordinates = {str(name): result.coords[name].values for name in result.coords}
     about = {"attributes": result.attrs, "coordinates": coordinates, "variables": variables}
     return Table(columns, about=about, meta={name: result.attrs[name] for name in META if name in result.attrs})
+
+
+def of_stars(link: "xr.Dataset") -> Table:
+    """Return a row for each source: chi2 and how many observations it is of, Cook's distance, shares of the weight, and
+    how far the solution moves without it (mas, mas/yr); raises SweepError for a dataset without sources.
+    """
+    if "share" not in link:
+        raise SweepError("no values of single sources here: only links have them, of not too many sources")
+    frame = link[["discrepancy", "n_observations", "cook_distance"]].reset_coords(drop=True).to_dataframe()
+    frame.insert(0, "q_over_n", frame["discrepancy"] / frame["n_observations"].where(frame["n_observations"] > 0))
+    frame = frame.join(link["share"].to_pandas().add_prefix("share_"))
+    shift = (link["estimate_without"] - link["estimate"]).reset_coords(drop=True).to_pandas().add_prefix("shift_")
+    units = dict(zip(shift.columns, link["unit"].values.tolist(), strict=True))
+    columns = frame.join(shift).reset_index().items()
+    meta = {name: link.attrs[name] for name in META if name in link.attrs}
+    return Table([Column(str(name), one.tolist(), unit=units.get(name, "")) for name, one in columns], meta=meta)
 
 
 def _texts(name: str, values: Iterable[Any], left: bool = True) -> Column:

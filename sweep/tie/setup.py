@@ -239,9 +239,8 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     ``all_sources`` keeps sources without rows, for forecasts.
     """
     options.check()
-    left = read_table(
-        Path(satellite), replace(options.satellite_options, where=options.where or options.satellite_options.where)
-    )
+    how = options.satellite_options
+    left = read_table(Path(satellite), replace(how, where=options.where or how.where))
     n = len(left.astrometry)
     if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
         raise SweepError(
@@ -264,10 +263,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
             rows = _taken(table.astrometry, matched.rows)
             far = far_rows(left, table, matched)
             notes += [*table.named_notes(), *match_notes(left, table, matched, rows), *far]
-        if rows.further is not None:
-            notes.append(f"accelerations of the {name or 'reference'} are not compared: its rows are of their epochs")
-            rows = replace(rows, further=None)
-        rows = with_jitter(rows, options.jitter_in(name))
+        rows = with_jitter(replace(rows, further=None, further_correlations=None), options.jitter_in(name))
         if name is not None:
             rows = replace(rows, frame=np.full(len(rows), frame))
         elif options.aberration:
@@ -508,9 +504,11 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
     """
     total, name, notes = len(table.astrometry), Path(table.path).name, []
     if matched.releases:
-        one, other = matched.releases
-        said = f"identifiers of {one} in the satellite and of {other} in {name} are different names"
-        notes.append(f"{said}: matched by position, and sources have the names of {name}")
+        notes.append(
+            f"identifiers of {' and '.join(matched.releases)} are different names; stars are named as in {name}"
+        )
+    if rows.further is not None:
+        notes.append(f"accelerations in {name} are not compared: its rows are of their epochs")
     if number := len(matched.unmatched):
         notes.append(f"{number} of {total} rows of {name} match no source: {_listed(table, matched.unmatched)}")
     exact, nearly = _repeated(matched, rows)
@@ -605,10 +603,8 @@ def known_unknowns(options: Options, stars: Astrometry) -> tuple[Unknowns, Array
     if options.known_orientation is not None:
         block = parse_unknowns("orientation", corrections=options.corrections)
         known.append((block, SIGNS[options.sign] * _vector("orientation", options.known_orientation, "mas")))
-    if not known:
-        return None
     blocks = tuple(block for unknowns, _ in known for block in unknowns.blocks)
-    return Unknowns(blocks), np.concatenate([values for _, values in known])
+    return (Unknowns(blocks), np.concatenate([values for _, values in known])) if known else None
 
 
 def _vector(name: str, known: Any, unit: str) -> Array:

@@ -27,7 +27,15 @@ from linksweep.core.tie.astrometry import (
 from linksweep.core.tie.forecast import releases_at
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, GAIA_MARKS, Columns, column_of, first_found
+from linksweep.sweep.tables.columns import (
+    ACCELERATIONS,
+    ALL_PAIRS,
+    CORRELATIONS,
+    GAIA_MARKS,
+    Columns,
+    column_of,
+    first_found,
+)
 from linksweep.sweep.tables.reader import read_table as read_file
 from linksweep.sweep.tables.where import rows_where
 
@@ -63,12 +71,6 @@ CALIBRATORS = (0.005, 50.0)
 EARLIEST, LATEST = 1970.0, 2060.0
 
 UNITS = dict(zip(PARAMETERS, ("mas", "mas", "mas", "mas/yr", "mas/yr"), strict=True))
-
-# The two parameters of each of `CORRELATIONS`.
-ALL_PAIRS = (*PAIRS, *((i, j) for i in range(9) for j in range(max(i + 1, 5), 9)))
-
-# Larger accelerations (mas/yr^2) and derivatives (mas/yr^3) are those of no star.
-LARGEST_ACCELERATION = 300.0
 
 # Of solutions that are not of single stars; in DR3 their positions and motions are averages.
 SOLUTION_TYPE = "nss_solution_type"
@@ -330,9 +332,9 @@ def _note_lost(read: Columns, lost: Flags, notes: list[str]) -> None:
         notes.append(f"{len(rows)} rows have no error of {', '.join(names)}, which is not used: {named_rows(rows)}")
 
 
-def _note_unlikely(values: Array, errors: Array, notes: list[str]) -> None:
+def _note_unlikely(values: Array, errors: Array, notes: list[str], quantities: Mapping[str, str] = UNITS) -> None:
     """Note numbers of a size that no star and no instrument has, with the likely mistake in their unit."""
-    for (name, unit), value, error in zip(UNITS.items(), values, errors, strict=True):
+    for (name, unit), value, error in zip(quantities.items(), values, errors, strict=False):
         most = np.inf if name in ("ra", "dec") else mistakes.LARGEST[unit]
         if len(beyond := np.flatnonzero((np.abs(value) > most * MAS) & (np.abs(value) > 5.0 * error))):
             what = f"{name} beyond {most:g} {unit}, which no star has"
@@ -375,10 +377,8 @@ def _accelerations(read: Columns, five: Flags, options: TableOptions, notes: lis
         if read.has(f"{name}_error"):
             both[1, k] = _in_radians(read, f"{name}_error", options)
             read.check(both[1, k] < 0.0, f"a negative {name}_error")
-        size = np.abs(both[0, k]) / MAS
-        if len(beyond := np.flatnonzero((size > LARGEST_ACCELERATION) & (size > 5.0 * both[1, k] / MAS))):
-            what = f"{name} beyond {LARGEST_ACCELERATION:g} mas/yr{2 + k // 2}, which no star has"
-            notes.append(f"{what}: is its unit right? {named_rows(beyond)}")
+    units = dict(zip(ACCELERATIONS, ("mas/yr2", "mas/yr2", "mas/yr3", "mas/yr3"), strict=True))
+    _note_unlikely(both[0], both[1], notes, units)
     there = np.isfinite(both).all(axis=0) & (both[1] > 0.0)
     half = np.any((np.nan_to_num(both) != 0.0).any(axis=0) & ~there, axis=0)
     half |= (there[0] != there[1]) | (there[2] != there[3]) | (there[2] & ~there[0])
@@ -396,9 +396,8 @@ def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions
     """Return half the time (N,) over which positions and motions of accelerated rows are averages; 0 for none."""
     of_dr3 = first_found([SOLUTION_TYPE], read.names) and releases_at(epoch[further[1, 0] > 0.0]) == ["dr3"]
     how = options.accelerations or ("mean" if of_dr3 else "at-epoch")
-    other = "at-epoch" if how == "mean" else "mean"
     words = "averages, as in DR3" if how == "mean" else "those at their epoch"
-    notes.append(f"positions and motions of rows with accelerations are {words}; else say --accelerations {other}")
+    notes.append(f"positions and motions of rows with accelerations are {words}: --accelerations mean or at-epoch")
     return np.full(len(epoch), HALF_SPAN if how == "mean" else 0.0)
 
 
@@ -406,8 +405,7 @@ def _elements(read: Columns, name: str) -> Array:
     """Return the correlations (36, N) in a column of vectors, upper triangles by columns; NaN beyond their end."""
     vectors = np.full((36, len(read)), np.nan)
     for k, cell in enumerate(read.table[name]):
-        text = isinstance(cell, (str, bytes))
-        numbers: Any = _ELEMENT.findall(str(cell)) if text else np.ma.filled(np.ma.asarray(cell, float), np.nan).ravel()
+        numbers: Any = _ELEMENT.findall(cell) if isinstance(cell, str) else np.ma.filled(np.ma.ravel(cell), np.nan)
         vectors[: len(numbers[:36]), k] = numbers[:36]
     return vectors[[j * (j - 1) // 2 + i for i, j in ALL_PAIRS]]
 
@@ -428,12 +426,11 @@ def _correlations(read: Columns, present: Flags, notes: list[str]) -> Array | No
         return hipparcos_correlations(elements)
     pairs = ALL_PAIRS[: len(PAIRS)] if len(present) == 5 else ALL_PAIRS
     names = [read.name(name) for name in CORRELATIONS][: len(pairs)]
-    vectors = read.name("corr_vec")
     if not any(names) and not read.has("corr_vec"):
         return None
     correlations = np.array([np.zeros(len(read)) if name is None else read.numbers(name) for name in names])
     if from_vector := read.has("corr_vec") and not any(names[10:] or names):
-        names, correlations = [vectors] * len(pairs), _elements(read, str(vectors))[: len(pairs)]
+        names, correlations = ["corr_vec"] * len(pairs), _elements(read, str(read.name("corr_vec")))[: len(pairs)]
     elif len(pairs) > 10 and not any(names[10:]):
         notes.append("no correlations of the accelerations: they count as 0, although they are large")
     absent = []

@@ -63,11 +63,6 @@ def create_or_resume(where, study, attributes=None):
     return store
 
 
-def flat(rows):
-    """Return rows of sums as floats, (rows, width)."""
-    return np.ascontiguousarray(rows).view("<f8").reshape(len(rows), -1)
-
-
 def parts_of(store, column="rows"):
     """Return the names of the files of a column of the ledger, in a folder or a bucket, in their order."""
     return [path_of(getattr(part, column)) for part in OpenStore(store).ledger().parts]

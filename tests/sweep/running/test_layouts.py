@@ -76,7 +76,7 @@ def check(layout: Layout, folder: Path, run) -> None:
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=examples(100) if examples(100) == 100 else 3, **MANY)
+@settings(max_examples=examples(25), **MANY)
 def test_other_code_is_refused_and_the_same_is_not(tmp_path_factory, seed):
     check(Layout(seed), tmp_path_factory.mktemp("layout"), run_here)
 
@@ -89,7 +89,7 @@ def test_so_it_is_for_each_kind(tmp_path, kind):
 
 @pytest.mark.slow
 @given(seed=st.integers(0, 10**6), script=st.booleans())
-@settings(max_examples=20, **MANY)
+@settings(max_examples=10, **MANY)
 def test_so_it_is_for_commands_and_scripts(tmp_path_factory, seed, script):
     check(Layout(seed), tmp_path_factory.mktemp("layout"), lambda folder, axis: run(folder, axis, script))
 

@@ -245,3 +245,33 @@ def test_a_unit_of_accelerations_is_converted_and_a_wrong_one_noted(tmp_path):
     found = read_table(tmp_path / "wrong.ecsv", TableOptions(units=units)).astrometry
     np.testing.assert_allclose(found.further, read_table(path).astrometry.further, rtol=1e-12)
     assert ARCSEC > MAS
+
+
+def test_accelerations_of_a_reference_leave_its_five_parameters(tmp_path):
+    made, accelerations, covariance, sizes = drawn(9, 9)
+    own = gaia(tmp_path / "own.fits", replace(made, values=seen_by_satellite(made, EPSILON, OMEGA)))
+    reference = satellite_table(tmp_path / "nss.fits", made, accelerations, covariance, sizes)
+    link = linksweep.tie(own, reference, "orientation,spin")
+    assert any("accelerations in nss.fits are not compared" in note for note in link.attrs["notes"])
+    table = Table.read(reference)
+    table.remove_columns([name for name in table.colnames if "accel" in name])
+    table.write(tmp_path / "five.fits")
+    np.testing.assert_array_equal(
+        link.estimate, linksweep.tie(own, tmp_path / "five.fits", "orientation,spin").estimate
+    )
+
+
+def test_an_accelerated_satellite_in_a_forecast_and_in_draws(tmp_path):
+    made_link(tmp_path, 11)
+    tables, options = (tmp_path / "satellite.fits", tmp_path / "reference.fits"), {"reference_options": MEAN}
+    plan = linksweep.forecast(*tables, "orientation,spin", add=[2030.0], release="dr5", **options)
+    assert np.all(np.diff(plan.error.sel(unknown="omega_x")) < 0.0)
+    study = {
+        "experiment": "linksweep.sweep.tie.experiment:tie",
+        "fixed": {"satellite": str(tables[0]), "reference": str(tables[1]), "positions": "mean"},
+        "axes": {"correlations": [True, False]},
+        "sampling": {"n_sim": 400},
+    }
+    drawn_links = linksweep.run(study, tmp_path / "s.zarr", pool="serial")
+    ratio = drawn_links.sigma_spin / drawn_links.sigma_spin_predicted
+    np.testing.assert_allclose(ratio, 1.0, atol=0.12)

@@ -53,7 +53,7 @@ def test_identifiers_of_two_releases_are_different_names(tmp_path):
     tables = two_tables(tmp_path, own=own, other=other)
     link = linksweep.tie(*tables, "orientation,spin")
     np.testing.assert_allclose(link.estimate[:3], TURN / MAS, atol=1e-4)
-    assert said(link, "identifiers of dr4 in the satellite and of dr3 in other.ecsv are different names")
+    assert said(link, "identifiers of dr4 and dr3 are different names; stars are named as in other.ecsv")
     assert link.source.values.tolist() == [str(number) for number in numbers]
     # without designations the epochs say it
     bare = two_tables(tmp_path, own={"source_id": exchanged}, other={"source_id": numbers})
@@ -161,3 +161,21 @@ def test_positions_of_one_epoch_give_epsilon_and_omega_only_together(tmp_path):
     link = linksweep.tie(tmp_path / "own.ecsv", tmp_path / "vlbi.ecsv", epoch=2016.0, **MEAN)
     assert said(link, "determine only epsilon + t omega, here t = -6 years")
     assert link.unknown.values.tolist() == ["epsilon_x", "epsilon_y", "epsilon_z"]
+
+
+def test_a_row_for_each_star_is_a_table_in_every_format(tmp_path, sweep):
+    tables = two_tables(tmp_path, own={"source_id": [f"S{k}" for k in range(12)]})
+    link = linksweep.tie(*tables, "orientation,spin", by="position")
+    arguments = [*map(str, tables), "--unknowns", "orientation,spin", "--by", "position", "-o", "a.zarr"]
+    assert sweep("tie", *arguments, cwd=tmp_path)[0] == 0
+    out = sweep("show", "a.zarr", "--stars", "--format", "ecsv", cwd=tmp_path)[1]
+    table = Table.read(out, format="ascii.ecsv")
+    assert table["source"].tolist() == link.source.values.tolist()
+    np.testing.assert_allclose(table["q_over_n"], link.discrepancy / link.n_observations)
+    np.testing.assert_allclose(table["share_spin"], link.share.sel(block_name="spin"))
+    for name in link.unknown.values:
+        shift = link.estimate_without.sel(unknown=name) - link.estimate.sel(unknown=name)
+        np.testing.assert_allclose(table[f"shift_{name}"], shift, atol=1e-9)
+    assert str(table["shift_omega_x"].unit) == "mas / yr"
+    assert sweep("show", "a.zarr", "--stars", "--format", "csv", cwd=tmp_path)[1].count("\n") == 13
+    assert "cook" in sweep("show", "a.zarr", "--stars", cwd=tmp_path)[1]
