@@ -174,6 +174,8 @@ def test_a_lost_part_is_named_and_the_same_commands_go_on(model, tmp_path, sweep
     require_same(tmp_path / "s", tmp_path / "w")
     more = linksweep.run(model, tmp_path / "s", pool="serial", **SMALL | {"axes": {"k": [1, 2, 3, 7, 8]}})
     assert more.status.shape == (5,)  # and it goes on as any other
+    with pytest.raises(SweepError, match="holds a store already"):
+        merge(stores, tmp_path / "s")
 
 
 @pytest.mark.slow
