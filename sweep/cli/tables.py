@@ -307,7 +307,7 @@ def tie(
     star_model: Sequence[Any] = many(
         "The path of a star with epochs, or of all: 5, 7 or 9 parameters, or orbit.", type=Assigned("STAR=MODEL")
     ),
-    orbits: Path | None = opt("A table of orbits: period, eccentricity, Thiele-Innes elements ...", type=FILE),
+    orbits: Path | None = opt("A table of known orbits: periods, eccentricities, Thiele-Innes elements.", type=FILE),
     link: dict[str, Any] = LINK,
     resources: "Resources" = options.group(run_on),
     bins: str | None = opt("A spin for each bin, e.g. phot_g_mean_mag=6,8,10.", metavar="COLUMN=EDGES"),

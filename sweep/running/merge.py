@@ -33,6 +33,7 @@ from linksweep.sweep.running.code import records_of
 from linksweep.sweep.running.reproduce import study_of
 from linksweep.sweep.running.writer import BLOCK, Writer, create_store, differences, find_store, open_store
 from linksweep.sweep.stores import store as stores
+from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
 from linksweep.sweep.stores.ledger import Ledger, Record
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
 from linksweep.sweep.stores.store import CODE, OpenStore, Store, is_new
@@ -47,6 +48,8 @@ log = logging.getLogger("linksweep")
 
 # Attributes of a store that are kept in a store made of it.
 KEPT = ("study_name", "study_digest", "study_overrides", "started", "finished", "host", "versions", "git_commit")
+
+_COMPARED = ("study_meaning", "study_axes", CODE)
 
 ROWS_AT_ONCE = 10_000
 # The part of a block's key that is the digest of its point.
@@ -67,7 +70,7 @@ class _Source:
 
     def ledger(self) -> Ledger:
         """Return the ledger, read anew: those of a thousand stores do not fit into memory together."""
-        return OpenStore(self.location).ledger()
+        return OpenStore(self.location, {"attributes": self.attributes}).ledger()
 
 
 def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, trust: bool = False) -> xr.Dataset:
@@ -115,8 +118,9 @@ def require_free(place: Location, study: Study, about: Sequence[Mapping[str, Any
     if opened is None:
         return
     before = json.loads(opened.attributes.get(MERGED, "[]")) or [{}]
-    same = before == about and (is_new(opened.root) or is_left_over(place))
-    if not same and any(before[0].get(key) != about[0].get(key, "") for key in ("study_digest", "parts")):
+    killed = before == about and (is_new(opened.root) or is_left_over(place))
+    parts = before[0].get("parts") == about[0].get("parts", "")  # of one study, to which no run has added points since
+    if not killed and not (parts and opened.attributes.get("study_digest") == about[0]["study_digest"]):
         raise SweepError("holds a store already; give a free place with -o", str(place))
 
 
@@ -141,7 +145,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
             studies[meant] = _study_in(location, attributes, trust)
         study, layout = studies[meant]
         part = Part.parsed(attributes[PART]) if PART in attributes else None
-        kept = {key: attributes[key] for key in (*KEPT, "study_meaning", "study_axes", CODE) if key in attributes}
+        kept = {key: attributes[key] for key in (*KEPT, *_COMPARED, STORE, LEDGER_THEN) if key in attributes}
         ledger = opened.ledger()
         keys = b"".join(ledger.rows)
         sources.append(_Source(location, kept, replace(study, part=part), layout, ledger.dtype, keys, ledger.failures))

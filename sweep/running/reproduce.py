@@ -182,7 +182,7 @@ def _alone(
 ) -> tuple[xr.Dataset, dict[str, str]]:
     """Return the dataset of a point in a session of its own, and why it failed if it did."""
     swept = {name: value for name, value in parameters.items() if value != study.experiment.defaults()[name]}
-    alone = replace(study, axes={}, zipped=(), points=None, fixed={**study.fixed, **swept}, published=None)
+    alone = replace(study, axes={}, zipped=(), points=None, fixed={**study.fixed, **swept}, published=None, part=None)
 
     def execute(take: Callable[[int], Sequence[Any]]) -> Iterator[tuple[Any, TaskResult]]:
         while jobs := take(1):

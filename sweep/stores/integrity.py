@@ -127,7 +127,7 @@ def _flat_enough(document: Any) -> Any:
         if not level:
             return document
         inner = [one.values() if isinstance(one, dict) else one for one in level]
-        level = [value for values in inner for value in values if isinstance(value, dict | list)]
+        level = [value for values in inner for value in values if type(value) in (dict, list)]
     raise ValueError("it is nested too deeply")
 
 

@@ -174,6 +174,25 @@ def test_a_lost_part_is_named_and_the_same_commands_go_on(model, tmp_path, sweep
     require_same(tmp_path / "s", tmp_path / "w")
     more = linksweep.run(model, tmp_path / "s", pool="serial", **SMALL | {"axes": {"k": [1, 2, 3, 7, 8]}})
     assert more.status.shape == (5,)  # and it goes on as any other
+    with pytest.raises(SweepError, match="holds a store already"):
+        merge(stores, tmp_path / "s")
+
+
+@pytest.mark.slow
+def test_parts_in_a_bucket_are_named_and_merged(model, tmp_path, bucket, sweep):
+    run_parts(model, f"{bucket}/s", [1, 3], 3, **SMALL)
+    assert "lost: 2" in sweep("status", f"{bucket}/s")[1]
+    run_parts(model, f"{bucket}/s", [2], 3, **SMALL)
+    merge([f"{bucket}/s.part-{number}-of-3" for number in (3, 1, 2)], tmp_path / "s")
+    linksweep.run(model, tmp_path / "w", pool="serial", **SMALL)
+    require_same(tmp_path / "s", tmp_path / "w")
+
+
+def test_points_of_a_part_are_computed_again_alone(model, tmp_path, sweep):
+    linksweep.run(model, tmp_path / "s", pool="serial", part="2/3", verify=2, **SMALL)
+    code, _, err = sweep("reproduce", tmp_path / "s.part-2-of-3", "--at", "k=1,word=b")
+    assert code == 0
+    assert "every bit as in" in err
 
 
 @pytest.mark.parametrize("part", ["0/3", "4/3", "3", "-1/3", "1/0", "1/2/3", "a/b", "", "1.5/3", "2/1000000"])
