@@ -34,7 +34,7 @@ ROTATION = link_unknowns()
 
 def apply(
     link: "xr.Dataset | str | Path",
-    table: str | Path,
+    table: "str | Path | Table",
     output: str | Path | None = None,
     *,
     inverse: bool = False,
@@ -48,7 +48,8 @@ def apply(
 
     Args:
         link: what `tie` returned, or the store that `sweep tie -o` wrote.
-        table: a table in the satellite's frame, in any format of `tie`, or the name of a built-in one.
+        table: a table in the satellite's frame: a file in any format of `tie`, the name of a built-in one, or a Table
+            of astropy, which is copied.
         output: the file to write: .csv, .ecsv, .fits or .parquet.
         inverse: whether the table is in the frame of the reference, and is carried into that of the satellite.
         epoch: the epoch (Julian year) of a table without a column of epochs.
@@ -75,8 +76,8 @@ def apply(
         if (stored := stored_table(link)) is None or stored.kind != "tie":
             raise SweepError("is no link of two tables, which sweep tie -o writes", str(link))
         link = stored.dataset
-    path = built_in(Path(table))
-    raw = read_file(path)
+    path = built_in(Path(table)) if isinstance(table, (str, Path)) else Path("the table")
+    raw = read_file(path) if isinstance(table, (str, Path)) else table.copy()
     stars = astrometric_table(raw, str(path), "", TableOptions(epoch=epoch)).astrometry
     notes = _notes(link, stars, inverse, str(path))
     if not any(first_found(names, raw.colnames) for names in CORRELATIONS.items()):

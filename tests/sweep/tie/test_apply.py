@@ -43,7 +43,7 @@ def test_it_is_the_exact_inverse_of_what_the_satellite_sees(tmp_path, numbers, s
     epsilon, omega = np.array(numbers[:3]) * MAS, np.array(numbers[3:]) * MAS
     link, truth = linked(tmp_path, epsilon, omega, sign), stars(25, seed, pm=200.0)
     seen = gaia(tmp_path / "seen.ecsv", replace(truth, values=seen_by_satellite(truth, epsilon, omega)))
-    moved = linksweep.apply(link, seen)
+    moved = linksweep.apply(link, Table.read(seen))
     np.testing.assert_allclose(values_of(moved), truth.values, rtol=0.0, atol=1e-6 * MAS)
     moved.write(tmp_path / "moved.ecsv", overwrite=True)
     back = linksweep.apply(link, tmp_path / "moved.ecsv", inverse=True)
