@@ -42,6 +42,7 @@ def run(
     fixed: Mapping[str, Any] | None = None,
     points: Any = None,
     exclude: Sequence[Mapping[str, Any]] | None = None,
+    when: Mapping[str, Mapping[str, Any]] | None = None,
     sampling: Mapping[str, Any] | None = None,
     title: str | None = None,
     workers: int | None = None,
@@ -78,6 +79,8 @@ def run(
             column for each parameter, the name of a file with such a table, or a design, ``{"design": "sobol",
             "n": 256, "seed": 0, "ranges": {"beta": [0.1, 0.5]}}``.  They are crossed with ``axes``.
         exclude: points that are left out: mappings as in a study, ``[{"kernel": "linear", "gamma": {"above": 1.0}}]``.
+        when: parameters that have an effect only with some values of others, ``{"gamma": {"kernel": ["rbf"]}}``: where
+            they have none, there is one point, in which they are missing.
         sampling: n_sim, seed, precision and max_n_sim of a function that takes ``rng``.
         title: the title of a function in tables and figures.
         workers: the number of processes or threads; one per core by default.
@@ -130,10 +133,8 @@ def run(
     """
     if type(verify) is not int or verify < 0:
         raise SweepError(f"verify = {shown(verify)}: must be a number of points, from 0")
-    loaded = _study(
-        study,
-        {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title, "points": points, "exclude": exclude},
-    )
+    options = {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title}
+    loaded = _study(study, options | {"points": points, "exclude": exclude, "when": when})
     if not deterministic:
         loaded = replace(loaded, experiment=loaded.experiment.not_repeatable())
     place = located(store or default_store(loaded.name))
@@ -150,16 +151,8 @@ def run(
     except ValueError as error:
         raise SweepError(f"max_failures = {error}") from error
     with _watching(loaded, progress) as watching:
-        dataset, failures = run_study(
-            loaded,
-            place,
-            resources,
-            watching,
-            accept_code=accept_code,
-            fresh=fresh,
-            max_failures=most,
-            beside=Beside(only, keep, redo),
-        )
+        further: dict[str, Any] = {"accept_code": accept_code, "fresh": fresh, "beside": Beside(only, keep, redo)}
+        dataset, failures = run_study(loaded, place, resources, watching, max_failures=most, **further)
     if failures:
         log.warning("%s: %s", place, harmless(failed_points(failures)))
     if verify and (differing := verified(loaded, place, verify).differing):

@@ -173,7 +173,8 @@ def joint(found: Array, rows: Differences, at: Indices, design: Array, estimate:
     seen = rows.present[at].ravel()
     partials = np.pad(rows.partials[at].reshape(-1, COLOUR)[seen], ((0, 0), (0, 1)))
     by_unknowns = (rows.by_frames[at] @ design).reshape(-1, len(estimate))[seen]
-    whole = block_diag(*rows.covariance[at])[np.ix_(seen, seen)] + partials @ found @ partials.T
+    whole = block_diag(*rows.covariance[at]) + rows.across(at[None])[0].reshape(len(seen), len(seen))
+    whole = whole[np.ix_(seen, seen)] + partials @ found @ partials.T
     gain = np.linalg.solve(whole, partials @ found).T
     moved, residual = gain @ by_unknowns, rows.values[at].ravel()[seen] - by_unknowns @ estimate
     return np.vstack([gain @ residual, found - gain @ partials @ found + moved @ covariance @ moved.T])

@@ -217,18 +217,8 @@ def run_with_progress(
     bar = not how.watching.quiet
     with group.a_signal_ends_the_command(), _logged(how.watching), TerminalProgress(study, bar) as progress:
         try:
-            dataset, failures = run_study(
-                study,
-                store,
-                how.resources,
-                progress,
-                retry,
-                how.break_lock,
-                how.accept_code,
-                fresh,
-                how.max_failures,
-                beside=Beside(**beside),
-            )
+            rest = how.break_lock, how.accept_code, fresh, how.max_failures
+            dataset, failures = run_study(study, store, how.resources, progress, retry, *rest, beside=Beside(**beside))
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             group.end_stopped(stop.signal)

@@ -197,7 +197,7 @@ def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
     document = {**asked.document, "axes": written([name for name in whole.axes if name not in columns])}
     document["fixed"] = {n: raw for n, raw in asked.document.get("fixed", {}).items() if n not in whole.axes}
     document["grid"] = {"zip": [list(names) for names in whole.zipped]}
-    clauses = zip(asked.excluded, asked.document.get("exclude", ()), strict=True)
+    clauses = zip(asked.excluded, asked.document.get("exclude", ()), strict=False)  # those of `when` follow
     document["exclude"] = [raw for clause, raw in clauses if clause in whole.excluded]
     if not asked.experiment.deterministic:
         document["sampling"] = whole.sampling.model_dump(exclude_none=True, exclude_defaults=True)

@@ -272,11 +272,7 @@ def _block_of(record: Record) -> tuple[float, ...]:
 
 
 def _take(
-    store: Store,
-    source: _Source,
-    sources: Sequence[_Source],
-    experiment: Experiment,
-    failed: Mapping[bytes, Record],
+    store: Store, source: _Source, sources: Sequence[_Source], experiment: Experiment, failed: Mapping[bytes, Record]
 ) -> dict[bytes, Record]:
     """Add the blocks of a source that are not there yet, none that a run would not have come to after a point has
     ``failed``; return the failures of points whose results do not fit those of the other sources.

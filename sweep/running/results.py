@@ -152,9 +152,14 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
         for name in axes:
             parameter = experiment.parameter(name)
             values: Any = study.axes[name]
-            kinds = {type(value) for value in values}
-            if parameter.kind == "str" or not (kinds <= {int, float} or kinds == {bool}):
-                values = np.array([str(value) for value in values], dtype=object)
+            missing = [value is None and name in study.when for value in values]
+            kinds = {type(value) for value, is_missing in zip(values, missing, strict=True) if not is_missing}
+            is_text = parameter.kind == "str" or not (kinds <= {int, float} or kinds == {bool})
+            values = [
+                ("" if is_text else np.nan) if is_missing else str(value) if is_text else value
+                for value, is_missing in zip(values, missing, strict=True)
+            ]
+            values = np.array(values, dtype=object) if is_text else values
             coordinates[name] = (dimension, np.array(values), _attributes(parameter))
     for dimension, (values, unit) in experiment.dimension_coordinates().items():
         coordinates.setdefault(dimension, (dimension, values, described(unit, dimension.replace("_", " "))))

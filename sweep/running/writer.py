@@ -367,11 +367,10 @@ class Writer:
 
     def _has_its_part(self) -> bool:
         """Return whether a part has nothing left to compute: others finish the points that are missing."""
-        if self.plan.grid.study.part is None:
-            return False
         missing = self.plan.grid.points(self.accumulator.missing_points())
         blocks = ((point, block) for point in missing for block in self.accumulator.blocks(point))
-        return all(ledger_key(point.digest, block) in self.store.rows for point, block in blocks)
+        is_part = self.plan.grid.study.part is not None
+        return is_part and all(ledger_key(point.digest, block) in self.store.rows for point, block in blocks)
 
     def require_whole(self, problems: Sequence[str] = ()) -> None:
         """Raise SweepError, with what is known already, if files of the store have gone since they were written; the

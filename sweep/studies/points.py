@@ -66,7 +66,8 @@ class Values:
         """Return the value at a place, None if it is wrong; problems begin with ``which``."""
         with self.problems.at(place, which):
             parameter = self._parameter(name)
-            is_object = parameter.takes_objects and not isinstance(raw, PLAIN_TYPES) and not is_label(raw)
+            is_plain = isinstance(raw, PLAIN_TYPES) or (isinstance(raw, dict) and raw.keys() == {LABEL})
+            is_object = parameter.takes_objects and not is_plain
             value = parameter.parse(labelled(raw) if is_object else raw)
             if parameter.kind not in ("file", "files"):
                 return value
@@ -503,11 +504,6 @@ def labelled(value: Any, label: str = "") -> Named:
         if label == "<lambda>" or " at 0x" in label or "..." in label or len(label) > LONGEST_LABEL:
             raise ValueError(f"{shown(value)} has no label of its own; give it one, {{'label': value}}")
     return Named(str(label), json.dumps(parts, sort_keys=True), value)
-
-
-def is_label(raw: object) -> bool:
-    """Return whether something in a study stands for an object, by its label."""
-    return isinstance(raw, dict) and raw.keys() == {LABEL}
 
 
 def plain_values(values: Any, where: str) -> Any:

@@ -115,9 +115,10 @@ def study_of_function(
     title: str | None = None,
     points: Any = None,
     exclude: Sequence[Mapping[str, Any]] | None = None,
+    when: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Study:
     """Return the study of a function, named after it; raises SweepError as `load_study`."""
-    tables = {"axes": axes or None, "fixed": fixed or None, "sampling": sampling or None}
+    tables = {"axes": axes or None, "fixed": fixed or None, "sampling": sampling or None, "when": when or None}
     document = {"experiment": function, "title": title, "points": points, "exclude": exclude, **tables}
     return live_study({key: value for key, value in document.items() if value is not None})
 
@@ -169,6 +170,9 @@ class _Reader:
         # and last what is said of all these.
         form, experiment, is_whole = self._form_and_experiment()
         experiment = self._defined(experiment, form.define)
+        when = {one.name: one.when for one in experiment.parameters if one.when} | form.when
+        parameters = [replace(one, optional=one.optional or one.name in when) for one in experiment.parameters]
+        experiment = replace(experiment, parameters=tuple(parameters)) if when else experiment
         values = Values(experiment, self.folder, problems)
         points, origin, columns = self._points(values, form)
         crossed = {name: values.axis(name, spec) for name, spec in form.axes.items()}
@@ -177,6 +181,8 @@ class _Reader:
             if name in form.axes:
                 problems.add(("fixed", name), "is an axis too; leave out one of the two")
             fixed[name] = values.one(("fixed", name), name, raw)
+        clauses = self._conditional(values, when, crossed, fixed)
+        axes |= crossed
         if points or "points" not in self.document:  # else the table is wrong: what it has is not known
             for name in (one.name for one in experiment.parameters if one.required):
                 if name not in {**axes, **fixed}:
@@ -206,7 +212,8 @@ class _Reader:
             sampling=ONCE if experiment.deterministic else checked.sampling,
             zipped=tuple(map(tuple, checked.grid.zip)),
             points=None if form.points is None else sections.PointTable(tuple(points), origin),
-            excluded=tuple(tuple(clause.values()) for clause in checked.exclude),
+            excluded=(*(tuple(clause.values()) for clause in checked.exclude), *clauses),
+            when=tuple(when),
             published=published,
             source=self.where,
             claims=tuple(checked.claim),
@@ -215,6 +222,33 @@ class _Reader:
             overrides=tuple(f"{flag} {text}" for flag, text in self.options.written),
             document=self._portable(form, experiment, {**axes, **fixed}, columns, origin),
         )
+
+    def _conditional(
+        self,
+        values: Values,
+        when: Mapping[str, Mapping[str, Sequence[Any]]],
+        axes: dict[str, tuple[Value, ...] | None],
+        fixed: Mapping[str, Value],
+    ) -> list[tuple[sections.Condition, ...]]:
+        """Return the clauses that leave out axes except ``when`` they have an effect, and otherwise in one point in
+        which they are None; that becomes a value of these axes.
+        """
+        clauses: list[tuple[sections.Condition, ...]] = []
+        settings = values.experiment.defaults() | dict(fixed)
+        for name, conditions in when.items():
+            place, missing = ("when", name), sections.Condition(name, (None,))
+            with self.problems.at(place):
+                values.experiment.parameter(name)
+            allowed = {other: values.several((*place, other), other, some) or () for other, some in conditions.items()}
+            effective = [sections.Condition(other, some) for other, some in allowed.items()]
+            clauses += [
+                (*effective, missing),
+                *((replace(c, without=True), replace(missing, without=True)) for c in effective),
+            ]
+            at_others = (set(axes.get(other) or (settings.get(other),)) - {*some} for other, some in allowed.items())
+            if (own := axes.get(name)) and None not in own and any(at_others):
+                axes[name] = (*own, None)
+        return clauses
 
     def _with_labels(
         self, experiment: Experiment, axes: Mapping[str, tuple[Value, ...] | None], fixed: Mapping[str, Value]

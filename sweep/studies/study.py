@@ -116,19 +116,20 @@ def printed_rounding(text: str) -> float:
 
 @dataclass(frozen=True)
 class Condition:
-    """One clause of an exclusion: the parameter's value is in ``among``, or above and below the bounds that are
-    given.
+    """One clause of an exclusion: the parameter's value is in ``among``, or not in it if ``without``, or above and
+    below the bounds that are given.
     """
 
     name: str
     among: tuple[Value, ...] | None = None
+    without: bool = False
     above: float | None = None
     below: float | None = None
 
     def holds(self, value: Any) -> bool:
         """Return whether a parameter's value meets the condition."""
         if self.among is not None:
-            return value in self.among
+            return (value in self.among) != self.without
         is_number = isinstance(value, int | float)
         return is_number and (self.above is None or value > self.above) and (self.below is None or value < self.below)
 
@@ -548,6 +549,7 @@ class Form(Section):
     grid: GridForm = GridForm()
     points: PointsForm | None = None
     exclude: list[Annotated[dict[str, Any], Field(min_length=1), _each(_condition)]] = Field(default_factory=list)
+    when: dict[str, Annotated[dict[str, list[Any]], Field(min_length=1)]] = Field(default_factory=dict)
     published: PublishedForm | None = None
     claim: list[Claim] = Field(default_factory=list)
     conclusion: Conclusion | None = None
@@ -601,6 +603,7 @@ class Study:
         zipped: groups of axes that share a dimension.
         points: the columns of a table of points, which share a dimension and in which values may repeat.
         excluded: the conditions under which points are left out.
+        when: the parameters that have an effect only with some values of others; None where they have none.
         published: published results.
         source: the file that it was read from.
         question: what it asks, for reports.
@@ -622,6 +625,7 @@ class Study:
     zipped: tuple[tuple[str, ...], ...] = ()
     points: PointTable | None = None
     excluded: tuple[tuple[Condition, ...], ...] = ()
+    when: tuple[str, ...] = ()
     published: Published | None = None
     source: str = ""
     question: str = ""
@@ -665,6 +669,7 @@ class Study:
             **({} if self.experiment.deterministic else {"seed": self.sampling.seed}),
             **({"keep_samples": True} if self.sampling.keep_samples else {}),
             **({"common_random_numbers": True} if self.sampling.common_random_numbers else {}),
+            **({"when": self.document["when"]} if self.document.get("when") else {}),
             "fixed": {k: v for k, v in sorted(self.fixed.items()) if v != defaults[k]},
         }
 

@@ -158,7 +158,8 @@ def with_observations(
     elif np.any(other := stars.epoch != epoch):
         said = f"the observations are from positions at {epoch:g}, and the rows have those at {stars.epoch[other][0]:g}"
         raise SweepError(f"{said}: take the table of the same release, or files with ra0 and dec0", left.path)
-    model, orbit = _models({name: k for name, k in place.items() if k in rows}, models, orbits, epoch)
+    used = set(rows.tolist())
+    model, orbit = _models({name: k for name, k in place.items() if k in used}, models, orbits, epoch)
     observed = {str(name): frame[name].to_numpy() for name in frame.select_dtypes("number")}
     noise = first["agis_source_excess_noise"].to_numpy()
     transits = Transits(star, observed, model, orbit, noise, origin, epoch, names[rows], stars)

@@ -393,7 +393,7 @@ def _release(table: AstrometricTable, column: str) -> str:
     """
     if (said := table.releases.get(column)) or column.casefold() != "source_id":
         return said or ""
-    near = releases_at(table.astrometry.epoch)
+    near = releases_at(table.astrometry.epoch[np.all(table.astrometry.present, axis=0)])  # positions are of any epoch
     return next(iter(table.releases.values()), "") or (near[0] if len(near) == 1 else "")
 
 

@@ -161,3 +161,43 @@ def test_what_may_be_none_can_be_none(tmp_path, sweep):
     ds = linksweep.open(tmp_path / "s.zarr")
     assert ds.text.sel(b="None", name="1e3").values.tolist() == ["None None 1e3", "1.0 None 1e3"]
     assert sweep("reproduce", "s.zarr", "--at", "a=None,b=3,name=true", cwd=tmp_path)[0] == 0
+
+
+def fit(kernel: str, gamma: float = 7.0, c: float = 1.0):
+    return {"linear": 0.0, "rbf": 10.0, "poly": 20.0}[kernel] + gamma + 100.0 * c
+
+
+WHEN = {"gamma": {"kernel": ["rbf", "poly"]}}
+DECLARED = """
+from typing import Annotated
+from linksweep import Parameter
+Width = Annotated[float, Parameter("width", when={"kernel": ["rbf", "poly"]})]
+def fit(kernel: str, gamma: Width = 7.0, c: float = 1.0):
+    return {"linear": 0.0, "rbf": 10.0, "poly": 20.0}[kernel] + gamma + 100.0 * c
+"""
+
+
+@pytest.mark.parametrize("declared", [False, True])
+def test_where_a_parameter_has_no_effect_there_is_one_point_without_it(declared, tmp_path):
+    (tmp_path / "m.py").write_text(DECLARED)
+    function, more = (f"{tmp_path}/m.py:fit", {}) if declared else (fit, {"when": WHEN})
+    done = set()
+    for kernels, gammas in ((["linear", "rbf"], [0.5, 1.0]), (["poly"], [0.5]), (["linear", "poly"], [2.0, 0.5])):
+        asked = {(kernel, None if kernel == "linear" else gamma) for kernel in kernels for gamma in gammas}
+        axes = {"kernel": kernels, "gamma": gammas}
+        part = linksweep.run(function, tmp_path / "s.zarr", axes=axes, pool="serial", **more)
+        done |= asked
+        for ds, points in ((part, asked), (linksweep.open(tmp_path / "s.zarr"), done)):
+            found = ds.fit.transpose("kernel", "gamma").values
+            places = {
+                (k, None if np.isnan(g) else g): (i, j)
+                for i, k in enumerate(ds.kernel.values.tolist())
+                for j, g in enumerate(ds.gamma.values.tolist())
+            }
+            values = {point: found[place] for point, place in places.items() if not np.isnan(found[place])}
+            assert values == {(k, g): fit(k) if g is None else fit(k, g) for k, g in points}
+        assert (part.attrs["points"], part.attrs["complete"]) == (len(asked), 1)
+    other = {"gamma": {"kernel": ["rbf"]}}
+    if not declared:
+        with pytest.raises(SweepError, match="when: "):
+            linksweep.run(function, tmp_path / "s.zarr", axes=axes, pool="serial", when=other)

@@ -179,3 +179,16 @@ def test_a_row_for_each_star_is_a_table_in_every_format(tmp_path, sweep):
     assert str(table["shift_omega_x"].unit) == "mas / yr"
     assert sweep("show", "a.zarr", "--stars", "--format", "csv", cwd=tmp_path)[1].count("\n") == 13
     assert "cook" in sweep("show", "a.zarr", "--stars", cwd=tmp_path)[1]
+
+
+def test_observations_at_epochs_of_releases_are_no_releases(tmp_path):
+    made = replace(stars(12, 3, epoch=2016.0), radial_velocity=np.zeros(12))
+    own = gaia(tmp_path / "own.ecsv", made)
+    sessions = gaia_table(replace(made, epoch=np.full(12, 2017.5)))
+    sessions.keep_columns(["source_id", "ra", "ra_error", "dec", "dec_error", "ref_epoch"])
+    sessions.write(tmp_path / "vlbi.ecsv")
+    link = linksweep.tie(own, tmp_path / "vlbi.ecsv", "orientation", accept_misfit=True)
+    assert link.attrs["matched_by"] == "source_id"
+    assert not said(link, "different names")
+    campaigns = gaia(tmp_path / "campaigns.ecsv", replace(made, epoch=np.repeat([2016.0, 2020.0], 6)))
+    assert len(read_table(campaigns).astrometry) == 12
