@@ -62,10 +62,11 @@ def apply(
             columns that cannot hold the result, and a file that exists.
 
     Example:
+        >>> import linksweep
         >>> link = linksweep.tie("psrpi-de200", "timing-de200", "orientation")
-        >>> moved = linksweep.apply(link, "psrpi-de200")
-        >>> moved["dec"][:2].round(9).tolist()
-        [53.11725027, 53.11725027]
+        >>> moved = apply(link, "psrpi-de200")
+        >>> [round(float(dec), 7) for dec in moved["dec"][:2]]
+        [53.1172503, 53.1172503]
     """
     output = None if output is None else Path(output)
     if output is not None:
