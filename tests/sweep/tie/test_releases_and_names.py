@@ -192,3 +192,37 @@ def test_observations_at_epochs_of_releases_are_no_releases(tmp_path):
     assert not said(link, "different names")
     campaigns = gaia(tmp_path / "campaigns.ecsv", replace(made, epoch=np.repeat([2016.0, 2020.0], 6)))
     assert len(read_table(campaigns).astrometry) == 12
+
+
+def test_only_rows_that_meet_a_condition_are_used(tmp_path, sweep):
+    ruwe = {"ruwe": np.where(np.arange(12) < 8, 1.0, 3.0)}
+    own, other = two_tables(tmp_path, own=ruwe, other={"snr": np.arange(12.0)})
+    whole = linksweep.tie(own, other, "orientation,spin")
+    assert said(whole, "the usual choices would drop some (where): ruwe < 1.4 (4 rows)")
+    Table.read(own)[:8].write(tmp_path / "few.ecsv")
+    few = linksweep.tie(tmp_path / "few.ecsv", other, "orientation,spin")
+    chosen = linksweep.tie(own, other, "orientation,spin", where="ruwe < 1.4")
+    by_table = linksweep.tie(own, other, "orientation,spin", reference_options=TableOptions(where="snr < 8"))
+    assert int(whole.n_sources) == 12
+    for link in (chosen, by_table):
+        np.testing.assert_array_equal(link.source, few.source)
+        np.testing.assert_allclose(link.estimate, few.estimate, atol=1e-9)
+    assert said(chosen, "where 'ruwe < 1.4' keeps 8 of 12 rows")
+    assert not said(chosen, "usual choices")
+    study = {
+        "experiment": "linksweep.sweep.tie.experiment:tie",
+        "fixed": {"satellite": str(own), "reference": str(other)},
+        "axes": {"where": ["", "ruwe < 1.4"]},
+        "sampling": {"n_sim": 2},
+    }
+    counts = linksweep.run(study, tmp_path / "s.zarr", pool="serial").n_sources
+    assert counts.values.tolist() == [12, 8]
+    for condition, words in (
+        ("ruwee < 1", "did you mean 'ruwe'"),
+        ("ruwe <", "at the end"),
+        ("ruwe < 0", "keeps none"),
+    ):
+        status, _, err = sweep("tie", str(own), str(other), "--where", condition, "-o", "a.zarr", cwd=tmp_path)
+        assert status == 2
+        assert words in err
+        assert not (tmp_path / "a.zarr").exists()
