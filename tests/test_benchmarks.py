@@ -23,6 +23,7 @@ COUNTS = {
     "cluster": 8,
     "scale": 15,
     "million": 10,
+    "parts": 4,
     "tie": 8,
 }
 
