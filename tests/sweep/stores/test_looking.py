@@ -19,6 +19,7 @@ COMPUTING = {"merge", "reproduce"}
 RETRY = ["--retry", "STORE"]
 
 ARGUMENTS = {  # by command: what a user would type about a store, several times where there are several ways
+    "apply": [["STORE", "psrpi-de200", "-o", "STORE.csv"]],
     "check": [["STORE"], ["STORE", "--repair"]],
     "compare": [["STORE"]],
     "find": [["STORE", "--where", "share < 0.5", "--over", "coins"]],
