@@ -3,6 +3,7 @@
 import io
 import json
 import re
+import socket
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
@@ -23,6 +24,9 @@ from linksweep.sweep.formatting import first_of
 from linksweep.sweep.tables.columns import JD_FROM, MJD_FROM, Columns, first_found
 from linksweep.sweep.tables.reader import read_table as read_file
 from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, built_in, digest_of
+
+# Seconds that the Gaia archive gets to answer while gaiasupdate is imported.
+NEWS_S = 1.0
 
 # Columns of the archive with their units and those in which they are used; DPAC's are called obsTimeTcb and so on.
 TIME, ANGLE, LENGTH, NUMBER = ("ns", "ns"), ("deg", "rad"), ("mas", "rad"), ("", "")
@@ -73,11 +77,17 @@ def read_observations(path: Path) -> Any:
     import pandas as pd
     from astropy.units import Unit
 
+    waiting = socket.getdefaulttimeout()
     try:
-        with redirect_stdout(io.StringIO()):  # astroquery asks the archive for news, and prints that there are none
+        # Its import asks the Gaia archive for news, and prints that there are none.  Where a firewall says nothing, this
+        # would wait for two minutes.
+        socket.setdefaulttimeout(NEWS_S)
+        with redirect_stdout(io.StringIO()):
             import gaiasupdate.epoch_astrometry  # noqa: F401  (it gives frames their methods)
     except ImportError as error:
         raise SweepError("needs gaiasupdate to be read: install linksweep[epochs]", str(path)) from error
+    finally:
+        socket.setdefaulttimeout(waiting)
     table = read_file(built_in(path), repeated=True)
     table.rename_columns(table.colnames, [re.sub("(?<=[a-z0-9])([A-Z])", r"_\1", n).lower() for n in table.colnames])
     if missing := [name for name in ("source_id", *NEEDED) if name not in table.colnames]:
