@@ -79,8 +79,8 @@ def read_observations(path: Path) -> Any:
 
     waiting = socket.getdefaulttimeout()
     try:
-        # Its import asks the Gaia archive for news, and prints that there are none.  Where a firewall says nothing, this
-        # would wait for two minutes.
+        # Its import asks the Gaia archive for news, and prints that there are none: behind a silent firewall only after
+        # two minutes.
         socket.setdefaulttimeout(NEWS_S)
         with redirect_stdout(io.StringIO()):
             import gaiasupdate.epoch_astrometry  # noqa: F401  (it gives frames their methods)
