@@ -20,6 +20,7 @@ from linksweep.core.link import require_off_poles
 RA, DEC, PARALLAX, PMRA, PMDEC = range(5)
 PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
 POSITION, MOTION = (RA, DEC), (PMRA, PMDEC)
+QUADRUPOLE = ("20", "21_re", "21_im", "22_re", "22_im")
 
 
 @dataclass(frozen=True)
@@ -122,6 +123,46 @@ def _fields(parts: tuple[tuple[Kind, int], ...], objects: Objects) -> Array:
         if kind == "s":
             turned(fields[degree], out=place[kind, degree])
     return values
+
+
+def electric_quadrupole(objects: Objects) -> Array:
+    """Return the electric fields of degree 2 with amplitude 1, in the order of `QUADRUPOLE`; shape (5, 2, N).
+
+    Turned by 90 degrees they are the magnetic ones.  Source: Charlot et al. 2020 (A&A 644, A159), Eq. 5.
+    """
+    ra, dec = objects.ra, objects.dec
+    sin, cos = np.sin, np.cos
+    east = [0.0 * ra, sin(ra) * sin(dec), cos(ra) * sin(dec), -2 * sin(2 * ra) * cos(dec), -2 * cos(2 * ra) * cos(dec)]
+    north = [sin(2 * dec), *(np.array([-cos(ra), sin(ra)]) * cos(2 * dec))]
+    north += [*(np.array([-cos(2 * ra), sin(2 * ra)]) * sin(2 * dec))]
+    return np.stack([np.array(east), np.array(north)], axis=1)
+
+
+def amplitudes(block: Harmonics) -> tuple[list[str], Array]:
+    """Return the names of the rotation R, the glide G and the quadrupoles E and M that the terms of degree 1 and 2
+    are, and the matrix that makes these of all terms; (names, terms).
+    """
+    # Both sets of fields span the same ones: some places on the sky tell how.
+    sky = Objects(2.4 * np.arange(40.0), np.arcsin(np.linspace(-0.95, 0.95, 40)), *np.zeros((2, 40)))
+    electric = electric_quadrupole(sky)
+    magnetic = np.stack([electric[:, 1], -electric[:, 0]], axis=1)
+    known: dict[tuple[Kind, int], tuple[str, Sequence[str], Array]] = {
+        ("t", 1): ("R", "xyz", rotation(sky)),
+        ("s", 1): ("G", "xyz", flow(sky)),
+    }
+    known |= {("t", 2): ("M", QUADRUPOLE, magnetic), ("s", 2): ("E", QUADRUPOLE, electric)}
+    names, rows, start = list[str](), [np.zeros((0, len(block.labels)))], 0
+    fields = block.derivatives(sky)
+    for kind, degree in block.parts:
+        end = start + 2 * degree + 1
+        if (kind, degree) in known:
+            letter, ends, basis = known[kind, degree]
+            names += [f"{'motion' if block.rate else 'position'} {letter}_{one}" for one in ends]
+            rows.append(np.zeros((len(basis), len(block.labels))))
+            there = fields[start:end].reshape(end - start, -1).T
+            rows[-1][:, start:end] = np.linalg.lstsq(basis.reshape(len(basis), -1).T, there, rcond=None)[0]
+        start = end
+    return names, np.concatenate(rows)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ This is the public interface; names that are not in ``__all__`` may change witho
 =========================================  ==========================================================
 `run`, `open`                              run a study, read the results in a store
 `answer`, `plot`                           what results say, and their figure
-`tie`, `forecast`, `apply`                 link two real tables, plan what to observe next, carry a table over
+`tie`, `difference`                        link two real tables, compare two such links
+`forecast`, `apply`                        plan what to observe next, carry a table into the other frame
 `load_study`, `Study`                      read and check a study without running it
 `experiment`, `Parameter`, `Output`        declare more about a function than its signature says
 `Experiment`                               declare an experiment of additive sums
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from linksweep.sweep.tie.apply import apply
     from linksweep.sweep.tie.forecast import forecast
     from linksweep.sweep.tie.link import tie
+    from linksweep.sweep.tie.result import difference
 
     __version__: str
 
@@ -58,6 +60,7 @@ __all__ = [
     "SweepError",
     "answer",
     "apply",
+    "difference",
     "experiment",
     "find",
     "fit_levelling",
@@ -85,6 +88,7 @@ _MODULES = {
     "linksweep.sweep.tie.link": ("tie",),
     "linksweep.sweep.tie.forecast": ("forecast",),
     "linksweep.sweep.tie.apply": ("apply",),
+    "linksweep.sweep.tie.result": ("difference",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -76,6 +76,9 @@ def show(
     table_format: str = choice("", ("text", "csv", "ecsv"), "--format", default="text"),
     at: At = AT,
     stars: bool = flag("Of a link, a row for each source: Q/n, Cook's distance, share, jackknife shift."),
+    minus: "Location | None" = opt(
+        "Of a link, its difference from that in another store.", type=str, callback=options.place, metavar="STORE"
+    ),
     as_json: bool = JSON,
 ) -> None:
     """Print the results in STORE as a table, and the components of the points with the worst condition; of a stored
@@ -87,10 +90,12 @@ def show(
     """
     table_format = json_or(table_format, as_json)
     link = options.link_in(store, at)
-    if stars:
-        from linksweep.sweep.tie.result import of_stars
+    if stars or minus is not None:
+        from linksweep.sweep.tie.result import difference, of_difference, of_stars
 
-        click.echo(getattr(of_stars({} if link is None else link), table_format)().rstrip("\n"))
+        other: Any = None if minus is None else options.link_in(minus, ())
+        table = of_stars({} if link is None else link) if minus is None else of_difference(difference(link, other))
+        click.echo(getattr(table, table_format)().rstrip("\n"))
     elif link is not None:
         group.print_result(link, table_format)
     else:

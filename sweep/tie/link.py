@@ -15,7 +15,7 @@ from linksweep.core.link import LinkError
 from linksweep.core.tie import mistakes, solution
 from linksweep.core.tie.astrometry import kinds
 from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
-from linksweep.core.unknowns import PARAMETERS, Harmonics, SpinByBin, Unknowns
+from linksweep.core.unknowns import PARAMETERS, Harmonics, SpinByBin, Unknowns, amplitudes
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
@@ -379,7 +379,7 @@ def tie(
 # The variables that label others, beside those that are called as their dimension.
 COORDINATES = (
     *("unit", "block", "ra", "dec", "row_source_index", "row_source", "row_kind", "row_table", "row_epoch"),
-    *("observable_unit", "bin_low", "bin_high", "path_model", "transit_path", "noise_unit"),
+    *("amplitude_unit", "observable_unit", "bin_low", "bin_high", "path_model", "transit_path", "noise_unit"),
 )
 
 
@@ -431,6 +431,7 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
             "noise_error": ("noise", list(noise.error.values())),
         }
     variables |= _of_steps(link, sign) | _of_harmonics(link, covariance[0]) | _of_bins(link, errors[0], sign)
+    variables |= _of_amplitudes(unknowns, sign * solved.estimate / MAS, covariance)
     attributes = {
         "result": "tie",
         "sign": options.sign,
@@ -527,6 +528,29 @@ def _of_harmonics(link: Link, main: Array) -> dict[str, Any]:
     variables = zip(("power", "power_noise", "power_chi2", "power_probability"), table, strict=True)
     labels = {"degree": ("degree", degrees), "field": ("field", names)}
     return labels | {name: (("field", "degree"), values) for name, values in variables}
+
+
+def _of_amplitudes(unknowns: Unknowns, estimate: Array, covariances: Array) -> dict[str, Any]:
+    """Return rotation, glide and quadrupoles of harmonics, whose covariances by kind are those of the unknowns."""
+    names, units, rows = list[str](), list[str](), [np.zeros((0, len(unknowns)))]
+    for block in (block for block in unknowns.blocks if isinstance(block, Harmonics)):
+        some, matrix = amplitudes(block)
+        names, units = names + some, units + ["mas/yr" if block.rate else "mas"] * len(some)
+        rows.append(np.zeros((len(some), len(unknowns))))
+        rows[-1][:, unknowns.part(block.name)] = matrix
+    whole = np.concatenate(rows)
+    made = whole @ covariances @ whole.T
+    return (
+        {}
+        if not names
+        else {
+            "amplitude_name": ("amplitude_name", names),
+            "amplitude_unit": ("amplitude_name", units),
+            "amplitude": ("amplitude_name", whole @ estimate),
+            "amplitude_errors": (("error_kind", "amplitude_name"), np.sqrt(np.einsum("ekk->ek", made))),
+            "amplitude_covariance": (("amplitude_name", "amplitude_name_other"), made[0]),
+        }
+    )
 
 
 def _of_bins(link: Link, errors: Array, sign: float) -> dict[str, Any]:

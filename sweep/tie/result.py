@@ -1,6 +1,6 @@
 """Links and forecasts as tables, and the sentences below them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 STEPS_SHOWN, UNKNOWNS_SHOWN = 10, 6  # how many steps of a clip a table has at least, and of how many unknowns
+# By how unknowns of positions begin: those of motions, which move them in a year.
+RATES = {"epsilon_": "omega_", "position_glide_": "glide_", "vsh_position_": "vsh_motion_"}
 META = ("sign", "epoch", "clip", "epoch_of_forecast", "release")  # attributes in the head of an ECSV table
 
 
@@ -68,6 +70,77 @@ def _numbers(name: Any, values: Any, form: str, unit: str = "") -> Column:
     return Column(str(name), numbers, [format(number, form) for number in numbers], unit)
 
 
+def _estimates(what: str, names: Any, estimate: Any, errors: Mapping[Any, Any], units: Any) -> list[Column]:
+    shown = [_numbers("estimate", estimate, ".5f"), *(_numbers(kind, values, ".5f") for kind, values in errors.items())]
+    return [_texts(what, names.values), *shown, _texts("unit", units.values)]
+
+
+def difference(link: "xr.Dataset", other: "xr.Dataset") -> "xr.Dataset":
+    """Return one link minus another: ``estimate``, ``error`` and ``covariance`` of the unknowns of both, and chi2.
+
+    Both are taken in the sign of the first, the orientation of the other at the epoch of the first.  The covariance is
+    the sum of theirs, as of links that have no data in common; that of links of the same data is smaller.
+
+    Args:
+        link: what `tie` returned.
+        other: what another `tie` returned.
+
+    Returns:
+        A dataset in mas and mas/yr with ``chi2`` of the difference, and the ``probability`` of a larger one by chance.
+
+    Raises:
+        SweepError: where the links have no unknown in common, or the orientation of the other has another epoch and
+            no spin.
+
+    Example:
+        >>> import linksweep
+        >>> link = linksweep.tie("psrpi-de200", "timing-de200", "orientation")
+        >>> float(difference(link, link).chi2)
+        0.0
+    """
+    import xarray as xr
+    from scipy.special import chdtrc
+
+    if any(one is None or "chi2_expected" not in one for one in (link, other)):
+        raise SweepError("a difference is one of two links, which sweep tie -o writes")
+    labels, sign = other.unknown.values.tolist(), 1.0 if link.attrs["sign"] == other.attrs["sign"] else -1.0
+    years, moved = link.attrs["epoch"] - other.attrs["epoch"], np.eye(len(labels))
+    for name, rate in [(name, name.replace(old, new)) for name in labels for old, new in RATES.items() if old in name]:
+        if rate in labels:
+            moved[labels.index(name), labels.index(rate)] = years
+        elif years:
+            epochs = f"{link.attrs['epoch']:g} and {other.attrs['epoch']:g}"
+            raise SweepError(f"{name} is at {epochs}, and the second has no {rate} to move it: solve at one epoch")
+    both = [name for name in link.unknown.values.tolist() if name in labels]
+    if not both:
+        raise SweepError(f"the links have no unknown in common: {', '.join(link.unknown.values)}; {', '.join(labels)}")
+    mine, theirs = link.unknown.to_index().get_indexer(both), [labels.index(name) for name in both]
+    values = link.estimate.values[mine] - sign * (moved @ other.estimate.values)[theirs]
+    there = (moved @ other.covariance.values @ moved.T)[np.ix_(theirs, theirs)]
+    covariance = link.covariance.values[np.ix_(mine, mine)] + there
+    chi2 = float(values @ np.linalg.solve(covariance, values)) if np.any(covariance) else np.nan
+    return xr.Dataset(
+        {
+            "estimate": ("unknown", values),
+            "error": ("unknown", np.sqrt(np.diag(covariance))),
+            "covariance": (("unknown", "unknown_other"), covariance),
+            "chi2": ((), chi2),
+            "probability": ((), float(chdtrc(len(both), chi2))),
+        },
+        coords={"unknown": both, "unit": ("unknown", link.unit.values[mine])},
+        attrs={"sign": link.attrs["sign"], "epoch": link.attrs["epoch"]},
+    )
+
+
+def of_difference(made: "xr.Dataset") -> Table:
+    """Return the table of a difference of links."""
+    about = {name: made[name].item() for name in ("chi2", "probability")} | made.attrs
+    title = f"difference of the links, orientation at {about['epoch']:.2f}; chi2 {about['chi2']:.4g} of "
+    title += f"{made.sizes['unknown']} unknowns, probability {about['probability']:.3g}"
+    columns = _estimates("unknown", made.unknown, made.estimate, {"error": made.error.values}, made.unit)
+    return Table(columns, title, about)
+
+
 def _link_tables(link: "xr.Dataset") -> list[Table]:
     about, sign = link.attrs, link.attrs["sign"]
     head = [
@@ -81,14 +154,21 @@ def _link_tables(link: "xr.Dataset") -> list[Table]:
     head += [f"columns of the {name}: {columns}" for name, columns in used.items() if columns]
     expected = f"{float(link.chi2_expected):.6g} is expected, {float(link.dof):.0f} degrees of freedom"
     head += [f"chi2 {float(link.chi2):.6g} where {expected}", ""]
-    errors = zip(link.error_kind.values, link.errors.values, strict=True)
-    unknowns = [
-        _texts("unknown", link.unknown.values),
-        _numbers("estimate", link.estimate, ".5f"),
-        *(_numbers(kind, values, ".5f") for kind, values in errors),
-        _texts("unit", link.unit.values),
+    kinds = link.error_kind.values
+    made = [
+        Table(
+            _estimates(
+                "unknown", link.unknown, link.estimate, dict(zip(kinds, link.errors.values, strict=True)), link.unit
+            ),
+            "\n".join(head),
+        )
     ]
-    made = [Table(unknowns, "\n".join(head))]
+    if "amplitude" in link:
+        errors = dict(zip(kinds, link.amplitude_errors.values, strict=True))
+        columns = _estimates("amplitude", link.amplitude_name, link.amplitude, errors, link.amplitude_unit)
+        made.append(
+            Table(columns, "the same harmonics as rotation R, glide G, electric and magnetic quadrupoles E and M")
+        )
     if "noise" in link:
         columns = [_texts("rows:quantity", link.noise.values), _numbers("noise", link.noise_size, ".5f")]
         columns += [_numbers("error", link.noise_error, ".5f"), _texts("unit", link.noise_unit.values)]
