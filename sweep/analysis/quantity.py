@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
-from linksweep.sweep.formatting import ERRORS, first_of, is_truth, prefixed, units_of
+from linksweep.sweep.formatting import ERRORS, first_of, is_missing, is_truth, prefixed, units_of
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 from linksweep.sweep.studies.part import LOST
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
@@ -294,7 +294,8 @@ def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
 
 def place_in_words(where: Mapping[str, Any]) -> str:
     """Return a place on the axes as ``model=gaia, v_max=16``."""
-    return ", ".join(f"{k}={f'{v:g}' if isinstance(v, float) else v}" for k, v in where.items())
+    shown = {name: value for name, value in where.items() if not is_missing(value)}  # without effect at this point
+    return ", ".join(f"{k}={f'{v:g}' if isinstance(v, float) else v}" for k, v in shown.items())
 
 
 # Parts
@@ -388,7 +389,8 @@ def require_done(dataset: xr.Dataset) -> None:
     """Raise SweepError unless all points of a dataset are done or excluded by the study."""
     counts = count_status(dataset["status"].values)
     if undone := unfinished_in_words(counts):
-        total, commands = sum(counts.values()), "`sweep run` computes what is missing, `sweep run --retry` what failed"
+        total = sum(counts.values()) - counts[Status.EXCLUDED]
+        commands = "`sweep run` computes what is missing, `sweep run --retry` what failed"
         raise SweepError(f"is incomplete: {undone} of {total:,} points here; {commands}; or choose other points")
 
 

@@ -155,6 +155,7 @@ def test_requests_that_fail_are_repeated(bucket, coins, wanted, through, kind):
     assert located(bucket + "/x").parent.get("s.zarr.lock") is None
 
 
+@pytest.mark.slow  # requests are repeated for seconds
 def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, coins, wanted, through, monkeypatch):
     monkeypatch.setattr(opening.location, "TIMEOUT", opening.location.TIMEOUT / 10)
     proxy = through(lambda number: "reset" if len(proxy.requests) > 60 else None)
