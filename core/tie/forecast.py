@@ -57,23 +57,16 @@ def release_of(epochs: Array, new: str, named: str | None = None) -> str:
     for name in (named or new, new):
         if name not in RELEASES:
             raise ValueError(f"no release {name!r}; there are {', '.join(RELEASES)}")
-    known, at = np.unique(epochs[np.isfinite(epochs)]), releases_at(epochs)
-    if len(at) > 1:
-        raise ValueError(f"the satellite has epochs of {' and '.join(at)}; errors are scaled from one release")
-    if not at and named is None:
+    known, at = np.unique(epochs[np.isfinite(epochs)]), releases_at(epochs) or [str(named)] * bool(named)
+    if len(at) != 1 or named not in (None, *at):
         span = " to ".join(dict.fromkeys(f"{epoch:.10g}" for epoch in (*known[:1], *known[-1:]))) or "none"
         there = ", ".join(f"{name} {one.epoch:g}" for name, one in RELEASES.items())
-        raise ValueError(f"the satellite's epochs ({span}) are those of no release ({there}): name it, from_release")
-    old = at[0] if at else str(named)
-    its_own = f"release {new}: the satellite's epoch {RELEASES[old].epoch:g} is that of {old}"
-    if named not in (None, old):
-        raise ValueError(
-            f"{its_own}, whose errors would be scaled as if they were those of {named}; leave from_release out"
-        )
-    if old == new:
-        raise ValueError(f"{its_own}: the errors are those of {new} already; leave release out")
-    if named is None and RELEASES[new].months < RELEASES[old].months:
-        raise ValueError(f"{its_own}, which is later; to scale errors backwards, name from_release {old}")
+        said = f"the satellite's epochs ({span}) are those of {' and '.join(at) or 'no release'} ({there})"
+        raise ValueError(f"{said}: errors are scaled from one; name it, from_release, only for epochs of none")
+    old = at[0]
+    if old == new or (named is None and RELEASES[new].months < RELEASES[old].months):
+        said = f"release {new}: the satellite's epoch {known[0]:g} is that of {old}, the same or a later one"
+        raise ValueError(f"{said}; to scale errors backwards, name from_release {old}")
     return old
 
 

@@ -16,7 +16,7 @@ from scipy.special import chdtr, chdtrc, chdtri
 
 from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, kinds
+from linksweep.core.tie.astrometry import FIRST, HALF_SPAN, SECOND, Astrometry, by_errors, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, source_sums
 from linksweep.core.tie.solution import Solution, discrepancies, solve
 
@@ -92,7 +92,7 @@ class _Part(NamedTuple):
     at: Flags
 
 
-class _Cause(NamedTuple):
+class Cause(NamedTuple):
     """What is likely to be wrong, chi2 over its expectation when it is corrected, and how much the correction could
     hide: 0 nothing, 1 what is along the proper motions, 2 everything, because errors grow.
     """
@@ -232,14 +232,20 @@ def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio:
         else:
             for part in [*_by_kind(problem, tables), *_by_epoch(problem, tables)]:
                 causes += _causes(problem, part, ratio)
-    likely = [cause for cause in causes if cause.hides == min(one.hides for one in causes)]
-    if not likely:
-        return f"{alone}{UNEXPLAINED}"
-    best = min(likely, key=lambda cause: cause.ratio)
-    step = 30.0 * max(best.ratio, 1.0) / max(1, int(np.sum(problem.rows.present)))
-    same = sorted((cause for cause in likely if cause.ratio <= best.ratio + step), key=lambda cause: cause.ratio)
-    words = ", or ".join(dict.fromkeys(cause.words for cause in same[:3]))
-    return f"the likely cause: {words} (corrected, chi2 is {best.ratio:.2g} times its expectation)"
+    said = likely(causes, 30.0 / max(1, int(np.sum(problem.rows.present))))
+    return f"{alone}{said}" if said == UNEXPLAINED else said
+
+
+def likely(causes: Sequence[Cause], alike: float) -> str:
+    """Return a clause about the causes that hide least: the best, and those that are as good within ``alike``."""
+    if not causes:
+        return UNEXPLAINED
+    least = min(cause.hides for cause in causes)
+    ordered = sorted((cause for cause in causes if cause.hides == least), key=lambda cause: cause.ratio)
+    best = ordered[0].ratio
+    same = [cause.words for cause in ordered if cause.ratio <= best + alike * max(best, 1.0)]
+    words = ", or ".join(dict.fromkeys(same[:3]))
+    return f"the likely cause: {words} (corrected, chi2 is {best:.2g} times its expectation)"
 
 
 def _deficit(problem: Problem, tables: Sequence[str], groups: Sequence[_Group]) -> str:
@@ -264,28 +270,29 @@ def _deficit(problem: Problem, tables: Sequence[str], groups: Sequence[_Group]) 
     return ""
 
 
-def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[_Cause]:
+def explains(corrected: float, ratio: float) -> bool:
+    """Return whether a correction brings chi2 over its expectation down from ``ratio`` to that of good tables."""
+    return corrected < EXCESS and corrected < (0.1 if ratio > EXCESS else 0.5) * ratio
+
+
+def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
     """Yield the mistakes in a part whose correction brings chi2 down to the level of good tables."""
-
-    def explains(trial: float) -> bool:
-        return trial < EXCESS and trial < (0.1 if ratio > EXCESS else 0.5) * ratio
-
     for words, hides, change in _corrections(problem, part.table):
         trial = _applied(problem, part, change)
         # errors that are too small are so for all sources
-        if explains(corrected := _ratio(trial)) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
-            yield _Cause(words.format(part.words), corrected, hides)
+        if explains(corrected := _ratio(trial), ratio) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
+            yield Cause(words.format(part.words), corrected, hides)
     shift, corrected = _shift(problem, part)
-    if explains(corrected):
+    if explains(corrected, ratio):
         early = "early" if shift > 0.0 else "late"
-        yield _Cause(f"epochs of {part.words} {round(abs(shift), 2):.3g} years too {early}", corrected)
+        yield Cause(f"epochs of {part.words} {round(abs(shift), 2):.3g} years too {early}", corrected)
     if part.table != "satellite" and np.count_nonzero(part.at) > 2:
         along, across = (_ratio(_applied(problem, part, _freed(problem, turned=turned))) for turned in (False, True))
-        if explains(along) and not explains(across):
+        if explains(along, ratio) and not explains(across, ratio):
             epochs = np.unique(problem.rows.epoch[part.at & problem.rows.present[0]])
             all_equal = f"equal ({epochs[0]:g}), but they were measured at different ones"
             single = "wrong in single rows: positions are off along the proper motion"
-            yield _Cause(f"epochs of {part.words} {all_equal if len(epochs) == 1 else single}", along, 1)
+            yield Cause(f"epochs of {part.words} {all_equal if len(epochs) == 1 else single}", along, 1)
 
 
 def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Change]]:
@@ -293,13 +300,7 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
     dec = problem.satellite.values[1]
     factor = np.ones((5, len(dec if table == "satellite" else problem.source)))
     factor[3] = np.cos(dec if table == "satellite" else dec[problem.source])
-
-    def both(change: Callable[[Array], Array]) -> Change:
-        return lambda table: replace(table, values=change(table.values), errors=change(table.errors))
-
-    def toggled(table: Astrometry) -> Astrometry:
-        return replace(table, apparent=~table.apparent)
-
+    both = partial(_changed, ("values", "errors"))
     cos_dec = f"pmra of {{}} is mu_alpha, without cos(dec): say --without-cos-dec {table}"
     yield cos_dec, 0, both(lambda array: array * factor)
     yield "pmra of {} has a factor cos(dec) too many", 0, both(lambda array: array / factor)
@@ -307,7 +308,11 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
     for name, rows in NOT_POSITIONS.items():
         yield f"{name} of {{}} with reversed sign", 0, _scaled(rows, -1.0, values=True)
     if table != "satellite":
-        yield "mean positions of {} taken as those of a single epoch, or the other way round", 0, toggled
+        yield (
+            "mean positions of {} taken as those of a single epoch, or the other way round",
+            0,
+            _changed(["apparent"], np.logical_not),
+        )
     for ratio, unit in (SMALLER | LARGER).items():
         for name, rows in NOT_POSITIONS.items():
             yield f"{name} of {{}}, {unit}", 0, _scaled(rows, ratio, values=True)
@@ -319,12 +324,14 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
             yield f"errors of {name} of {{}} too small, {unit}", 2, _scaled(rows, ratio, errors=True)
 
 
+def _changed(names: Sequence[str], change: Callable[[Any], Any]) -> Change:
+    """Return a change of some arrays of a table."""
+    return lambda table: replace(table, **{name: change(getattr(table, name)) for name in names})
+
+
 def _accelerations() -> Iterator[tuple[str, int, Change]]:
     """Yield mistakes in the accelerations of the satellite and the changes that correct them."""
-
-    def changed(change: Callable[[Any], Array]) -> Change:
-        return lambda table: replace(table, further=change(table.further))
-
+    changed = partial(_changed, ["further"])
     sign = np.array([-1.0, 1.0])[:, None, None]
     yield "accelerations of {} with reversed sign", 0, changed(lambda both: both * sign)
     yield "accel_ra and accel_dec of {} exchanged", 0, changed(lambda both: both[:, [1, 0, 3, 2, 4]])
@@ -376,10 +383,10 @@ def _freed(problem: Problem, turned: bool) -> Change:
         covariance[:, :2, :2] += np.einsum("ir,jr->rij", along, along)
         seen = rows.apparent & rows.present[0]
         covariance[seen, :2, :2] += np.eye(2) * np.nan_to_num(star.values[2, seen, None, None]) ** 2
-        errors = np.where(rows.present, np.sqrt(np.einsum("rii->ir", covariance)), rows.errors)
-        size = np.where(errors > 0.0, errors, 1.0)
-        correlations = np.array([covariance[:, i, j] / (size[i] * size[j]) for i, j in PAIRS])
-        return replace(rows, errors=errors, correlations=np.nan_to_num(correlations))
+        errors, correlations = by_errors(covariance)
+        return replace(
+            rows, errors=np.where(rows.present, errors, rows.errors), correlations=correlations[FIRST, SECOND]
+        )
 
     return change
 
@@ -419,17 +426,23 @@ def _each(sums: NormalSums, solution: Solution) -> Array:
 
 
 def _shift(problem: Problem, part: _Part) -> tuple[float, float]:
-    """Return by how many years epochs are to be shifted for the smallest chi2, and chi2 over its expectation there.
-
-    Near its minimum chi2 is a parabola in the shift.  Starts and first steps are whole years, over which the parallax
-    does not change.
-    """
+    """Return by how many years epochs are to be shifted for the smallest chi2, and chi2 over its expectation there."""
 
     @cache
     def at(shift: float) -> float:
         moved = _applied(problem, part, lambda table: replace(table, epoch=table.epoch + shift))
         return _ratio(moved if shift else problem)
 
+    shift = best_shift(at)
+    return shift, at(shift)
+
+
+def best_shift(at: Callable[[float], float]) -> float:
+    """Return the years for which a function is smallest.
+
+    Near its minimum chi2 is a parabola in the shift.  Starts and first steps are whole years, over which the parallax
+    does not change.
+    """
     shift = min(STARTS, key=at)
     for step in (8.0, 4.0, 2.0, 1.0):
         shift = min((shift, shift - step, shift + step), key=at)
@@ -439,7 +452,7 @@ def _shift(problem: Problem, part: _Part) -> tuple[float, float]:
         if not 0.0 < curvature < np.inf:
             break
         shift = float(np.clip(shift - 0.5 * step * (high - low) / curvature, -200.0, 200.0))
-    return shift, at(shift)
+    return shift
 
 
 def _outliers(problem: Problem, ratio: float) -> tuple[Indices, float]:
@@ -454,12 +467,12 @@ def _outliers(problem: Problem, ratio: float) -> tuple[Indices, float]:
             left = solve(sums.taken(kept)).scale ** 2
         except LinkError:
             break
-        if left < EXCESS and left < 0.1 * ratio:
+        if explains(left, ratio):
             return np.array(dropped), left
     return np.zeros(0, dtype=np.int64), np.nan
 
 
-def _exchanged(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> Iterator[_Cause]:
+def _exchanged(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> Iterator[Cause]:
     """Yield pairs of the sources that fit worst whose rows belong to one another."""
     sums = source_sums(problem)
     worst = np.argsort(-_each(sums, solve(sums)))[:6].tolist()
@@ -469,6 +482,6 @@ def _exchanged(problem: Problem, names: NDArray[Any], tables: Sequence[str], rat
             place[list(pair)] = pair[::-1]
             source = np.where(part.at, place[problem.source], problem.source)
             left = _ratio(replace(problem, source=source))
-            if left < EXCESS and left < 0.1 * ratio:
+            if explains(left, ratio):
                 one, other = names[list(pair)]
-                yield _Cause(f"the names {one} and {other} exchanged in {part.words}", left)
+                yield Cause(f"the names {one} and {other} exchanged in {part.words}", left)

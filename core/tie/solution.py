@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import SMALLEST_EIGENVALUE, LinkError
 from linksweep.core.tie import problem as elimination
-from linksweep.core.tie.astrometry import Differences, differences
+from linksweep.core.tie.astrometry import Differences, differences, positive_definite
 from linksweep.core.tie.problem import NormalSums, Problem
 from linksweep.core.unknowns import Unknowns
 
@@ -200,11 +200,8 @@ def _solutions(normal: Array, right: Array) -> Array:
     good = np.all(diagonal > 0.0, axis=1)
     scale = 1.0 / np.sqrt(np.where(good[:, None], diagonal, 1.0))
     scaled = np.where(good[:, None, None], normal * scale[:, :, None] * scale[:, None, :], np.eye(normal.shape[-1]))
-    try:  # Cholesky factors take a sixth of the time of eigenvalues, but say nothing about single matrices
-        np.linalg.cholesky(scaled - SMALLEST_EIGENVALUE * np.eye(scaled.shape[-1]))
-    except np.linalg.LinAlgError:
-        good &= np.linalg.eigvalsh(scaled)[:, 0] > SMALLEST_EIGENVALUE
-        scaled[~good] = np.eye(normal.shape[-1])
+    good &= positive_definite(scaled, SMALLEST_EIGENVALUE)
+    scaled[~good] = np.eye(normal.shape[-1])
     solutions = np.linalg.solve(scaled, (right * scale)[..., None])[..., 0] * scale
     return np.where(good[:, None], solutions, np.nan)
 

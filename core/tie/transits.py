@@ -16,15 +16,17 @@ from scipy.linalg import block_diag
 from linksweep.core.frames import DEGREE, Array, Flags, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import (
+    FIRST,
     FURTHER,
-    PAIRS,
+    SECOND,
     Astrometry,
     Differences,
     bends,
+    by_errors,
     differences,
     from_tangent_plane,
 )
-from linksweep.core.tie.mistakes import EXCESS, LARGER, SMALLER, STARTS, UNEXPLAINED, Misfit
+from linksweep.core.tie.mistakes import EXCESS, LARGER, SMALLER, Cause, Misfit, best_shift, explains, likely
 from linksweep.core.tie.solution import inverted
 from linksweep.core.unknowns import PARAMETERS
 
@@ -121,15 +123,13 @@ class Transits:
 
     def in_place(self, found: Paths, table: Astrometry, rows: Indices) -> Astrometry:
         """Return a catalogue in which paths take the place of some rows (S,)."""
-        error = np.sqrt(np.einsum("sii->is", found.covariance))[:COLOUR]
-        safe = np.where(error > 0.0, error, 1.0)
-        between = np.moveaxis(found.covariance, 0, -1)[:COLOUR, :COLOUR] / safe[:, None] / safe
+        error, between = by_errors(found.covariance[:, :COLOUR, :COLOUR])
         position = from_tangent_plane(*found.values[:, :2].T, *self.origin)
         arrays: dict[str, Any] = {
             "values": np.concatenate([position, found.values[:, 2:5].T]),
             "errors": error[:5],
             "epoch": np.full(len(rows), self.epoch),
-            "correlations": np.array([between[pair] for pair in PAIRS]),
+            "correlations": between[FIRST, SECOND],
             "further": np.array([found.values[:, 5:COLOUR].T, error[5:]]),
             "further_correlations": between[:, 5:],
             "orbit": self.orbit,
@@ -191,17 +191,13 @@ def misfit(transits: Transits) -> Misfit:
     ratio = float(before[:, bad].max())
     for words, change in _corrections(transits, bad):
         after = transits.ratios(change)[:, bad]
-        if after[0].min() > LOW and after.max() < EXCESS and (after.max() < 0.1 * ratio or ratio < EXCESS):
-            causes.append(("too small" in words, float(after.max()), words))  # which would hide any mistake
+        left = float(after.max())
+        if after[0].min() > LOW and left < EXCESS and (ratio < EXCESS or explains(left, ratio)):
+            causes.append(Cause(words, left, hides="too small" in words))  # which would hide any mistake
     said = f"chi2 of the transits of {', '.join(map(str, transits.names[bad][:5]))}"
     said += " against the satellite's rows" if ratio > EXCESS and ratio == before[1, bad].max() else ""
     said += f" is {ratio if ratio > EXCESS else before[0, bad].min():.3g} times its expectation"
-    if not causes:
-        return Misfit(ratio, f"{said}; {UNEXPLAINED}")
-    hides, best, _ = min(causes)
-    alike = [words for hidden, left, words in sorted(causes) if hidden == hides and left <= best + ALIKE]
-    likely = f"the likely cause: {', or '.join(alike[:3])}"
-    return Misfit(ratio, f"{said}; {likely} (corrected, chi2 is {best:.2g} times its expectation)")
+    return Misfit(ratio, f"{said}; {likely(causes, ALIKE)}")
 
 
 def _corrections(transits: Transits, bad: Flags) -> Iterator[tuple[str, Change]]:
@@ -211,13 +207,6 @@ def _corrections(transits: Transits, bad: Flags) -> Iterator[tuple[str, Change]]
         yield f"positions along the scan, {unit}", {VALUE: (factor, 0.0)}
         yield f"positions along the scan and their errors, {unit}", {VALUE: (factor, 0.0), ERROR: (factor, 0.0)}
         yield f"errors too {'small' if factor > 1.0 else 'large'}, {unit}", {ERROR: (factor, 0.0)}
-
-    def at(shift: float) -> float:
-        return float(transits.ratios({"relative_time_year": (1.0, shift)})[1, bad].sum())
-
-    shift = min(STARTS, key=at)
-    for step in (2.0, 0.5, 0.1):  # near its minimum chi2 is a parabola in the shift
-        low, here, high = (at(shift + d) for d in (-step, 0.0, step))
-        shift -= 0.5 * step * (high - low) / max(low + high - 2.0 * here, 1e-9)
+    shift = best_shift(lambda years: float(transits.ratios({"relative_time_year": (1.0, years)})[1, bad].sum()))
     words = f"times {abs(shift):.3g} years too {'early' if shift > 0.0 else 'late'}, or positions of another epoch"
     yield words, {"relative_time_year": (1.0, shift)}

@@ -4,7 +4,7 @@ galaxies among stars.
 
 import json
 import sys
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -118,22 +118,14 @@ def params(
         group.print_wrapped(f"{meaning}{row['allowed']}", "    ", "    ")
 
 
-def _by_table(option: str, items: Sequence[Any], tables: Sequence[str]) -> dict[str, dict[str, str]]:
+def _by_table(items: Sequence[Any], tables: Sequence[str]) -> dict[str, dict[str, str]]:
     """Return what the items say of each quantity of each table; an item that names no table is for all."""
     by_table: dict[str, dict[str, str]] = {table: {} for table in tables}
     for key, value in items:
         table, colon, quantity = key.partition(":")
-        if colon:
-            _require_tables(option, [table], tables)
         for one in [table] if colon else tables:
-            by_table[one][quantity if colon else key] = value
+            by_table.setdefault(one, {})[quantity if colon else key] = value
     return by_table
-
-
-def _require_tables(option: str, names: Iterable[str], tables: Collection[str]) -> None:
-    """Raise click.BadParameter for names that are not those of tables."""
-    if unknown := sorted(set(names) - set(tables)):
-        raise click.BadParameter(f"no table {', '.join(unknown)}, only {', '.join(tables)}", param_hint=option)
 
 
 def _tables(
@@ -165,41 +157,25 @@ def _tables(
 ) -> dict[str, Any]:
     """Return the options of the tables as `linksweep.sweep.tie.setup.Options` has them."""
     from linksweep.sweep.tables.where import conditions
-    from linksweep.sweep.tie.tables import TableOptions
+    from linksweep.sweep.tie.setup import options_by_table
 
     further = dict(missions)
     if len(further) < len(missions):
         raise click.BadParameter("a mission is named twice", param_hint="--mission")
     names = ("satellite", "reference", *further)
-    columns, units = _by_table("--column", column, names), _by_table("--unit", unit, names)
-    chosen = conditions(where, names, ("satellite",))
     epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **dict(mission_epoch)}
-    _require_tables("--mission-epoch", dict(mission_epoch), further)
-    named = {"--without-cos-dec": without_cos_dec, "--extragalactic": extragalactic}
-    for option, some in (named | {"--parallax-zero-point": parallax_zero_point}).items():
-        _require_tables(option, some, names)
-    tables = {
-        name: TableOptions(
-            columns=columns[name],
-            units=units[name],
-            epoch=epochs.get(name),
-            extragalactic=name in extragalactic,
-            positions=positions if name == "reference" else None,
-            zero_errors=zero_errors,
-            accelerations=accelerations,
-            where=chosen.get(name),
-            parallax_zero_point=name in parallax_zero_point,
-            pmra_cos_dec=False if name in without_cos_dec else None,
-        )
-        for name in names
-    }
-    return {
-        "jitter": ",".join(jitter),
-        "satellite_options": tables.pop("satellite"),
-        "reference_options": tables.pop("reference"),
-        "missions": further,
-        "mission_options": tables,
-    }
+    return {"jitter": ",".join(jitter)} | options_by_table(
+        further,
+        {"zero_errors": zero_errors, "accelerations": accelerations},
+        columns=_by_table(column, names),
+        units=_by_table(unit, names),
+        epoch=epochs,
+        extragalactic=dict.fromkeys(extragalactic, True),
+        parallax_zero_point=dict.fromkeys(parallax_zero_point, True),
+        pmra_cos_dec=dict.fromkeys(without_cos_dec, False),
+        where=conditions(where, names, ("satellite",)),
+        positions={"reference": positions},
+    )
 
 
 MATCHING = passed(

@@ -1,5 +1,6 @@
 """The link of two tables as an experiment: closed form and Monte Carlo from the same normal equations."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -17,7 +18,7 @@ from linksweep.sweep.contract import Experiment, Output, Parameter, Point, Sweep
 from linksweep.sweep.tie import setup
 from linksweep.sweep.tie.link import FIELD_OF, Link, solve_link, spectrum
 from linksweep.sweep.tie.setup import DECLARED, Setup, number, one_of, year
-from linksweep.sweep.tie.tables import Accelerated, Positions, TableOptions
+from linksweep.sweep.tie.tables import Accelerated, Positions
 
 # ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin
 
@@ -126,7 +127,8 @@ def _fixed(name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), *erro
 
 
 _RMS, _WITHIN, _AS_IS = "RMS of estimate - truth of the draws", "error of the truth", "of the tables as they are"
-OUTPUTS = (
+# Outputs that no draw changes.
+OF_TABLES_ALONE = (
     Output("n_sources", "", "matched sources of the tables, within g_min and g_max"),
     _fixed("n_kept", "", f"sources that the clip keeps, {_AS_IS}"),
     _fixed(
@@ -138,6 +140,15 @@ OUTPUTS = (
     _fixed("error_jackknife", _UNITS, "its error from the solutions without each source", _EACH),
     Output("chi2_ratio", "", "chi2 of the tables over its average, 1 if errors are right", (), True, nan=True),
     _fixed("largest_share", "", "largest share of one source in the weight of a block of unknowns"),
+    _fixed("power", _SQUARES, f"of harmonics of degree 1 to {HIGHEST_STORED}, {_AS_IS}", _POWER),
+    _fixed("power_noise", _SQUARES, "mean power for noise alone, from the formal errors", _POWER),
+    _fixed("power_probability", "", "probability that noise gives as significant a power", _CHANCE),
+    _fixed("spin_by_bin", "mas/yr", f"spin in each bin, {_AS_IS}", _BIN, "spin_by_bin_error"),
+    _fixed("spin_by_bin_error", "mas/yr", "its scaled error", _BIN),
+    Output("n_drawn", "", "sources that are simulated"),
+)
+OUTPUTS = (
+    *OF_TABLES_ALONE,
     *_drawn("sigma", _UNITS, _RMS, _EACH),
     *_drawn("bias", _UNITS, "mean of estimate - truth of the draws", _EACH, False),
     *_drawn("coverage", "", f"fraction of draws within their formal {_WITHIN}", _RATIO, False),
@@ -150,14 +161,8 @@ OUTPUTS = (
     *_drawn(
         "sigma_spin", "mas/yr", "RMS error of the spin, over draws and axes", headline=True, symbol=r"$\sigma_\omega$"
     ),
-    _fixed("power", _SQUARES, f"of harmonics of degree 1 to {HIGHEST_STORED}, {_AS_IS}", _POWER),
-    _fixed("power_noise", _SQUARES, "mean power for noise alone, from the formal errors", _POWER),
-    _fixed("power_probability", "", "probability that noise gives as significant a power", _CHANCE),
     *_drawn("power_drawn", _SQUARES, "mean power of estimate - truth of the draws", _POWER),
-    _fixed("spin_by_bin", "mas/yr", f"spin in each bin, {_AS_IS}", _BIN, "spin_by_bin_error"),
-    _fixed("spin_by_bin_error", "mas/yr", "its scaled error", _BIN),
     *_drawn("sigma_by_bin", "mas/yr", _RMS, _BIN),
-    Output("n_drawn", "", "sources that are simulated"),
     Output("n_kept_drawn", "", "mean number of these that the clip keeps"),
     *_drawn("chi2_ratio_drawn", "", "mean of chi2 over its average, of the draws", predicted=False),
 )
@@ -166,14 +171,16 @@ SAMPLE_OUTPUTS = (Output("drawn", "", "estimate of a draw, reference - satellite
 
 
 KINDS = ("formal", "scaled", "jackknife")
-N = len(COMPONENTS)
-# Outputs that no draw changes; their sums are these times the number of draws.
-FIXED: Mapping[str, tuple[int, ...]] = {
-    **dict.fromkeys(("n_sources", "n_kept", "chi2_ratio", "largest_share", "n_drawn"), ()),
-    **dict.fromkeys(("estimate", *(f"error_{kind}" for kind in KINDS)), (N,)),
-    **dict.fromkeys(("power", "power_noise", "power_probability"), POWER_SHAPE),
-    **dict.fromkeys(("spin_by_bin", "spin_by_bin_error"), BIN_SHAPE),
+COORDINATES: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(("component", "unknown"), COMPONENTS),
+    **dict.fromkeys(("field", "field_tested"), FIELDS),
+    "power_degree": tuple(str(degree) for degree in range(1, HIGHEST_STORED + 1)),
+    "bin": tuple(str(number) for number in range(1, MOST_BINS + 1)),
+    "axis": ("x", "y", "z"),
 }
+N = len(COMPONENTS)
+# Their sums are these outputs times the number of draws.
+FIXED = {one.name: tuple(len(COORDINATES[dim]) for dim in one.dims) for one in OF_TABLES_ALONE}
 
 SUMS: Mapping[str, tuple[int, ...]] = {
     **FIXED,
@@ -290,43 +297,33 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
     sizes = point["position_jitter"], point["motion_jitter"]
     if point["jitter"] and any(sizes):
         raise SweepError("jitter is there, and position_jitter or motion_jitter: all=MAS:MAS_YR in jitter is the same")
-    missions, epochs = dict(point["missions"]), dict(point["mission_epochs"])
-    tables = {}
-    for name in ("satellite", "reference", *missions):
-        side, prefix = ("mission", f"{name}:") if name in missions else (name, "")
-        columns, units = (
-            {key.removeprefix(prefix): text for key, text in point[f"{side}_{what}"] if key.startswith(prefix)}
-            for what in ("columns", "units")
-        )
-        try:
-            epoch = float(epochs.pop(name)) if name in epochs else point.get(f"{name}_epoch")
-        except ValueError as error:
-            raise SweepError(f"mission_epochs: {error}") from error
-        tables[name] = TableOptions(
-            columns=columns,
-            units=units,
-            epoch=epoch,
-            zero_errors=point["zero_errors"],
-            accelerations=None if point["accelerations"] == TABLE else point["accelerations"],
-            extragalactic=point["extragalactic"] in (name, "both"),
-            parallax_zero_point=point["parallax_zero_point"] in (name, "both"),
-            pmra_cos_dec=False if point["without_cos_dec"] in (name, "both") else None,
-            where=point["reference_where"] or None if name == "reference" else None,
-            positions=None if name != "reference" or point["positions"] == TABLE else point["positions"],
-        )
-    if epochs:
-        raise SweepError(f"mission_epochs: no mission {', '.join(epochs)}")
+    try:
+        epochs = {name: float(text) for name, text in point["mission_epochs"]}
+    except ValueError as error:
+        raise SweepError(f"mission_epochs: {error}") from error
+    whose = {name: {"none": (), "both": TABLES[:2]}.get(point[name], (point[name],)) for name in OF_TABLES}
+    tables = setup.options_by_table(
+        {name: table.path for name, table in point["missions"]},
+        {
+            "zero_errors": point["zero_errors"],
+            "accelerations": None if point["accelerations"] == TABLE else point["accelerations"],
+        },
+        columns=_by_table(point, "columns"),
+        units=_by_table(point, "units"),
+        epoch={side: point[f"{side}_epoch"] for side in TABLES[:2]} | epochs,
+        extragalactic=dict.fromkeys(whose["extragalactic"], True),
+        parallax_zero_point=dict.fromkeys(whose["parallax_zero_point"], True),
+        pmra_cos_dec=dict.fromkeys(whose["without_cos_dec"], False),
+        where={"satellite": point["where"], "reference": point["reference_where"]},
+        positions={"reference": None if point["positions"] == TABLE else point["positions"]},
+    )
     options = setup.Options(
         **{name: point[name] for name in ("unknowns", "degree", "epoch", "weights", "aberration", "known_orientation")},
         bins=setup.parse_bins(point["bins"]) if point["bins"] else None,
         by=point["by"] or None,
-        where=point["where"] or None,
         known_spin=point["known_spin"] if point["known_spin_table"] is None else point["known_spin_table"].path,
         jitter=point["jitter"] or ({ALL: sizes} if any(sizes) else {}),
-        satellite_options=tables.pop("satellite"),
-        reference_options=tables.pop("reference"),
-        missions={name: table.path for name, table in missions.items()},
-        mission_options=tables,
+        **tables,
     )
     everything = reference is None or point["candidates"] == "all"
     whole = setup.set_up(
@@ -336,6 +333,15 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
         none = np.zeros(0, dtype=np.int64)
         whole = replace(whole, problem=replace(whole.problem, rows=whole.problem.rows.taken(none), source=none))
     return whole
+
+
+def _by_table(point: Mapping[str, Any], what: str) -> dict[str, dict[str, str]]:
+    """Return the names of columns, or the units, by table and quantity."""
+    by_table = {side: dict(point[f"{side}_{what}"]) for side in TABLES[:2]}
+    for key, text in point[f"mission_{what}"]:
+        name, _, quantity = key.partition(":")
+        by_table.setdefault(name, {})[quantity] = text
+    return by_table
 
 
 def _within(whole: Setup, point: Mapping[str, Any]) -> Setup:
@@ -523,35 +529,20 @@ def warn(point: Point) -> list[str]:
 def unused(point: Point) -> dict[str, str]:
     """Return the parameters that change nothing at a point, each with a clause that says why."""
     reference, limits = point["reference"] is not None, point["g_min"] is not None or point["g_max"] is not None
-    rows = (
-        "truth",
-        "position_jitter",
-        "motion_jitter",
-        "jitter",
-        "known_spin",
-        "accept_misfit",
-        "known_spin_table",
-        "known_orientation",
-    )
-    new = ("new_epoch", "new_error", "new_positions", "goal", "candidates")
-    columns = (
-        "reference_columns",
-        "reference_units",
-        "reference_where",
-        "reference_epoch",
-        "positions",
-        "by",
-        "aberration",
-    )
     needs = (
-        (reference, "there is no reference", columns),
-        (reference or point["zero_motion"], "there are no rows of a reference", rows),
-        (point["release"] != TABLE, "it is for a release", ("from_release",)),
-        (point["n_new"] > 0, "it is for n_new above 0", new),
-        (limits, "it is for g_min or g_max", ("magnitude",)),
-        (point["outliers"] > 0.0, "it is for outliers above 0", ("outlier_factor",)),
+        (reference, "there is no reference", "reference_.*|positions|by|aberration"),
+        (
+            reference or point["zero_motion"],
+            "there are no rows of a reference",
+            "known_.*|.*jitter|truth|accept_misfit",
+        ),
+        (point["release"] != TABLE, "it is for a release", "from_release"),
+        (point["n_new"] > 0, "it is for n_new above 0", "new_.*|goal|candidates"),
+        (limits, "it is for g_min or g_max", "magnitude"),
+        (point["outliers"] > 0.0, "it is for outliers above 0", "outlier_factor"),
     )
-    return {name: why for used, why, names in needs if not used for name in names}
+    without = [(why, names) for used, why, names in needs if not used]
+    return {one.name: why for why, names in without for one in PARAMETERS if re.fullmatch(names, one.name)}
 
 
 def cost(point: Point) -> float:
@@ -566,15 +557,7 @@ tie = Experiment(
     parameters=PARAMETERS,
     sums=SUMS,
     outputs=OUTPUTS,
-    coordinates={
-        "component": COMPONENTS,
-        "unknown": COMPONENTS,
-        "field": FIELDS,
-        "field_tested": FIELDS,
-        "power_degree": tuple(str(degree) for degree in range(1, HIGHEST_STORED + 1)),
-        "bin": tuple(str(number) for number in range(1, MOST_BINS + 1)),
-        "axis": ("x", "y", "z"),
-    },
+    coordinates=COORDINATES,
     component_units={"component": UNITS, "field": FIELD_UNITS},
     evaluate=evaluate,
     summarise=summarise,

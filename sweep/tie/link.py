@@ -532,25 +532,23 @@ def _of_harmonics(link: Link, main: Array) -> dict[str, Any]:
 
 def _of_amplitudes(unknowns: Unknowns, estimate: Array, covariances: Array) -> dict[str, Any]:
     """Return rotation, glide and quadrupoles of harmonics, whose covariances by kind are those of the unknowns."""
-    names, units, rows = list[str](), list[str](), [np.zeros((0, len(unknowns)))]
+    names, units, rows = list[str](), list[str](), []
     for block in (block for block in unknowns.blocks if isinstance(block, Harmonics)):
         some, matrix = amplitudes(block)
         names, units = names + some, units + ["mas/yr" if block.rate else "mas"] * len(some)
         rows.append(np.zeros((len(some), len(unknowns))))
         rows[-1][:, unknowns.part(block.name)] = matrix
+    if not names:
+        return {}
     whole = np.concatenate(rows)
     made = whole @ covariances @ whole.T
-    return (
-        {}
-        if not names
-        else {
-            "amplitude_name": ("amplitude_name", names),
-            "amplitude_unit": ("amplitude_name", units),
-            "amplitude": ("amplitude_name", whole @ estimate),
-            "amplitude_errors": (("error_kind", "amplitude_name"), np.sqrt(np.einsum("ekk->ek", made))),
-            "amplitude_covariance": (("amplitude_name", "amplitude_name_other"), made[0]),
-        }
-    )
+    return {
+        "amplitude_name": ("amplitude_name", names),
+        "amplitude_unit": ("amplitude_name", units),
+        "amplitude": ("amplitude_name", whole @ estimate),
+        "amplitude_errors": (("error_kind", "amplitude_name"), np.sqrt(np.einsum("ekk->ek", made))),
+        "amplitude_covariance": (("amplitude_name", "amplitude_name_other"), made[0]),
+    }
 
 
 def _of_bins(link: Link, errors: Array, sign: float) -> dict[str, Any]:

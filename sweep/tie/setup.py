@@ -30,7 +30,7 @@ from linksweep.core.tie.problem import Problem, Weights
 from linksweep.core.tie.solution import sources_of
 from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
 from linksweep.sweep.contract import Parameter, SweepError
-from linksweep.sweep.formatting import split_assignment
+from linksweep.sweep.formatting import first_of, split_assignment
 from linksweep.sweep.tables.reader import read_table as read_file
 from linksweep.sweep.tie.epochs import Epochs, with_observations
 from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, Zeros, built_in, read_table
@@ -164,6 +164,24 @@ class Options:
         return chosen
 
 
+def options_by_table(
+    missions: Mapping[str, Any], every: Mapping[str, Any], **by_table: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the options of `Options` about tables, from fields of `TableOptions` that are those of ``every`` table and
+    others by the name of the table.  Raises SweepError for tables that do not exist.
+    """
+    names = ("satellite", "reference", *missions)
+    for what, values in by_table.items():
+        if unknown := sorted(set(values) - set(names)):
+            raise SweepError(f"{what}: no table {', '.join(unknown)}, only {', '.join(names)}")
+    tables = {
+        name: TableOptions(**every, **{field: values[name] for field, values in by_table.items() if name in values})
+        for name in names
+    }
+    sides = {f"{name}_options": tables.pop(name) for name in names[:2]}
+    return {**sides, "missions": missions, "mission_options": tables}
+
+
 def parse_jitter(text: str) -> dict[str, Any]:
     """Return the jitter of each kind of row of a line like ``position=0.2,five-parameter=0.2:0.05``, or ``estimate``.
 
@@ -220,13 +238,12 @@ class Setup:
 
     def attributes(self) -> dict[str, Any]:
         """Return what a dataset says of the tables."""
-        pairs = (("satellite", self.satellite), ("reference", self.reference))
-        files = {name: table.path for name, table in pairs}
-        files |= {f"{name}_columns": table.columns for name, table in pairs}
         epochs = self.satellite.astrometry.epoch
         known = epochs[np.isfinite(epochs)].tolist() or [self.problem.epoch]
-        span = {"epoch": self.problem.epoch, "satellite_epochs": [min(known), max(known)]}
-        return files | {f"{name}_sha256": table.digest for name, table in pairs} | span
+        said = {"epoch": self.problem.epoch, "satellite_epochs": [min(known), max(known)]}
+        for name, table in (("satellite", self.satellite), ("reference", self.reference)):
+            said |= {name: table.path, f"{name}_columns": table.columns, f"{name}_sha256": table.digest}
+        return said
 
     def only(self, sources: Indices) -> "Setup":
         """Return the setup of some of the matched sources and their rows."""
@@ -379,12 +396,9 @@ def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | No
             return matched
     if by is None:
         return replace(_by_position(satellite, reference, ""), releases=releases)
-    said = []
-    for table, column in zip((satellite, reference), pairs[0] if pairs else (None, None), strict=True):
-        names = [str(name) for name in table.names.get(str(column), ()) if name.casefold() not in _NO_NAME]
-        there = f"names in {', '.join(table.names) or 'no column'}"
-        said.append(f"{table.path} has {f'{column} like {names[0]!r}' if names else there}")
-    raise SweepError(f"match by {by!r}: {'no name is in both tables; ' if pairs else ''}{', '.join(said)}")
+    said = [", ".join(f"{name} like {one[0]!r}" for name, one in t.names.items()) for t in (satellite, reference)]
+    there = f"{satellite.path} has {said[0] or 'none'}, {reference.path} {said[1] or 'none'}"
+    raise SweepError(f"match by {by!r}: no name is in both tables; columns of names: {there}")
 
 
 def _release(table: AstrometricTable, column: str) -> str:
@@ -494,8 +508,7 @@ def _listed(table: AstrometricTable, rows: Indices) -> str:
     """Return the names of rows, at most five, or their numbers."""
     if not table.names:
         return named_rows(rows)
-    names = list(dict.fromkeys(next(iter(table.names.values()))[rows].tolist()))
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    return first_of(list(dict.fromkeys(next(iter(table.names.values()))[rows].tolist())), 5)
 
 
 def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: Match, rows: Astrometry) -> list[str]:
@@ -636,10 +649,9 @@ def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] |
     sign = SIGNS[table.meta.get("sign", options.sign)]
     names = [name[:-4] for name in table.colnames if name.endswith("_min") and f"{name[:-4]}_max" in table.colnames]
     axes = [f"omega_{axis}" for axis in "xyz"]
-    if len(names) != 1 or not set(axes) <= set(table.colnames):
-        raise SweepError(
-            f"a table of spins has one pair of columns NAME_min, NAME_max, and {', '.join(axes)}", str(spin)
-        )
+    if len(names) != 1 or any(name not in table.colnames or table[name].unit is None for name in axes):
+        needs = f"one pair of columns NAME_min, NAME_max, and {', '.join(axes)} with units, uas/yr or mas/yr"
+        raise SweepError(f"a table of spins has {needs}; here {', '.join(table.colnames)}", str(spin))
     table.sort(f"{names[0]}_min")
     low, high = (np.asarray(table[f"{names[0]}_{end}"], dtype=np.float64) for end in ("min", "max"))
     column = {"mag": "phot_g_mean_mag", "G": "phot_g_mean_mag"}.get(names[0], names[0])
@@ -648,10 +660,7 @@ def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] |
     values = stars.columns.get(column, np.full(len(stars), np.nan))
     if np.any(outside := ~((values >= low[0]) & (values < high[-1]))):
         raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", str(spin))
-    if any(table[name].unit is None for name in axes):
-        raise SweepError(f"say the unit of {', '.join(axes)} in the table, uas/yr or mas/yr", str(spin))
-    factors = [table[name].unit.to("mas/yr") for name in axes]
-    vectors = [np.asarray(table[name], dtype=np.float64) * factor for name, factor in zip(axes, factors, strict=True)]
+    vectors = [np.asarray(table[name], dtype=np.float64) * table[name].unit.to("mas/yr") for name in axes]
     block = spin_by_bin(column, tuple(low[1:].tolist()), tuple(range(len(low))))
     return Unknowns((block,)), sign * np.stack(vectors, axis=1).ravel() * MAS
 

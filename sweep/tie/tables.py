@@ -15,10 +15,13 @@ from numpy.typing import NDArray
 from linksweep.core.frames import DEGREE, MAS, Array, Flags
 from linksweep.core.tie import mistakes
 from linksweep.core.tie.astrometry import (
+    FIRST,
     FURTHER,
     HALF_SPAN,
     PAIRS,
+    SECOND,
     Astrometry,
+    by_errors,
     kinds,
     named_rows,
     positive_definite,
@@ -233,7 +236,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         columns={name: read.numbers(name) for name in read.names if read.kind(name) in "fiu"},
         apparent=(positions == "single-epoch") & np.isfinite(epoch),
         further=further,
-        further_correlations=None if further is None else _matrices(correlations, len(read))[:, 5:],
+        further_correlations=None if further is None else _matrices(correlations, len(read), 5 + len(FURTHER))[:, 5:],
         averaged=None if further is None else _averaged(read, epoch, further, options, notes),
         **_calibrators(read, notes),
     )
@@ -410,9 +413,9 @@ def _elements(read: Columns, name: str) -> Array:
     return vectors[[j * (j - 1) // 2 + i for i, j in ALL_PAIRS]]
 
 
-def _matrices(correlations: Array | None, n: int) -> Array:
-    """Return the correlations (10, 10, N) of the five parameters and `FURTHER`."""
-    matrices = np.broadcast_to(np.eye(5 + len(FURTHER))[..., None], (5 + len(FURTHER), 5 + len(FURTHER), n)).copy()
+def _matrices(correlations: Array | None, n: int, size: int) -> Array:
+    """Return the correlations (K, K, N) of the first parameters of the five and `FURTHER`."""
+    matrices = np.broadcast_to(np.eye(size)[..., None], (size, size, n)).copy()
     for row, (i, j) in zip(() if correlations is None else correlations, ALL_PAIRS, strict=False):
         matrices[i, j] = matrices[j, i] = row
     return matrices
@@ -443,9 +446,7 @@ def _correlations(read: Columns, present: Flags, notes: list[str]) -> Array | No
         row[~(both & np.isfinite(row))] = 0.0
     zero = f"; there is no column {', '.join(absent)}, which counts as 0:" if absent else ""
     zero += "; of corr_vec, the columns of the upper triangle one after the other," if from_vector else ""
-    good = positive_definite(correlations[: len(PAIRS)])
-    if len(pairs) > len(PAIRS):
-        good &= np.linalg.eigvalsh(np.moveaxis(_matrices(correlations, len(read)), -1, 0))[:, 0] > 0.0
+    good = positive_definite(np.moveaxis(_matrices(correlations, len(read), len(present)), -1, 0))
     read.check(~good, f"correlations that are impossible (not positive definite){zero}")
     return correlations
 
@@ -546,6 +547,4 @@ def hipparcos_correlations(elements: Array) -> Array:
     for (row, column), element in zip(places, elements, strict=True):
         upper[:, row, column] = element
     half = np.linalg.inv(upper)
-    covariance = half @ half.swapaxes(1, 2)
-    sigma = np.sqrt(np.einsum("nii->ni", covariance))
-    return np.array([covariance[:, i, j] / (sigma[:, i] * sigma[:, j]) for i, j in PAIRS])
+    return np.asarray(by_errors(half @ half.swapaxes(1, 2))[1][FIRST, SECOND])

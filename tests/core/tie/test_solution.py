@@ -212,4 +212,5 @@ def test_impossible_correlations_are_those_with_a_negative_eigenvalue():
         matrix[:, i, j] = matrix[:, j, i] = row
     expected = np.linalg.eigvalsh(matrix)[:, 0] > 0.0
     assert 50 < expected.sum() < 350
-    np.testing.assert_array_equal(positive_definite(correlations), expected)
+    np.testing.assert_array_equal(positive_definite(matrix), expected)
+    np.testing.assert_array_equal(positive_definite(matrix[expected]), True)

@@ -106,5 +106,5 @@ def test_spins_of_another_release_or_without_a_unit_are_refused(tmp_path):
         linksweep.tie(*tables, "spin", known_spin="edr3-spin")
     bare = Table({"mag_min": [0.0], "mag_max": [30.0], **{f"omega_{axis}": [10.0] for axis in "xyz"}})
     bare.write(tmp_path / "bare.csv")
-    with pytest.raises(SweepError, match="say the unit of omega_x, omega_y, omega_z"):
+    with pytest.raises(SweepError, match="omega_x, omega_y, omega_z with units"):
         linksweep.tie(*tables, "spin", known_spin=tmp_path / "bare.csv")

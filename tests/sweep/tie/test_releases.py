@@ -52,7 +52,7 @@ def test_errors_are_scaled_from_the_release_that_has_the_epoch(folder, pair):
     """A table of DR4 was scaled from DR3, which made its motions 2.7 times too good."""
     old, new = pair
     if MONTHS[new] < MONTHS[old]:
-        with pytest.raises(SweepError, match=f"is that of {old}, which is later"):
+        with pytest.raises(SweepError, match=f"is that of {old}, the same or a later one"):
             planned(folder, old, new)
         plan = planned(folder, old, new, from_release=old)
     else:
@@ -66,9 +66,9 @@ def test_errors_are_scaled_from_the_release_that_has_the_epoch(folder, pair):
 
 @pytest.mark.parametrize("named", [None, "dr3", "dr4"])
 def test_errors_are_not_scaled_twice(folder, named):
-    with pytest.raises(SweepError, match="of dr4 already" if named != "dr3" else "2017.5 is that of dr4"):
+    with pytest.raises(SweepError, match="of dr4, the same or" if named != "dr3" else r"2017.5\) are those of dr4"):
         planned(folder, "dr4", "dr4", from_release=named)
-    with pytest.raises(SweepError, match="that of dr4, whose errors would be scaled as if they were those of dr3"):
+    with pytest.raises(SweepError, match=r"those of dr4 .*from_release"):
         planned(folder, "dr4", "dr5", from_release="dr3")
 
 
@@ -91,7 +91,7 @@ def test_the_command_says_from_which_release(folder):
     assert "errors scaled from dr4 (2017.5) to dr5: positions x 0.724, motions x 0.379" in found.output
     wrong = CliRunner().invoke(main, [*tables, "--release", "dr5", "--from-release", "dr3"])
     assert wrong.exit_code == 2
-    assert "leave from_release out" in wrong.output
+    assert "from_release" in wrong.output
 
 
 def test_a_study_scales_from_the_same_release(folder):
@@ -112,9 +112,9 @@ def test_a_study_scales_from_the_same_release(folder):
     predicted = linksweep.run(study, folder / "s.zarr", pool="serial").sigma_predicted.sel(release="dr5").values[:6]
     np.testing.assert_allclose(predicted, errors_by_hand(folder, "dr4", "dr4", "dr5"), rtol=1e-9)
     for changes, words in (
-        (["--set", "from_release=dr3"], "scaled as if they were those of dr3"),
-        (["--axis", "release=dr4"], "dr4 already"),
-        (["--axis", "release=dr3"], "which is later"),
+        (["--set", "from_release=dr3"], "are those of dr4"),
+        (["--axis", "release=dr4"], "of dr4, the same"),
+        (["--axis", "release=dr3"], "a later one"),
     ):
         refused = CliRunner().invoke(main, ["run", study, *changes, "-o", str(folder / "t.zarr")])
         assert refused.exit_code == 2

@@ -361,7 +361,7 @@ def test_a_study_reads_the_text_of_the_icrf(tmp_path, monkeypatch):
         ({"jitter": "estimate", "position_jitter": 0.1}, "jitter is there, and position_jitter"),
         ({"jitter": "position"}, "KIND=MAS"),
         ({"missions": {"hip": "nowhere.ecsv"}}, "no such file"),
-        ({"mission_epochs": {"hip": "1991.25"}}, "no mission hip"),
+        ({"mission_epochs": {"hip": "1991.25"}}, "no table hip"),
         ({"missions": ["psrpi"]}, "a table of paths"),
     ],
 )
