@@ -8,6 +8,7 @@ them, and ``records``, the one table for programs.
 import json
 import tempfile
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -101,20 +102,29 @@ class Result:
         Raises SweepError where something exists already, and where writing is not possible.
         """
         require_free(path)
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
-                with warnings.catch_warnings():  # text and consolidated metadata have no final specification in Zarr 3
-                    warnings.simplefilter("ignore")
-                    self.dataset.to_zarr(Path(folder) / "new", mode="w", zarr_format=3)
-                (Path(folder) / "new").rename(path)
-        except OSError as error:
-            raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+        # it warns that text and consolidated metadata have no final specification in Zarr 3
+        write_at_once(path, lambda new: self.dataset.to_zarr(new, mode="w", zarr_format=3))
 
     def _made(self, what: str) -> Any:
         module = "tie.result" if self.is_stored_table else "analysis.derived"
         module = "analysis.results_table" if self.kind == "grid" else module
         return getattr(import_module(f"linksweep.sweep.{module}"), what)(self.dataset)
+
+
+def write_at_once(path: Path, write: Callable[[Path], Any]) -> None:
+    """Let a function write another path, without its warnings, and give this its name; raises SweepError if it cannot.
+
+    The name is the same in another folder, because the format may depend on it.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                write(Path(folder) / path.name)
+            (Path(folder) / path.name).rename(path)
+    except OSError as error:
+        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
 
 def require_free(path: Path) -> None:

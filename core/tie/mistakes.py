@@ -7,7 +7,7 @@ mistake that was made is the one whose correction brings chi2 down to the level 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -250,23 +250,20 @@ def likely(causes: Sequence[Cause], alike: float) -> str:
 
 def _deficit(problem: Problem, tables: Sequence[str], groups: Sequence[_Group]) -> str:
     """Return which errors are too large by a factor of units: the smallest that brings chi2 up to its level."""
+    units = sorted(LARGER.items(), reverse=True)
     for group in groups:
+        what = group.words.removeprefix("the ").partition(" of ")[0]
         wholes = [part for part in _wholes(problem, tables) if part.table in ("satellite", group.part.table)]
-        for part in (group.part, *wholes[::-1]):
-            for which, rows in (("", group.rows), ALL):
-                for factor, unit in sorted(LARGER.items(), reverse=True):
-                    trial = _applied(problem, part, _scaled(rows, factor, errors=True))
-                    try:
-                        groups_then = None if trial is None else _groups(trial, solve(source_sums(trial)), tables)
-                    except LinkError:
-                        continue
-                    if any(
-                        0.1 < one.squares / one.expected < EXCESS
-                        for one in groups_then or ()
-                        if one.words == group.words
-                    ):
-                        what = which or group.words.removeprefix("the ").partition(" of ")[0]
-                        return f"the likely cause: errors of {what} of {part.words} too large, {unit}"
+        for part, (name, rows), (factor, unit) in product(
+            (group.part, *wholes[::-1]), ((what, group.rows), ALL), units
+        ):
+            trial = _applied(problem, part, _scaled(rows, factor, errors=True))
+            try:
+                after = [] if trial is None else _groups(trial, solve(source_sums(trial)), tables)
+            except LinkError:
+                continue
+            if any(one.words == group.words and 0.1 < one.squares / one.expected < EXCESS for one in after):
+                return f"the likely cause: errors of {name} of {part.words} too large, {unit}"
     return ""
 
 

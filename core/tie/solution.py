@@ -448,11 +448,10 @@ def _rayleigh(sources: Sources, _: float | None) -> Clipped:
     kept = robust.factors > 0.0
     after = np.sqrt(2.0 * sources.discrepancies(robust.solution.estimate)[kept] / sources.count[kept])
     if median > 1.5 * MEDIAN_RAYLEIGH and np.median(after) < 0.75 * median:
-        notes.append(
-            f"the frames differ by more than the errors (median X is {median:.3g} before the fit and "
-            f"{np.median(after):.3g} after it; it is {MEDIAN_RAYLEIGH:.2f} for errors alone), so a clip before the fit "
-            "drops good sources: use median or discrepancy"
+        said = (
+            f"the frames differ by more than the errors (median X {median:.3g}, and {np.median(after):.3g} after a fit)"
         )
+        notes.append(f"{said}, so a clip before the fit drops good sources: use median or discrepancy")
     try:
         solution = sources.solve(factors)
     except LinkError as error:

@@ -1,7 +1,5 @@
 """`apply`: a table of the satellite's frame in that of the reference, by the link of the two."""
 
-import tempfile
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +11,7 @@ from linksweep.core.frames import DEGREE, MAS, Array, position, triad
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, named_rows
 from linksweep.core.unknowns import PARAMETERS, Objects, link_unknowns
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.result import require_free, stored_table
+from linksweep.sweep.result import require_free, stored_table, write_at_once
 from linksweep.sweep.tables.columns import ALONG_RA, CORRELATIONS, Columns, first_found, unit_of
 from linksweep.sweep.tables.reader import read_table as read_file
 from linksweep.sweep.tie.setup import SIGNS
@@ -89,14 +87,7 @@ def apply(
     _put(read, _moved(stars, link, inverse), output is not None and output.suffix == ".csv")
     raw.meta["comments"] = [*raw.meta.get("comments", []), *notes]
     if output is not None:
-        try:
-            with tempfile.TemporaryDirectory(dir=output.parent, prefix=f".{output.name}-") as folder:
-                with warnings.catch_warnings():  # about long names in a FITS header
-                    warnings.simplefilter("ignore")
-                    raw.write(Path(folder) / output.name)
-                (Path(folder) / output.name).rename(output)
-        except OSError as error:
-            raise SweepError(f"cannot be written: {error.strerror or error}", str(output)) from error
+        write_at_once(output, raw.write)  # it warns of long names in a FITS header
     return raw
 
 

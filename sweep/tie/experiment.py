@@ -301,26 +301,24 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
         epochs = {name: float(text) for name, text in point["mission_epochs"]}
     except ValueError as error:
         raise SweepError(f"mission_epochs: {error}") from error
+    said = {name: None if value in ("", TABLE) else value for name, value in values if isinstance(value, str)}
     whose = {name: {"none": (), "both": TABLES[:2]}.get(point[name], (point[name],)) for name in OF_TABLES}
     tables = setup.options_by_table(
         {name: table.path for name, table in point["missions"]},
-        {
-            "zero_errors": point["zero_errors"],
-            "accelerations": None if point["accelerations"] == TABLE else point["accelerations"],
-        },
+        {"zero_errors": point["zero_errors"], "accelerations": said["accelerations"]},
         columns=_by_table(point, "columns"),
         units=_by_table(point, "units"),
         epoch={side: point[f"{side}_epoch"] for side in TABLES[:2]} | epochs,
         extragalactic=dict.fromkeys(whose["extragalactic"], True),
         parallax_zero_point=dict.fromkeys(whose["parallax_zero_point"], True),
         pmra_cos_dec=dict.fromkeys(whose["without_cos_dec"], False),
-        where={"satellite": point["where"], "reference": point["reference_where"]},
-        positions={"reference": None if point["positions"] == TABLE else point["positions"]},
+        where={"satellite": said["where"], "reference": said["reference_where"]},
+        positions={"reference": said["positions"]},
     )
     options = setup.Options(
         **{name: point[name] for name in ("unknowns", "degree", "epoch", "weights", "aberration", "known_orientation")},
         bins=setup.parse_bins(point["bins"]) if point["bins"] else None,
-        by=point["by"] or None,
+        by=said["by"],
         known_spin=point["known_spin"] if point["known_spin_table"] is None else point["known_spin_table"].path,
         jitter=point["jitter"] or ({ALL: sizes} if any(sizes) else {}),
         **tables,

@@ -365,11 +365,8 @@ def tie(
     elif on.none_requested:
         link = solve_link(set_up(satellite, reference, asked), clip, names, resamples, seed)
     else:
-        raise SweepError(
-            f"workers are for Parquet tables of {row_groups.FROM_ROWS:,} quasars or more, without a reference, "
-            "missions or a condition (where); these are solved as a whole in this process: leave --workers, "
-            "--scheduler and the like out"
-        )
+        large = f"Parquet tables of {row_groups.FROM_ROWS:,} quasars or more without a reference, missions or where"
+        raise SweepError(f"workers are for {large}; others are solved in this process: leave --workers and so on out")
     result = as_dataset(link, asked, per_source)
     if link.misfit.absurd and not accept_misfit:
         raise MisfitError(result)

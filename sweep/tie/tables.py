@@ -464,11 +464,8 @@ def _epochs(read: Columns, options: TableOptions) -> Array:
         if _is_hipparcos(read):
             epoch = HIPPARCOS_EPOCH
         elif read.has("ra"):
-            read.problems.append(
-                "no column ref_epoch; give the epochs of the positions in one, or one epoch for all with "
-                "--satellite-epoch or --reference-epoch; positions of quasars hold at any epoch: say "
-                "--extragalactic satellite or --extragalactic reference"
-            )
+            said = "no column ref_epoch; give the epochs in one, or with --satellite-epoch or --reference-epoch"
+            read.problems.append(f"{said}, or say of quasars --extragalactic satellite or --extragalactic reference")
     return np.full(len(read), np.nan if epoch is None else epoch)
 
 
