@@ -172,7 +172,7 @@ def _tables(
         epoch=epochs,
         extragalactic=dict.fromkeys(extragalactic, True),
         parallax_zero_point=dict.fromkeys(parallax_zero_point, True),
-        pmra_cos_dec=dict.fromkeys(without_cos_dec, False),
+        without_cos_dec=without_cos_dec,
         where=conditions(where, names, ("satellite",)),
         positions={"reference": positions},
     )

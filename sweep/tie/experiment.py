@@ -311,7 +311,7 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
         epoch={side: point[f"{side}_epoch"] for side in TABLES[:2]} | epochs,
         extragalactic=dict.fromkeys(whose["extragalactic"], True),
         parallax_zero_point=dict.fromkeys(whose["parallax_zero_point"], True),
-        pmra_cos_dec=dict.fromkeys(whose["without_cos_dec"], False),
+        without_cos_dec=whose["without_cos_dec"],
         where={"satellite": said["where"], "reference": said["reference_where"]},
         positions={"reference": said["positions"]},
     )

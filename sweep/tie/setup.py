@@ -2,7 +2,7 @@
 done to the rows, and the unknowns.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -165,15 +165,19 @@ class Options:
 
 
 def options_by_table(
-    missions: Mapping[str, Any], every: Mapping[str, Any], **by_table: Mapping[str, Any]
+    missions: Mapping[str, Any],
+    every: Mapping[str, Any],
+    without_cos_dec: Collection[str],
+    **by_table: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Return the options of `Options` about tables, from fields of `TableOptions` that are those of ``every`` table and
-    others by the name of the table.  Raises SweepError for tables that do not exist.
+    others by the name of the table; ``without_cos_dec`` are tables.  Raises SweepError for tables that do not exist.
     """
     names = ("satellite", "reference", *missions)
-    for what, values in by_table.items():
+    for what, values in (by_table | {"without_cos_dec": dict.fromkeys(without_cos_dec)}).items():
         if unknown := sorted(set(values) - set(names)):
             raise SweepError(f"{what}: no table {', '.join(unknown)}, only {', '.join(names)}")
+    by_table["pmra_cos_dec"] = dict.fromkeys(without_cos_dec, False)
     tables = {
         name: TableOptions(**every, **{field: values[name] for field, values in by_table.items() if name in values})
         for name in names
