@@ -41,6 +41,7 @@ def run(
     axes: Mapping[str, Any] | None = None,
     fixed: Mapping[str, Any] | None = None,
     points: Any = None,
+    labels: str | Sequence[str] | None = None,
     exclude: Sequence[Mapping[str, Any]] | None = None,
     when: Mapping[str, Mapping[str, Any]] | None = None,
     sampling: Mapping[str, Any] | None = None,
@@ -53,6 +54,7 @@ def run(
     dashboard: bool = False,
     progress: Progress | None = None,
     accept_code: bool = False,
+    retry: bool = False,
     fresh: bool = False,
     only: bool = False,
     keep: bool = False,
@@ -78,6 +80,8 @@ def run(
         points: values of several parameters of the function at once: a DataFrame, an astropy Table or a mapping with a
             column for each parameter, the name of a file with such a table, or a design, ``{"design": "sobol",
             "n": 256, "seed": 0, "ranges": {"beta": [0.1, 0.5]}}``.  They are crossed with ``axes``.
+        labels: columns of the table of points that are no parameters but say what a point is: they become coordinates
+            along ``point``, as does the index of a DataFrame unless it counts the rows from 0.
         exclude: points that are left out: mappings as in a study, ``[{"kernel": "linear", "gamma": {"above": 1.0}}]``.
         when: parameters that have an effect only with some values of others, ``{"gamma": {"kernel": ["rbf"]}}``: where
             they have none, there is one point, in which they are missing.
@@ -91,6 +95,7 @@ def run(
         dashboard: give local workers Dask's dashboard, whose address is logged; it needs bokeh.
         accept_code: continue a store that other code made, and record for each point which code made it; otherwise
             such a store is refused.
+        retry: compute the points that failed again, and no others.
         fresh: replace the store.
         only: leave points that are not asked for out of the dataset in the store, which else has those of earlier runs
             too; they stay in its ledger.
@@ -133,8 +138,10 @@ def run(
     """
     if type(verify) is not int or verify < 0:
         raise SweepError(f"verify = {shown(verify)}: must be a number of points, from 0")
+    if retry and (fresh or only or keep or redo or part):
+        raise SweepError("retry = True: does not go with fresh, only, keep, redo and part")
     options = {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title}
-    loaded = _study(study, options | {"points": points, "exclude": exclude, "when": when})
+    loaded = _study(study, options | {"points": points, "labels": labels, "exclude": exclude, "when": when})
     if not deterministic:
         loaded = replace(loaded, experiment=loaded.experiment.not_repeatable())
     place = located(store or default_store(loaded.name))
@@ -152,7 +159,7 @@ def run(
         raise SweepError(f"max_failures = {error}") from error
     with _watching(loaded, progress) as watching:
         further: dict[str, Any] = {"accept_code": accept_code, "fresh": fresh, "beside": Beside(only, keep, redo)}
-        dataset, failures = run_study(loaded, place, resources, watching, max_failures=most, **further)
+        dataset, failures = run_study(loaded, place, resources, watching, retry, max_failures=most, **further)
     if failures:
         log.warning("%s: %s", place, harmless(failed_points(failures)))
     if verify and (differing := verified(loaded, place, verify).differing):

@@ -94,8 +94,11 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     output = output or quantity.main_quantity(dataset)
     quantity.require_quantity(dataset, output)
     quantity.require_done(dataset)
+    for dimension in dataset["status"].dims:  # values that this part has nothing of, as those of another condition
+        there = dataset["status"] != Status.EXCLUDED
+        dataset = dataset.isel({dimension: there.any([d for d in there.dims if d != dimension]).values})
     if np.any(dataset["status"].values == Status.EXCLUDED):
-        raise SweepError("the study excludes points: indices need every point of a grid or a design")
+        raise SweepError("the study excludes points, and indices need all: take a part without gaps, --at AXIS=VALUE")
     method = _of_points(dataset, seed) if POINT in dataset[output].dims else _of_grid(dataset, seed)
     others = [str(d) for d in dataset[output].dims if d not in method.over]
     values = dataset[output].transpose(*others, *method.over).values.astype(float)

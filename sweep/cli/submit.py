@@ -52,7 +52,7 @@ def submit(
     make_grid(study)  # its mistakes are named here, not in a hundred logs
     require_free(store, study, [{"study_digest": study.digest(), "parts": tasks}])
     changes = {"--set": asked.settings, "--axis": asked.axes, "--range": asked.ranges}
-    changes |= {"--points": [asked.points or ""], "--design": [asked.design or ""]}
+    changes |= {"--points": [asked.points or ""], "--design": [asked.design or ""], "--exclude": asked.exclude}
     overrides = [f"{name}={value}" for name, values in changes.items() for value in values if value]
     trust = ["--trust"] if asked.trust else []
     sweep = [sys.executable, "-P", "-m", "linksweep"]

@@ -346,7 +346,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
         return code.value
     if place == SESSION:
         name = shown(attribute.rpartition("-")[0])
-        raise SweepError(f"the function {name} was defined in a script or notebook; compute with it from there")
+        raise SweepError(f"the function {name} was defined in a script or notebook; run that, retry=True for failures")
     try:
         if place.endswith(".py"):
             module = (code or _remember(LocalFiles(Path(place)))).module()

@@ -174,7 +174,8 @@ class Parameter:
         named = next((one for one in self.defined if one.name == label), None)
         if named is None and is_label:
             raise ValueError(
-                f"{self.name} = {shown(label)} is the label of an object that only its script can make again"
+                f"{self.name} = {shown(label)} is the label of an object that only its script can make again; "
+                "run that, retry=True for failed points"
             )
         return raw if named is None else named
 

@@ -75,6 +75,10 @@ class Grid:
         by_row = of_points.reshape(self.shape[0], -1, *of_points.shape[1:])
         return np.asarray(by_row[self.first_rows].reshape(of_points.shape))
 
+    def repeated(self, indices: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return the indices of points with those of the rows of a table that repeat them."""
+        return np.flatnonzero(self.with_repeats(np.isin(np.arange(len(self)), indices)))
+
     def __len__(self) -> int:
         return math.prod(self.shape)
 

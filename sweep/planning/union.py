@@ -1,6 +1,7 @@
 """The union of the points that a store holds and those that a study asks for, as one study: what the store shows."""
 
 import math
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Value
 from linksweep.sweep.planning.grid import MAX_POINTS, Grid
-from linksweep.sweep.studies.points import MAX_VALUES, require_distinct
+from linksweep.sweep.studies.points import MAX_VALUES, labels_of, require_distinct
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
 from linksweep.sweep.tables.file import as_json
 
@@ -69,10 +70,11 @@ def united(stored: Study, asked: Study, held: Collection[bytes] | None = None) -
     rows = _crossed((theirs, was, kept), (mine, now, {}))
     rows |= {(name,): [(was[name],), (now[name],)] for name in changed}
     most = min(MAX_POINTS, max(SMALL, SPARSEST * (len(places) + len(mine))))
-    if not _is_crossed(theirs, mine) or math.prod(map(len, rows.values())) > most:
+    are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
+    if are_lost or not _is_crossed(theirs, mine) or math.prod(map(len, rows.values())) > most:
         names = tuple(dict.fromkeys([*asked.axes, *stored.axes, *changed]))
-        old = [tuple({**was, **point.parameters}[name] for name in names) for point in theirs.points(places)]
-        new = [tuple(parameters[name] for name in names) for _, parameters in mine.parameters()]
+        old = [tuple({**was, **p.parameters}[name] for name in names) for p in theirs.points(theirs.repeated(places))]
+        new = [tuple(p.parameters[name] for name in names) for p in mine.points(mine.repeated(mine.indices()))]
         rows, excluded, tables = {names: _joined(old, new)}, (), [PointTable(names)]
         if len(rows[names]) > MAX_VALUES:
             raise SweepError(f"the store and the study are together a table of more than {MAX_VALUES:,} points")
@@ -83,7 +85,8 @@ def united(stored: Study, asked: Study, held: Collection[bytes] | None = None) -
         whole = [
             one.points for one in (asked, stored) if one.points in tables and len(one.axes[one.points.names[0]]) == size
         ]
-        points = PointTable(tables[0].names, whole[0].origin if whole else {UNITED: True})
+        labels = _labels({name: values[name] for name in tables[0].names}, stored, asked)
+        points = PointTable(tables[0].names, whole[0].origin if whole else {UNITED: True}, labels)
     result = replace(
         asked,
         experiment=_experiment(stored, asked),
@@ -115,6 +118,29 @@ def _columns(rows: Rows, known: Mapping[Named, Named], *, is_table: bool) -> dic
             except ValueError as error:
                 raise SweepError(f"{name}, with its values in the store: {error}") from error
     return columns
+
+
+def _labels(columns: Mapping[str, Sequence[Value]], *studies: Study) -> dict[str, list[Any]]:
+    """Return the labels of the rows of a table, by the values in the columns of the studies' tables: those of the last
+    study that has some.  Rows that repeat keep theirs in their order.
+    """
+    labels: dict[str, list[Any]] = {}
+    rows = _keys(columns, list(columns))
+    for study, points in ((study, study.points) for study in studies if study.points and study.points.labels):
+        places, seen = defaultdict[str, list[int]](list), Counter[str]()
+        for place, key in enumerate(_keys(study.axes, points.names)):
+            places[key].append(place)
+        for row, (key, whole) in enumerate(zip(_keys(columns, points.names), rows, strict=True)):
+            some, turn = places.get(key, ()), seen[whole]
+            seen[whole] += 1
+            for name, cells in points.labels.items():
+                column = labels.setdefault(name, [None] * len(rows))
+                column[row] = cells[some[turn]] if turn < len(some) else column[row]
+    return {name: labels_of(cells) for name, cells in labels.items()}
+
+
+def _keys(columns: Mapping[str, Sequence[Value]], names: Sequence[str]) -> list[str]:
+    return [as_json(list(row)) for row in zip(*(columns[name] for name in names), strict=True)]
 
 
 def _is_crossed(theirs: Grid, mine: Grid) -> bool:
@@ -202,7 +228,7 @@ def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
     if not asked.experiment.deterministic:
         document["sampling"] = whole.sampling.model_dump(exclude_none=True, exclude_defaults=True)
     if whole.points is not None:
-        document["points"] = {"columns": written(columns), "origin": dict(whole.points.origin)}
+        document["points"] = whole.points.written(written(columns))
     if whole.conclusion is None:
         document.pop("conclusion", None)
     theirs, mine = (one.document.get("define", {}) for one in (stored, asked))

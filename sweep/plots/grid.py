@@ -43,6 +43,7 @@ COVERED, COVERED_SHARE, ASIDE_PT = 0.015, 0.25, 4.5
 
 # Labels of what a caption explains; matplotlib leaves labels that begin with _ out of legends.
 ERROR_BAND, PREDICTION_BAND, LAW_BAND, JOINED = "_error band", "_prediction band", "_law band", "_joined"
+WITHOUT = "_without"
 
 
 # Panels
@@ -297,6 +298,8 @@ def _draw_series(
     words = name or (style.COMPUTED if quantity.standard_error(one, variable) is None else style.SIMULATED)
     moved = [axes.errorbar(x, y, yerr=sigma, label=words, alpha=1.0 if few else 0.4, **look)]
     predicted, published = quantity.prediction_name(one, variable), f"{variable}_published"
+    for level in y[np.isnan(x) & np.isfinite(y)]:
+        axes.axhline(level, color=colour, linewidth=1.2, linestyle=":", label=WITHOUT)
     if joined:
         axes.plot(x, y, color=colour, linewidth=0.8, alpha=0.6, zorder=2, label=JOINED)
         if sigma is not None and not _is_known(one, predicted):

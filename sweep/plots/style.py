@@ -221,6 +221,8 @@ def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     """Return a value of an axis as a legend names it."""
     if isinstance(value, str):
         return symbol(value) if _NAME.fullmatch(value) and "_" in value else value
+    if value != value:  # noqa: PLR0124 (NaN: the parameter has no effect there)
+        return f"no {symbol(axis, dataset[axis].attrs)}"
     unit = formatting.written(formatting.units_of(dataset[axis].attrs))
     return f"{symbol(axis, dataset[axis].attrs)} = {formatting.plain(value)} {unit}".rstrip()
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, SweepError
 from linksweep.sweep.contract.block import Block, ledger_key
 from linksweep.sweep.contract.reducer import Sums
 from linksweep.sweep.formatting import ERRORS, TRUTH, described, short_meaning
@@ -148,6 +148,11 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
     coordinates: dict[str, Any] = {}
     if study.points is not None:
         coordinates[POINT] = (POINT, np.arange(grid.shape[0]), described("", "number of the point"))
+        for name, cells in study.points.labels.items():
+            if any(name == output.name or name in output.dims for output in experiment.outputs):
+                raise SweepError(f"{name} is a label and the name of a result or its dimension: rename the column")
+            texts = np.array(cells, dtype=object if isinstance(cells[0], str) else None)
+            coordinates[name] = (POINT, texts, described("", "label of the point"))
     for dimension, axes in grid.dimensions.items():
         for name in axes:
             parameter = experiment.parameter(name)

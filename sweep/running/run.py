@@ -119,7 +119,7 @@ class Session:
         if found is not None:
             study = whole = as_recorded(study, found.attributes) if study.experiment.undeclared else study
             store = open_store(found, study)
-            if not beside.only and not retry:
+            if not beside.only:
                 check_points(found, study)
                 whole, wanted = with_stored(store, study)
             records = again_where(store, whole, beside.redo) if beside.redo else {}

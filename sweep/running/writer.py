@@ -155,7 +155,7 @@ def changed_points(attributes: Mapping[str, Any], study: Study) -> list[str]:
     old: dict[str, list[Any]] = table.get("columns", {})
     if study.points is None or not old or UNITED in table.get("origin", {}):
         return []
-    names = list(dict.fromkeys([*old, *study.points.names]))
+    names = [name for name in dict.fromkeys([*old, *study.points.names]) if name not in table.get("labels", ())]
     settings = study.experiment.defaults()
     rows = min(len(next(iter(old.values()))), len(study.axes[study.points.names[0]]))
     was = {name: old.get(name) or rows * [document.get("fixed", {}).get(name, settings[name])] for name in names}

@@ -23,11 +23,11 @@ import numpy as np
 from linksweep.sweep.code.load import Code
 from linksweep.sweep.code.reach import reach_of
 from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, shown, suggest
-from linksweep.sweep.contract.parameter import LABEL
+from linksweep.sweep.contract.parameter import LABEL, name_problem
 from linksweep.sweep.contract.units import factor_between, is_quantity
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.document import Place, Problems
-from linksweep.sweep.studies.study import PointsForm, Sampling, number_at
+from linksweep.sweep.studies.study import POINT, PointsForm, PointTable, Sampling, number_at
 from linksweep.sweep.tables.columns import rows_listed
 from linksweep.sweep.tables.file import table_file
 from linksweep.sweep.tables.reader import read_table
@@ -342,10 +342,8 @@ def remarks(origin: Mapping[str, Any]) -> list[str]:
 # The table [points]
 
 
-def read_points(
-    form: PointsForm, values: Values, fixed: Mapping[str, Any], code: Code
-) -> tuple[Columns, dict[str, Any]]:
-    """Return the columns of a table of points as they are written, all of one length, and where they come from.
+def read_points(form: PointsForm, values: Values, fixed: Mapping[str, Any], code: Code) -> tuple[Columns, PointTable]:
+    """Return the columns of a table of points as they are written, all of one length, and what is known of it.
 
     ``fixed`` are the other parameters that the study sets; the columns are empty where anything is wrong, and the
     problems of ``values`` say what.
@@ -353,15 +351,18 @@ def read_points(
     problems, before = values.problems, len(values.problems.sentences)
     columns: Columns = form.columns or {}
     origin: dict[str, Any] = dict(form.origin or {})
+    labels, units = dict[str, list[Any]](), dict[str, str]()
     with problems.at(("points", form.source), "" if form.source == "columns" else f"{form.file or form.design}: "):
         if form.design is not None:
             columns, origin = _designed(form, values)
         elif form.file is not None:
-            columns, origin = _in_file(form, values), {"file": Path(form.file).name}
-        else:
-            columns = _in_units(columns, form.units, values, ("points", "columns"))
+            (columns, units), origin = _in_file(form, values), {"file": Path(form.file).name}
+        if form.design is None:
+            columns, labels = _apart(columns, form, values)
+            units = {name: unit for name, unit in (units | form.units).items() if name not in labels}
+            columns = _in_units(columns, units, values, ("points", form.source))
     with problems.at(("points",)):
-        lengths = {name: len(column) for name, column in columns.items()}
+        lengths = {name: len(column) for name, column in {**columns, **labels}.items()}
         sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
         if len(problems.sentences) == before and len(set(lengths.values())) != 1:
             raise ValueError(f"needs columns with the same number of values; {sizes}")
@@ -372,15 +373,50 @@ def read_points(
             settings = values.experiment.defaults() | dict(fixed)
             columns = {**columns, **_derived(form.derive, columns, settings, values, code)}
             origin["derive"] = form.derive
-    return ({}, {}) if len(problems.sentences) > before else (columns, origin)
+    columns = columns if len(problems.sentences) == before else {}
+    return columns, PointTable(tuple(columns), origin, labels)
 
 
-def _in_file(form: PointsForm, values: Values) -> Columns:
+def _apart(columns: Columns, form: PointsForm, values: Values) -> tuple[Columns, dict[str, list[Any]]]:
+    """Return the columns that are parameters, and those that label the rows."""
+    parameters = [parameter.name for parameter in values.experiment.parameters]
+    results = [POINT, *values.experiment.coordinates, *(output.name for output in values.experiment.outputs)]
+    taken = "is a parameter or a result; labels are other columns (reset_index() makes a column of an index)"
+    for name in form.labels:
+        problem = taken if name in (*parameters, *results) else name_problem(name)
+        problem = problem if name in columns else f"is no column{suggest(name, list(columns))}"
+        if problem:
+            values.problems.add(("points", "labels"), f"{shown(name)}: {problem}")
+    for name in columns.keys() - {*parameters, *form.labels}:
+        hint = f"{suggest(name, parameters)}; as a label: labels = [{json.dumps(name)}]"
+        values.problems.add(("points", form.source, name), f"unknown parameter {shown(name)}{hint}")
+    labels = {name: labels_of(columns[name]) for name in form.labels if name in columns}
+    return {name: columns[name] for name in columns if name in parameters}, labels
+
+
+def labels_of(cells: Sequence[Any]) -> list[Any]:
+    """Return the cells of a column as labels: numbers, or truth values, of one type as they are, all else as texts.
+
+    A missing label is NaN among numbers with a fraction, else an empty text.
+
+    >>> labels_of([4472832130942575872, 7]), labels_of(["Sirius", 7, None])
+    ([4472832130942575872, 7], ['Sirius', '7', ''])
+    """
+    cells = [cell.decode() if isinstance(cell, bytes) else None if cell != cell else cell for cell in cells]  # noqa: PLR0124
+    kinds = {type(cell) for cell in cells}
+    if kinds in ({float}, {float, type(None)}):
+        return [math.nan if cell is None else cell for cell in cells]
+    if kinds == {bool} or (kinds == {int} and all(-(2**63) <= cell < 2**63 for cell in cells)):
+        return cells
+    return ["" if cell is None else str(cell) for cell in cells]
+
+
+def _in_file(form: PointsForm, values: Values) -> tuple[Columns, dict[str, str]]:
     table = read_table(values.folder / str(form.file))
     columns, units = columns_of({name: table[name] for name in table.colnames})
     kinds = {parameter.name: parameter.kind for parameter in values.experiment.parameters}
     columns = {name: _read_cells(cells, kinds.get(name, "any")) for name, cells in columns.items()}
-    return _in_units(columns, units | form.units, values, ("points", "file"))
+    return columns, units
 
 
 def _read_cells(cells: list[Any], kind: str) -> list[Any]:
@@ -428,7 +464,7 @@ def _in_units(columns: Columns, units: Mapping[str, str], values: Values, where:
             if name not in columns:
                 raise ValueError("has a unit, but is no column")
             cells: list[Any] = [cell.decode() if isinstance(cell, bytes) else cell for cell in columns[name]]
-            missing = np.array([cell is None or cell != cell for cell in cells], dtype=bool)  # noqa: PLR0124 (NaN)
+            missing = np.array([cell is None or cell != cell for cell in cells], dtype=bool)  # noqa: PLR0124
             if missing.any() and not values.experiment.parameter(name).optional:
                 raise ValueError(f"has no value in row {rows_listed(missing)}")
             if (factor := factor_between(theirs, unit) if theirs else 1.0) is None:
@@ -554,9 +590,10 @@ def plain(value: Any, where: str) -> Any:
 
 def plain_points(points: Any) -> dict[str, Any]:
     """Return a table of points as a study file has it, from a DataFrame, an astropy Table, a mapping of columns, the
-    name of a file, or what a study file may have there.
+    name of a file, or what a study file may have there.  The index of a DataFrame labels the points unless it only
+    counts them.
     """
-    units: dict[str, str] = {}
+    units, labels = dict[str, str](), list[str]()
     if isinstance(points, str | PathLike):
         return {"file": str(points)}
     if isinstance(points, Mapping):
@@ -571,6 +608,9 @@ def plain_points(points: Any) -> dict[str, Any]:
     elif hasattr(points, "colnames"):
         columns, units = columns_of({name: points[name] for name in points.colnames})
     elif hasattr(points, "columns") and hasattr(points, "to_dict"):
+        if points.index.names != [None] or points.index.tolist() != list(range(len(points))):
+            before, points = set(points), points.reset_index(allow_duplicates=True)
+            labels = [str(name) for name in points if name not in before]
         if not points.columns.is_unique:
             raise SweepError("points: two columns have the same name")
         cells = {str(name): points[name].astype(object).where(points[name].notna(), None).tolist() for name in points}
@@ -578,4 +618,4 @@ def plain_points(points: Any) -> dict[str, Any]:
     else:
         wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"
         raise SweepError(f"points = {shown(points)}: {wanted}")
-    return {"columns": columns, **({"units": units} if units else {})}
+    return {"columns": columns} | {key: some for key, some in (("units", units), ("labels", labels)) if some}

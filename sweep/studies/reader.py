@@ -18,7 +18,7 @@ from linksweep.sweep.studies import study as sections
 from linksweep.sweep.studies.document import Options, Place, Problems, find_study, parsed, read_text, reference_in
 from linksweep.sweep.studies.part import PART, Part
 from linksweep.sweep.studies.points import Columns, Values, plain, plain_points, plain_value, plain_values, read_points
-from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Form, Sampling, Study
+from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Form, PointTable, Sampling, Study
 from linksweep.sweep.tables.file import TableFile
 
 ONCE = Sampling(n_sim=1)
@@ -116,9 +116,13 @@ def study_of_function(
     points: Any = None,
     exclude: Sequence[Mapping[str, Any]] | None = None,
     when: Mapping[str, Mapping[str, Any]] | None = None,
+    labels: str | Sequence[str] | None = None,
 ) -> Study:
     """Return the study of a function, named after it; raises SweepError as `load_study`."""
     tables = {"axes": axes or None, "fixed": fixed or None, "sampling": sampling or None, "when": when or None}
+    if labels is not None:
+        names, points = plain(labels, "labels"), plain_points(points)
+        points["labels"] = [*points.get("labels", ()), *(names if isinstance(names, list) else [names])]
     document = {"experiment": function, "title": title, "points": points, "exclude": exclude, **tables}
     return live_study({key: value for key, value in document.items() if value is not None})
 
@@ -174,7 +178,7 @@ class _Reader:
         parameters = [replace(one, optional=one.optional or one.name in when) for one in experiment.parameters]
         experiment = replace(experiment, parameters=tuple(parameters)) if when else experiment
         values = Values(experiment, self.folder, problems)
-        points, origin, columns = self._points(values, form)
+        points, table, columns = self._points(values, form)
         crossed = {name: values.axis(name, spec) for name, spec in form.axes.items()}
         axes, fixed = {**points, **crossed}, dict[str, Value]()
         for name, raw in form.fixed.items():
@@ -211,7 +215,7 @@ class _Reader:
             fixed=fixed,
             sampling=ONCE if experiment.deterministic else checked.sampling,
             zipped=tuple(map(tuple, checked.grid.zip)),
-            points=None if form.points is None else sections.PointTable(tuple(points), origin),
+            points=table,
             excluded=(*(tuple(clause.values()) for clause in checked.exclude), *clauses),
             when=tuple(when),
             published=published,
@@ -220,7 +224,7 @@ class _Reader:
             conclusion=checked.conclusion,
             text=self.text,
             overrides=tuple(f"{flag} {text}" for flag, text in self.options.written),
-            document=self._portable(form, experiment, {**axes, **fixed}, columns, origin),
+            document=self._portable(form, experiment, {**axes, **fixed}, columns, table),
         )
 
     def _conditional(
@@ -296,17 +300,17 @@ class _Reader:
         return Form.model_validate({"title": "", **whole}), experiment, not {"axes", "points"} & form
 
     def _portable(
-        self, form: Form, experiment: Experiment, values: Mapping[str, Any], columns: Columns, origin: Mapping[str, Any]
+        self, form: Form, experiment: Experiment, values: Mapping[str, Any], columns: Columns, table: PointTable | None
     ) -> dict[str, Any]:
         """Return the document with absolute paths of files, labels of objects, and with the values of a table of points
         in place of its file or design.
         """
         document = {**self.document, "experiment": absolute_reference(form.experiment, self.folder)}
-        if form.points is not None:
+        if table is not None:
             # the values and not the file or the function that gave them: a store is continued as it was begun
             known = {one.name: one for one in experiment.parameters}
             written = {name: known[name].written(values[name]) for name in columns}
-            document["points"] = {"columns": written, **({"origin": dict(origin)} if origin else {})}
+            document["points"] = table.written(written)
         if "fixed" in document:
             paths = {name: one.path for name, one in values.items() if isinstance(one, TableFile)}
             document["fixed"] = document["fixed"] | paths
@@ -315,9 +319,9 @@ class _Reader:
             written = {name: objects[name].written(values[name]) for name in objects.keys() & document[key].keys()}
             document[key] = document[key] | written
         for name, by_name in form.define.items():
-            for word, table in by_name.items():
+            for word, entries in by_name.items():
                 absolute = {
-                    key: self.loaded.get(raw, raw) if isinstance(raw, str) else raw for key, raw in table.items()
+                    key: self.loaded.get(raw, raw) if isinstance(raw, str) else raw for key, raw in entries.items()
                 }
                 document["define"] = document["define"] | {name: document["define"][name] | {word: absolute}}
         if form.published is not None:
@@ -327,17 +331,17 @@ class _Reader:
 
     def _points(
         self, values: Values, form: Form
-    ) -> tuple[dict[str, tuple[Value, ...] | None], dict[str, Any], Columns]:
-        """Return the values of a table of points by parameter, where it comes from, and its columns as written."""
+    ) -> tuple[dict[str, tuple[Value, ...] | None], PointTable | None, Columns]:
+        """Return the values of a table of points by parameter, what is known of it, and its columns as written."""
         if form.points is None:
-            return {}, {}, {}
+            return {}, None, {}
         experiment = values.experiment
         outputs = [output.name for output in experiment.outputs]
         names = {*experiment.defaults(), *outputs, *experiment.coordinates}
         if POINT in names:
             name = f"{POINT!r} of its own, the name of this dimension"
             self.problems.add(("points",), f"{experiment.name} has a {name}")
-        columns, origin = read_points(form.points, values, form.fixed, self.code)
+        columns, table = read_points(form.points, values, form.fixed, self.code)
         points: dict[str, tuple[Value, ...] | None] = {}
         for name, raw_values in columns.items():
             where = ("points", "columns" if form.points.columns else "file" if form.points.file else "ranges", name)
@@ -348,7 +352,7 @@ class _Reader:
                 if not (parameter := experiment.parameter(name)).may_be_axis:
                     raise ValueError(f"a {parameter.kind} cannot differ from point to point")
                 points[name] = values.several(where, name, raw_values, rows=True)
-        return points, origin, columns
+        return points, table, columns
 
     def _defined(self, experiment: Experiment, tables: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Experiment:
         """Return the experiment with the values that the tables [define.PARAMETER.NAME] define."""

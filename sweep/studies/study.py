@@ -486,8 +486,8 @@ class GridForm(Section):
 class PointsForm(Section):
     """The table [points]: exactly one of ``file``, ``design`` and ``columns``.
 
-    ``derive`` names a function of a row that gives further columns; ``origin`` is where the columns in a store come
-    from.
+    ``derive`` names a function of a row that gives further columns; ``labels`` are the columns that are no parameters,
+    but say what a point is; ``origin`` is where the columns in a store come from.
     """
 
     file: str | None = None
@@ -498,6 +498,7 @@ class PointsForm(Section):
     columns: dict[str, list[Any]] | None = None
     units: dict[str, str] = Field(default_factory=dict)
     derive: str | None = None
+    labels: list[str] = Field(default_factory=list)
     origin: dict[str, Any] | None = None
 
     @property
@@ -509,8 +510,8 @@ class PointsForm(Section):
     def _one_source(self) -> Self:
         if [self.file, self.design, self.columns].count(None) != 2:
             raise ValueError("needs exactly one of file, design and columns")
-        keys = {"file": {"units"}, "design": {"n", "seed", "ranges"}, "columns": {"units", "origin"}}[self.source]
-        if stray := sorted(self.model_fields_set - keys - {self.source, "derive"}):
+        keys = {"file": "units labels", "design": "n seed ranges", "columns": "units labels origin"}[self.source]
+        if stray := sorted(self.model_fields_set - {*keys.split(), self.source, "derive"}):
             raise ValueError(f"{', '.join(stray)}: does not go with {self.source}")
         if self.design is not None and (self.n is None or not self.ranges):
             raise ValueError(f"n = {self.n}, ranges = {shown(self.ranges)}: a design needs both")
@@ -579,13 +580,19 @@ POINT_TABLE = "point_table"
 
 @dataclass(frozen=True)
 class PointTable:
-    """A table of points: the parameters that its columns are, and what it comes from.
+    """A table of points: the parameters that its columns are, what it comes from, and the labels of its rows by name.
 
     ``origin`` has ``file``, or ``design``, ``n``, ``seed`` and ``ranges`` as the study writes them.
     """
 
     names: tuple[str, ...]
     origin: Mapping[str, Any] = field(default_factory=dict)
+    labels: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+
+    def written(self, columns: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the table [points] that has these columns and what is known of them."""
+        further = {"labels": list(self.labels), "origin": dict(self.origin)}
+        return {"columns": {**columns, **self.labels}} | {key: value for key, value in further.items() if value}
 
 
 @dataclass(frozen=True)
@@ -687,6 +694,7 @@ class Study:
             **({} if self.sampling.precision is None else {"precision": [self.sampling.precision, self.sampling.most]}),
             "zip": self.zipped,
             **({} if self.points is None else {"points": self.points.names}),
+            **({"labels": self.points.labels} if self.points is not None and self.points.labels else {}),
             "exclude": [[vars(c) for c in clause] for clause in self.excluded],
         }
         return hashlib.sha256(json.dumps(whole, sort_keys=True, default=content_digest).encode()).hexdigest()

@@ -216,9 +216,11 @@ def test_what_has_no_indices_says_why(tmp_path):
     few = run(f, tmp_path / "q.zarr", points={"design": "saltelli", "n": 32, "ranges": {"a": [0, 0.5], "b": [0, 1]}})
     with pytest.raises(SweepError, match="indices of a saltelli design need all of its points"):
         sensitivity(few.isel(point=slice(8)))
-    excluding = {"experiment": f, "axes": {"a": [0.1, 0.2], "b": [1.0, 2.0]}, "exclude": [{"a": 0.1, "b": 1.0}]}
-    with pytest.raises(SweepError, match="the study excludes points"):
-        sensitivity(run(excluding, tmp_path / "e.zarr"))
+    excluding = {"experiment": f, "axes": {"a": [0.1, 0.2], "b": [1.0, 2.0, 3.0]}, "exclude": [{"a": 0.1, "b": 1.0}]}
+    ds = run(excluding, tmp_path / "e.zarr")
+    with pytest.raises(SweepError, match=r"the study excludes points.*--at AXIS=VALUE"):
+        sensitivity(ds)
+    assert sensitivity(ds.sel(a=[0.1])).attrs["points"] == 2
 
 
 def test_the_command_prints_writes_and_draws(tmp_path, sweep):

@@ -93,3 +93,17 @@ def test_a_series_at_many_points_is_a_median_with_bands(tmp_path, monkeypatch):
         last = outer[np.isclose(outer[:, 0], 3.0), 1]
         assert np.allclose([last.min(), last.max()], np.quantile(ds["left"].values[:, -1], [0.05, 0.95]), rtol=1e-12)
         assert [text.get_text() for text in axes.figure.legends[0].get_texts()][-1] == "median of 40 points"
+
+
+def test_points_on_which_an_axis_has_no_effect_are_dotted_lines(tmp_path):
+    def score(kernel: str, gamma: float = 0.5):
+        return 1.0 if kernel == "linear" else gamma
+
+    axes = {"kernel": ["linear", "rbf"], "gamma": [0.1, 0.2, 0.4]}
+    ds = linksweep.run(score, tmp_path / "s.zarr", axes=axes, when={"gamma": {"kernel": ["rbf"]}}, pool="serial")
+    [axes] = linksweep.plot(ds).axes
+    [dotted] = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
+    assert list(dotted.get_ydata()) == [1.0, 1.0]
+    low, high = axes.get_ylim()
+    assert low < 1.0 < high
+    assert dotted.get_color() != next(line for line in axes.get_lines() if 0.1 in line.get_ydata()).get_color()

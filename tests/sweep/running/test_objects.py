@@ -201,3 +201,28 @@ def test_where_a_parameter_has_no_effect_there_is_one_point_without_it(declared,
     if not declared:
         with pytest.raises(SweepError, match="when: "):
             linksweep.run(function, tmp_path / "s.zarr", axes=axes, pool="serial", when=other)
+
+
+def test_only_the_script_tries_failed_points_of_its_objects_again(tmp_path, monkeypatch, sweep):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "m.py").write_text(
+        'import os\ndef g(x, m: float = 1.0):\n    if m == 2.0 and not os.path.exists("mended"):\n'
+        '        raise ValueError("broken")\n    return m * len(str(x))\n'
+    )
+
+    def run(x, **more):
+        return linksweep.run("m.py:g", "s.zarr", axes={"x": x, "m": [1.0, 2.0]}, pool="serial", **more)
+
+    dates = [datetime.date(2020, 1, 1), (1, "a")]
+    run(dates)
+    for command in (["run", "--retry", "s.zarr"], ["reproduce", "s.zarr", "--at", "x=2020-01-01,m=2"]):
+        code, _, said = sweep(*command)
+        assert code == 2
+        assert "x = '2020-01-01' is the label of an object that only its script can make again" in said
+        assert "retry=True" in said
+    (tmp_path / "mended").touch()
+    assert np.isnan(run(dates).g.values[:, 1]).all()
+    assert run(dates[:1], retry=True).g.values.tolist() == [[10.0, 20.0]]
+    assert linksweep.open("s.zarr").g.fillna(0.0).values.tolist() == [[10.0, 20.0], [8.0, 0.0]]
+    with pytest.raises(SweepError, match="retry = True: does not go with"):
+        run(dates, retry=True, fresh=True)

@@ -170,7 +170,7 @@ ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to
         ),
         (
             {"points": {"distance": [1.0], "m": [1]}},
-            "points.columns.m: unknown parameter 'm'; known are distance, n",
+            "points.columns.m: unknown parameter 'm'; known are distance, n; as a label: labels = [\"m\"]",
         ),
     ],
 )

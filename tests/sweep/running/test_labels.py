@@ -1,0 +1,117 @@
+"""Labels of the rows of a table: coordinates of a store that change no number, whatever joins its points."""
+
+import pandas as pd
+import pytest
+import xarray as xr
+from astropy.table import Table
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import linksweep
+from linksweep import SweepError
+from tests.sweep.opening import POINT, merge
+from tests.tiers import examples
+
+
+def noisy(x: float, k: int = 1, *, rng):
+    return {"y": k * x + rng.normal()}
+
+
+def run(store, rows=None, labels=None, function=noisy, **more):
+    return linksweep.run(function, store, points=rows, labels=labels, pool="serial", **more)
+
+
+STARS = {"x": [1.0, 2.0, 2.0], "star": ["Sirius", None, "Vega"], "hd": [48915, 2**62, 172167]}
+
+
+@pytest.mark.parametrize("form", ["mapping", "frame", "index", "levels", "table", "file", "study"])
+def test_labels_are_coordinates_along_points_and_change_no_number(tmp_path, form):
+    store, rows, labels = tmp_path / "s.zarr", STARS, ["star", "hd"]
+    if form in ("frame", "index", "levels"):
+        rows = pd.DataFrame(STARS)
+        index = {"frame": [], "index": ["star"], "levels": ["star", "hd"]}[form]
+        rows = rows.set_index(index) if index else rows
+        labels = [name for name in labels if name not in index]
+    elif form != "mapping":
+        table = Table({**STARS, "star": ["Sirius", "", "Vega"]})
+        table.write(tmp_path / "t.ecsv")
+        rows = table if form == "table" else str(tmp_path / "t.ecsv")
+    if form == "study":
+        points = {"file": rows, "labels": labels}
+        ds = linksweep.run({"experiment": noisy, "points": points}, store, pool="serial")
+    else:
+        ds = run(store, rows, labels)
+    plain = run(tmp_path / "plain.zarr", {"x": STARS["x"]})
+    assert ds.y_mean.values.tobytes() == plain.y_mean.values.tobytes()
+    for found_there in (ds, linksweep.open(store), xr.open_zarr(store).load()):
+        assert found_there.star.dims == found_there.hd.dims == (POINT,)
+        assert found_there.star.values.tolist() == ["Sirius", "", "Vega"]
+        assert found_there.hd.values.tolist() == STARS["hd"]
+    assert not {"star", "hd"} & set(plain.coords)
+
+
+def test_an_index_that_only_counts_is_no_label():
+    ds = run(None, pd.DataFrame({"x": [3.0, 4.0]}))
+    assert set(ds.coords) == {POINT, "x"}
+    assert run(None, pd.DataFrame({"x": [3.0, 4.0]}, index=[7, 8])).index.values.tolist() == [7, 8]
+
+
+def test_labels_survive_whatever_joins_the_points(tmp_path):
+    store, table = tmp_path / "s.zarr", {"x": [1.0, 2.0], "star": ["a", "b"]}
+    run(store, table, "star")
+    assert run(store, {"x": [1.0, 2.0], "star": ["a", "B"]}, "star").star.values.tolist() == ["a", "B"]  # corrected
+    run(store, {"x": [1.0, 2.0, 2.0], "star": ["a", "B", "c"]}, "star")
+    run(store, {"x": [1.0]})
+    assert linksweep.open(store).star.values.tolist() == ["a", "B", "c"]
+    run(store, axes={"x": [2.0, 9.0]})
+    ds = linksweep.open(store)
+    assert list(zip(ds.x.values.tolist(), ds.star.values.tolist(), strict=True)) == [
+        (1.0, "a"),
+        (2.0, "B"),
+        (2.0, "c"),
+        (9.0, ""),
+    ]
+
+
+def test_what_is_no_label_is_refused_by_name(tmp_path):
+    frame = pd.DataFrame({"x": [1.0], "star": ["a"]})
+    for rows, labels, words in (
+        (frame, None, r'unknown parameter .star.; .*labels = \["star"\]'),
+        (frame, "starr", "no column; did you mean 'star'"),
+        (frame.set_index("x"), "star", "'x': is a parameter or a result"),
+        (frame.rename(columns={"star": "status"}), "status", "'status': the platform gives this name"),
+        (frame.rename(columns={"star": "a/b"}), "a/b", "a name begins with a letter"),
+        ({"x": [1.0, 2.0], "star": ["a"]}, "star", "x has 2, star has 1"),
+        (frame, 3, "labels.0: input should be a valid string"),
+        (None, "star", "points = None"),
+        (frame.rename(columns={"star": "y_std"}), "y_std", "y_std is a label and the name of a result"),
+    ):
+        with pytest.raises(SweepError, match=words):
+            run(tmp_path / "s.zarr", rows, labels)
+
+
+cells = st.one_of(st.none(), st.text("ab", max_size=2), st.integers(0, 3), st.floats(0, 2))
+tables = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0]), cells), min_size=1, max_size=5)
+
+
+@pytest.mark.slow
+@settings(max_examples=examples(12), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(table=tables, first=st.integers(1, 4), number=st.integers(1, 3))
+def test_rows_of_any_labels_grow_and_come_together_from_parts(tmp_path_factory, table, first, number):
+    folder = tmp_path_factory.mktemp("labels")
+    columns = {"x": [x for x, _ in table], "label": [label for _, label in table]}
+    whole = run(folder / "s.zarr", columns, "label", fresh=True)
+    expected = ["" if cell is None else str(cell) for cell in columns["label"]]
+    texts = whole.label.dtype.kind not in "if"
+    got = whole.label.values.tolist()
+    assert got == expected if texts else [float(cell) for cell in expected if cell] == [c for c in got if c == c]  # noqa: PLR0124
+    run(folder / "grown.zarr", {name: cells[:first] for name, cells in columns.items()}, "label")
+    run(folder / "grown.zarr", columns, "label")
+    for k in range(1, number + 1):
+        run(folder / "parts.zarr", columns, "label", part=f"{k}/{number}")
+    merge(sorted(folder.glob("parts.zarr.part-*")), folder / "parts.zarr")
+    for store in ("grown.zarr", "parts.zarr"):
+        again = linksweep.open(folder / store)
+        assert again.y_mean.values.tobytes() == whole.y_mean.values.tobytes()
+        assert again.x.values.tolist() == columns["x"]
+        assert str(again.label.values.tolist()) == str(got)
