@@ -116,6 +116,8 @@ class Session:
         study, store = grid.study, None
         whole, wanted, again = study, None, frozenset[bytes]()
         found = replace_store(where, study, provenance(study)) if fresh else find_store(where, study, beside.keep)
+        if retry and found is None:
+            raise SweepError("no store is there whose failed points could be computed again", str(where))
         if found is not None:
             study = whole = as_recorded(study, found.attributes) if study.experiment.undeclared else study
             store = open_store(found, study)

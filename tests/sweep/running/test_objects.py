@@ -226,3 +226,9 @@ def test_only_the_script_tries_failed_points_of_its_objects_again(tmp_path, monk
     assert linksweep.open("s.zarr").g.fillna(0.0).values.tolist() == [[10.0, 20.0], [8.0, 0.0]]
     with pytest.raises(SweepError, match="retry = True: does not go with"):
         run(dates, retry=True, fresh=True)
+
+
+def test_failed_points_of_no_store_cannot_be_computed_again(tmp_path):
+    with pytest.raises(SweepError, match="no store is there"):
+        linksweep.run(lambda x: x, tmp_path / "s.zarr", axes={"x": [1.0]}, retry=True, pool="serial")
+    assert list(tmp_path.iterdir()) == []
