@@ -134,7 +134,7 @@ def test_a_dashboard_of_local_workers_opens(tmp_path, start_sweep):
     (tmp_path / "f.py").write_text("import time\ndef f(x: float):\n    time.sleep(3600.0)\n    return x\n")
     run = ("run", "f.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--workers", 1, "--dashboard")
     process = start_sweep(*run, cwd=tmp_path)
-    [address] = [line.split()[-1] for line in iter(process.stderr.readline, "") if "dashboard" in line][:1]
+    address = next(line.split()[-1] for line in iter(process.stderr.readline, "") if "dashboard" in line)
     with urlopen(address) as page:
         assert page.status == 200
     process.terminate()
