@@ -77,5 +77,5 @@ def _killed(command: list[str], folder: Path, store: Path, points: int) -> float
 
 def _work_begins(log: Path) -> datetime:
     """Return when a run said what there is to do, with its workers there."""
-    line = next(line for line in log.read_text().splitlines() if " to do " in line)
+    line = next(line for line in log.read_text().splitlines() if " to do " in line or " already" in line)
     return datetime.strptime(line[:23], "%Y-%m-%d %H:%M:%S,%f")

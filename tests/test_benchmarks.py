@@ -73,7 +73,7 @@ def test_an_unknown_benchmark_is_refused():
     assert "no benchmark speed" in run.stderr
 
 
-SCRIPT = Path(__file__).parents[3] / "benchmarks" / "crossmatch.py"
+SCRIPT = ROOT / "benchmarks" / "crossmatch.py"
 
 
 @pytest.mark.slow

@@ -182,7 +182,7 @@ assert link.unit.values[-1] == "mas"
         [
             (
                 "sweep/plots/__init__.py",
-                '"scatter": Kind("points:SCATTER"),',
+                '"scatter": Kind("grid:SCATTER"),',
                 '\n    "dots": Kind("dots:DOTS"),',
             )
         ],
