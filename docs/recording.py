@@ -10,7 +10,6 @@ import os
 import pty
 import re
 import select
-import signal
 import struct
 import sys
 import tempfile
@@ -128,7 +127,6 @@ def animated(frames: list[Frame]) -> str:
 def main() -> None:
     """Record the commands into the file that is named."""
     target = Path(sys.argv[1]).resolve()
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     os.environ["PATH"] = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     frames: list[Frame] = []
     at = 0.0

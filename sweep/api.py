@@ -108,7 +108,6 @@ def run(
         deterministic: False accepts a function without ``rng`` that returns another result each time, as
             ``@experiment(deterministic=False)`` does; by default it is refused.
         progress: an object that is notified of the progress; by default a bar in terminals and notebooks.
-
         part: "K/N" computes part K of N alone, into the store STORE.part-K-of-N; `sweep merge` makes one of all parts.
         verify: compute so many points again at the end, each by itself in new processes, in two orders, and compare
             every bit; the results are in the store all the same.

@@ -49,13 +49,12 @@ def arg(**more: Any) -> Any:
 
 class _Choice(click.Choice[str]):
     def convert(self, value: Any, param: Parameter | None, ctx: Context | None) -> str:
-        from linksweep.sweep.contract import suggest
-
         try:
             return super().convert(value, param, ctx)
         except click.BadParameter as error:
-            near = suggest(str(value), list(self.choices))
-            said = error.message.rstrip(".") + (near if "did you mean" in near else ".")
+            from linksweep.sweep.contract import nearest
+
+            said = error.message.rstrip(".") + (nearest(str(value), list(self.choices)) or ".")
             raise click.BadParameter(said, ctx, param) from error
 
 

@@ -3,7 +3,7 @@
 This package and NumPy are all that an experiment needs; the platform knows nothing of what is inside one.
 """
 
-from linksweep.sweep.contract.errors import FEW, DefinitionError, SweepError, shown, suggest
+from linksweep.sweep.contract.errors import FEW, DefinitionError, SweepError, nearest, shown, suggest
 from linksweep.sweep.contract.experiment import Experiment, GeneratorPair
 from linksweep.sweep.contract.parameter import Function, Kind, Named, Output, Parameter, Point, Value
 from linksweep.sweep.contract.reducer import (
@@ -35,6 +35,7 @@ __all__ = [
     "Rows",
     "SweepError",
     "Value",
+    "nearest",
     "shown",
     "small_sample_factor",
     "suggest",

@@ -56,13 +56,16 @@ class DefinitionError(ValueError):
         super().__init__("; ".join(f"{key}: {sentence}" if key else sentence for key, sentence in problems))
 
 
-def suggest(word: str, known: Sequence[str]) -> str:
-    """Return '; did you mean ...?' for a misspelt word, or the list of known words if it is short."""
+def nearest(word: str, known: Sequence[str]) -> str:
+    """Return '; did you mean ...?' for a misspelt word; '' where none of the known words is like it."""
     near = difflib.get_close_matches(word, known, n=1, cutoff=0.65)
     # One that is in the other: `heatmap` is no map, and `decay` may be decay.zarr.
     near += sorted(
         (one for one in known if word and min(len(word), len(one)) > 2 and (one in word or word in one)), key=len
     )
-    if near:
-        return f"; did you mean {near[0]!r}?"
-    return f"; known are {', '.join(sorted(known))}" if len(known) <= FEW else ""
+    return f"; did you mean {near[0]!r}?" if near else ""
+
+
+def suggest(word: str, known: Sequence[str]) -> str:
+    """Return what `nearest` does, or else the list of known words if it is short."""
+    return nearest(word, known) or (f"; known are {', '.join(sorted(known))}" if len(known) <= FEW else "")

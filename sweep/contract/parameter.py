@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol, TypeVar, get_args
 
 import numpy as np
 
-from linksweep.sweep.contract.errors import shown, suggest
+from linksweep.sweep.contract.errors import nearest, shown, suggest
 from linksweep.sweep.contract.units import unit_problem
 
 T = TypeVar("T")
@@ -184,8 +184,8 @@ class Parameter:
         if kind == "str" and isinstance(raw, str) and (not self.choices or raw in known):
             return next((named for named in self.defined if named.name == raw), raw)
         if kind == "str" or (self.choices and (type(raw), raw) not in [(type(choice), choice) for choice in known]):
-            hint = suggest(raw, known) if isinstance(raw, str) and kind == "str" else ""
-            raise self._refused(raw, hint if "did you mean" in hint else "")
+            hint = nearest(raw, known) if isinstance(raw, str) and kind == "str" else ""
+            raise self._refused(raw, hint)
         if kind in ("float", "int"):
             return self._number(raw)
         if kind == "any" and isinstance(raw, int | float) and not isinstance(raw, bool):

@@ -22,7 +22,7 @@ import numpy as np
 
 from linksweep.sweep.code.load import Code
 from linksweep.sweep.code.reach import reach_of
-from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, shown, suggest
+from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, nearest, shown, suggest
 from linksweep.sweep.contract.parameter import LABEL, name_problem
 from linksweep.sweep.contract.units import factor_between, is_quantity
 from linksweep.sweep.formatting import first_of
@@ -85,9 +85,10 @@ class Values:
         try:
             return self.experiment.parameter(name)
         except ValueError as error:
-            settings = list(Sampling.model_fields)
-            hint = f"; --set {name}=VALUE sets it, to one value" if name in settings else suggest(name, settings)
-            if not str(error).startswith("unknown") or "did you mean" in str(error) or hint.startswith("; known"):
+            known, settings = [one.name for one in self.experiment.parameters], list(Sampling.model_fields)
+            hint = f"; --set {name}=VALUE sets it, to one value" if name in settings else nearest(name, settings)
+            # Experiments may say more of a name than that they do not know it.
+            if not hint or nearest(name, known) or not str(error).startswith("unknown"):
                 raise
             raise ValueError(f"{error}{hint}") from error
 
