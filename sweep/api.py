@@ -50,6 +50,7 @@ def run(
     pool: PoolName | None = None,
     scheduler: str | None = None,
     cluster: str | Path | None = None,
+    client: Any = None,
     limits: Limits = NO_LIMITS,
     dashboard: bool = False,
     progress: Progress | None = None,
@@ -91,6 +92,7 @@ def run(
         pool: the kind of executor on this machine: "processes" (the default), "threads", or "serial" for small work.
         scheduler: the address of a Dask scheduler to run on instead.
         cluster: a file that describes a Dask cluster to start and run on instead.
+        client: a connected, synchronous `distributed.Client` to run on instead; it stays open.
         limits: the time and memory that one block may take.
         dashboard: give local workers Dask's dashboard, whose address is logged; it needs bokeh.
         accept_code: continue a store that other code made, and record for each point which code made it; otherwise
@@ -151,7 +153,7 @@ def run(
     if loaded.part is not None:
         place = located(loaded.part.place(place))
     file = None if cluster is None else Path(cluster)
-    resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard)
+    resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard, client=client)
     try:
         most = None if max_failures is None else MaxFailures.of(max_failures)
     except ValueError as error:

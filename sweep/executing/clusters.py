@@ -70,13 +70,16 @@ OWN_CLUSTER = {
 
 @contextmanager
 def dask_workers(reference: str, resources: Resources, say: Say) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor on the Dask scheduler or the cluster that the resources name, or on workers with a dashboard.
+    """Give an executor on the Dask scheduler, client or cluster of the resources, or on workers with a dashboard.
 
     Raises SweepError where none answers, for anything wrong in the file, and for workers that would compute other
     numbers than this process.
     """
     with ExitStack() as stack:
-        if (address := resources.scheduler) is not None:
+        if (client := resources.client) is not None:
+            stack.enter_context(without_logs())
+            words = f"the Dask scheduler at {client.scheduler_info()['address']}"
+        elif (address := resources.scheduler) is not None:
             words = f"the Dask scheduler at {address}"
             client = stack.enter_context(client_at(address, tls(*resources.tls) if resources.tls else None))
         elif (path := resources.cluster) is not None:
@@ -93,6 +96,8 @@ def dask_workers(reference: str, resources: Resources, say: Say) -> Iterator[tup
             )
             client = stack.enter_context(_client_of(local, "--dashboard"))
         driver = DaskDriver(client, words, reference, resources.limits, say)
+        if resources.client is not None:
+            stack.callback(driver.cancel)
         driver.prepare()
         yield Place(f"on {words}", dashboard=_link(client)), driver
 

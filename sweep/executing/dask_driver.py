@@ -147,6 +147,13 @@ class DaskDriver:
         self._warned: set[str] = set()
         self._looked = self._had_workers = time.monotonic()
         self._waiting = False
+        self._in_flight: dict[Future[Any], _Submission] = {}
+
+    def cancel(self) -> None:
+        """Take back the tasks whose results nobody will take: the client may be used for others."""
+        if self._in_flight and self.client.status == "running":
+            with suppress(OSError, TimeoutError):
+                self.client.cancel(list(self._in_flight))
 
     def prepare(self) -> None:
         """Wait for a worker, bring the workers what they need, and compare them with the client.
@@ -225,7 +232,6 @@ class DaskDriver:
     def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         """Compute everything that ``take`` gives; begin now, not when the first result is asked for."""
         self._take: Callable[[int], Sequence[Any]] = take
-        self._in_flight: dict[Future[Any], _Submission] = {}
         self._ended: SimpleQueue[Future[Any]] = SimpleQueue()
         self._arrived: deque[tuple[Future[Any], Answer | None]] = deque()
         self._succeeded = 0

@@ -49,7 +49,10 @@ def choose_executor(study: Study, cost: float, resources: Resources, say: Say) -
 
 
 def _opened(reference: str, resources: Resources, say: Say) -> Opened:
-    if resources.scheduler is not None or resources.cluster is not None or resources.dashboard:
+    if (
+        any(one is not None for one in (resources.scheduler, resources.cluster, resources.client))
+        or resources.dashboard
+    ):
         from linksweep.sweep.executing.clusters import dask_workers
 
         return dask_workers(reference, resources, say)

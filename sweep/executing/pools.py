@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+if TYPE_CHECKING:
+    from distributed import Client
 
 PoolName = Literal["processes", "threads", "serial"]
 
@@ -62,7 +65,7 @@ class Resources:
     """What to run on; never part of a study, because it cannot change a number.
 
     ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.  With ``dashboard`` the
-    local worker processes are Dask's and have its dashboard, which needs bokeh.
+    local worker processes are Dask's and have its dashboard, which needs bokeh.  A ``client`` of the user's stays open.
     """
 
     workers: int | None = None
@@ -72,16 +75,32 @@ class Resources:
     cluster: Path | None = None
     limits: Limits = NO_LIMITS
     dashboard: bool = False
+    client: "Client | None" = None
 
     def __post_init__(self) -> None:
-        """Raise SweepError for a pool that is not known, and for a dashboard where there can be none."""
-        if self.pool in (None, *POOLS) and not self.dashboard:
+        """Raise SweepError for a pool that is not known, for a dashboard where there can be none, and for a client that
+        cannot be used, or not with the rest.
+        """
+        if self.pool in (None, *POOLS) and not self.dashboard and self.client is None:
             return
         # Imported here, since it imports NumPy, and the help of a command needs only the names of pools.
         from linksweep.sweep.contract import SweepError, shown, suggest
 
         if self.pool not in (None, *POOLS):
             raise SweepError(f"no pool {shown(self.pool)}{suggest(str(self.pool), list(POOLS))}")
+        if self.client is not None:
+            from distributed import Client
+
+            others = ("workers", "pool", "scheduler", "cluster", "dashboard")
+            if named := [name for name in others if getattr(self, name) not in (None, False)]:
+                raise SweepError(f"client and {', '.join(named)} are different places to run on; give one of them")
+            if not isinstance(self.client, Client):
+                raise SweepError(f"client = {shown(self.client)}: must be a distributed.Client")
+            if self.client.asynchronous:
+                raise SweepError("client is asynchronous; make one with Client(..., asynchronous=False)")
+            if self.client.status != "running":
+                raise SweepError(f"client is not connected to a scheduler: its status is {self.client.status!r}")
+            return
         if self.scheduler is not None or self.cluster is not None or self.pool not in (None, DEFAULT_POOL):
             raise SweepError("a dashboard is for local worker processes; a scheduler and a cluster have their own")
         if find_spec("bokeh") is None:
