@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Value
+from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Value, shown
 from linksweep.sweep.planning.grid import MAX_POINTS, Grid
 from linksweep.sweep.studies.points import MAX_VALUES, labels_of, require_distinct
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
@@ -32,41 +32,36 @@ def united(stored: Study, asked: Study, held: Collection[bytes] | None = None) -
     """Return the study of all points that a store holds and that are asked for; ``asked`` itself where it has them all.
 
     Axes get the values of both; a constant that is another one, or an axis, in the other study becomes an axis.  Where
-    that makes no grid, or a large one that is nearly empty, the points are a table.  Points with a value that the study
-    defines otherwise under the same name are left out.  ``stored`` is the study of the store, and ``held`` has the
-    digests of the points in its ledger, None where these are all points of its study.  Raises SweepError for values
-    that cannot be on one axis.
+    that makes no grid, or a large one that is nearly empty, the points are a table.  ``stored`` is the study of the
+    store, and ``held`` has the digests of the points in its ledger, None where these are all points of its study.
+    Raises SweepError for values that cannot be on one axis, and for one name of two different values.
     """
     theirs, mine = Grid(stored), Grid(asked)
     defaults = asked.experiment.defaults()
     was, now = ({**defaults, **one.experiment.defaults(), **one.fixed} for one in (stored, asked))
     defined = {(one.name, named.name): named for one in asked.experiment.parameters for named in one.defined}
 
-    def is_meant(name: str, value: Value) -> bool:
-        return not isinstance(value, Named) or defined.get((name, value.name), value) == value
-
     places = theirs.indices()
     if held is not None:
         places = places[np.array([digest in held for digest in theirs.digests(places)], dtype=bool)]
-    meant = {
-        dimension: np.array([all(map(is_meant, axes, row)) for row in theirs.rows[dimension]])
-        for dimension, axes in theirs.dimensions.items()
-    }
-    along = np.unravel_index(places, theirs.shape) if meant else ()
-    good = [some[numbers] for some, numbers in zip(meant.values(), along, strict=True)]
-    places = places[np.all(good, axis=0)] if good else places
-    if not len(places) or not all(map(is_meant, was, was.values())):
+    if not len(places):
         return asked
+    along = np.unravel_index(places, theirs.shape) if theirs.shape else ()
+    kept = {name: np.unique(numbers) for name, numbers in zip(theirs.dimensions, along, strict=True)}
+    there = [(axes, theirs.rows[name][number]) for name, axes in theirs.dimensions.items() for number in kept[name]]
+    for name, value in [pair for axes, row in there for pair in zip(axes, row, strict=True)] + list(was.items()):
+        if isinstance(value, Named) and defined.get((name, value.name), value) != value:
+            raise SweepError(
+                f"{name}: {shown(value.name)} is another value than in the store, whose points would be mixed up with "
+                "those of today's; give it another name, or leave the earlier points out by --only (only=True)"
+            )
     if gone := [name for name in stored.axes if name not in defaults]:
         raise SweepError(f"the axis {gone[0]} of the store is no parameter any more; --only leaves its points out")
     axes = {*stored.axes, *asked.axes}
     changed = [name for name in defaults if name not in axes and as_json(was[name]) != as_json(now[name])]
     tables = [one.points for one in (asked, stored) if one.points is not None]
     excluded = tuple(clause for clause in asked.excluded if clause in stored.excluded)
-    along = np.unravel_index(places, theirs.shape) if meant else ()
-    kept = {name: np.unique(numbers) for name, numbers in zip(meant, along, strict=True)}
-    if POINT in kept:  # with rows that repeat others, and those that are not there yet
-        kept[POINT] = np.flatnonzero(meant[POINT])
+    kept.pop(POINT, None)  # with rows that repeat others, and those that are not there yet
     rows = _crossed((theirs, was, kept), (mine, now, {}))
     rows |= {(name,): [(was[name],), (now[name],)] for name in changed}
     most = min(MAX_POINTS, max(SMALL, SPARSEST * (len(places) + len(mine))))

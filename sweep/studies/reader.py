@@ -232,26 +232,34 @@ class _Reader:
         values: Values,
         when: Mapping[str, Mapping[str, Sequence[Any]]],
         axes: dict[str, tuple[Value, ...] | None],
-        fixed: Mapping[str, Value],
+        fixed: dict[str, Value],
     ) -> list[tuple[sections.Condition, ...]]:
-        """Return the clauses that leave out axes except ``when`` they have an effect, and otherwise in one point in
-        which they are None; that becomes a value of these axes.
+        """Return the clauses that leave out values of parameters except ``when`` they have an effect, and otherwise in
+        one point in which they are None; what is fixed, but not everywhere, becomes an axis of these two.
         """
-        clauses: list[tuple[sections.Condition, ...]] = []
-        settings = values.experiment.defaults() | dict(fixed)
+        allowed: dict[str, dict[str, tuple[Value, ...]]] = {}
         for name, conditions in when.items():
-            place, missing = ("when", name), sections.Condition(name, (None,))
+            place = ("when", name)
             with self.problems.at(place):
                 values.experiment.parameter(name)
-            allowed = {other: values.several((*place, other), other, some) or () for other, some in conditions.items()}
-            effective = [sections.Condition(other, some) for other, some in allowed.items()]
-            clauses += [
-                (*effective, missing),
-                *((replace(c, without=True), replace(missing, without=True)) for c in effective),
-            ]
-            at_others = (set(axes.get(other) or (settings.get(other),)) - {*some} for other, some in allowed.items())
-            if (own := axes.get(name)) and None not in own and any(at_others):
-                axes[name] = (*own, None)
+            allowed[name] = {
+                other: values.several((*place, other), other, some) or () for other, some in conditions.items()
+            }
+        settings, before = values.experiment.defaults() | fixed, None
+        while before != (before := dict(axes)):  # where one has no effect, others that depend on it may have none
+            for name, conditions in allowed.items():
+                at = [({*(axes.get(other) or (settings.get(other),))}, {*some}) for other, some in conditions.items()]
+                is_everywhere = all(values <= some for values, some in at)
+                if name in fixed and not is_everywhere:
+                    axes[name] = (fixed.pop(name),) if all(values & some for values, some in at) else (None,)
+                if (own := axes.get(name)) and None not in own and not is_everywhere:
+                    axes[name] = (*own, None)
+        clauses: list[tuple[sections.Condition, ...]] = []
+        for name in (name for name in allowed if name in {**axes, **fixed}):
+            missing = sections.Condition(name, (None,))
+            effective = [sections.Condition(other, some) for other, some in allowed[name].items()]
+            absent = replace(missing, without=True)
+            clauses += [(*effective, missing), *((replace(one, without=True), absent) for one in effective)]
         return clauses
 
     def _with_labels(

@@ -2,6 +2,7 @@
 
 import datetime
 import enum
+import itertools
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -32,6 +33,9 @@ class Net:
 
     def __init__(self, width):
         self.width = width
+
+
+SOME = st.sets(st.integers(1, 3), min_size=1)
 
 
 def double(x):
@@ -177,6 +181,18 @@ def fit(kernel: str, gamma: Width = 7.0, c: float = 1.0):
 """
 
 
+def test_another_object_under_a_label_of_the_store_is_refused(tmp_path):
+    def run(width, **more):
+        axes = {"net": {"small": Net(width), "big": Net(80)}}
+        return linksweep.run(lambda net: net.width, tmp_path / "s.zarr", axes=axes, pool="serial", **more)
+
+    run(8)
+    with pytest.raises(SweepError, match="net: 'small' is another value than in the store"):
+        run(9)
+    run(9, only=True)
+    assert linksweep.open(tmp_path / "s.zarr").result.values.tolist() == [9, 80]
+
+
 @pytest.mark.parametrize("declared", [False, True])
 def test_where_a_parameter_has_no_effect_there_is_one_point_without_it(declared, tmp_path):
     (tmp_path / "m.py").write_text(DECLARED)
@@ -201,6 +217,37 @@ def test_where_a_parameter_has_no_effect_there_is_one_point_without_it(declared,
     if not declared:
         with pytest.raises(SweepError, match="when: "):
             linksweep.run(function, tmp_path / "s.zarr", axes=axes, pool="serial", when=other)
+
+
+def chained(a: str, b: int = 0, c: int = 0, d: int = 0):
+    return f"{a} {b} {c} {d}"
+
+
+@given(
+    axes=st.fixed_dictionaries({"a": st.sets(st.sampled_from("xyz"), min_size=1)}, optional=dict.fromkeys("bcd", SOME)),
+    fixed=st.fixed_dictionaries({}, optional={name: st.integers(1, 3) for name in "bcd"}),
+    when=st.fixed_dictionaries(
+        {},
+        optional={"b": st.fixed_dictionaries({"a": st.sets(st.sampled_from("xyz"), min_size=1)})}
+        | {name: st.fixed_dictionaries({other: SOME}) for name, other in ("cb", "dc")},
+    ),
+)
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
+def test_conditions_of_any_kind_and_depth_give_the_points_that_one_counts_by_hand(tmp_path_factory, axes, fixed, when):
+    axes = {name: sorted(values) for name, values in axes.items()}
+    fixed = {name: value for name, value in fixed.items() if name not in axes}
+    when = {name: {other: sorted(some) for other, some in rule.items()} for name, rule in when.items()}
+    expected = set()
+    for row in itertools.product(*axes.values()):
+        point = dict(zip(axes, row, strict=True)) | fixed
+        for name in (name for name in "bcd" if name in when and name in point):  # each depends on the one before it
+            ((other, some),) = when[name].items()
+            point = {k: v for k, v in point.items() if k != name or point.get(other, 0) in some}
+        expected.add(chained(**point))
+    ds = linksweep.run(
+        chained, tmp_path_factory.mktemp("when") / "s.zarr", axes=axes, fixed=fixed, when=when, pool="serial"
+    )
+    assert sorted(ds.chained.values[ds.status.values == 1]) == sorted(expected)
 
 
 def test_only_the_script_tries_failed_points_of_its_objects_again(tmp_path, monkeypatch, sweep):
