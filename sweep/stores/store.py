@@ -36,7 +36,7 @@ from linksweep.sweep.contract.reducer import EXACT_INT, lost_integers
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
 from linksweep.sweep.stores.ledger import FOLDER, REPAIR, DamagedError, Ledger, Record, path_of
-from linksweep.sweep.stores.location import Folder, Location, Where, holder, located, locked, reading, writing
+from linksweep.sweep.stores.location import RESULTS, Folder, Location, Where, holder, located, locked, reading, writing
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -338,8 +338,14 @@ def read_root(location: Location) -> dict[str, Any]:
     """Return the root document; raises SweepError unless a whole linksweep store of a known format is there."""
     root = find_root(location)
     if root is None:
-        beside = [path.name for path in location.path.parent.glob("*.zarr")] if isinstance(location, Folder) else []
-        raise SweepError(f"no store there{suggest(location.name, beside) if beside else ''}", str(location))
+        hint, path = "", location.path if isinstance(location, Folder) else None
+        if path is not None and path.with_suffix(".zarr").exists():
+            hint = f"; did you mean '{path.stem}.zarr'?"
+        elif path is not None and (RESULTS / f"{path.stem}.zarr").exists():
+            hint = f"; did you mean '{RESULTS / path.stem}.zarr'?"
+        elif path is not None and (beside := sorted(one.name for one in path.parent.glob("*.zarr"))):
+            hint = suggest(path.name, beside)
+        raise SweepError(f"no store there{hint}", str(location))
     return root
 
 
