@@ -7,10 +7,9 @@ import logging
 import shlex
 import sys
 import traceback
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -39,8 +38,8 @@ WITH_WORKERS = [name for name, pool in POOLS.items() if pool.has_workers]
 MEMORY_AT_LEAST = 200 * 10**6
 """Bytes that a worker needs for itself."""
 
-MOST_FAILURES = 20
-"""Most failed points that `sweep status` names in a terminal."""
+DECIDING = ("linksweep", "python", "numpy", "scipy")
+"""Programs that `sweep status` names in a terminal: numbers may depend on their versions."""
 
 DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
 """The second does not pass its messages on to the first."""
@@ -372,36 +371,62 @@ def scaling(
 
 @group.command("Store care", "Say how far a run is, and what failed")
 def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> None:
-    """Say how far the run in STORE is, what failed, and where the results come from.
+    """Say how far the run in STORE is, what failed, where the results come from, and what to do next.
 
     \b
     sweep status results/quasars.zarr
     """
-    from linksweep.sweep.running.failures import failed_points
-    from linksweep.sweep.running.status import axis_table, status_report
+    from linksweep.sweep.running.status import status_report
 
     report = status_report(store)
     if as_json:
         click.echo(to_json(report))
-        return
-    # For the headings of axes alone.
-    units = report.pop("units", {})
-    for key, value in report.items():
-        if key == "axes":
-            click.echo(nl=bool(value))
-            group.print_tables(axis_table(dimension, units) for dimension in value.values())
-            click.echo(nl=bool(value))
-        elif isinstance(value, dict):
-            click.echo(f"{key}:")
-            is_long = key == "failures" and len(value) > MOST_FAILURES
-            if is_long:
-                group.print_wrapped(failed_points(value), "  ", "    ")
-            for name, text in islice(value.items(), MOST_FAILURES):
-                group.print_wrapped(f"{name}: {text}", "  ", "    ")
-            if is_long:
-                click.echo(f"  {len(value) - MOST_FAILURES:,} more points: `sweep status STORE --json` has all of them")
-        else:
-            group.print_wrapped(f"{key}: {value}", later="  ")
+    elif "parts" in report:
+        click.echo(report["title"])
+        for total, states in report["parts"].items():
+            group.print_wrapped(f"of {total} parts: {'; '.join(f'{state}: {some}' for state, some in states.items())}")
+    else:
+        _print_status(report, str(store))
+
+
+def _print_status(report: Mapping[str, Any], store: str) -> None:
+    """Print for people how far a run is."""
+    from linksweep.sweep.running.failures import reasons_of
+    from linksweep.sweep.running.status import axis_table
+
+    points, made, part = report["points"], report["provenance"], f" of part {report['part']}" if report["part"] else ""
+    # Those that are missing in a finished part are of others.
+    total = points["done"] + points["failed"] + (0 if part and report["complete"] else points["missing"])
+    unfinished = total - points["done"] - points["failed"]
+    state = f"running, {report['running']}" if report["running"] else "stopped" if unfinished else "finished"
+    failed = f", {points['failed']:,} failed" if points["failed"] else ""
+    group.print_styled(report["title"], bold=True)
+    group.print_wrapped(f"{state}: {points['done']:,} of {counted(total, 'point')}{part} done{failed}")
+    for key in ("note", "lost_parts"):
+        if key in report:
+            group.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")
+    click.echo()
+    group.print_tables(axis_table(dimension, report["units"]) for dimension in report["axes"].values())
+    if failures := report["failures"]:
+        click.echo(f"\n{counted(len(failures), 'point')} failed:")
+        for reason in reasons_of(failures).in_words():
+            group.print_wrapped(reason, "  ", "    ")
+        if len(failures) > 1:
+            click.echo("sweep status --json has all of them")
+    programs = ", ".join(f"{name} {made['versions'][name]}" for name in DECIDING if name in made["versions"])
+    commit = f" at commit {made['git_commit'][:12]}" if "git_commit" in made else ""
+    since = made.get("started", "an unknown time").replace("T", " ").replace("+00:00", " UTC")
+    click.echo()
+    group.print_wrapped(f"made on {made.get('host', 'an unknown host')}, begun {since}, with {programs}{commit}")
+    if report["command"]:
+        group.print_wrapped(f"by {report['command']}", later="   ")
+    nexts = {
+        f"sweep watch {store}": report["running"],
+        "the same command goes on": unfinished and not report["running"],
+        f"sweep run --retry {store}": points["failed"] and not report["running"],
+        f"sweep show {store}": report["complete"],
+    }
+    group.print_wrapped(f"next: {', '.join(words for words, fits in nexts.items() if fits)}")
 
 
 @group.command("Store care", "Compare files with checksums; set damaged aside")

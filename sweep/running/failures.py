@@ -68,9 +68,13 @@ class Reasons:
         return kind
 
     def __str__(self) -> str:
+        return "; ".join(self.in_words())
+
+    def in_words(self) -> list[str]:
+        """Return the most frequent reasons, each with how many points it is of and one of them."""
         most = sorted(self.first, key=lambda kind: -self._numbers[kind])
         words = [self._described(kind) for kind in most[:NAMED]]
-        return "; ".join([*words, *([f"{len(most) - NAMED:,} other reasons"] if len(most) > NAMED else [])])
+        return [*words, *([f"{len(most) - NAMED:,} other reasons"] if len(most) > NAMED else [])]
 
     def _described(self, kind: str) -> str:
         (place, message), number = self.first[kind], self._numbers[kind]
@@ -164,16 +168,22 @@ class FailureCount:
         return f"{of_ended}: {self._reasons}" if exceeded else ""
 
 
-def failed_points(failures: Mapping[str, str]) -> str:
-    """Return how many points failed and why, from messages by place: '3 points failed: 2 like KeyError: 'y', for
-    example at sky=clear; ValueError: no sun, at sky=dark'.
+def reasons_of(failures: Mapping[str, str]) -> Reasons:
+    """Return the reasons of failed points from messages by place.
 
     Messages that differ only in numbers, or in a value of their point, are one reason.
     """
     reasons = Reasons()
     for place, message in failures.items():
         reasons.add(place, message)
-    return f"{counted(reasons.points, 'point')} failed: {reasons}"
+    return reasons
+
+
+def failed_points(failures: Mapping[str, str]) -> str:
+    """Return how many points failed and why, from messages by place: '3 points failed: 2 like KeyError: 'y', for
+    example at sky=clear; ValueError: no sun, at sky=dark'.
+    """
+    return f"{counted(len(failures), 'point')} failed: {reasons_of(failures)}"
 
 
 def in_common(place: str, message: str) -> str:

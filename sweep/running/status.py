@@ -1,5 +1,6 @@
 """Reports what a store holds and what a plan would do, as plain mappings for people and scripts."""
 
+import json
 import math
 import time
 from collections.abc import Mapping, Sequence
@@ -31,7 +32,7 @@ FINISHED = (Status.DONE, Status.EXCLUDED, Status.MISSING)
 MOST_LINES = 15
 
 # Attributes of a store that its status shows. Not ``finished``, which is the time of the last writing.
-PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git_commit", "versions")
+PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git_commit")
 
 
 def status_report(store: Where) -> dict[str, Any]:
@@ -79,19 +80,21 @@ def status_report(store: Where) -> dict[str, Any]:
     wanted = int(attributes["n_sim"]) * int(attributes["n_cat"]) if random else 1
     return {
         "title": attributes["title"],
-        **({} if study.part is None else {"part": f"{study.part}; points of others count as excluded"}),
+        "part": None if study.part is None else str(study.part),
         **note,
         "complete": bool(np.isin(status, FINISHED if whole else FINISHED[:2]).all()),
-        "running": str(holder(opened.location) or "no"),
-        "last written": attributes.get("finished", "never"),
+        "running": None if (runs := holder(opened.location)) is None else str(runs),
+        "last_written": attributes.get("finished"),
         "points": {code.word: n for code, n in count_status(status).items()},
-        "blocks in the ledger": len(ledger.rows),
-        **({"realisations done": int(realisations.sum())} if random else {}),
+        "blocks": len(ledger.rows),
+        **({"realisations_done": int(realisations.sum())} if random else {}),
         "axes": by_axis(axes, status, realisations, wanted),
         "units": {name: study.experiment.parameter(name).unit for name in study.axes},
-        **({"lost parts": attributes[LOST]} if LOST in attributes else {}),
+        **({"lost_parts": attributes[LOST]} if LOST in attributes else {}),
         "failures": failures,
-        "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")},
+        "command": attributes.get("command"),
+        "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")}
+        | {"versions": json.loads(attributes.get("versions", "{}"))},
     }
 
 
@@ -105,16 +108,16 @@ def _of_parts(store: Location, parts: Sequence[Part]) -> dict[str, Any]:
     """Return how far the parts of a store are, by how many there are, and which are lost: not there, or neither
     finished nor running.
     """
-    report: dict[str, Any] = {"title": f"{store} is not merged yet; its parts:"}
+    report: dict[str, Any] = {"title": f"{store} is not merged yet; its parts:", "parts": {}}
     for total, some in groupby(parts, key=lambda part: part.total):
-        states: dict[str, list[int]] = {"complete": [], "with failed points": [], "running": []}
+        states: dict[str, list[int]] = {"complete": [], "failed": [], "running": []}
         for part in some:
             attributes = OpenStore(part.place(store)).attributes
-            ended = "complete" if attributes.get("failures", "{}") == "{}" else "with failed points"
+            ended = "complete" if attributes.get("failures", "{}") == "{}" else "failed"
             if (runs := holder(part.place(store))) or attributes["complete"]:
                 states["running" if runs else ended].append(part.number)
         states["lost"] = sorted({*range(1, total + 1)}.difference(*states.values()))
-        report[f"of {total} parts"] = {state: in_ranges(numbers) for state, numbers in states.items() if numbers}
+        report["parts"][total] = {state: in_ranges(numbers) for state, numbers in states.items() if numbers}
     return report
 
 
@@ -215,7 +218,7 @@ def folded(rows: AxisRows, most: int = MOST_LINES) -> list[AxisRows]:
 def axis_table(dimension: AxisRows, units: Mapping[str, str]) -> table_writer.Table:
     """Return how far a study is along a dimension as a table; columns that would be empty are left out."""
     name = ", ".join(f"{axis} [{unit}]" if (unit := units.get(axis, "")) else axis for axis in dimension[0]["at"])
-    columns: dict[str, list[str]] = {name: [], "points done": [], "realisations": [], "failed": [], "excluded": []}
+    columns: dict[str, list[str]] = {name: [], "points done": [], "realisations": [], "failed": []}
     for group in folded(dimension):
         total = {key: sum(row[key] for row in group) for key in group[0] if key != "at"}
         first, last = (", ".join(map(str, row["at"].values())) for row in (group[0], group[-1]))
@@ -224,7 +227,7 @@ def axis_table(dimension: AxisRows, units: Mapping[str, str]) -> table_writer.Ta
             first if len(group) == 1 else f"{first} ... {last} ({len(group):,} values)",
             f"{total['done']:,}/{total['points']:,}",
             f"{percent} %" if any(row["realisations"] != row["points"] for row in dimension) else "",
-            *(f"{total[key]:,}" if total[key] else "" for key in ("failed", "excluded")),
+            f"{total['failed']:,}" if total["failed"] else "",
         )
         for column, cell in zip(columns.values(), cells, strict=True):
             column.append(cell)

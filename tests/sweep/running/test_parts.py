@@ -139,7 +139,7 @@ def test_parts_share_all_work_between_them_and_evenly(tmp_path, sweep):
     counts = []
     for number in range(1, 8):
         assert sweep("run", *asked, "--part", f"{number}/7")[0] == 0
-        counts.append(status_report(f"{tmp_path}/q.part-{number}-of-7")["realisations done"])
+        counts.append(status_report(f"{tmp_path}/q.part-{number}-of-7")["realisations_done"])
     assert sum(counts) == 26 * 4 * 100
     assert max(counts) <= 1.2 * sum(counts) / 7
 
@@ -165,7 +165,7 @@ def test_a_lost_part_is_named_and_the_same_commands_go_on(model, tmp_path, sweep
     assert code == 1
     assert "INCOMPLETE" in out
     assert "lost parts: 2 of 3" in out
-    assert status_report(tmp_path / "s")["lost parts"] == "2 of 3"
+    assert status_report(tmp_path / "s")["lost_parts"] == "2 of 3"
     stores += run_parts(model, tmp_path / "s", [2], 3, **SMALL)
     code, out, _ = sweep("merge", *stores, "-o", tmp_path / "s")
     assert code == 1  # a point has failed

@@ -340,7 +340,7 @@ def is_told(store, differing, wanted, sweep):
     if code:
         problems.append(err)
     else:
-        assert json.loads(out)["blocks in the ledger"] == len(opening.OpenStore(store).ledger().rows)
+        assert json.loads(out)["blocks"] == len(opening.OpenStore(store).ledger().rows)
         read = {f for f in differing if f.startswith("blocks/") and not f.startswith("blocks/samples")}
         missing = {f for f in differing if located(store).get(f) is None and f.startswith("blocks/")}
         assert "zarr.json" in differing or not read | missing
@@ -352,7 +352,7 @@ def test_an_earlier_writing_as_a_whole_is_that_writing(history, sweep):
     for files in writings[:-1]:
         restored(store, files)
         assert not check(store)
-        blocks = json.loads(sweep("status", store, "--json")[1])["blocks in the ledger"]
+        blocks = json.loads(sweep("status", store, "--json")[1])["blocks"]
         assert 0 < blocks < wanted.status.size * 3
         same(run(document, store), wanted)
 

@@ -202,4 +202,4 @@ def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, 
     assert first.wait(timeout=PATIENCE_S) == 130
     assert not (tmp_path / "s.zarr.lock").exists()
     code, out, err = sweep("status", store)
-    assert "running: no" in out
+    assert "stopped: " in out
