@@ -5,7 +5,7 @@ drawn again and again with their errors.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,8 +15,6 @@ from linksweep.core.tie.astrometry import Astrometry, Differences, joined
 from linksweep.core.tie.problem import NormalSums, Problem, eliminate
 from linksweep.core.tie.solution import KeptSources, add_separations, inverted
 from linksweep.core.unknowns import Unknowns
-
-Criterion = Literal["A", "D"]
 
 
 class Release(NamedTuple):
@@ -117,7 +115,7 @@ class Goal:
 
     unknowns: Unknowns
     blocks: tuple[str, ...]
-    criterion: Criterion = "A"
+    criterion: str = "A"
 
     @property
     def parts(self) -> Indices:

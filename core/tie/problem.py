@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,6 @@ from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, Differences, differences, offsets
 from linksweep.core.unknowns import Objects, Unknowns
-
-Weights = Literal["covariance", "variance", "equal"]
 
 # Eigenvalue of a scaled 5 x 5 matrix below which a free parameter is not determined by the rows.
 UNDETERMINED = 1e-12
@@ -125,7 +123,7 @@ class Eliminated(NormalSums):
 
 
 def eliminate(
-    rows: Differences, source: Indices, covariance: Array, free: Flags, weights: Weights = "covariance"
+    rows: Differences, source: Indices, covariance: Array, free: Flags, weights: str = "covariance"
 ) -> Eliminated:
     """Return what is left of S sources.
 
@@ -159,7 +157,7 @@ def _alike(present: Flags, source: Indices, n_sources: int) -> Iterator[tuple[In
 
 
 def _observed(
-    result: Eliminated, rows: Differences, covariance: Array, sources: Indices, places: Indices, weights: Weights
+    result: Eliminated, rows: Differences, covariance: Array, sources: Indices, places: Indices, weights: str
 ) -> None:
     """Fill in W, w, yy of sources that are alike; parameters that a row lacks have zero derivatives and differences."""
     n, n_rows = places.shape
@@ -298,7 +296,7 @@ class Problem:
     source: Indices
     unknowns: Unknowns
     epoch: float
-    weights: Weights = "covariance"
+    weights: str = "covariance"
     known: tuple[Unknowns, Array] | None = None
 
     def sources(self, part: Indices) -> tuple[Objects, Array, Eliminated]:

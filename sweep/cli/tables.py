@@ -4,8 +4,7 @@ galaxies among stars.
 
 import json
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,36 +16,20 @@ import linksweep
 from linksweep.sweep.cli import group, options
 from linksweep.sweep.cli.options import FILE, JSON, POSITIVE, arg, choice, flag, many, opt, passed
 from linksweep.sweep.cli.run import resources as run_on
-from linksweep.sweep.formatting import split_assignment, to_json
+from linksweep.sweep.formatting import to_json
+from linksweep.sweep.tie.options import FORECAST, TIE, Declared, Options, Plan, declared
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from linksweep.sweep.executing.pools import Resources
 
-SIGNS = ["reference-satellite", "satellite-reference"]
-POSITIONS = ("single-epoch", "mean")
 NOT_NEGATIVE = click.FloatRange(0.0)
 EXPERIMENT = arg(default="linksweep.core.experiment:link")
 
 year = partial(opt, type=float, metavar="YEAR")
 arcsec = partial(opt, type=click.FloatRange(0.0, 3600.0, min_open=True), metavar="ARCSEC")
-table = partial(many, metavar="satellite|reference|NAME")
-
-
-class Assigned(click.ParamType):  # type: ignore[type-arg]  # generic only in new versions of click
-    """The type of an option ``KEY=VALUE``, which the help shows as ``name``; ``value`` converts the second part."""
-
-    def __init__(self, name: str, value: Callable[[str], Any] = str) -> None:
-        self.name, self.value = name, value
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the key and the converted value of a text."""
-        key, text = split_assignment(value)
-        with suppress(ValueError):
-            if key:
-                return key, self.value(text)
-        return self.fail(f"{value!r} is not {self.name}", param, ctx)
+MORE_EPOCHS = arg(nargs=-1, type=FILE, metavar="[--epochs FILE...]")
 
 
 @group.command("Your own", "Write a commented study to start from")
@@ -118,92 +101,34 @@ def params(
         group.print_wrapped(f"{meaning}{row['allowed']}", "    ", "    ")
 
 
-def _by_table(items: Sequence[Any], tables: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Return what the items say of each quantity of each table; an item that names no table is for all."""
-    by_table: dict[str, dict[str, str]] = {table: {} for table in tables}
-    for key, value in items:
-        table, colon, quantity = key.partition(":")
-        for one in [table] if colon else tables:
-            by_table.setdefault(one, {})[quantity if colon else key] = value
-    return by_table
+# How the command calls options whose names do not say what it does with them.
+FLAGS = {"goal": "--for", "number": "--choose"}
 
 
-def _tables(
-    missions: Sequence[Any] = many(
-        "A further mission's table of the same sources, in a frame of its own.",
-        "--mission",
-        type=Assigned("NAME=TABLE"),
-    ),
-    column: Sequence[Any] = many(
-        "The column with a quantity, e.g. ra=RAJ2000 or reference:parallax=plx.", type=Assigned("[TABLE:]KEY=COLUMN")
-    ),
-    unit: Sequence[Any] = many(
-        "The unit of a quantity whose column says none, e.g. pmra=arcsec/yr.", type=Assigned("[TABLE:]KEY=UNIT")
-    ),
-    satellite_epoch: float | None = year("Epoch of the satellite's table, instead of a column."),
-    reference_epoch: float | None = year("Epoch of the reference's rows, instead of a column."),
-    mission_epoch: Sequence[Any] = many("Epoch of a mission's table.", type=Assigned("NAME=YEAR", float)),
-    positions: Any = choice("Reference positions without parallax: displaced by it, or mean.", POSITIONS),
-    zero_errors: Any = choice("What an error of 0 means.", ("error", "missing", "exact"), default="error"),
-    without_cos_dec: Sequence[str] = table("The table whose pmra is mu_alpha, without cos(dec)."),
-    extragalactic: Sequence[str] = table("The table with mean positions of quasars, which hold at any epoch."),
-    where: Sequence[str] = many("Rows of the satellite, or TABLE: 'ruwe < 1.4 & ~flag'.", metavar="[TABLE:]CONDITION"),
-    accelerations: Any = choice("Positions and motions of rows with accelerations.", ("at-epoch", "mean")),
-    parallax_zero_point: Sequence[str] = table("The table of DR3 whose parallax zero points are subtracted."),
-    jitter: Sequence[str] = many(
-        "Added in quadrature to rows of a kind, or of all; or estimate: from their scatter.",
-        metavar="KIND=MAS[:MAS_YR]|estimate",
-    ),
-) -> dict[str, Any]:
-    """Return the options of the tables as `linksweep.sweep.tie.setup.Options` has them."""
-    from linksweep.sweep.tables.where import conditions
-    from linksweep.sweep.tie.setup import options_by_table
-
-    further = dict(missions)
-    if len(further) < len(missions):
-        raise click.BadParameter("a mission is named twice", param_hint="--mission")
-    names = ("satellite", "reference", *further)
-    epochs = {"satellite": satellite_epoch, "reference": reference_epoch, **dict(mission_epoch)}
-    return {"jitter": ",".join(jitter)} | options_by_table(
-        further,
-        {"zero_errors": zero_errors, "accelerations": accelerations},
-        columns=_by_table(column, names),
-        units=_by_table(unit, names),
-        epoch=epochs,
-        extragalactic=dict.fromkeys(extragalactic, True),
-        parallax_zero_point=dict.fromkeys(parallax_zero_point, True),
-        without_cos_dec=without_cos_dec,
-        where=conditions(where, names, ("satellite",)),
-        positions={"reference": positions},
-    )
+def _declared(entry: str, *groups: type[Declared]) -> Any:
+    """Declare the options of a command as `linksweep.sweep.tie.options` has them; it checks their values."""
+    made = {}
+    for one in declared(entry, *groups):
+        limits, metavar, kind = one.metadata["about"], one.metadata["metavar"], one.metadata["about"]["kind"]
+        more: dict[str, Any] = {"metavar": metavar} if metavar else {"is_flag": True}
+        if metavar == "FILE":
+            more["type"] = FILE
+        if choices := limits.get("choices"):
+            more["shell_complete"] = partial(_words, choices)
+        name = one.name.removesuffix("s") if "=" in metavar and kind in ("map", "files") else one.name
+        several = kind in ("map", "files") or bool(one.metadata["joined"])
+        flag_name = FLAGS.get(name, "--" + name.replace("_", "-"))
+        if one.default not in (None, (), "") and metavar:
+            more["default"] = [one.default] if several else one.default
+        text = limits["meaning"]
+        made[one.name] = opt(f"{text[:1].upper()}{text[1:]}.", flag_name, multiple=several, **more)
+    return passed(**made)
 
 
-MATCHING = passed(
-    by=opt("Match by name, COLUMN, position or position:ARCSEC.  [default: name, else position]", metavar="HOW"),
-    weights=choice("Weights of the differences.", ("covariance", "variance", "equal"), default="covariance"),
-    epoch=year("Epoch of the orientation.  [default: the satellite's]"),
-    known_orientation=opt("Subtracted before the fit, in mas.", metavar="X,Y,Z"),
-    aberration=opt("Galactic aberration of ICRF3 positions from 2015.0, e.g. 5.8.", default=0.0, metavar="UAS_YR"),
-)
-LINK = passed(
-    unknowns=opt("Like orientation,spin,glide,parallax,vsh_motion:3.  [default: what is determined]", metavar="BLOCKS"),
-    degree=opt("Vector spherical harmonics up to this degree.", type=click.IntRange(1)),
-    clip=opt("none, rayleigh, median:K, discrepancy[:N] or huber:C.", default="none"),
-    errors=opt("Kinds, the main one first: formal, scaled, jackknife, cells, bootstrap, sandwich.", default="scaled"),
-    resamples=opt("Number of bootstrap resamples.", type=click.IntRange(2), default=1000),
-    seed=opt("Seed of the bootstrap.", type=click.IntRange(0), default=0),
-    sign=choice("Sign of everything that is printed and stored.", SIGNS, default=SIGNS[0]),
-    accept_misfit=flag("Give the link, and write it, although chi2 is more than 1000 times its expectation."),
-)
-FORECAST = passed(
-    unknowns=opt("Like orientation,spin.", metavar="BLOCKS"),
-    error=opt("Error of each new coordinate.", default=0.1, metavar="MAS"),
-    release=opt("Scale the satellite's errors to those of dr4 or dr5."),
-    from_release=opt("Release of the satellite's errors.  [default: the one that has its epoch]"),
-    number=opt("Choose the N best sources.", "--choose", type=click.IntRange(0), metavar="N", default=0),
-    criterion=choice("Trace or determinant of the covariance.", ("A", "D"), default="A"),
-    all_sources=flag("Sources without any row of the reference are candidates too."),
-)
+def _words(words: Sequence[str], _context: Any, _parameter: Any, incomplete: str) -> list[str]:
+    return [word for word in words if word.startswith(incomplete)]
+
+
 SEARCH = passed(
     radius=many("Match radius, of all or of one catalogue.  [default: 5]", metavar="[NAME=]ARCSEC"),
     error=many(
@@ -278,19 +203,10 @@ class Target:
 def tie(
     satellite: Path = arg(type=FILE),
     reference: str = arg(),
-    more_epochs: tuple[Path, ...] = arg(nargs=-1, type=FILE, metavar="[--epochs FILE...]"),
-    epochs: tuple[Path, ...] = many("Files of Gaia's epoch astrometry, in the place of catalogue rows.", type=FILE),
-    star_model: Sequence[Any] = many(
-        "The path of a star with epochs, or of all: 5, 7 or 9 parameters, or orbit.", type=Assigned("STAR=MODEL")
-    ),
-    orbits: Path | None = opt("A table of known orbits: periods, eccentricities, Thiele-Innes elements.", type=FILE),
-    link: dict[str, Any] = LINK,
+    more_epochs: tuple[Path, ...] = MORE_EPOCHS,
+    asked: dict[str, Any] = _declared(TIE, Options),
     resources: "Resources" = options.group(run_on),
-    bins: str | None = opt("A spin for each bin, e.g. phot_g_mean_mag=6,8,10.", metavar="COLUMN=EDGES"),
-    known_spin: Any = opt("Subtracted before the fit, in mas/yr; or a table by magnitude.", metavar="X,Y,Z|TABLE"),
     no_sources: bool = flag("Write no values of single sources and rows: for millions of them."),
-    matching: dict[str, Any] = MATCHING,
-    tables: dict[str, Any] = options.group(_tables),
     target: Target = options.group(Target),
 ) -> None:
     """Solve for the link of two real tables, REFERENCE - SATELLITE.
@@ -304,21 +220,13 @@ def tie(
     With chi2 above 1000 times its expectation the exit code is 1, and nothing is written.
     """
     from linksweep.sweep.tie.link import MisfitError
-    from linksweep.sweep.tie.setup import parse_bins
 
     # Before millions of rows are matched.
     target.check()
-    with suppress(ValueError, AttributeError):
-        # Else it is the name of a table, or None.
-        known_spin = [float(part) for part in known_spin.split(",")]
-    if more_epochs and not epochs:
-        raise click.UsageError(f"unexpected {more_epochs[0]}: two tables, and --epochs before other files")
     shown = target.as_json or target.output is not None or target.figures is not None
-    further: dict[str, Any] = {"per_source": shown and not no_sources, "bins": bins and parse_bins(bins)}
-    further |= {"known_spin": known_spin, "star_models": dict(star_model), "orbits": orbits}
+    further = {"resources": resources, "per_source": shown and not no_sources}
     try:
-        further["epochs"] = epochs + more_epochs
-        target.put(linksweep.tie(satellite, reference, resources=resources, **link, **further, **matching, **tables))
+        target.put(linksweep.tie(satellite, reference, **further, **_with_more(asked, more_epochs)))
     except MisfitError as error:
         target.put(error.link, rejected=True)
         click.echo(f"error: {error.said('--accept-misfit')}", err=True)
@@ -329,11 +237,8 @@ def tie(
 def forecast(
     satellite: Path = arg(type=FILE),
     reference: str = arg(),
-    add: str = opt("Epochs of new positions, e.g. 2026,2030.", metavar="YEARS", default="", show_default=False),
-    goal: str = opt("What to choose them for.  [default: all unknowns]", "--for", metavar="BLOCKS", default=""),
-    plan: dict[str, Any] = FORECAST,
-    matching: dict[str, Any] = MATCHING,
-    tables: dict[str, Any] = options.group(_tables),
+    more_epochs: tuple[Path, ...] = MORE_EPOCHS,
+    asked: dict[str, Any] = _declared(FORECAST, Plan, Options),
     target: Target = options.group(Target),
 ) -> None:
     """Forecast the errors of a link with new observations, and choose what to observe.
@@ -342,12 +247,14 @@ def forecast(
     sweep forecast gaia.fits vlbi.ecsv --add 2026,2030 --choose 5 --for spin
     """
     target.check()
-    blocks = [name.strip() for name in goal.split(",") if name.strip()]
-    try:
-        epochs = [float(year) for year in add.split(",") if year.strip()]
-    except ValueError:
-        raise click.BadParameter(f"{add!r} is no list of years", param_hint="--add") from None
-    target.put(linksweep.forecast(satellite, reference, add=epochs, goal=blocks, **plan, **matching, **tables))
+    target.put(linksweep.forecast(satellite, reference, **_with_more(asked, more_epochs)))
+
+
+def _with_more(asked: dict[str, Any], more_epochs: tuple[Path, ...]) -> dict[str, Any]:
+    """Return options with the files that follow ``--epochs``."""
+    if more_epochs and not asked["epochs"]:
+        raise click.UsageError(f"unexpected {more_epochs[0]}: two tables, and --epochs before other files")
+    return asked | {"epochs": asked["epochs"] + more_epochs}
 
 
 @group.command("Your own", "Carry a table into the frame of a link's reference")

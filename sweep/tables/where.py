@@ -54,7 +54,7 @@ def conditions(texts: Iterable[str], tables: Collection[str], common: Sequence[s
     1.4``; a row must meet all of a table.
     """
     by_table: dict[str, str] = {}
-    for text in texts:
+    for text in filter(str.strip, texts):
         table, colon, condition = text.partition(":")
         named = bool(colon) and table.strip() in tables
         for one in [table.strip()] if named else common:

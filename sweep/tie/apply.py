@@ -14,7 +14,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.result import require_free, stored_table, write_at_once
 from linksweep.sweep.tables.columns import ALONG_RA, CORRELATIONS, Columns, first_found, unit_of
 from linksweep.sweep.tables.reader import read_table as read_file
-from linksweep.sweep.tie.setup import SIGNS
+from linksweep.sweep.tie.options import SIGNS
 from linksweep.sweep.tie.tables import TableOptions, astrometric_table, built_in
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -15,15 +15,13 @@ from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import Clip, KeptSources, Solution, clipped, parse_clip, solve
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
 from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
+from linksweep.sweep.tables.file import TableFile
 from linksweep.sweep.tie import setup
 from linksweep.sweep.tie.link import FIELD_OF, Link, solve_link, spectrum
-from linksweep.sweep.tie.setup import DECLARED, Setup, number, one_of, year
-from linksweep.sweep.tie.tables import Accelerated, Positions
+from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, Options, Plan, declared, parameter
+from linksweep.sweep.tie.setup import DECLARED, Setup
 
 # ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin
-
-# Stands for what a table itself has: its errors, or the release whose epoch it has.
-TABLE = "table"
 
 _STORED = parse_unknowns("orientation,spin,position_glide,glide,parallax")
 # The unknowns of degree 1 and the zero point of parallaxes.
@@ -39,69 +37,38 @@ MOST_BINS = 10
 POWER_SHAPE, BIN_SHAPE = (len(FIELDS), HIGHEST_STORED), (MOST_BINS, 3)
 
 
-_JITTER = "added in quadrature to the reference's"
-_BY = "how rows are matched: name, COLUMN, position[:ARCSEC]; default name if possible"
-_NO_COLUMN = "of a table without a column of epochs"
-# The tables of a point; keys of missions are NAME:QUANTITY.
-TABLES = ("satellite", "reference", "mission")
-OF_TABLES = {
-    "extragalactic": "the table with mean positions of quasars, which hold at any epoch",
-    "without_cos_dec": "the table whose pmra is mu_alpha, without cos(dec)",
-    "parallax_zero_point": "the table of DR3 whose parallax zero points are subtracted",
-}
+def _number(name: str, default: float, meaning: str, unit: str = "", minimum: float = 0.0, **limits: Any) -> Parameter:
+    return Parameter(name, "float", default, meaning, unit, minimum=minimum, **limits)
+
+
+def _one_of(name: str, meaning: str, *choices: str) -> Parameter:
+    return Parameter(name, "str", choices[0], meaning, choices=choices)
+
+
+# Results have the sign of the command's default, and the rows without a reference determine nothing.
+OF_TABLES = tuple(parameter(one) for one in declared(STUDY, Options))
 PARAMETERS = (
     Parameter("satellite", "file", None, "table of the satellite; required"),
     Parameter("reference", "file", None, "table of the reference; without one the rows are those of n_new"),
     Parameter("zero_motion", "bool", False, "sources are quasars, which do not move; no table of the reference"),
-    Parameter("unknowns", "str", "orientation,spin", "blocks that are solved for, as in sweep tie --unknowns"),
-    DECLARED["degree"],
-    Parameter(
-        "bins", "str", "", f"a spin for each bin of a column, like phot_g_mean_mag=6,8,10; at most {MOST_BINS} bins"
-    ),
-    Parameter("clip", "str", "none", "none, rayleigh, median:K, discrepancy[:N] or huber:C"),
-    DECLARED["weights"],
+    *(replace(one, default="orientation,spin") if one.name == "unknowns" else one for one in OF_TABLES),
+    Parameter("known_spin_table", "file", None, "a spin by magnitude that is subtracted, instead of known_spin"),
     Parameter("correlations", "bool", True, "whether the errors have the correlations of the tables"),
     Parameter("g_min", "float", None, "brightest magnitude; default no limit", "mag"),
     Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
     Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
-    DECLARED["epoch"],
-    one_of("release", TABLE, "errors of a later release, with its epoch", *forecast.RELEASES),
-    one_of("from_release", TABLE, "of the satellite's errors, if no release has its epoch", *forecast.RELEASES),
+    *(parameter(one) for one in declared(STUDY, Plan)),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
-    year("new_epoch", "of new positions; default that of the source"),
-    number("new_error", 0.1, "of each coordinate of a new position", "mas", above=0.0),
-    one_of("new_positions", "single-epoch", "of new rows: displaced by the parallax, or mean ones", "mean"),
-    Parameter("goal", "str", "", "blocks for which new positions are chosen; default all"),
-    one_of("candidates", "matched", "for new positions: sources with rows, or all of the satellite's", "all"),
-    number("position_jitter", 0.0, f"{_JITTER} positions", "mas"),
-    number("motion_jitter", 0.0, f"{_JITTER} motions", "mas/yr"),
-    Parameter("jitter", "str", "", "by kind of row, like position=0.2,five-parameter=0.2:0.05; or estimate"),
-    Parameter("known_spin_table", "file", None, "a spin by magnitude that is subtracted, instead of known_spin"),
-    Parameter("known_orientation", "vector", None, "subtracted before the fit, as known_spin; default none", "mas"),
-    Parameter("known_spin", "vector", None, "subtracted before the fit, reference - satellite; default none", "mas/yr"),
-    DECLARED["aberration"],
-    Parameter("by", "str", "", _BY),
-    Parameter("where", "str", "", "a condition that the satellite's rows must meet, like ruwe < 1.4; default none"),
-    Parameter("reference_where", "str", "", "a condition that the reference's rows must meet; default none"),
-    *(Parameter(f"{side}_columns", "map", (), f"names of columns, of {side}") for side in TABLES),
-    *(Parameter(f"{side}_units", "map", (), f"units of columns that have none, of {side}") for side in TABLES),
-    *(year(f"{side}_epoch", _NO_COLUMN) for side in TABLES[:2]),
-    Parameter("missions", "files", (), "further tables of the same sources by name, each in a frame of its own"),
-    Parameter("mission_epochs", "map", (), "epochs of missions without a column of epochs"),
-    one_of("accelerations", TABLE, "positions and motions of rows with accelerations", *get_args(Accelerated)),
-    *(one_of(name, "none", meaning, "satellite", "reference", "both") for name, meaning in OF_TABLES.items()),
-    one_of(
-        "positions",
-        TABLE,
-        "the reference's: of a single epoch or mean; default what the table says",
-        *get_args(Positions),
-    ),
-    Parameter("accept_misfit", "bool", False, "computes points whose tables have chi2 above 1000 times its average"),
-    DECLARED["zero_errors"],
-    one_of("truth", "estimate", "of the draws: the solution of the tables, or zero", "zero"),
-    number("error_factor", 1.0, "errors of the draws over those of the tables", above=0.0),
-    number("outliers", 0.0, "fraction of sources of a draw with larger errors", minimum=0.0, maximum=1.0),
-    number("outlier_factor", 10.0, "how much larger they are", minimum=1.0),
+    replace(DECLARED["epoch"], name="new_epoch", meaning="of new positions; default that of the source"),
+    Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),
+    _one_of("new_positions", "of new rows: displaced by the parallax, or mean ones", *POSITIONS),
+    _one_of("candidates", "for new positions: sources with rows, or all of the satellite's", "matched", "all"),
+    _number("position_jitter", 0.0, "added in quadrature to the reference's positions", "mas"),
+    _number("motion_jitter", 0.0, "added in quadrature to the reference's motions", "mas/yr"),
+    _one_of("truth", "of the draws: the solution of the tables, or zero", "estimate", "zero"),
+    Parameter("error_factor", "float", 1.0, "errors of the draws over those of the tables", above=0.0),
+    _number("outliers", 0.0, "fraction of sources of a draw with larger errors", maximum=1.0),
+    _number("outlier_factor", 10.0, "how much larger they are", minimum=1.0),
 )
 
 _UNITS, _SQUARES = ", ".join(UNITS), ", ".join(FIELD_UNITS)
@@ -297,32 +264,12 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
     sizes = point["position_jitter"], point["motion_jitter"]
     if point["jitter"] and any(sizes):
         raise SweepError("jitter is there, and position_jitter or motion_jitter: all=MAS:MAS_YR in jitter is the same")
-    try:
-        epochs = {name: float(text) for name, text in point["mission_epochs"]}
-    except ValueError as error:
-        raise SweepError(f"mission_epochs: {error}") from error
-    said = {name: None if value in ("", TABLE) else value for name, value in values if isinstance(value, str)}
-    whose = {name: {"none": (), "both": TABLES[:2]}.get(point[name], (point[name],)) for name in OF_TABLES}
-    tables = setup.options_by_table(
-        {name: table.path for name, table in point["missions"]},
-        {"zero_errors": point["zero_errors"], "accelerations": said["accelerations"]},
-        columns=_by_table(point, "columns"),
-        units=_by_table(point, "units"),
-        epoch={side: point[f"{side}_epoch"] for side in TABLES[:2]} | epochs,
-        extragalactic=dict.fromkeys(whose["extragalactic"], True),
-        parallax_zero_point=dict.fromkeys(whose["parallax_zero_point"], True),
-        without_cos_dec=whose["without_cos_dec"],
-        where={"satellite": said["where"], "reference": said["reference_where"]},
-        positions={"reference": said["positions"]},
-    )
-    options = setup.Options(
-        **{name: point[name] for name in ("unknowns", "degree", "epoch", "weights", "aberration", "known_orientation")},
-        bins=setup.parse_bins(point["bins"]) if point["bins"] else None,
-        by=said["by"],
-        known_spin=point["known_spin"] if point["known_spin_table"] is None else point["known_spin_table"].path,
-        jitter=point["jitter"] or ({ALL: sizes} if any(sizes) else {}),
-        **tables,
-    )
+    chosen = {one.name: _plain(point[one.name]) for one in OF_TABLES if one.name in point}
+    if any(sizes):
+        chosen["jitter"] = {ALL: sizes}
+    if point["known_spin_table"] is not None:
+        chosen["known_spin"] = point["known_spin_table"].path
+    options = Options(**chosen)
     everything = reference is None or point["candidates"] == "all"
     whole = setup.set_up(
         point["satellite"].path, reference.path if reference else setup.ZERO_MOTION, options, everything
@@ -333,13 +280,11 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
     return whole
 
 
-def _by_table(point: Mapping[str, Any], what: str) -> dict[str, dict[str, str]]:
-    """Return the names of columns, or the units, by table and quantity."""
-    by_table = {side: dict(point[f"{side}_{what}"]) for side in TABLES[:2]}
-    for key, text in point[f"mission_{what}"]:
-        name, _, quantity = key.partition(":")
-        by_table.setdefault(name, {})[quantity] = text
-    return by_table
+def _plain(value: Any) -> Any:
+    """Return a value of a study with paths in place of its files."""
+    if isinstance(value, tuple):
+        return tuple(_plain(part) for part in value)
+    return value.path if isinstance(value, TableFile) else value
 
 
 def _within(whole: Setup, point: Mapping[str, Any]) -> Setup:

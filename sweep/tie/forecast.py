@@ -1,6 +1,6 @@
 """`forecast`: what further observations would do to the link of two tables, and which sources to observe."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,8 @@ from linksweep.core.tie.noise import ESTIMATE
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import inverted
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tie.setup import Options, Setup, set_up
+from linksweep.sweep.tie.options import FORECAST, TABLE, Options, Plan
+from linksweep.sweep.tie.setup import Setup, set_up
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -26,15 +27,6 @@ def forecast(
     satellite: str | Path,
     reference: str | Path,
     unknowns: str | None = None,
-    *,
-    add: Sequence[float] = (),
-    error: float = 0.1,
-    release: str | None = None,
-    from_release: str | None = None,
-    number: int = 0,
-    goal: Sequence[str] = (),
-    criterion: core.Criterion = "A",
-    all_sources: bool = False,
     **options: Any,
 ) -> "xr.Dataset":
     """Predict the formal errors of a link with further observations, and the sources to observe first.
@@ -43,15 +35,11 @@ def forecast(
         satellite: the table with the five astrometric parameters, as for `tie`.
         reference: the table with the measurements of the same objects so far.
         unknowns: blocks like "orientation,spin".
-        add: epochs (Julian years) at which a single-epoch position of each source is added.
-        error: the error of each coordinate of the new positions (mas).
-        release: "dr4" or "dr5", to which the satellite's errors are scaled; not scaled by default.
-        from_release: the release of the satellite's errors, for a table whose epochs are those of none.
-        number: the number of sources to choose, one after the other.
-        goal: the blocks for which these are best; all by default.
-        criterion: what to minimise of the covariance of those blocks, "A" for its trace, "D" for its determinant.
-        all_sources: whether sources without rows of the reference are candidates too.
-        options: further options of `sweep forecast`, as for `tie`.
+        options: those of `sweep forecast`, under the names of `sweep.tie.options.Plan` and `Options`: ``add`` (epochs,
+            Julian years, at which a single-epoch position of each source is added), ``error`` (mas, of its
+            coordinates), ``release`` (to which the satellite's errors are scaled), ``from_release``, ``number`` (of
+            sources to choose), ``goal`` (the blocks for which these are best), ``criterion`` ("A": the trace of their
+            covariance, "D": its determinant), ``all_sources``, and those of tables as for `tie`.
 
     Returns:
         A dataset with ``error`` (stage, unknown) in mas and mas/yr, ``error_with_epoch`` (new_epoch, unknown),
@@ -67,21 +55,26 @@ def forecast(
         >>> plan.step_source.values.tolist()
         ['', 'J1537+1155', 'J2354+6155']
     """
-    _check(add, error, number, criterion, options)
-    asked = Options(unknowns=unknowns, **options)
-    if ESTIMATE in asked.jitter.values():
+    plan = Plan.named(FORECAST, options, Options)
+    asked = Options.named(FORECAST, {"unknowns": unknowns, **options}, Plan)
+    goal = tuple(name for part in plan.goal.split(",") if (name := part.strip()))
+    release = None if plan.release == TABLE else plan.release
+    add = _epochs(plan)
+    if ESTIMATE in asked.jitter:
         raise SweepError("a forecast uses no measured values: sweep tie --jitter estimate says how large a jitter is")
-    setup = set_up(satellite, reference, asked, all_sources)
+    setup = set_up(satellite, reference, asked, plan.all_sources)
     problem = setup.problem
-    goals = core.Goal(problem.unknowns, tuple(goal), criterion)
+    goals = core.Goal(problem.unknowns, goal, plan.criterion)
     try:
         _ = goals.parts  # raises for an unknown block
         future, old, notes = problem, "", list(setup.notes)
         if release is not None:
-            old = core.release_of(problem.satellite.epoch, release, from_release)
-            future, further = core.released(problem, old, release, options.get("epoch") is None)
+            old = core.release_of(
+                problem.satellite.epoch, release, None if plan.from_release == TABLE else plan.from_release
+            )
+            future, further = core.released(problem, old, release, asked.epoch is None)
             notes = [*further, *notes]
-        variables, coordinates = _planned(setup, future, release, list(add), error * MAS, number, goals)
+        variables, coordinates = _planned(setup, future, release, add, plan.error * MAS, plan.number, goals)
     except ValueError as problem_found:
         raise SweepError(str(problem_found)) from problem_found
     attributes = {
@@ -89,9 +82,9 @@ def forecast(
         "epoch_of_forecast": future.epoch,
         "release": release or "",
         "from_release": old,
-        "new_error_mas": error,
+        "new_error_mas": plan.error,
         "goal": ", ".join(goal or problem.unknowns.names),
-        "criterion": criterion,
+        "criterion": plan.criterion,
         **setup.attributes(),
         "notes": notes,
     }
@@ -100,19 +93,18 @@ def forecast(
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
-def _check(add: Sequence[float], error: float, number: int, criterion: str, options: Mapping[str, Any]) -> None:
-    """Raise SweepError for arguments that are wrong for any tables."""
-    if not (0.0 < error < np.inf):
-        raise SweepError(f"error {error:g} mas: must be above 0")
-    for epoch in add:
+def _epochs(plan: Plan) -> list[float]:
+    """Return the epochs of new positions; raises SweepError for what is no list of years, and for none to choose."""
+    try:
+        epochs = [float(year) for year in plan.add.split(",") if year.strip()]
+    except ValueError:
+        raise SweepError(f"add = {plan.add!r}: must be a list of Julian years") from None
+    for epoch in epochs:
         if not EPOCHS[0] <= epoch <= EPOCHS[1]:
             raise SweepError(f"new epoch {epoch:g}: must be a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
-    if number < 0 or (number and not add):
-        raise SweepError(f"{number} sources to choose, but no epochs to observe them at")
-    if criterion not in ("A", "D"):
-        raise SweepError(f"criterion {criterion!r}: must be A or D")
-    if "sign" in options:
-        raise SweepError("a forecast has no sign: it is about errors")
+    if plan.number and not epochs:
+        raise SweepError(f"{plan.number} sources to choose, but no epochs to observe them at")
+    return epochs
 
 
 def _planned(

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,7 +21,8 @@ from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.tie import row_groups
 from linksweep.sweep.tie.epochs import described
-from linksweep.sweep.tie.setup import SIGNS, Options, Setup, set_up
+from linksweep.sweep.tie.options import SIGNS, TIE, Options
+from linksweep.sweep.tie.setup import Setup, parse_bins, set_up
 from linksweep.sweep.tie.tables import UNITS
 
 if TYPE_CHECKING:
@@ -291,17 +292,12 @@ def tie(
     reference: str | Path,
     unknowns: str | None = None,
     *,
-    clip: str = "none",
-    errors: str | Sequence[str] = "scaled",
-    resamples: int = RESAMPLES,
-    seed: int = 0,
     workers: int | None = None,
     scheduler: str | None = None,
     cluster: str | Path | None = None,
     limits: Limits = NO_LIMITS,
     resources: Resources | None = None,
     per_source: bool = True,
-    accept_misfit: bool = False,
     **options: Any,
 ) -> "xr.Dataset":
     """Solve for the link of two tables, reference - satellite.
@@ -314,10 +310,6 @@ def tie(
         reference: the table with measurements of the same objects, or "zero-motion" for quasars.
         unknowns: blocks like "orientation,spin,glide,parallax,vsh_motion:3"; by default those of orientation and spin
             that the tables determine.
-        clip: "none", "rayleigh", "median:5", "discrepancy", "discrepancy:3" or "huber:2".
-        errors: one or more of formal, scaled, jackknife, cells, bootstrap and sandwich; the first is the main one.
-        resamples: the number of resamples of the bootstrap.
-        seed: the seed of the bootstrap.
         workers: the number of local worker processes, for millions of quasars in Parquet; none by default.
         scheduler: the address of a Dask scheduler whose workers are used; they read the same file.
         cluster: a file that describes a Dask cluster to start and use instead.
@@ -325,13 +317,10 @@ def tie(
         resources: all of these as one.
         per_source: whether the dataset has the values of single sources and rows; without them the memory for a
             Parquet table of millions of quasars hardly grows with their number.
-        accept_misfit: whether a link is given although chi2 is more than 1000 times its expectation.
-        options: further options of `sweep tie`: ``degree``, ``bins`` (a column and edges), ``by``, ``epoch``,
-            ``where`` (a condition like "ruwe < 1.4"), ``weights``, ``known_spin``, ``known_orientation``, ``jitter``
-            (kind of row to (mas, mas/yr), or "estimate"), ``sign``, ``aberration``, ``corrections``, ``missions``
-            (further tables by name, each with an orientation and a spin of its own), ``epochs`` (files of Gaia's epoch
-            astrometry), ``star_models`` (star or "all" to 5, 7, 9 or orbit), ``orbits`` (a table of elements),
-            ``satellite_options``, ``reference_options`` and ``mission_options`` (`sweep.tie.tables.TableOptions`).
+        options: those of `sweep tie`, under the names of `sweep.tie.options.Options`: ``clip``, ``errors``, ``degree``,
+            ``where`` and so on.  Options that the command may be given several times are lists or mappings here:
+            ``columns={"reference:parallax": "plx"}``, ``missions={"hipparcos": "hip2.fits"}``,
+            ``jitter={"position": (0.2, 0.0)}``, ``bins=("phot_g_mean_mag", [6, 8, 10])``.
 
     Returns:
         A dataset with ``estimate``, ``error``, ``errors`` (error_kind, unknown) and ``covariance`` in mas and mas/yr,
@@ -348,27 +337,24 @@ def tie(
         >>> link.attrs["sign"], link.unit.values.tolist()
         ('reference-satellite', ['mas', 'mas', 'mas'])
     """
-    known = {field.name for field in fields(Options)}
-    if unknown := sorted(set(options) - known):
-        raise SweepError(f"no option {', '.join(unknown)}; there are {', '.join(sorted(known))}")
-    asked = Options(unknowns=unknowns, **options)
-    names = [name.strip() for name in errors.split(",")] if isinstance(errors, str) else list(errors)
+    asked = Options.named(TIE, {"unknowns": unknowns, **options})
+    how = asked.clip, [name.strip() for name in asked.errors.split(",")], asked.resamples, asked.seed
     on = resources or Resources(
         workers, None, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits
     )
     if row_groups.are_enough(satellite, reference, asked):
-        if ESTIMATE in asked.jitter.values():
+        if ESTIMATE in asked.jitter:
             raise SweepError("jitter estimate needs a table that is solved as a whole; say how large it is, motion=0.1")
         with mapped(EXPERIMENT, on, logging.getLogger("linksweep").warning) as run:
             setup, sources = row_groups.set_up_row_groups(satellite, asked, run, per_source)
-            link = solve_link(setup, clip, names, resamples, seed, sources, per_source)
+            link = solve_link(setup, *how, sources, per_source)
     elif on.none_requested:
-        link = solve_link(set_up(satellite, reference, asked), clip, names, resamples, seed)
+        link = solve_link(set_up(satellite, reference, asked), *how)
     else:
         large = f"Parquet tables of {row_groups.FROM_ROWS:,} quasars or more without a reference, missions or where"
         raise SweepError(f"workers are for {large}; others are solved in this process: leave --workers and so on out")
     result = as_dataset(link, asked, per_source)
-    if link.misfit.absurd and not accept_misfit:
+    if link.misfit.absurd and not asked.accept_misfit:
         raise MisfitError(result)
     return result
 
@@ -388,7 +374,6 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
     import xarray as xr
 
     setup, problem, solved = link.setup, link.setup.problem, link.solution
-    jitter = options.jitter.items()
     unknowns, sign = problem.unknowns, SIGNS[options.sign]
     main = next(iter(link.covariances))
     covariance = np.array(list(link.covariances.values())) / MAS**2
@@ -440,13 +425,11 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "missions": {name: table.path for name, table in setup.missions.items()},
         "missions_sha256": {name: table.digest for name, table in setup.missions.items()},
         "epochs": {} if setup.epochs is None else setup.epochs.files,
-        "known_spin": str(options.known_spin) if options.known_spin is not None else "none",
-        "known_orientation": str(options.known_orientation) if options.known_orientation is not None else "none",
+        **{name: str(getattr(options, name) or "none") for name in ("known_spin", "known_orientation", "jitter")},
         "aberration_uas_yr": options.aberration,
-        "jitter": ", ".join(f"{k}={s if s == ESTIMATE else f'{s[0]:g}:{s[1]:g}'}" for k, s in jitter) or "none",
         "misfit": link.misfit.text if link.misfit.first else "",
         "notes": list(link.notes),
-    } | ({} if options.bins is None else {"bin_column": options.bins[0]})
+    } | ({"bin_column": parse_bins(options.bins)[0]} if options.bins else {})
     return xr.Dataset(variables, attrs=attributes).set_coords([name for name in COORDINATES if name in variables])
 
 

@@ -20,6 +20,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.tables.reader import is_parquet, read_row_group, row_groups
 from linksweep.sweep.tie import setup
+from linksweep.sweep.tie.options import Options
 from linksweep.sweep.tie.tables import AstrometricTable, astrometric_table, columns_needed, digest_of
 
 # Smaller tables are solved as a whole.
@@ -29,11 +30,10 @@ FROM_ROWS = 100_000
 MOST_NOTES = 5
 
 
-def are_enough(satellite: str | Path, reference: str | Path, options: setup.Options) -> bool:
+def are_enough(satellite: str | Path, reference: str | Path, options: Options) -> bool:
     """Return whether a table is read by row groups: many quasars in Parquet, of which no row needs a match."""
     path = Path(satellite)
     alone = str(reference) == setup.ZERO_MOTION and not (options.missions or options.where or options.epochs)
-    alone = alone and not options.satellite_options.where
     return alone and path.is_file() and is_parquet(path) and sum(row_groups(path)[0]) >= FROM_ROWS
 
 
@@ -46,7 +46,7 @@ class RowGroup:
     number: int
     first: int
     columns: tuple[str, ...]
-    options: setup.Options
+    options: Options
     epoch: float = np.nan
     unknowns: Unknowns = Unknowns(())  # noqa: RUF009 (it is frozen)
 
@@ -54,7 +54,8 @@ class RowGroup:
         """Return the problem of the rows; raises SweepError for wrong ones, with their numbers in the row group."""
         stars = self.read().astrometry
         known, source = setup.known_unknowns(self.options, stars), np.arange(len(stars))
-        rows = setup.with_jitter(setup.zero_motion(len(stars)), self.options.jitter_in(None))
+        jitter = setup.jitter_of(setup.parse_jitter(self.options.jitter), None, ())
+        rows = setup.with_jitter(setup.zero_motion(len(stars)), jitter)
         return Problem(stars, rows, source, self.unknowns, self.epoch, self.options.weights, known)
 
     def read(self) -> AstrometricTable:
@@ -63,7 +64,7 @@ class RowGroup:
             raise SweepError("is not the same file on every worker, or was changed", str(self.path))
         table = read_row_group(self.path, self.number, self.columns)
         where = f"{self.path}, the {len(table)} rows from row {self.first + 1} on"
-        rows = astrometric_table(table, where, self.digest, self.options.satellite_options)
+        rows = astrometric_table(table, where, self.digest, setup.table_options(self.options)["satellite"])
         if not np.all(np.isfinite(rows.astrometry.values[:2])):
             raise SweepError("sources without a position", where)
         return rows
@@ -79,8 +80,8 @@ def look_through(group: RowGroup, per_source: bool) -> tuple[Array, tuple[Array,
     """
     table = group.read()
     stars, sample = table.astrometry, np.zeros(0)
-    if group.options.bins is not None and group.options.bins[0] in stars.columns:
-        name, edges = group.options.bins
+    name, edges = setup.parse_bins(group.options.bins) if group.options.bins else ("", [])
+    if name in stars.columns:
         bin_of = np.searchsorted(edges, stars.columns[name], side="right")
         sample = stars.columns[name][np.unique(bin_of, return_index=True)[1]]
     epochs = np.unique(stars.epoch[np.isfinite(stars.epoch)], return_counts=True)
@@ -88,23 +89,23 @@ def look_through(group: RowGroup, per_source: bool) -> tuple[Array, tuple[Array,
 
 
 def set_up_row_groups(
-    satellite: str | Path, options: setup.Options, run: Map, per_source: bool = True
+    satellite: str | Path, options: Options, run: Map, per_source: bool = True
 ) -> tuple[setup.Setup, StreamedSources]:
     """Look through a table once; raises SweepError for whatever is wrong with it or the options.
 
     Without ``per_source`` the result has no positions of the sources, which saves memory.
     """
-    options.check()
     path = Path(satellite).resolve()
     sizes, names = row_groups(path)
-    if not isinstance(options.known_spin, (str, Path)):
-        further = () if options.bins is None else (options.bins[0],)
-        names = columns_needed(names, options.satellite_options, further)
+    if not isinstance(options.known_spin, str):
+        further = (setup.parse_bins(options.bins)[0],) if options.bins else ()
+        names = columns_needed(names, setup.table_options(options)["satellite"], further)
     digest, n = digest_once(path), sum(sizes)
     firsts = np.cumsum([0, *sizes]).tolist()
-    plain = replace(options, missions={}, mission_options={})
     groups = [
-        RowGroup(path, digest, number, firsts[number], tuple(names), plain) for number, size in enumerate(sizes) if size
+        RowGroup(path, digest, number, firsts[number], tuple(names), options)
+        for number, size in enumerate(sizes)
+        if size
     ]
     values = np.zeros((5, n)) if per_source else np.broadcast_to(np.nan, (5, n))  # takes no memory
     noted: dict[str, int] = {}
@@ -152,8 +153,8 @@ def _unknowns(group: RowGroup, sample: Array, notes: list[str]) -> Unknowns:
     stars = group.read().astrometry
     few = stars.taken(slice(0, min(len(stars), 1000)))
     rows = setup.zero_motion(len(few))
-    if group.options.bins is not None:
-        few = replace(few, columns={group.options.bins[0]: sample} if len(sample) else {})
+    if group.options.bins:
+        few = replace(few, columns={setup.parse_bins(group.options.bins)[0]: sample} if len(sample) else {})
     problem = Problem(few, rows, np.arange(len(few)), group.unknowns, group.epoch)
     try:
         return setup.unknowns_for(group.options, problem, notes)

@@ -3,9 +3,9 @@ done to the rows, and the unknowns.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,17 +26,21 @@ from linksweep.core.tie.astrometry import (
 )
 from linksweep.core.tie.forecast import releases_at
 from linksweep.core.tie.noise import ALL, ESTIMATE
-from linksweep.core.tie.problem import Problem, Weights
+from linksweep.core.tie.problem import Problem
 from linksweep.core.tie.solution import sources_of
 from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
-from linksweep.sweep.contract import Parameter, SweepError
+from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import first_of, split_assignment
 from linksweep.sweep.tables.reader import read_table as read_file
+from linksweep.sweep.tables.where import conditions
 from linksweep.sweep.tie.epochs import Epochs, with_observations
-from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, Zeros, built_in, read_table
+from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, Pairs, parameter
+from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, built_in, read_table
 
-Sign = Literal["reference-satellite", "satellite-reference"]
-SIGNS: Mapping[Sign, float] = {"reference-satellite": 1.0, "satellite-reference": -1.0}
+DECLARED = {one.name: parameter(one) for one in fields(Options)}
+
+# Options that name the tables for which they hold.
+MARKS = ("extragalactic", "without_cos_dec", "parallax_zero_point")
 
 ICRF3_EPOCH = 2015.0
 
@@ -60,130 +64,66 @@ _NO_NAME = ("", "--", "nan")
 _NONE = np.zeros(0, dtype=np.int64)
 
 
-# ---- options
+# ---- what options say of tables
 
 
-def year(name: str, meaning: str) -> Parameter:
-    """Declare an epoch."""
-    return Parameter(name, "float", None, meaning, "yr", minimum=1800.0, maximum=2200.0)
-
-
-def number(name: str, default: float, meaning: str, unit: str = "", **limits: Any) -> Parameter:
-    """Declare a number, which is not negative if no other limits are given."""
-    return Parameter(name, "float", default, meaning, unit, **(limits or {"minimum": 0.0}))
-
-
-def one_of(name: str, default: str, meaning: str, *choices: str) -> Parameter:
-    """Declare a word out of a few, the first of which is the default."""
-    return Parameter(name, "str", default, meaning, choices=tuple(dict.fromkeys((default, *choices))))
-
-
-# Options that a study sets too, or that have the same limits in every table.
-DECLARED = {
-    parameter.name: parameter
-    for parameter in (
-        Parameter("degree", "int", None, "adds harmonics up to this degree; default none", minimum=1, maximum=50),
-        one_of("weights", "covariance", "of the differences", *get_args(Weights)),
-        year("epoch", "of the orientation; default the satellite's"),
-        number("aberration", 0.0, "Galactic, carries positions without an epoch from 2015.0", "uas/yr"),
-        one_of("zero_errors", "error", "what an error of 0 means", *get_args(Zeros)),
-        one_of("sign", "reference-satellite", "of all results", *SIGNS),
-    )
-}
-
-
-@dataclass(frozen=True)
-class Options:
-    """The options of a link of two or more tables.
-
-    ``unknowns`` as in `parse_unknowns`, None for those of orientation and spin that the tables determine; ``degree``
-    adds vector spherical harmonics up to it.  ``bins`` are a column and edges.  ``epoch`` (Julian year) is that of the
-    orientation, by default the satellite's.  ``known_spin`` is a vector (mas/yr, in the sign of ``sign``) or the path
-    of a table by magnitude, ``known_orientation`` a vector (mas).  ``jitter`` maps kinds of rows to (mas, mas/yr) added
-    in quadrature or to "estimate", or is a line as in `parse_jitter`.  ``aberration`` (uas/yr) carries reference
-    positions without an epoch from 2015.0 to the satellite's epoch.  ``missions`` are further tables by name, each in a
-    frame of its own with an orientation and a spin; ``mission_options`` say how these are read.  ``where`` is a
-    condition that the satellite's rows must meet, as in `rows_where`.  ``epochs`` are files of Gaia's epoch astrometry,
-    ``star_models`` (5, 7, 9 or orbit) the models of stars that have it, or of "all", and ``orbits`` a table of the
-    elements of orbits.
-    """
-
-    unknowns: str | None = None
-    degree: int | None = None
-    bins: tuple[str, Sequence[float]] | None = None
-    by: str | None = None
-    epoch: float | None = None
-    weights: Weights = "covariance"
-    known_spin: Sequence[float] | str | Path | None = None
-    known_orientation: Sequence[float] | str | None = None
-    jitter: Mapping[str, Any] = field(default_factory=dict)
-    sign: Sign = "reference-satellite"
-    corrections: bool = True
-    aberration: float = 0.0
-    missions: Mapping[str, str | Path] = field(default_factory=dict)
-    where: str | None = None
-    satellite_options: TableOptions = field(default_factory=TableOptions)
-    reference_options: TableOptions = field(default_factory=TableOptions)
-    mission_options: Mapping[str, TableOptions] = field(default_factory=dict)
-    epochs: Sequence[str | Path] = ()
-    star_models: Mapping[str, str] = field(default_factory=dict)
-    orbits: str | Path | None = None
-
-    def __post_init__(self) -> None:
-        line: Any = self.jitter
-        if not isinstance(line, str):
-            sizes = (size if isinstance(size, str) else ":".join(map(str, np.ravel(size))) for size in line.values())
-            line = ",".join(f"{kind}={size}" for kind, size in zip(line, sizes, strict=True))
-        object.__setattr__(self, "jitter", parse_jitter(line))
-
-    def check(self) -> None:
-        """Raise SweepError for values that are not allowed."""
-        try:
-            for part in (self, self.satellite_options, self.reference_options, *self.mission_options.values()):
-                for name, parameter in DECLARED.items():
-                    if (value := getattr(part, name, None)) is not None:
-                        parameter.parse(value)
-            for name in self.missions:
-                require_mission_name(name)
-        except ValueError as error:
-            raise SweepError(str(error)) from error
-        if unknown := sorted(set(self.mission_options) - set(self.missions)):
-            raise SweepError(f"options of {', '.join(unknown)}: no such mission")
-        if (self.star_models or self.orbits is not None) and not self.epochs:
-            raise SweepError("models and orbits are of stars with epoch astrometry: give its files as epochs")
-
-    def jitter_in(self, mission: str | None) -> dict[str, Any]:
-        """Return the jitter by kind of row of the reference, or of a mission: ``hipparcos:position``."""
-        chosen = {}
-        for key, size in self.jitter.items():
-            table, colon, kind = key.rpartition(":")
-            if (table if colon else None) == mission:
-                chosen[kind] = size
-            elif colon and table not in self.missions:
-                raise SweepError(f"jitter of {key!r}: no mission {table!r}")
-        return chosen
-
-
-def options_by_table(
-    missions: Mapping[str, Any],
-    every: Mapping[str, Any],
-    without_cos_dec: Collection[str],
-    **by_table: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Return the options of `Options` about tables, from fields of `TableOptions` that are those of ``every`` table and
-    others by the name of the table; ``without_cos_dec`` are tables.  Raises SweepError for tables that do not exist.
-    """
-    names = ("satellite", "reference", *missions)
-    for what, values in (by_table | {"without_cos_dec": dict.fromkeys(without_cos_dec)}).items():
-        if unknown := sorted(set(values) - set(names)):
-            raise SweepError(f"{what}: no table {', '.join(unknown)}, only {', '.join(names)}")
-    by_table["pmra_cos_dec"] = dict.fromkeys(without_cos_dec, False)
-    tables = {
-        name: TableOptions(**every, **{field: values[name] for field, values in by_table.items() if name in values})
+def table_options(options: Options) -> dict[str, TableOptions]:
+    """Return how each table is read, by its name; raises SweepError for tables that do not exist."""
+    names = [*SIDES, *dict(options.missions)]
+    try:
+        for mission in names[2:]:
+            require_mission_name(mission)
+        epochs = {name: DECLARED["epoch"].parse(float(year)) for name, year in options.mission_epochs}
+    except ValueError as error:
+        raise SweepError(str(error)) from error
+    marked = {name: _listed_in(getattr(options, name)) for name in MARKS}
+    asked = {"columns": _by_table(options.columns, names), "units": _by_table(options.units, names)}
+    asked |= {"mission_epochs": epochs, "where": conditions(options.where.split(";"), names, SIDES[:1])} | marked
+    for what, tables in asked.items():
+        there = names[2:] if what == "mission_epochs" else names
+        if unknown := [table for table in tables if table not in there]:
+            raise SweepError(f"{what}: no table {unknown[0]}, only {', '.join(there) or 'those of missions'}")
+    epochs |= {"satellite": options.satellite_epoch, "reference": options.reference_epoch}
+    return {
+        name: TableOptions(
+            **{key: asked[key].get(name, {}) for key in ("columns", "units")},
+            epoch=epochs.get(name),
+            extragalactic=name in marked["extragalactic"],
+            positions=options.positions if name == "reference" and options.positions != TABLE else None,
+            accelerations=None if options.accelerations == TABLE else options.accelerations,
+            where=asked["where"].get(name),
+            parallax_zero_point=name in marked["parallax_zero_point"],
+            zero_errors=options.zero_errors,
+            pmra_cos_dec=False if name in marked["without_cos_dec"] else None,
+        )
         for name in names
     }
-    sides = {f"{name}_options": tables.pop(name) for name in names[:2]}
-    return {**sides, "missions": missions, "mission_options": tables}
+
+
+def _listed_in(text: str) -> list[str]:
+    return [name for part in text.split(",") if (name := part.strip())]
+
+
+def _by_table(items: Pairs, tables: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return what is said of each quantity of each table; an item that names no table is for all."""
+    by_table: dict[str, dict[str, str]] = {}
+    for key, value in items:
+        table, colon, quantity = key.rpartition(":")
+        for one in [table] if colon else tables:
+            by_table.setdefault(one, {})[quantity] = value
+    return by_table
+
+
+def jitter_of(jitter: Mapping[str, Any], mission: str | None, missions: Collection[str]) -> dict[str, Any]:
+    """Return the jitter by kind of row of the reference, or of a mission: ``hipparcos:position``."""
+    chosen = {}
+    for key, size in jitter.items():
+        table, colon, kind = key.rpartition(":")
+        if (table if colon else None) == mission:
+            chosen[kind] = size
+        elif colon and table not in missions:
+            raise SweepError(f"jitter of {key!r}: no mission {table!r}")
+    return chosen
 
 
 def parse_jitter(text: str) -> dict[str, Any]:
@@ -259,9 +199,10 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
 
     ``all_sources`` keeps sources without rows, for forecasts.
     """
-    options.check()
-    how = options.satellite_options
-    left = read_table(Path(satellite), replace(how, where=options.where or how.where))
+    how, missions, jitter = table_options(options), dict(options.missions), parse_jitter(options.jitter)
+    if (options.star_models or options.orbits) and not options.epochs:
+        raise SweepError("models and orbits are of stars with epoch astrometry: give its files as epochs")
+    left = read_table(Path(satellite), how["satellite"])
     n = len(left.astrometry)
     if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
         raise SweepError(
@@ -269,22 +210,22 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         )
     notes, epochs = left.named_notes(), None
     if options.epochs:
-        left, epochs = with_observations(left, options.epochs, options.star_models, options.orbits)
+        files = list(dict(options.epochs).values())
+        left, epochs = with_observations(left, files, dict(options.star_models), options.orbits)
         notes += epochs.notes
     tables, matches, parts = [], [], []
-    for frame, name in enumerate((None, *options.missions)):
+    for frame, name in enumerate((None, *missions)):
         if name is None and str(reference) == ZERO_MOTION:
             table = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
             matched = Match(np.arange(n), np.arange(n), EVERY_SOURCE)
             rows = table.astrometry
         else:
-            how = options.reference_options if name is None else options.mission_options.get(name, TableOptions())
-            table = read_table(Path(reference if name is None else options.missions[name]), how)
-            matched = match(left, table, options.by)
+            table = read_table(Path(missions[name] if name else reference), how[name or "reference"])
+            matched = match(left, table, options.by or None)
             rows = _taken(table.astrometry, matched.rows)
             far = far_rows(left, table, matched)
             notes += [*table.named_notes(), *match_notes(left, table, matched, rows), *far]
-        rows = with_jitter(replace(rows, further=None, further_correlations=None), options.jitter_in(name))
+        rows = with_jitter(replace(rows, further=None, further_correlations=None), jitter_of(jitter, name, missions))
         if name is not None:
             rows = replace(rows, frame=np.full(len(rows), frame))
         elif options.aberration:
@@ -305,13 +246,11 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         problem = replace(problem, unknowns=unknowns, known=known_unknowns(options, stars))
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
-    missions = dict(zip(options.missions, tables[1:], strict=True))
+    further = dict(zip(missions, tables[1:], strict=True))
     if epochs is not None:
         number = {row: k for k, row in enumerate(sources.tolist())}
         epochs = epochs._replace(rows=np.array([number.get(row, -1) for row in epochs.rows]))
-    return Setup(
-        left, tables[0], matches[0], problem, names, tuple(dict.fromkeys(notes)), missions, epochs, options.jitter
-    )
+    return Setup(left, tables[0], matches[0], problem, names, tuple(dict.fromkeys(notes)), further, epochs, jitter)
 
 
 def _taken(table: Astrometry, rows: Indices) -> Astrometry:
@@ -618,20 +557,10 @@ def known_unknowns(options: Options, stars: Astrometry) -> tuple[Unknowns, Array
     """Return the blocks and the values (rad, rad/yr) of an orientation and a spin that are known; None without any."""
     known = [] if (spin := _known_spin(options, stars)) is None else [spin]
     if options.known_orientation is not None:
-        block = parse_unknowns("orientation", corrections=options.corrections)
-        known.append((block, SIGNS[options.sign] * _vector("orientation", options.known_orientation, "mas")))
+        block = parse_unknowns("orientation")
+        known.append((block, SIGNS[options.sign] * np.array(options.known_orientation) * MAS))
     blocks = tuple(block for unknowns, _ in known for block in unknowns.blocks)
     return (Unknowns(blocks), np.concatenate([values for _, values in known])) if known else None
-
-
-def _vector(name: str, known: Any, unit: str) -> Array:
-    try:
-        vector = np.asarray(known.split(",") if isinstance(known, str) else known, dtype=np.float64)
-    except ValueError:
-        vector = np.zeros(0)
-    if vector.shape != (3,) or not np.all(np.isfinite(vector)):
-        raise SweepError(f"known {name} {known!r}: give three numbers in {unit}")
-    return vector * MAS
 
 
 def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | None:
@@ -644,8 +573,8 @@ def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] |
     spin, sign = options.known_spin, SIGNS[options.sign]
     if spin is None:
         return None
-    if not isinstance(spin, (str, Path)):
-        return Unknowns((spin_block(),)), sign * _vector("spin", spin, "mas/yr, or the path of a table")
+    if not isinstance(spin, str):
+        return Unknowns((spin_block(),)), sign * np.array(spin) * MAS
     table, at = read_file(built_in(Path(spin))), releases_at(stars.epoch)
     if (release := table.meta.get("release")) is not None and at != [release]:
         there = " and ".join(at) or "no release"
@@ -677,11 +606,10 @@ def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknow
 
     A note is added if these are not both.  Raises ValueError for unknowns that do not exist.
     """
-    missions = list(options.missions)
-    named = [name.strip() for name in (options.unknowns or "").split(",") if name.strip()]
+    missions, named = list(dict(options.missions)), _listed_in(options.unknowns)
     of_missions = [name for name in named if name.partition(":")[0] in missions]
     names = [name for name in named if name not in of_missions]
-    if options.unknowns is None or (of_missions and not names):
+    if not names:
         here = np.flatnonzero(problem.rows.frame == 0)
         plain = replace(problem, rows=problem.rows.taken(here), source=problem.source[here])
         names = _determined(plain)
@@ -701,7 +629,8 @@ def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknow
     for mission in missions:
         if not any(name.startswith(f"{mission}:") for name in of_missions):
             names += _determined(problem, names, mission, missions)
-    return parse_unknowns(",".join(names), options.bins, problem.satellite.columns, options.corrections, missions)
+    bins = parse_bins(options.bins) if options.bins else None
+    return parse_unknowns(",".join(names), bins, problem.satellite.columns, missions=missions)
 
 
 def _determine(problem: Problem, names: Sequence[str], missions: Sequence[str] = ()) -> bool:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,10 +41,7 @@ from linksweep.sweep.tables.columns import (
 )
 from linksweep.sweep.tables.reader import read_table as read_file
 from linksweep.sweep.tables.where import rows_where
-
-Positions = Literal["single-epoch", "mean"]
-Zeros = Literal["error", "missing", "exact"]
-Accelerated = Literal["at-epoch", "mean"]
+from linksweep.sweep.tie.options import POSITIONS
 
 # Columns that name a source, in upper or lower case, best first; other columns of text come after them.
 SOURCE_NAMES = ("name", "star", "source", "source_id", "designation", "psr_name", "hip", "iers_name", "icrf_name")
@@ -113,11 +110,11 @@ class TableOptions:
     units: Mapping[str, str] = field(default_factory=dict)
     epoch: float | None = None
     extragalactic: bool = False
-    positions: Positions | None = None
-    accelerations: Accelerated | None = None
+    positions: str | None = None
+    accelerations: str | None = None
     where: str | None = None
     parallax_zero_point: bool = False
-    zero_errors: Zeros = "error"
+    zero_errors: str = "error"
     pmra_cos_dec: bool | None = None
 
 
@@ -225,8 +222,8 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         span = f"{np.nanmin(epoch[exact]):g} to {np.nanmax(epoch[exact]):g}"
         notes.append(f"epochs from {span}, when no position had errors below 10 mas: are they right?")
     positions = options.positions or table.meta.get("positions", "single-epoch")
-    if positions not in get_args(Positions):
-        read.problems.append(f"positions {positions!r}: must be {' or '.join(get_args(Positions))}")
+    if positions not in POSITIONS:
+        read.problems.append(f"positions {positions!r}: must be {' or '.join(POSITIONS)}")
     astrometry = Astrometry(
         values=values,
         errors=errors,

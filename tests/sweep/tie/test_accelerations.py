@@ -15,7 +15,6 @@ from tests.sweep.tie.test_against_least_squares import turned
 
 NINE = (*NAMES, "accel_ra", "accel_dec", "deriv_accel_ra", "deriv_accel_dec")
 EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
-MEAN = TableOptions(positions="mean")
 
 
 def drawn(n, seed, models=(5, 7, 9), epoch=2017.5):
@@ -145,7 +144,7 @@ def made_link(folder, seed, n=12, epoch=2017.5, noise=1.0, change=None, **option
         accelerations = change(accelerations)
     satellite = satellite_table(folder / "satellite.fits", own, accelerations, covariance, sizes)
     reference = gaia(folder / "reference.fits", rows, source_id=source + 10**17)
-    options = {"epoch": 2016.0, "reference_options": MEAN, "accept_misfit": True} | options
+    options = {"epoch": 2016.0, "positions": "mean", "accept_misfit": True} | options
     link = linksweep.tie(satellite, reference, "orientation,spin", **options)
     return link, (own, rows, source, link.difference.values, covariance, 2016.0)
 
@@ -209,7 +208,7 @@ def test_the_mean_motions_of_dr3_are_those_of_its_polynomials(tmp_path):
         path,
         reference,
         "orientation,spin",
-        satellite_options=TableOptions(accelerations="at-epoch"),
+        accelerations="at-epoch",
         accept_misfit=True,
     )
     assert np.abs(own.estimate).max() > 0.01
@@ -263,7 +262,7 @@ def test_accelerations_of_a_reference_leave_its_five_parameters(tmp_path):
 
 def test_an_accelerated_satellite_in_a_forecast_and_in_draws(tmp_path):
     made_link(tmp_path, 11)
-    tables, options = (tmp_path / "satellite.fits", tmp_path / "reference.fits"), {"reference_options": MEAN}
+    tables, options = (tmp_path / "satellite.fits", tmp_path / "reference.fits"), {"positions": "mean"}
     plan = linksweep.forecast(*tables, "orientation,spin", add=[2030.0], release="dr5", **options)
     assert np.all(np.diff(plan.error.sel(unknown="omega_x")) < 0.0)
     study = {

@@ -18,7 +18,6 @@ from linksweep import SweepError
 from tests.core.tie.made import (
     MAS,
     Objects,
-    TableOptions,
     gaia,
     joined,
     noise,
@@ -29,7 +28,6 @@ from tests.core.tie.made import (
 from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
-MEAN = TableOptions(positions="mean")
 
 
 def drawn_tables(folder, seed, n=12, free=2, scale=1.0, far=(), coarse=()):
@@ -174,7 +172,7 @@ def linked(tables, **options):
         tables.satellite,
         tables.reference,
         "orientation,spin",
-        reference_options=MEAN,
+        positions="mean",
         epoch=2016.0,
         accept_misfit=True,
         **options,

@@ -15,7 +15,6 @@ from tests.core.tie.made import (
     DEGREE,
     MAS,
     NAMES,
-    TableOptions,
     gaia_table,
     main,
     noise,
@@ -298,14 +297,14 @@ def test_quasars_without_an_epoch_are_mean_positions(tmp_path):
     assert "no column ref_epoch; give the epochs" in refused.stderr
     assert "--extragalactic reference" in refused.stderr
     unknowns = "orientation,position_glide"
-    link = linksweep.tie(*tables, unknowns, reference_options=TableOptions(extragalactic=True))
+    link = linksweep.tie(*tables, unknowns, extragalactic="reference")
     assert set(link.row_kind.values.tolist()) == {"position"}
     assert np.all(np.isnan(link.row_epoch))
     offset = (reference["dec"] - satellite["dec"]) * 3.6e6  # neither moved nor displaced
     np.testing.assert_allclose(link.difference.sel(observable="dec"), offset, atol=1e-6)
     done = CliRunner().invoke(main, ["tie", *tables, "--unknowns", unknowns, "--extragalactic", "reference", "--json"])
     assert json.loads(done.stdout)["variables"]["estimate"]["values"] == link.estimate.values.tolist()
-    obeyed = linksweep.tie(*tables, unknowns, reference_options=TableOptions(epoch=2015.5))
+    obeyed = linksweep.tie(*tables, unknowns, reference_epoch=2015.5)
     assert any("if they are quasars, say --extragalactic reference" in note for note in obeyed.attrs["notes"])
     both = CliRunner().invoke(main, ["tie", *tables, "--extragalactic", "reference", "--reference-epoch", "2015.5"])
     assert both.exit_code == 2

@@ -17,7 +17,7 @@ from linksweep.core.tie.noise import estimated, noises
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import solve
 from tests.core.tie.made import MAS, gaia, joined, main, noise, parse_unknowns, stars
-from tests.sweep.tie.test_against_least_squares import MEAN, drawn_tables, linked, turned
+from tests.sweep.tie.test_against_least_squares import drawn_tables, linked, turned
 
 WHICH = {"position": [0, 1], "parallax": [2], "motion": [3, 4]}
 
@@ -107,7 +107,7 @@ def alike(folder, seed, n=20, size=0.5, error=0.1):
 
 def test_equal_errors_have_a_closed_form(tmp_path):
     satellite, reference, own, offset = alike(tmp_path, 3)
-    link = linksweep.tie(satellite, reference, "orientation", reference_options=MEAN, jitter="estimate")
+    link = linksweep.tie(satellite, reference, "orientation", positions="mean", jitter="estimate")
     design = np.concatenate([turned(*place) for place in own.values[:2].T])
     x, squares, *_ = np.linalg.lstsq(design, offset.T.ravel(), rcond=None)
     nu = design.shape[0] - 3
@@ -213,7 +213,7 @@ def test_a_clip_drops_what_the_noise_does_not_explain(tmp_path):
     far[1, 7] += 40.0 * MAS
     errors = np.where(np.arange(5)[:, None] < 2, own.errors, np.nan)
     gaia(reference, replace(own, values=np.where(np.isnan(errors), np.nan, far), errors=errors))
-    options = {"reference_options": MEAN, "jitter": "estimate", "accept_misfit": True}
+    options = {"positions": "mean", "jitter": "estimate", "accept_misfit": True}
     link = linksweep.tie(satellite, reference, "orientation", clip="discrepancy", **options)
     assert np.flatnonzero(link.weight_factor.values == 0.0).tolist() == [7]
     assert float(link.noise_size[0]) == pytest.approx(0.5, rel=0.2)
@@ -263,9 +263,10 @@ def test_rows_that_share_a_calibrator_share_its_error(tmp_path, seed):
 
 def test_draws_have_the_errors_that_calibrators_share(tmp_path):
     tables = with_calibrators(tmp_path, 3)
-    from linksweep.sweep.tie.setup import Options, set_up
+    from linksweep.sweep.tie.options import Options
+    from linksweep.sweep.tie.setup import set_up
 
-    problem = set_up(tables.satellite, tables.reference, Options("orientation,spin", reference_options=MEAN)).problem
+    problem = set_up(tables.satellite, tables.reference, Options("orientation,spin", positions="mean")).problem
     expected = solve(source_sums(problem)).covariance
     draws = Simulation(problem, np.zeros(6)).draws(600, np.random.default_rng(1))
     found = np.array([solve(one.sums).estimate for one in draws])

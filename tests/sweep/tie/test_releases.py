@@ -80,7 +80,7 @@ def test_a_table_at_another_epoch_needs_the_name_of_its_release(folder):
     np.testing.assert_allclose(found, errors_by_hand(folder, "other", "dr2", "dr4"), rtol=1e-9)
     with pytest.raises(SweepError, match="epochs of dr3 and dr4"):
         planned(folder, "mixed", "dr5", from_release="dr3")
-    with pytest.raises(SweepError, match="no release 'dr9'"):
+    with pytest.raises(SweepError, match="from_release = 'dr9'"):
         planned(folder, "dr3", "dr4", from_release="dr9")
 
 

@@ -1,13 +1,13 @@
 """Links of tables as studies: the draws against closed forms, the built-in studies against what was published."""
 
-import inspect
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray as xr
 from astropy.table import Table
+from click.testing import CliRunner
 from scipy import stats
 
 import linksweep
@@ -16,8 +16,6 @@ from linksweep.sweep.cli.group import main
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie, unused
-from linksweep.sweep.tie.setup import Options
-from linksweep.sweep.tie.tables import TableOptions
 from tests.core.tie.made import MAS, Objects, gaia, gaia_table, noise, parse_unknowns, spin_block, stars
 
 X, Y, Z = range(3)
@@ -251,27 +249,48 @@ ABOUT_OUTPUT = {
     *("workers", "pool", "scheduler", "tls_ca", "tls_cert", "tls_key", "cluster", "time_limit", "memory_limit"),
     *("dashboard", "errors", "resamples", "seed", "sign", "no_sources", "output", "figures", "as_json"),
 }
-# A study has no epoch astrometry: its draws are of catalogue rows.
-EPOCHS = {"epochs", "more_epochs", "star_model", "orbits"}
-TABLES = ("satellite", "reference", "mission")
-PLACES = {
-    "column": {f"{table}_columns" for table in TABLES},
-    "unit": {f"{table}_units" for table in TABLES},
-    "mission_epoch": {"mission_epochs"},
-    "known_spin": {"known_spin", "known_spin_table"},
-    "where": {"where", "reference_where"},
-}
 
 
-def test_every_option_of_the_command_has_its_place_in_a_study_and_in_python():
-    options = {parameter.name for parameter in main.commands["tie"].params} - ABOUT_OUTPUT - EPOCHS
-    study = {parameter.name for parameter in tie.parameters}
-    assert not {name for name in options if not PLACES.get(name, {name}) <= study}
-    python = {field.name for kind in (Options, TableOptions) for field in fields(kind)}
-    python |= set(inspect.signature(linksweep.tie).parameters)
-    by_table = {"column": "columns", "unit": "units", "without_cos_dec": "pmra_cos_dec"}
-    by_table |= {f"{table}_epoch": "epoch" for table in TABLES}
-    assert not {name for name in options if by_table.get(name, name) not in python}
+def test_studies_and_forecasts_have_every_option_of_a_link_under_its_name():
+    options = {parameter.name for parameter in main.commands["tie"].params} - ABOUT_OUTPUT - {"more_epochs"}
+    assert options <= {parameter.name for parameter in tie.parameters}
+    assert options - {"clip", "accept_misfit"} <= {parameter.name for parameter in main.commands["forecast"].params}
+
+
+@pytest.mark.parametrize(
+    ("name", "flag", "value"),
+    [
+        ("degree", "--degree", 0),
+        ("weights", "--weights", "equall"),
+        ("epoch", "--epoch", 99.0),
+        ("aberration", "--aberration", -1.0),
+        ("known_spin", "--known-spin", [0.1, 0.2]),
+        ("zero_errors", "--zero-errors", "none"),
+        ("jitter", "--jitter", "position"),
+        ("bins", "--bins", "17"),
+        ("columns", "--column", {"hip:ra": "x"}),
+        ("without_cos_dec", "--without-cos-dec", "hip"),
+        ("mission_epochs", "--mission-epoch", {"satellite": "2016"}),
+        ("star_models", "--star-model", {"all": "7"}),
+    ],
+)
+def test_a_wrong_value_has_the_same_sentence_everywhere(tmp_path, monkeypatch, name, flag, value):
+    monkeypatch.chdir(tmp_path)
+    table = str(gaia("satellite.ecsv", stars(9, 3)))
+    said = set()
+    for function in (linksweep.tie, linksweep.forecast):
+        with pytest.raises(SweepError) as error:
+            function(table, table, **{name: value})
+        said.add(str(error.value))
+    with pytest.raises(SweepError) as error:
+        written(tmp_path, satellite=table, reference=table, **{name: value})
+    (sentence,) = said
+    assert sentence in str(error.value)
+    text = ",".join(map(str, value)) if isinstance(value, list) else value
+    text = "".join(f"{key}={one}" for key, one in value.items()) if isinstance(value, dict) else str(text)
+    for command in ("tie", "forecast"):
+        done = CliRunner().invoke(main, [command, table, table, f"{flag}={text}"])
+        assert (done.exit_code, sentence in " ".join(done.stderr.split())) == (2, True), done.stderr
 
 
 def written(folder, **changes):
@@ -288,25 +307,26 @@ def written(folder, **changes):
 CASES = {
     "jitter": ({"jitter": "estimate"}, {"jitter": "estimate"}),
     "jitter of a kind": ({"jitter": "five-parameter=0.3:0.1"}, {"jitter": {"five-parameter": (0.3, 0.1)}}),
-    "without_cos_dec": ({"without_cos_dec": "reference"}, {"reference_options": TableOptions(pmra_cos_dec=False)}),
+    "without_cos_dec": ({"without_cos_dec": "reference"}, {"without_cos_dec": "reference"}),
     "units": (
-        {"reference_units": {"pmra": "arcsec/yr"}},
-        {"reference_options": TableOptions(units={"pmra": "arcsec/yr"})},
+        {"units": {"reference:pmra": "arcsec/yr"}},
+        {"units": {"reference:pmra": "arcsec/yr"}},
     ),
     "where": ({"where": "phot_g_mean_mag < 10"}, {"where": "phot_g_mean_mag < 10"}),
-    "reference_where": (
-        {"reference_where": "phot_g_mean_mag < 10"},
-        {"reference_options": TableOptions(where="phot_g_mean_mag < 10")},
+    "where there": (
+        {"where": "phot_g_mean_mag < 14; reference: phot_g_mean_mag < 10"},
+        {"where": ["phot_g_mean_mag < 14", "reference: phot_g_mean_mag < 10"]},
     ),
     "missions": (
         {
             "missions": {"hip": "hip.ecsv"},
             "mission_epochs": {"hip": "1991.25"},
-            "mission_columns": {"hip:parallax": "plx"},
+            "columns": {"hip:parallax": "plx"},
         },
         {
             "missions": {"hip": "hip.ecsv"},
-            "mission_options": {"hip": TableOptions(epoch=1991.25, columns={"parallax": "plx"})},
+            "mission_epochs": {"hip": 1991.25},
+            "columns": {"hip:parallax": "plx"},
         },
     ),
     "known_spin_table": ({"known_spin_table": "spin.ecsv"}, {"known_spin": "spin.ecsv"}),
@@ -361,7 +381,7 @@ def test_a_study_reads_the_text_of_the_icrf(tmp_path, monkeypatch):
         ({"jitter": "estimate", "position_jitter": 0.1}, "jitter is there, and position_jitter"),
         ({"jitter": "position"}, "KIND=MAS"),
         ({"missions": {"hip": "nowhere.ecsv"}}, "no such file"),
-        ({"mission_epochs": {"hip": "1991.25"}}, "no table hip"),
+        ({"mission_epochs": {"hip": "1991.25"}}, "mission_epochs: no table hip"),
         ({"missions": ["psrpi"]}, "a table of paths"),
     ],
 )
