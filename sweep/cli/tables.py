@@ -224,9 +224,9 @@ def tie(
     # Before millions of rows are matched.
     target.check()
     shown = target.as_json or target.output is not None or target.figures is not None
-    further = {"resources": resources, "per_source": shown and not no_sources}
+    asked = _with_more(asked, more_epochs) | {"per_source": shown and not no_sources}
     try:
-        target.put(linksweep.tie(satellite, reference, **further, **_with_more(asked, more_epochs)))
+        target.put(linksweep.tie(satellite, reference, resources=resources, **asked))
     except MisfitError as error:
         target.put(error.link, rejected=True)
         click.echo(f"error: {error.said('--accept-misfit')}", err=True)

@@ -5,8 +5,6 @@ from collections import defaultdict
 from collections.abc import Set
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from linksweep.sweep.contract import Named, SweepError
 from linksweep.sweep.contract.block import DIGEST_BYTES
 from linksweep.sweep.formatting import host, now
@@ -17,6 +15,8 @@ from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.store import BLOCKS, Store
 from linksweep.sweep.studies.record import recorded_study
 from linksweep.sweep.studies.study import Study
+from linksweep.sweep.tables.reader import from_frame
+from linksweep.sweep.tables.where import rows_where
 
 OLD = "old"
 """What a condition calls points that were made by other code than today's."""
@@ -90,19 +90,14 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
         | {name: str(value) if isinstance(value, Named) else value for name, value in p.parameters.items()}
         for p, is_old in zip(points, made_by_other, strict=True)
     ]
-    try:
-        met = np.asarray(pd.DataFrame(table).eval(condition, engine="python") if table else False)
-        if met.dtype != bool or met.shape not in ((), (len(points),)):
-            raise ValueError("is neither true nor false")
-    except Exception as error:  # of pandas and Python, whatever is wrong
-        wanted = f"write a condition on parameters, such as x > 2 and y == 8, or {OLD} for points of other code"
-        raise SweepError(f"--redo {condition}: {error}; {wanted}") from error
+    columns = pd.DataFrame(table, index=range(len(points))).convert_dtypes()
+    met = rows_where(from_frame(columns), condition, "--redo", may_be_none=True) if points else ()
     record = {"kind": "again", "message": message, "traceback": "", "host": host(), "when": now()}
     known = {point.digest for point in points}
     again: dict[bytes, Record | None] = {
         digest: None for digest in rows.keys() - known if any(row in some for row in rows[digest] for some in other)
     }
-    for point, is_met, is_old in zip(points, np.broadcast_to(met, len(points)), made_by_other, strict=True):
+    for point, is_met, is_old in zip(points, met, made_by_other, strict=True):
         if point.digest in left or (is_met and (is_old or not left)):
             again[point.digest] = {"place": describe(study, point.parameters), **record}
     return again

@@ -224,7 +224,7 @@ def _hipparcos(text: str) -> Any:
             raise SweepError(f"is hip2.dat of CDS I/311, but has no such row in line {k}")
     fields, names = list(_HIP2_COLUMNS.values()), list(_HIP2_COLUMNS)
     frame = pd.read_fwf(io.StringIO(text), colspecs=fields, header=None, names=names, dtype_backend="numpy_nullable")
-    return _from_frame(frame)
+    return from_frame(frame)
 
 
 # ---- delimited text (CSV, TSV as VizieR sends it, `;` or blanks): names and units above, then rows with gaps
@@ -282,7 +282,7 @@ def _rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequence[An
         frame = pd.DataFrame({k: pd.array([], dtype="Float64") for k in range(len(names))})
     except (ValueError, OverflowError) as error:
         raise SweepError(f"cannot be read as delimited text: {' '.join(str(error).split())}") from error
-    return _from_frame(frame.set_axis(list(names), axis=1), dtypes)
+    return from_frame(frame.set_axis(list(names), axis=1), dtypes)
 
 
 def _nullable(dtype: Any) -> str:
@@ -294,7 +294,7 @@ def _nullable(dtype: Any) -> str:
     return {"b": "boolean", "U": "string"}.get(dtype.kind) or f"{numbers[dtype.kind]}{8 * dtype.itemsize}"
 
 
-def _from_frame(frame: Any, dtypes: Sequence[Any] | None = None) -> Any:
+def from_frame(frame: Any, dtypes: Sequence[Any] | None = None) -> Any:
     """Return a frame of columns that allow gaps as an astropy Table, masked there; text is fixed-width."""
     from astropy.table import Column, MaskedColumn, Table
 
@@ -509,7 +509,7 @@ def _from_arrow(arrow: Any, units: dict[str, Any]) -> Any:
     decimals = [pa.float64() if pa.types.is_decimal(field.type) else field.type for field in arrow.schema]
     plain = [kind.value_type if pa.types.is_dictionary(kind) else kind for kind in decimals]
     arrow = arrow.cast(pa.schema([field.with_type(kind) for field, kind in zip(arrow.schema, plain, strict=True)]))
-    table = _from_frame(arrow.to_pandas(types_mapper=pd.ArrowDtype))
+    table = from_frame(arrow.to_pandas(types_mapper=pd.ArrowDtype))
     for field in arrow.schema:
         table[field.name].unit = (field.metadata or {}).get(b"unit", b"").decode() or units.get(field.name)
     return table

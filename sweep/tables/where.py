@@ -37,16 +37,16 @@ class _Operand(NamedTuple):
         return {"U": "text", "b": "true or false"}.get(self.values.dtype.kind, "numbers")
 
 
-def rows_where(table: Any, condition: str, where: str = "") -> Flags:
+def rows_where(table: Any, condition: str, where: str = "", may_be_none: bool = False) -> Flags:
     """Return which rows of an astropy Table meet a condition; shape (N,).
 
     It compares columns with numbers, text and each other: ``<``, ``<=``, ``>``, ``>=``, ``==``, ``!=``, ``in`` and
     ``not in`` a list, joined by ``&``, ``|`` and ``~`` or ``and``, ``or`` and ``not``, with parentheses.  Backticks
     enclose a name that is no word.  Numbers are those in the file, without its units.  Every comparison with a missing
     value is false.  Nothing of it is run as Python.  Raises SweepError, with the place, for what it does not
-    understand, and for a condition that no row meets.
+    understand, and unless there ``may_be_none`` for a condition that no row meets.
     """
-    return _Condition(Columns(table, where), condition).rows()
+    return _Condition(Columns(table, where), condition).rows(may_be_none)
 
 
 def conditions(texts: Iterable[str], tables: Collection[str], common: Sequence[str]) -> dict[str, str]:
@@ -77,7 +77,7 @@ class _Condition:
             self.python += words
             self.origin += [piece.start()] * len(words)
 
-    def rows(self) -> Flags:
+    def rows(self, may_be_none: bool) -> Flags:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # of the compiler, about what is refused below
@@ -87,7 +87,7 @@ class _Condition:
             raise self._refused(at, error.msg) from None
         except (ValueError, RecursionError, MemoryError, OverflowError) as error:
             raise self._refused(0, str(error)) from None
-        if not flags.any():
+        if not flags.any() and not may_be_none:
             spans = ", ".join(f"{name} is {_span(column)}" for name, column in self.used.items())
             raise SweepError(f"where {self.text!r} keeps none of {len(self.read)} rows; {spans}", self.read.where)
         return flags

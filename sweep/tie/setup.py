@@ -77,7 +77,7 @@ def table_options(options: Options) -> dict[str, TableOptions]:
     except ValueError as error:
         raise SweepError(str(error)) from error
     marked = {name: _listed_in(getattr(options, name)) for name in MARKS}
-    asked = {"columns": _by_table(options.columns, names), "units": _by_table(options.units, names)}
+    asked: dict[str, Any] = {"columns": _by_table(options.columns, names), "units": _by_table(options.units, names)}
     asked |= {"mission_epochs": epochs, "where": conditions(options.where.split(";"), names, SIDES[:1])} | marked
     for what, tables in asked.items():
         there = names[2:] if what == "mission_epochs" else names

@@ -5,6 +5,7 @@ star is an unknown, and against what ESA's gaiasupdate finds.
 import json
 import re
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 import linksweep
 from linksweep import SweepError
 from linksweep.core.tie.astrometry import bends
+from linksweep.sweep.tie.tables import built_in
 from tests.core.tie.made import DEGREE, MAS, NAMES, PAIRS, gaia_table, parallax_factors, propagated, seen_by_satellite
 from tests.core.tie.made import stars as made_stars
 from tests.tiers import slow
@@ -490,3 +492,18 @@ def test_the_command_takes_files_after_epochs(tmp_path, sweep):
     status, _, err = sweep("tie", "gaia.ecsv", "vlbi.ecsv", "one.fits", cwd=tmp_path)
     assert status == 2
     assert "one.fits" in err
+
+
+def test_studies_and_forecasts_have_the_errors_of_the_transits(tmp_path):
+    models, unknowns = {"1003": "7", "1006": "7"}, "orientation,spin"
+    tables = [str(built_in(Path(name))) for name in ("dr4-gaia", "dr4-vlbi", "dr4-epochs")]
+    link = linksweep.tie(*tables[:2], unknowns, epochs=tables[2:], star_models=models)
+    formal = link.errors.sel(error_kind="formal").values
+    plan = linksweep.forecast(*tables[:2], unknowns, epochs=tables[2:], star_models=models)
+    np.testing.assert_allclose(plan.error.sel(stage="now"), formal)
+    fixed = {"satellite": tables[0], "reference": tables[1], "epochs": {"all": tables[2]}, "star_models": models}
+    study = {"title": "t", "experiment": "linksweep.sweep.tie.experiment:tie", "sampling": {"n_sim": 100}}
+    found = linksweep.run(study | {"fixed": fixed, "axes": {"clip": ["none"]}}, tmp_path / "s.zarr", pool="serial")
+    np.testing.assert_allclose(found.estimate.values[0, :6], link.estimate.values)
+    np.testing.assert_allclose(found.error_formal.values[0, :6], formal)
+    np.testing.assert_allclose(found.sigma.values[0, :6], formal, rtol=0.25)

@@ -8,7 +8,7 @@ from astropy.table import Table
 
 import linksweep
 from linksweep import SweepError
-from linksweep.sweep.tie.tables import TableOptions, read_table
+from linksweep.sweep.tie.tables import read_table
 from tests.core.tie.made import (
     ARCSEC,
     MAS,
@@ -147,7 +147,7 @@ def test_what_is_known_is_taken_out_in_the_sign_of_the_results(tmp_path):
         link = linksweep.tie(*tables, "orientation,spin", epoch=2016.0, sign=sign, **known)
         wanted = factor * free.estimate.values - np.concatenate(list(known.values()))
         np.testing.assert_allclose(link.estimate, wanted, atol=1e-5)
-    with pytest.raises(SweepError, match="known_orientation = .* three finite numbers"):
+    with pytest.raises(SweepError, match=r"known_orientation = .* three finite numbers"):
         linksweep.tie(*tables, known_orientation=[1.0, 2.0])
 
 
