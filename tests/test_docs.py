@@ -8,6 +8,7 @@ import runpy
 import shlex
 import subprocess
 import sys
+import tomllib
 from contextlib import closing
 from importlib import import_module
 from pathlib import Path
@@ -236,6 +237,12 @@ def test_every_page_is_in_the_navigation():
 def test_the_api_page_has_every_public_name():
     listed = re.findall(r"^\.\. auto\w+:: (\w+)", (ROOT / "docs" / "api.md").read_text(), flags=re.MULTILINE)
     assert sorted(set(listed) - {"linksweep"}) == sorted(linksweep.__all__)
+
+
+def test_every_extra_is_named_where_one_installs():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    table = re.findall(r"^\| (`.*?) \|", (ROOT / "docs" / "install.md").read_text(), flags=re.MULTILINE)
+    assert sorted(re.findall(r"`([\w-]+)`", " ".join(table))) == sorted(project["optional-dependencies"])
 
 
 DOCS = Path(__file__).parent.parent / "docs"
