@@ -27,7 +27,7 @@ import numpy as np
 import xarray as xr
 import yaml
 from bokeh.resources import Resources
-from jinja2 import Environment, PackageLoader
+from jinja2 import Environment, PackageLoader, Template
 from markupsafe import Markup
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
@@ -331,10 +331,10 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
         sections.append(one)
         room -= one.get("numbers", 0)
     explored = any(one["explorer"]["quantities"] for one in sections)
-    scripts = [_file("page.js")]
+    scripts = [template_file("page.js")]
     if explored:  # the library needs no network and no server
         options: dict[str, Any] = {"minified": True, "log_level": "error", "components": ["bokeh", "bokeh-api"]}
-        scripts = ["\n".join(Resources(mode="inline", **options).js_raw), *scripts, _file("explorer.js")]
+        scripts = ["\n".join(Resources(mode="inline", **options).js_raw), *scripts, template_file("explorer.js")]
     comparisons = [comparison for one in sections for comparison in one.get("comparisons", ())]
     versions = list(dict.fromkeys(one["version"] for one in sections))
     cited: list[str] = []
@@ -344,16 +344,14 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
             cited, ours = [*cited, citations(versions[0])[0]], True
         else:
             cited += json.loads(dataset.attrs.get(CITATION, "[]"))
-    options = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True}
-    environment = Environment(loader=PackageLoader("linksweep.sweep.report"), **options)
     message = "If you use these results, please cite what made them."
-    return MARK + environment.get_template("page.html.j2").render(
+    return MARK + template("page.html.j2").render(
         sections=sections,
         explored=explored,
         verdicts=compare.summary_line(comparisons) if comparisons else "",
         unfinished=sum(bool(one.get("gaps")) for one in sections),
-        policy=_policy(scripts),
-        style=Markup(_file("page.css")),
+        policy=policy(scripts),
+        style=Markup(template_file("page.css")),
         scripts=[Markup(script) for script in scripts],
         cite=list(dict.fromkeys([*cited, *(citations(version)[1] for version in versions)])),
         cite_message=_citation_file()["message"] if ours else message,
@@ -417,11 +415,18 @@ def _people(authors: Sequence[Mapping[str, str]]) -> str:
     return " & ".join(a["name"] if "name" in a else f"{a['family-names']}, {a['given-names'][0]}." for a in authors)
 
 
-def _file(name: str) -> str:
+def template(name: str) -> Template:
+    """Return a template of pages, in which every text is escaped."""
+    options: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True}
+    return Environment(loader=PackageLoader("linksweep.sweep.report"), **options).get_template(name)
+
+
+def template_file(name: str) -> str:
+    """Return the content of a file beside the templates."""
     return (resources.files("linksweep.sweep.report") / "templates" / name).read_text(encoding="utf-8")
 
 
-def _policy(scripts: Sequence[str]) -> str:
+def policy(scripts: Sequence[str]) -> str:
     """Return the policy that a browser enforces: these scripts and no others, no network, styles of this page only.
 
     BokehJS and the pictures need inline styles; the icons of BokehJS, and clouds of points, are images in the page.
@@ -524,7 +529,7 @@ def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
 
 def _provenance(kind: str, attributes: Mapping[Any, Any]) -> dict[str, str]:
     """Return the attributes of a dataset that a page names, by their names there."""
-    names = json.loads(_file("provenance.json"))[kind]
+    names = json.loads(template_file("provenance.json"))[kind]
     return {label: str(attributes[key]) for key, label in names.items() if attributes.get(key, "") != ""}
 
 

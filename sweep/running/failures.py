@@ -67,13 +67,17 @@ class Reasons:
         self.points += 1
         return kind
 
+    def most(self) -> list[tuple[str, int]]:
+        """Return what reasons have in common, the most frequent first, and how many points failed for each."""
+        return sorted(self._numbers.items(), key=lambda pair: -pair[1])
+
     def __str__(self) -> str:
         return "; ".join(self.in_words())
 
     def in_words(self) -> list[str]:
         """Return the most frequent reasons, each with how many points it is of and one of them."""
-        most = sorted(self.first, key=lambda kind: -self._numbers[kind])
-        words = [self._described(kind) for kind in most[:NAMED]]
+        most = self.most()
+        words = [self._described(kind) for kind, _ in most[:NAMED]]
         return [*words, *([f"{len(most) - NAMED:,} other reasons"] if len(most) > NAMED else [])]
 
     def _described(self, kind: str) -> str:

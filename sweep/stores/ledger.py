@@ -91,8 +91,7 @@ class Ledger:
         self.failures: dict[bytes, Record] = {}
         if "failures" in self._documents:
             with noting(self.damaged, path_of(documents["failures"])):
-                recorded = integrity.checked(integrity.Failures, self._documents["failures"]).failures
-                self.failures = {bytes.fromhex(digest): record for digest, record in recorded.items()}
+                self.failures = _failures(self._documents["failures"])
         records = self._records(contents, self.damaged)
         # Kept for the one who opens the store; gone with the first new rows, since it may be as large as all results.
         self._rows: Rows | None = np.ascontiguousarray(records["row"])
@@ -334,6 +333,29 @@ class Ledger:
             del self._recent[next(iter(self._recent))]
         # Where the samples of each row end: added up once, not for each block that is read.
         self._recent[part.rows.name] = blocks, np.cumsum(_counts(blocks[0]))
+
+
+def read_keys(location: Location, parts: Sequence[Part]) -> list[NDArray[np.uint64]]:
+    """Return the keys of the rows of each part, (records, 4) numbers of 8 bytes, zeros for a row that was lost.
+
+    Nothing else of the rows is looked at.  Raises ValueError where a file is missing or not what was written.
+    """
+    contents = location.get_all([path_of(part.rows) for part in parts])
+    raw = [_raw(part.rows, contents.pop(path_of(part.rows))) for part in parts]
+    counts = [part.records * KEY_BYTES // 8 for part in parts]
+    return [np.frombuffer(one, "<u8", n).reshape(-1, KEY_BYTES // 8) for one, n in zip(raw, counts, strict=True)]
+
+
+def read_failures(location: Location, manifest: Manifest) -> dict[bytes, Record]:
+    """Return the records of failed points by their digests; raises ValueError as `read_keys`."""
+    if (file := manifest.documents.get("failures")) is None:
+        return {}
+    return _failures(json.loads(integrity.whole(location.get(path_of(file)), file.checksum)))
+
+
+def _failures(document: Mapping[str, Any]) -> dict[bytes, Record]:
+    recorded = integrity.checked(integrity.Failures, document).failures
+    return {bytes.fromhex(digest): record for digest, record in recorded.items()}
 
 
 def path_of(file: File | None) -> str:

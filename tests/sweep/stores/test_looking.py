@@ -40,6 +40,7 @@ ARGUMENTS = {  # by command: what a user would type about a store, several times
     "status": [["STORE"], ["STORE", "--json"]],
     "submit": [["STORE/study.toml", "--slurm", "2"]],
     "tie": [["STORE", "zero-motion"]],
+    "watch": [["STORE"]],
     "forecast": [["STORE", "STORE"]],
 }
 STUDY = """

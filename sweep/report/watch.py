@@ -1,0 +1,141 @@
+"""Runs on a page that is served on loopback, with a random token in its address: made from the stores alone."""
+
+import json
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from hmac import compare_digest
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+from markupsafe import Markup
+
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.report.page import Picture, drawn, policy, template, template_file
+from linksweep.sweep.running.watch import Tile, Watched, pause
+from linksweep.sweep.stores.location import Where
+from linksweep.sweep.stores.store import is_new
+
+MOST_TILES = 2000
+
+# Between two drawings of a figure there are so many times the square of the seconds that one takes: a few of small
+# studies, minutes of those that take long.
+REDRAW = 200.0
+
+# Names by which a browser asks; under any other, a page of others may have sent it here.
+HOSTS = ("127.0.0.1", "localhost")
+
+HEADERS = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff"}
+
+
+class Shown:
+    """A store as the page shows it: its ``tiles``, and its ``figure``, drawn again for new results."""
+
+    def __init__(self, where: Where) -> None:
+        """Look at nothing yet."""
+        self.watched, self.figure = Watched(where), Picture("", problem="no results are written yet")
+        self.tiles: list[list[Tile]] = []
+        self._drawn: Any = None
+        self._redraw = 0.0
+
+    def look(self) -> None:
+        """Look at the store."""
+        if self.watched.look():
+            self.tiles = self.watched.tiles(MOST_TILES, MOST_TILES)
+
+    def draw(self) -> None:
+        """Draw its results if they are new and it is time."""
+        opened = self.watched.opened
+        if opened is None or is_new(opened.root) or opened.root is self._drawn:
+            return
+        if not self.watched.is_over and time.monotonic() < self._redraw:
+            return
+        begun = time.process_time()
+        try:
+            self.figure = drawn(opened.dataset().assign_attrs(title=""), "", f"watch-{self.watched.location}")
+        except SweepError as error:
+            self.figure = Picture("", problem="; ".join(error.problems))
+        self._drawn, self._redraw = opened.root, time.monotonic() + REDRAW * (time.process_time() - begun) ** 2
+
+
+class Page:
+    """The page about some stores, which are looked at when somebody asks, at most every ``interval`` seconds."""
+
+    def __init__(self, stores: Iterable[Where], interval: float) -> None:
+        """Look at nothing yet."""
+        self._stores, self._interval = list(map(Shown, stores)), interval
+        self._lock, self._next, self._state = threading.Lock(), 0.0, ""
+        self._template, scripts = template("watch.html.j2"), list(map(template_file, ("page.js", "watch.js")))
+        self._whole = self._template.render(
+            stores=self._stores,
+            style=Markup("\n".join(map(template_file, ("page.css", "watch.css")))),
+            scripts=list(map(Markup, scripts)),
+            interval=1000 * interval,
+        )
+        self.policy = f"{policy(scripts)}; connect-src 'self'; frame-ancestors 'none'"
+
+    def content(self, name: str) -> tuple[str, str] | None:
+        """Return a file of the page and its type: "" is the whole, "state" what changes, by identifiers of elements."""
+        if name == "state":
+            return self._seen(), "application/json"
+        return None if name else (self._whole, "text/html")
+
+    def _seen(self) -> str:
+        with self._lock:
+            if time.monotonic() >= self._next:
+                begun = time.process_time()
+                for one in self._stores:
+                    one.look()
+                found = self._parts("head", "tiles", "failures")
+                self._next = time.monotonic() + pause(self._interval, time.process_time() - begun)
+                for one in self._stores:
+                    one.draw()
+                self._state = json.dumps(found | self._parts("figure"))
+            return self._state
+
+    def _parts(self, *names: str) -> dict[str, str]:
+        of = {name: getattr(self._template.module, name) for name in names}
+        return {f"{name}-{i}": str(of[name](one)) for i, one in enumerate(self._stores) for name in names}
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: "_Server"
+    server_version, sys_version, timeout = "linksweep", "", 10
+
+    def do_GET(self) -> None:
+        token, _, name = self.path.removeprefix("/").partition("/")
+        if self.headers.get("Host", "").partition(":")[0] not in HOSTS:
+            self.send_error(403)
+        elif not compare_digest(token.encode(), self.server.token.encode()) or not (
+            found := self.server.page.content(name)
+        ):
+            self.send_error(404)
+        else:
+            text, kind = found
+            content = text.encode(errors="replace")
+            self.send_response(200)
+            for header, value in (HEADERS | {"Content-Security-Policy": self.server.page.policy}).items():
+                self.send_header(header, value)
+            self.send_header("Content-Type", f"{kind}; charset=utf-8")
+            self.send_header("Content-Length", str(len(content)))
+            self.end_headers()
+            with suppress(ConnectionError):  # the browser has left
+                self.wfile.write(content)
+
+    def log_message(self, *_message: Any) -> None:
+        return
+
+
+class _Server(ThreadingHTTPServer):
+    page: Page
+    token: str
+
+
+def serve(stores: Iterable[Where], interval: float, said: Callable[[str], None]) -> None:
+    """Serve a page about stores until an interruption; ``said`` is called with its address."""
+    with _Server(("127.0.0.1", 0), _Handler) as server:
+        server.page, server.token = Page(stores, interval), secrets.token_urlsafe(24)
+        said(f"http://127.0.0.1:{server.server_port}/{server.token}/")
+        server.serve_forever()

@@ -1,0 +1,264 @@
+"""Watches a store from its files alone: its points by state, how fast they come, why some failed.
+
+Nothing is written, nothing that the store names is run, and what has not changed is not read again.
+"""
+
+import math
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract.block import ledger_key
+from linksweep.sweep.formatting import counted, in_words, per_second
+from linksweep.sweep.planning.grid import Grid, describe
+from linksweep.sweep.planning.parts import share_of
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.point_status import Status, count_status
+from linksweep.sweep.running.failures import Reasons
+from linksweep.sweep.stores import integrity, ledger
+from linksweep.sweep.stores.integrity import MANIFEST, ROOT
+from linksweep.sweep.stores.ledger import Record
+from linksweep.sweep.stores.location import Where, holder, located, reading
+from linksweep.sweep.stores.store import OpenStore, find_root, is_new, manifest_of
+from linksweep.sweep.studies.part import PART
+from linksweep.sweep.studies.record import recorded_study
+
+# Attributes of a store without which its points are others.
+ASKED = (integrity.STORE, "study_document", "study_digest", PART)
+
+# Fewest tiles along the last dimension, where there are more points than tiles.
+FEWEST_ACROSS = 40
+
+# The most of a core that looking takes in the long run, and the longest time between looks for that reason.
+SHARE, LONGEST_S = 0.008, 20.0
+
+MISSING, DONE, FAILED, EXCLUDED = map(int, Status)
+
+
+class _Points:
+    """The points of a study, and what each of them needs; arrays are by the index in the grid.
+
+    ``wanted`` are the realisations of a point, infinite where a precision decides; ``cost`` is that of all of them.
+    """
+
+    def __init__(self, attributes: Mapping[str, Any], where: str) -> None:
+        study = recorded_study(attributes, where)
+        self.grid = Grid(study)
+        plan, share = Plan(self.grid), share_of(Plan(self.grid))
+        indices = self.grid.indices() if share is None else np.array(list(share), dtype=np.intp)
+        self.is_adaptive = study.sampling.precision is not None
+        self.wanted, cost = np.zeros(len(self.grid)), np.ones(len(self.grid))
+        self.wanted[indices] = math.inf if self.is_adaptive else study.sampling.n_cat * study.sampling.n_sim
+        for index, own in (share or {}).items():
+            if own is not None:
+                self.wanted[index] = sum(block.realisations for block in own)
+        with suppress(SweepError):  # the record has no cost
+            if not plan.costs_nothing_special:
+                cost[self.grid.indices()] = [plan.cost(parameters) for _, parameters in self.grid.parameters()]
+        whole = {one: plan.size(one).cost for one in set(cost.tolist())}
+        self.cost = np.where(self.wanted > 0.0, [whole[one] for one in cost.tolist()], 0.0)
+        ends = {ledger_key(b"", block) for one in whole for block in plan.blocks(one)}
+        self._ends = _mixed(np.frombuffer(b"".join(ends), "<u8").reshape(-1, 2))
+        starts = np.frombuffer(b"".join(self.grid.digests(indices)), "<u8")[::2]
+        order = np.argsort(starts)
+        self._starts, self._indices = starts[order], indices[order]
+
+    def find(self, starts: NDArray[np.uint64]) -> NDArray[np.intp]:
+        """Return the indices of points by the first 8 bytes of their digests, -1 for those of no point."""
+        at = np.minimum(np.searchsorted(self._starts, starts), len(self._starts) - 1)
+        return np.where(self._starts[at] == starts, self._indices[at], -1)
+
+    def blocks(self, keys: NDArray[np.uint64]) -> NDArray[Any]:
+        """Return the point and the realisations of each block of this study with one of these keys, (2, blocks)."""
+        index = self.find(keys[:, 0])
+        good = (index >= 0) & (self.is_adaptive | np.isin(_mixed(keys[:, 2:]), self._ends))
+        return np.array([index[good], (keys[good, 3] & np.uint64(2**32 - 1)) * (keys[good, 3] >> np.uint64(32))])
+
+
+def _mixed(ends: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return one number for each end of a key, (keys, 2): group, part, catalogues and realisations."""
+    return np.asarray(ends[:, 0] * np.uint64(0x9E3779B97F4A7C15) ^ ends[:, 1])
+
+
+class Tile(NamedTuple):
+    """Some neighbouring points: their ``state``, which share of their realisations is done, and all that in words."""
+
+    state: str
+    share: float
+    words: str
+
+
+class Watched:
+    """A store that is watched, whether it is there or not.
+
+    ``state`` is "waiting" (for the store), "running", "finished", "stopped" (nobody runs it), "gone" or "unreadable",
+    and ``words`` say more; ``opened`` is the store as it was last read.  ``reasons`` say how many points failed for
+    each reason, the most frequent first, with the record of one of them.  ``status`` and ``share``, which of their
+    realisations is done, are those of all points in C order.
+    """
+
+    def __init__(self, where: Where) -> None:
+        """Look at nothing yet."""
+        self.location = located(where)
+        self.state, self.words, self.title = "", "", self.location.name
+        self.opened: OpenStore | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._files: tuple[bytes | None, ...] = ()
+        self._points: _Points | None = None
+        self._asked: tuple[Any, ...] = ()
+        self._parts: dict[str, NDArray[Any]] = {}
+        self._failed: dict[bytes, Record] = {}
+        self.reasons: list[tuple[int, Record]] = []
+        self._places: list[str] = []
+        self._first = self._last = (0.0, 0.0, 0)  # when so much cost was left, and so many points or realisations done
+        self.status, self.share = np.zeros(0, dtype=np.int8), np.zeros(0)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing will change unless somebody begins another run."""
+        return self.state in ("finished", "stopped", "gone") or (self.state == "unreadable" and self.opened is None)
+
+    def look(self) -> bool:
+        """Read what has changed; return whether anything has."""
+        before = self.state, self.words
+        try:
+            changed = self._read()
+            if self._points is None:
+                missing = ("waiting", "no store is there yet"), ("gone", "the store was removed")
+                self.state, self.words = missing[self.opened is not None]
+            elif (runs := holder(self.location)) is not None:
+                self.state, self.words = "running", str(runs)
+            else:
+                self.state = "stopped" if (self.status == MISSING).any() else "finished"
+                self.words = "nobody runs it" if self.state == "stopped" else ""
+        except SweepError as error:
+            self.state, self.words, changed = "unreadable", "; ".join(error.problems), False
+        return changed or before != (self.state, self.words)
+
+    def _read(self) -> bool:
+        with reading(self.location):
+            files = self.location.get(ROOT), self.location.get(MANIFEST)
+        if files == self._files:
+            return False
+        if files[0] is None and find_root(self.location) is None:
+            self._forget()
+            self._files = files
+            return True
+        try:
+            if self.opened is None or files[0] != self._files[0]:
+                self.opened = OpenStore(self.location)
+            self._take(self.opened, files[1])
+        except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, RuntimeError) as error:
+            if holder(self.location) is None:  # else its run has replaced a file meanwhile
+                raise SweepError(f"its ledger cannot be read ({error})", str(self.location)) from error
+            return False
+        self._files = files
+        return True
+
+    def _take(self, opened: OpenStore, content: bytes | None) -> None:
+        if self._points is None or tuple(map(opened.attributes.get, ASKED)) != self._asked:
+            self._forget()
+            self._points, self._asked = _Points(opened.attributes, ""), tuple(map(opened.attributes.get, ASKED))
+            self.title = str(opened.attributes.get("title", self.title))
+        points, manifest = self._points, integrity.newest(content, manifest_of(opened.root))
+        with reading(self.location):
+            new = [part for part in manifest.parts if part.rows.name not in self._parts]
+            keys = zip(new, ledger.read_keys(self.location, new), strict=True)
+            self._keep(ledger.read_failures(self.location, manifest))
+        known = self._parts | {part.rows.name: points.blocks(one) for part, one in keys}
+        self._parts = {part.rows.name: known[part.rows.name] for part in manifest.parts}
+        index, numbers = np.hstack([np.zeros((2, 0), dtype=np.int64), *self._parts.values()]).astype(np.int64)
+        realisations = np.bincount(index, numbers, len(points.grid))
+        share = np.minimum(realisations / np.maximum(points.wanted, 1.0), 1.0)
+        if points.is_adaptive and not is_new(opened.root):
+            share[opened.dataset()["status"].values.reshape(-1) == DONE] = 1.0
+        failed = points.find(np.frombuffer(b"".join(self._failed), "<u8")[::2])
+        status = np.select([points.wanted == 0.0, share == 1.0], [EXCLUDED, DONE], MISSING)
+        status[failed[failed >= 0]], share[failed[failed >= 0]] = FAILED, 0.0
+        self.status, self.share = points.grid.with_repeats(status), points.grid.with_repeats(share)
+        left = float((points.cost * (1.0 - share))[status == MISSING].sum())
+        random = not points.grid.study.experiment.deterministic
+        ended = int(realisations.sum() if random else np.isin(status, (DONE, FAILED)).sum())
+        self._last = time.monotonic(), left, ended
+        if not self._first[0] or ended < self._first[2]:
+            self._first = self._last
+
+    def _keep(self, failed: dict[bytes, Record]) -> None:
+        if failed != self._failed:
+            reasons, by_place = Reasons(), {record["place"]: record for record in failed.values()}
+            for record in failed.values():
+                reasons.add(record["place"], record["message"])
+            self.reasons = [(points, by_place[reasons.first[kind][0]]) for kind, points in reasons.most()]
+        self._failed = failed
+
+    @property
+    def progress(self) -> str:
+        """How many points are done and failed, in words; '' where no store is."""
+        missing, done, failed, _ = count_status(self.status).values()
+        points = f"{done:,} of {counted(missing + done + failed, 'point')} done"
+        return f"{points}, {failed:,} failed" if failed else points if self.status.size else ""
+
+    @property
+    def bar(self) -> dict[str, float]:
+        """How many points are done, running (the share of them that is done), failed and waiting."""
+        missing, done, failed, _ = count_status(self.status).values()
+        begun = float(self.share[self.status == MISSING].sum())
+        return {"done": done, "running": begun, "failed": failed, "waiting": missing - begun}
+
+    @property
+    def speed(self) -> str:
+        """The speed and the time left of a run, '' while they are not known."""
+        (then, before, first), (now, after, last) = self._first, self._last
+        if self.state != "running" or now <= then or self._points is None:
+            return ""
+        random = not self._points.grid.study.experiment.deterministic
+        speed = per_second(last - first, now - then, "realisations" if random else "points")
+        left = after * (now - then) / (before - after) - (time.monotonic() - now) if before > after else 0.0
+        return speed if self._points.is_adaptive or left <= 0.0 else f"{speed}, about {in_words(left)} left"
+
+    def tiles(self, most: int, across: int) -> list[list[Tile]]:
+        """Return about ``most`` tiles, in rows of at most ``across`` along the last dimension.
+
+        A single row goes on in the next line.
+        """
+        if self._points is None or not self.status.size:
+            return []
+        grid = self._points.grid
+        columns = grid.shape[-1] if grid.shape else 1
+        rows = len(grid) // columns
+        wide = math.ceil(columns / min(most if rows == 1 else across, max(FEWEST_ACROSS, most // rows)))
+        high = math.ceil(rows / max(1, most // math.ceil(columns / wide)))
+        down, along = np.arange(0, rows, high), np.arange(0, columns, wide)
+        if len(self._places) != len(down) * len(along):
+            all_points = np.arange(len(grid)).reshape(rows, columns)
+            ends = all_points[::high, ::wide], all_points[np.minimum(down + high, rows) - 1]
+            ends = ends[0], ends[1][:, np.minimum(along + wide, columns) - 1]
+            words = ([describe(grid.study, p.parameters) for p in grid.points(some.reshape(-1))] for some in ends)
+            self._places = [" to ".join(dict.fromkeys(pair)) for pair in zip(*words, strict=True)]
+        states = np.array([FAILED, MISSING, DONE, EXCLUDED])[:, None]
+        layers = np.vstack([self.status == states, self.share]).reshape(-1, rows, columns)
+        sums = np.add.reduceat(np.add.reduceat(layers, down, axis=1), along, axis=2).reshape(len(layers), -1)
+        tiles = [_tile(place, *of) for place, of in zip(self._places, sums.T.tolist(), strict=True)]
+        length = min(len(along), across)
+        return [tiles[start : start + length] for start in range(0, len(tiles), length)]
+
+
+def _tile(place: str, failed: float, missing: float, done: float, excluded: float, share: float) -> Tile:
+    """Return a tile of so many points; ``share`` is the sum of theirs."""
+    counts = {"failed": failed, "missing": missing, "done": done, "excluded": excluded}
+    state, share = next(word for word, n in counts.items() if n), share / max(missing + done, 1.0)
+    state = ("running" if share else "waiting") if state == "missing" else state
+    words = ", ".join(f"{n:,.0f} {word}" for word, n in counts.items() if n) if sum(counts.values()) > 1 else state
+    return Tile(state, share, f"{place}: {words}, {100 * share:.0f} %" if state == "running" else f"{place}: {words}")
+
+
+def pause(interval: float, took: float) -> float:
+    """Return for how many seconds to wait after a look that took so many of a core."""
+    return max(interval, min(took / SHARE, LONGEST_S))

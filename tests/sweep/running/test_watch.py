@@ -1,0 +1,238 @@
+"""`sweep watch`: what it says is what the store holds at any time; only what has changed is read, nothing written."""
+
+import math
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import settings as examples_of
+from hypothesis import strategies as st
+
+from linksweep.sweep.running import watch
+from tests.sweep.opening import OFTEN, Folder, Silent, files_of, locked, parts_of, run, status_report
+from tests.tiers import PATIENCE_S, examples
+
+CODE = """
+def f(x: float, y: int = 0, rng=None):
+    if x == 2.0:
+        raise ValueError(f"no root at {x}")
+    return rng.normal(x)
+"""
+
+
+class Stopping(Silent):
+    """Ends a run like Ctrl-C after some tasks."""
+
+    def __init__(self, tasks):
+        self.tasks = tasks
+
+    def advance(self, works, result, taken):
+        self.tasks -= 1
+        if self.tasks <= 0:
+            raise KeyboardInterrupt
+
+
+def look(store):
+    watched = watch.Watched(store)
+    watched.look()
+    return watched
+
+
+@pytest.fixture(scope="module")
+def code(tmp_path_factory):
+    path = tmp_path_factory.mktemp("code") / "f.py"
+    path.write_text(CODE)
+    return f"{path}:f"
+
+
+@examples_of(max_examples=examples(25))
+@given(
+    xs=st.lists(st.sampled_from([0.0, 1.0, 2.0, 3.0]), min_size=1, unique=True),
+    sims=st.lists(st.integers(1, 1200), min_size=1, max_size=3).map(sorted),
+    tasks=st.integers(1, 20),
+    excluded=st.booleans(),
+    table=st.booleans(),
+    precision=st.booleans(),
+)
+def test_the_points_are_those_of_the_status(code, tmp_path_factory, xs, sims, tasks, excluded, table, precision):
+    """Of runs that are extended and stopped anywhere, with failures, exclusions and repeated rows."""
+    store = tmp_path_factory.mktemp("any") / "s.zarr"
+    document = {"title": "f", "experiment": code, "axes": {"x": xs, "y": [0, 1]}}
+    if table:
+        document |= {"axes": {"y": [0, 1]}, "points": {"columns": {"x": [*xs, xs[0]]}}}
+    if excluded:
+        document["exclude"] = [{"x": xs[-1], "y": 1}]
+    for n_sim in sims:
+        sampling = {"n_sim": n_sim, "seed": 1} | ({"precision": 0.5, "max_n_sim": 4096} if precision else {})
+        with suppress(KeyboardInterrupt):
+            run(document | {"sampling": sampling}, store, OFTEN, progress=Stopping(tasks))
+        watched, report = look(store), status_report(store)
+        counts = {code.word: n for code, n in watch.count_status(watched.status).items()}
+        assert counts == report["points"]
+        assert watched.is_over
+        assert watched.state == ("stopped" if counts["missing"] else "finished")
+        assert sum(points for points, _ in watched.reasons) == len(report["failures"])
+        assert watched.bar["running"] + watched.bar["waiting"] == counts["missing"]
+        tiles = [tile for row in watched.tiles(2000, 2000) for tile in row]
+        assert len(tiles) == watched.status.size
+        assert [tile.state for tile in tiles].count("failed") == counts["failed"]
+
+
+@pytest.mark.parametrize("shape", [(), (7,), (3, 5), (700,), (37, 31), (5, 4, 3, 2), (400, 2), (1, 90)])
+def test_tiles_hold_every_point_once(tmp_path, shape):
+    (tmp_path / "g.py").write_text("def g(a=0, b=0, c=0, d=0):\n    return 1.0 / (a + b + c + d - 3)\n")
+    axes = {name: list(range(n)) for name, n in zip("abcd", shape, strict=False)}
+    run({"title": "g", "experiment": f"{tmp_path / 'g.py'}:g", "axes": axes}, tmp_path / "s.zarr")
+    watched = look(tmp_path / "s.zarr")
+    for most, across in ((100, 30), (2000, 2000)):
+        rows = watched.tiles(most, across)
+        tiles = [tile for row in rows for tile in row]
+        assert max(map(len, rows)) <= across
+        assert len(tiles) <= max(most, len(axes) and watch.FEWEST_ACROSS)
+        numbers = [re.findall(r"([\d,]+) (?:done|failed)", tile.words) for tile in tiles]
+        assert sum(int(n.replace(",", "")) for some in numbers for n in some or ["1"]) == math.prod(shape)
+        failed = [tile for tile in tiles if tile.state == "failed"]
+        assert len(failed) >= min(1, sum(points for points, _ in watched.reasons))
+
+
+def test_a_store_that_comes_runs_ends_and_goes(coins, tmp_path):
+    store = tmp_path / "s.zarr"
+    watched = watch.Watched(store)
+    states = []
+
+    class Looking(Silent):
+        def advance(self, works, result, taken):
+            watched.look()
+            states.append((watched.state, watched.progress))
+
+    watched.look()
+    assert watched.state == "waiting"
+    assert not watched.is_over
+    run(coins, store, OFTEN, progress=Looking())
+    assert {state for state, _ in states} == {"running"}
+    assert len({progress for _, progress in states}) > 1
+    assert watched.look()
+    assert (watched.state, watched.is_over) == ("finished", True)
+    assert watched.progress == "6 of 6 points done"
+    shutil.rmtree(store)
+    watched.look()
+    assert watched.state == "gone"
+    run(coins | {"axes": {"coins": [1, 5]}}, store)
+    watched.look()
+    assert watched.progress == "2 of 2 points done"
+
+
+def test_what_has_not_changed_is_not_read_again(coins, tmp_path):
+    class Counting(Folder):
+        def get(self, key):
+            names.append(key)
+            return super().get(key)
+
+    names = []
+    store = tmp_path / "s.zarr"
+    run(coins, store)
+    watched = watch.Watched(Counting(store))
+    watched.look()
+    assert set(parts_of(store)) <= set(names)
+    names.clear()
+    assert not watched.look()
+    assert set(names) == {"zarr.json", "blocks/zarr.json"}
+    run(coins | {"axes": coins["axes"] | {"coins": [1, 5, 20, 30]}}, store)
+    assert watched.look()
+    assert watched.progress == "8 of 8 points done"
+
+
+def test_looking_writes_nothing(sweep_here, coin_store, tmp_path):
+    store = tmp_path / "s.zarr"
+    shutil.copytree(coin_store, store)
+    for folder, _, _ in os.walk(tmp_path, topdown=False):
+        os.chmod(folder, 0o555)
+    before = files_of(store), sorted(os.listdir(tmp_path))
+    try:
+        code, out, _ = sweep_here("watch", store)
+    finally:
+        for folder, _, _ in os.walk(tmp_path):
+            os.chmod(folder, 0o755)
+    assert code == 0
+    assert "6 of 6 points done" in out
+    assert (files_of(store), sorted(os.listdir(tmp_path))) == before
+
+
+def test_damage_is_said(sweep_here, coin_store, tmp_path):
+    store = tmp_path / "s.zarr"
+    shutil.copytree(coin_store, store)
+    (store / parts_of(store)[0]).write_bytes(b"other")
+    code, out, _ = sweep_here("watch", store)
+    assert (code, "unreadable" in out) == (2, True)
+    assert sweep_here("watch")[0] == 2
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "zarr.json").write_text("{}")
+    assert sweep_here("watch", tmp_path / "other")[0] == 2
+
+
+def test_a_store_in_a_bucket(coins, bucket):
+    store = f"{bucket}/place/s.zarr"
+    watched = watch.Watched(store)
+    watched.look()
+    assert watched.state == "waiting"
+    with locked(store):
+        run_beside = look(store)
+    assert run_beside.state == "waiting"
+    run(coins, store)
+    before = files_of(store)
+    watched.look()
+    assert (watched.state, watched.progress) == ("finished", "6 of 6 points done")
+    assert files_of(store) == before
+
+
+SLOW = """
+import time
+def f(x: float):
+    time.sleep(0.05)
+    if x == 7.0:
+        raise ValueError("\\x1b[31m[bold]no root[/bold]")
+    return x
+"""
+
+
+@pytest.mark.slow
+def test_a_terminal_beside_a_run(tmp_path, start_sweep):
+    """The picture changes while the run goes on, nothing of others controls the terminal, and it ends with the run."""
+    pyte = pytest.importorskip("pyte")
+    (tmp_path / "f.py").write_text(SLOW)
+    master, terminal = os.openpty()
+    command = (sys.executable, "-m", "linksweep", "watch", "s.zarr", "--interval", "0.2")
+    watching = subprocess.Popen(command, stdout=terminal, cwd=tmp_path)
+    start_sweep("run", "f.py:f", "--axis", "x=0:60:1", "--pool", "serial", "-o", "s.zarr", cwd=tmp_path)
+    os.close(terminal)
+    screen = pyte.Screen(80, 24)
+    stream, seen = pyte.ByteStream(screen), []
+    while True:
+        try:
+            stream.feed(os.read(master, 65536))
+        except OSError:
+            break
+        seen.append("\n".join(line.rstrip() for line in screen.display).strip())
+    assert watching.wait(PATIENCE_S) == 0
+    assert len({one for one in seen if "running" in one}) > 2
+    assert any("about" in one and "points/s" in one for one in seen)
+    assert "60 of 61 points done, 1 failed" in seen[-1]
+    assert "\\u001b[31m[bold]no root[/bold]" in seen[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_and_leaves_nothing(tmp_path, start_sweep, number):
+    """While it waits for a store."""
+    process = start_sweep("watch", "nowhere.zarr", "--web", cwd=tmp_path)
+    assert process.stderr.readline().startswith("http://127.0.0.1:")
+    process.send_signal(number)
+    assert process.wait(PATIENCE_S) == (0 if number == signal.SIGINT else 128 + number)
+    assert "Traceback" not in process.stderr.read()
+    assert os.listdir(tmp_path) == []
