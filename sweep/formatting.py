@@ -44,6 +44,7 @@ ANGLES = {"uas": -6, "mas": -3, "arcsec": 0}
 
 DESCRIPTION = "description"  # the whole meaning, where ``long_name`` is only the beginning of it
 ERRORS = "errors"  # the attribute with the names of the variables that are errors of a variable, each of another kind
+RAGGED = "ragged"  # the attribute with the dimension of a variable NAME along which it has NAME_length values
 # Units that are logarithms already: plots and interpolation use a logarithmic scale for them only if one is chosen.
 LOGARITHMIC_UNITS = ("mag", "dB", "dex")
 # Attributes of truth values, some of which are missing: these are stored as floats, with NaN.

@@ -132,11 +132,17 @@ class Table:
 
     def ecsv(self) -> str:
         """Return ECSV, which astropy reads with units; missing values are masked."""
+        from astropy.table import Column as AstropyColumn
         from astropy.table import MaskedColumn
         from astropy.table import Table as AstropyTable
 
         table = AstropyTable(meta=dict(self.meta))
         for column in self.columns:
+            if len(set(map(np.shape, column.values))) > 1:  # arrays of several lengths
+                cells = np.empty(len(column.values), dtype=object)
+                cells[:] = column.values
+                table[column.name] = AstropyColumn(cells, unit=column.unit or None)
+                continue
             cells = np.array(column.values, dtype=object)
             missing = np.array([is_missing(cell) for cell in cells.reshape(-1)], dtype=bool).reshape(cells.shape)
             known = next(iter(cells[~missing]), math.nan)

@@ -75,6 +75,7 @@ def test_the_commands_of_a_page_run_and_write_what_it_shows(document, tmp_path, 
 SCRIPTS = {
     "clusters.md": ("", 0),
     "dr4.md": ("", 0),
+    "functions.md": ("", 0),
     "planning-observations.md": ("", 0),
     "points.md": ("flow.py", 1),
     "results.md": ("", 0),

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from linksweep.sweep.analysis import fits, quantity
 from linksweep.sweep.analysis.derived import derived
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError, shown, small_sample_factor
-from linksweep.sweep.formatting import LOGARITHMIC_UNITS, described, units_of, with_error, with_unit
+from linksweep.sweep.contract.reducer import LENGTH
+from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, units_of, with_error, with_unit
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
@@ -191,7 +192,10 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
         values = whole.isel(dict.fromkeys(last, order)).transpose(*others, *last).values
         return np.asarray(values.reshape(-1, *values.shape[len(others) :]))
 
-    x, status = dataset[over].values[order].astype(float), rows(dataset["status"], dimension)
+    status_of = dataset["status"]
+    if (ragged := dataset[variable].attrs.get(RAGGED)) is not None:
+        status_of = status_of.where(~(dataset[ragged] >= dataset[variable + LENGTH]), int(Status.EXCLUDED))
+    x, status = dataset[over].values[order].astype(float), rows(status_of, dimension)
     value = rows(dataset[variable].astype(float), dimension)  # integers too: errors may be NaN
     none = xr.full_like(dataset[variable], np.nan, dtype=float)
     errors = rows(none if error is None else error, dimension) if covariance is None else rows(covariance, *pair)

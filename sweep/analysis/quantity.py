@@ -13,7 +13,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
-from linksweep.sweep.formatting import ERRORS, first_of, is_missing, is_truth, prefixed, units_of
+from linksweep.sweep.contract.reducer import LENGTH
+from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, prefixed, units_of
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 from linksweep.sweep.studies.part import LOST
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
@@ -401,8 +402,8 @@ def exact(values: NDArray[Any]) -> NDArray[Any]:
 
 def listed(dataset: xr.Dataset, name: str, dimensions: Sequence[str], rows: Any = slice(None)) -> list[Any]:
     """Return a variable as Python objects, one for each combination along some dimensions in C order, or for the
-    ``rows`` among them: an array where the variable has further dimensions, NaN where an integer or a truth value is
-    missing, times as texts.
+    ``rows`` among them: an array where the variable has further dimensions, as long as it is at that place, NaN where
+    an integer or a truth value is missing, times as texts.
     """
     variable = dataset[name].variable
     values = variable.values
@@ -415,9 +416,13 @@ def listed(dataset: xr.Dataset, name: str, dimensions: Sequence[str], rows: Any 
     whole: xr.Variable = xr.Variable(variable.dims, values).set_dims(shape)  # type: ignore[no-untyped-call]
     whole = whole.transpose(*dimensions, *further)
     chosen = whole.values.reshape(-1, *(shape[d] for d in further))[rows]
-    return (
-        list(chosen) if further else list(chosen.tolist())
-    )  # objects for each number of an image would take gigabytes
+    if not further:
+        return list(chosen.tolist())
+    if (ragged := variable.attrs.get(RAGGED)) not in further:
+        return list(chosen)  # objects for each number of an image would take gigabytes
+    before = (slice(None),) * further.index(ragged)
+    lengths = np.nan_to_num(listed(dataset, name + LENGTH, dimensions, rows)).astype(int)
+    return [values[(*before, slice(length))] for values, length in zip(chosen, lengths, strict=True)]
 
 
 # Units that read well

@@ -279,6 +279,10 @@ class Experiment:
         headline = [output.name for output in self.outputs if output.headline]
         return [(name, f"{name}_mc_error") for name in headline if f"{name}_mc_error" in names]
 
+    def ragged(self) -> dict[str, str]:
+        """Return the dimension along which an output has another length at each point, ``NAME_length``, by its name."""
+        return {}
+
     def dimension_coordinates(self) -> dict[str, tuple[Any, str]]:
         """Return the values along each dimension of outputs, and their unit."""
         return {name: (np.array(labels, dtype=object), "") for name, labels in self.coordinates.items()}
@@ -348,8 +352,8 @@ def _labels(what: str, mapping: object, problems: list[str]) -> dict[str, list[s
 def _of_no_function(one: Parameter | Output) -> Iterator[str]:
     """Yield settings of a parameter or an output that are allowed only for plain functions."""
     if isinstance(one, Output):
-        if one.coords is not None or one.statistics:
-            yield "coords and statistics are for plain functions; an Experiment has coordinates and summarise"
+        if one.coords is not None or one.statistics or one.ragged:
+            yield "coords, statistics and ragged are for plain functions; an Experiment has coordinates and summarise"
     elif one.required:
         yield "required is for the signatures of plain functions"
     elif one.choices and (one.kind != "str" or not all(isinstance(choice, str) for choice in one.choices)):

@@ -258,6 +258,8 @@ class Output:
             numbers, texts or times.
         statistics: for a plain function that draws random numbers, what is computed from its realisations: "mean",
             "std", "min", "max", "count" (how many are true), "median" and quantiles such as "q95".
+        ragged: for a plain function, the dimension along which its length may differ between points, or True for its
+            only one; the dataset has the lengths as ``NAME_length``, and missing values beyond them.
     """
 
     name: str
@@ -270,6 +272,7 @@ class Output:
     coords: Mapping[str, Any] | None = field(default=None, compare=False)
     statistics: Sequence[str] = field(default=(), compare=False)
     errors: Sequence[str] = ()
+    ragged: bool | str = False
 
 
 def name_problem(name: object) -> str | None:

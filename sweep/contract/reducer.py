@@ -20,6 +20,12 @@ FEWEST_SAMPLES = 5
 # Up to here a float holds every integer exactly.
 EXACT_INT = 2**53
 
+# What is in place of a missing integer or time.
+MISSING_INT = int(np.iinfo(np.int64).min)
+
+# The end of the name of the field of a row, or of a variable, that has the length of an array.
+LENGTH = "_length"
+
 
 class ResultError(ValueError):
     """What a function of an experiment returned is not what is declared."""
@@ -111,8 +117,17 @@ def converted(rows: Rows, dtype: np.dtype[np.void]) -> Rows:
         return rows
     table = np.zeros(len(rows), dtype=dtype)
     for name in set(rows.dtype.names or ()) & set(dtype.names or ()):
-        table[name] = rows[name]
+        table[name] = padded(rows[name], table[name].shape)
     return table
+
+
+def padded(array: NDArray[Any], shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return an array with zeros, or empty texts, after the ends of those of its axes that are shorter than a shape."""
+    if array.shape == shape:
+        return array
+    whole = np.full(shape, "", dtype=object) if array.dtype.hasobject else np.zeros(shape, dtype=array.dtype)
+    whole[tuple(map(slice, array.shape))] = array
+    return whole
 
 
 def lost_integers(rows: Rows, dtype: np.dtype[np.void]) -> dict[int, str]:

@@ -280,6 +280,14 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
             texts.append("is declared twice")
         if output.statistics and not made.rng:
             texts.append("statistics are made of realisations, and the function takes no rng")
+        if output.ragged and made.rng:
+            texts.append("ragged: statistics of realisations need one length at all points")
+        elif output.ragged is True and len(dims) > 1:
+            texts.append(f"ragged = True: say along which of its dimensions, such as ragged={dims[-1]!r}")
+        elif output.ragged not in (False, True, *dims):
+            texts.append(f"ragged = {shown(output.ragged)}: must be True, or one of its dims ({', '.join(dims)})")
+        elif output.ragged in coords or (output.ragged is True and coords):
+            texts.append("ragged: values along such a dimension are numbered; return its coordinate as another output")
         if not all(isinstance(dim, str) for dim in dims) or len(set(dims)) < len(dims):
             texts.append(f"dims = {shown(dims)}: must be different names")
         for dim, values in coords.items():
@@ -448,6 +456,8 @@ class FunctionExperiment(Experiment):
             if (key := id(outcome.layout)) not in verdicts:
                 # results with arrays come with a layout each: equal ones are told faster than they are hashed
                 wrong = () if outcome.layout == layout else results.differences(layout, outcome.layout)
+                if wrong and not self.rng and not self.vectorised:
+                    wrong += results.lengths_hint(layout, outcome.layout)
                 if (
                     self.rng
                     and not wrong
@@ -491,6 +501,10 @@ class FunctionExperiment(Experiment):
     def samples_width(self) -> int:
         """Number of floats of one kept realisation."""
         return self.reducer.samples_width
+
+    def ragged(self) -> dict[str, str]:
+        """Return the ragged dimension of each output that has one."""
+        return {} if self.layout is None else self.layout.ragged
 
     def dimension_coordinates(self) -> dict[str, tuple[Any, str]]:
         """Return the values along each dimension of results, and their unit."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, shown, suggest
 from linksweep.sweep.contract.parameter import name_problem
-from linksweep.sweep.contract.reducer import beyond_floats, not_finite
+from linksweep.sweep.contract.reducer import LENGTH, beyond_floats, not_finite, padded
 from linksweep.sweep.contract.units import is_quantity, same_unit
 
 Type = Literal["float", "int", "bool", "text", "datetime"]
@@ -32,12 +32,15 @@ ALLOWED = "results are numbers, strings, truth values, times, arrays of these, o
 
 @dataclass(frozen=True)
 class Coordinate:
-    """The values along a dimension; those of times are nanoseconds since 1970."""
+    """The values along a dimension; those of times are nanoseconds since 1970.  A ``ragged`` one has numbers, at least
+    as many as there are values at any point.
+    """
 
     name: str
     type: Type
     values: tuple[Any, ...]
     unit: str = ""
+    ragged: bool = False
 
     def array(self) -> NDArray[Any]:
         """Return the values as a dataset has them."""
@@ -75,6 +78,12 @@ class Layout:
     def dtype(self) -> np.dtype[np.void]:
         """The type of a row: each result as itself."""
         return np.dtype([(field.name, DTYPES[field.type], self.shape(field)) for field in self.fields])
+
+    @cached_property
+    def ragged(self) -> dict[str, str]:
+        """The ragged dimension of each result that has one."""
+        ragged = {coordinate.name for coordinate in self.coordinates if coordinate.ragged}
+        return {field.name: dim for field in self.fields for dim in field.dims if dim in ragged}
 
     def with_floats(self, names: Iterable[str]) -> "Layout":
         """Return the layout in which the integers with these names are floats."""
@@ -139,7 +148,7 @@ def _facts(layout: Layout) -> dict[str, Any]:
         kind = "number" if field.type in NUMBERS else field.type
         qualities = {"dims": field.dims, "type": kind, "unit": field.unit}
         facts |= {f"the {quality} of {field.name!r}": value for quality, value in qualities.items()}
-    for one in layout.coordinates:
+    for one in (coordinate for coordinate in layout.coordinates if not coordinate.ragged):
         facts |= {f"the length of {one.name!r}": len(one.values), f"the unit of the coordinate {one.name!r}": one.unit}
         facts[f"the type of the coordinate {one.name!r}"] = one.type
         facts |= {f"value {i} of the coordinate {one.name!r}": value for i, value in enumerate(one.values)}
@@ -148,24 +157,44 @@ def _facts(layout: Layout) -> dict[str, Any]:
 
 @lru_cache(maxsize=256)
 def joined(one: Layout, other: Layout) -> Layout:
-    """Return the layout of results of both, between which there are no `differences`: floats where one has floats."""
-    return one.with_floats(field.name for field in other.fields if field.type == "float")
+    """Return the layout of results of both, between which there are no `differences`: floats where one has floats, and
+    the longer of ragged dimensions.
+    """
+    layout = one.with_floats(field.name for field in other.fields if field.type == "float")
+    theirs = {coordinate.name: coordinate for coordinate in other.coordinates}
+    longer = (max(mine, theirs[mine.name], key=lambda c: len(c.values)) for mine in one.coordinates)
+    return replace(layout, coordinates=tuple(longer))
 
 
 def as_row(outcome: Outcome, expected: Layout) -> Any:
-    """Return the fields of a result that has no `differences` in the order, and with the floats, of a layout.
+    """Return the fields of a result that has no `differences` in the order, with the floats and the lengths, of a
+    layout.
 
     Raises ResultError where an integer is too large to be a float.
     """
     layout: Layout = outcome.layout
-    if layout == expected:
+    if layout == expected and not layout.ragged:
         return outcome.row
     values = {field.name: (field.type, value) for field, value in zip(layout.fields, outcome.row, strict=True)}
     for field in expected.fields:
         kind, value = values[field.name]
         if field.type == "float" and kind == "int" and (large := beyond_floats(value)) is not None:
             raise ResultError(f"{field.name!r} is {large}, which is beyond 2**53, and other points have floats")
-    return tuple(values[field.name][1] for field in expected.fields)
+    return tuple(
+        padded(values[field.name][1], expected.shape(field)) if field.name in expected.ragged else values[field.name][1]
+        for field in expected.fields
+    )
+
+
+def lengths_hint(expected: Layout, other: Layout) -> tuple[str, ...]:
+    """Return how to declare the results whose lengths differ from those of another point, if there are any."""
+    different = {one.name for one in expected.coordinates if len(one.values) != other.sizes.get(one.name)}
+    along = [(f, dim) for f in expected.fields for dim in f.dims if dim in different and f.name not in expected.ragged]
+    outputs = [
+        f"Output({f.name!r}, {f'dims={f.dims}, ragged={dim!r}' if len(f.dims) > 1 else 'ragged=True'})"
+        for f, dim in along
+    ]
+    return (f"declare {', '.join(outputs)} where lengths may differ",) if outputs else ()
 
 
 def same_value(one: Any, other: Any) -> bool:
@@ -175,7 +204,7 @@ def same_value(one: Any, other: Any) -> bool:
 
 
 class Value(NamedTuple):
-    """One output: type, values, dimensions, the coordinates that come with it, unit, meaning."""
+    """One output: type, values, dimensions, the coordinates that come with it, unit, meaning, its ragged dimension."""
 
     type: Type
     array: NDArray[Any]
@@ -183,6 +212,7 @@ class Value(NamedTuple):
     coordinates: tuple[Coordinate, ...] = ()
     unit: str = ""
     meaning: str = ""
+    ragged: str = ""
 
 
 def coordinate_of(dim: str, values: Any, unit: str = "") -> Coordinate:
@@ -249,12 +279,12 @@ def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
         array = np.asarray(value) if is_array else np.array(None, dtype=object)
         if not is_array:
             array[()] = value
-    if array.size == 0:
-        raise ResultError(f"has no values: its shape is {array.shape}")
     kind = array.dtype.kind
+    if kind in "OU" and array.size == 0:  # of an empty list: the type that becomes that of other numbers
+        return ("int", array.astype("i8")) if kind == "O" else ("text", array.astype(object))
     if kind == "b":
         return "bool", array
-    if kind in "OU" or (kind == "u" and array.max() >= 2**63):
+    if kind in "OU" or (kind == "u" and array.max(initial=0) >= 2**63):
         return _of_objects(array.astype(object))
     if kind in "iu":
         return "int", array.astype("i8")
@@ -460,6 +490,7 @@ def _read(
             problems.append(f"{name!r} {error}")
     if not problems:
         coordinates, problems = _coordinates(values, declared)
+        problems += _add_lengths(values, coordinates)
     if problems:
         raise declared.refused(problems)
     fields = tuple(Field(name, one.type, one.dims or (), one.unit, one.meaning) for name, one in values.items())
@@ -484,12 +515,21 @@ def _as_declared(name: str, value: Value, declared: Declared) -> Value:
     if output.unit and value.unit and not same_unit(output.unit, value.unit):
         raise ResultError(f"is in {value.unit}, expected {output.unit}")
     dims = value.dims or dims or tuple(f"{name}_dim_{k}" for k in range(len(shape)))
-    return value._replace(dims=dims, unit=output.unit or value.unit, meaning=output.meaning or value.meaning)
+    ragged = dims[0] if output.ragged is True and len(dims) == 1 else output.ragged
+    if ragged and ragged not in dims:
+        raise ResultError(f"has the dimensions ({', '.join(dims)}): declare which of them is ragged, not {ragged!r}")
+    return value._replace(
+        dims=dims, unit=output.unit or value.unit, meaning=output.meaning or value.meaning, ragged=str(ragged or "")
+    )
 
 
 def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[str, Coordinate], list[str]]:
-    """Return the coordinate of each dimension: that which is declared or came with an output, or 0, 1, 2 ..."""
+    """Return the coordinate of each dimension: that which is declared or came with an output, or 0, 1, 2 ...
+
+    Ragged dimensions have a power of two of values, so that few longer results make longer rows of all others.
+    """
     known = dict(declared.coordinates)
+    ragged = {value.ragged for value in values.values()} - {""}
     problems: dict[str, None] = {}  # each once, in order: outputs share dimensions
     for name, value in values.items():
         for one in value.coordinates:
@@ -503,7 +543,27 @@ def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[
             expected = len(known.setdefault(dim, Coordinate(dim, "int", tuple(range(size)))).values)
             if expected != size:
                 problems[f"{name!r} has {size} values along {dim!r}, expected {expected}"] = None
+            if size == 0 and dim not in ragged:
+                problems[f"{name!r} has no values: its shape is {value.array.shape}"] = None
+    for dim in ragged:
+        size = len(known[dim].values)
+        if known[dim].values != tuple(range(size)):
+            problems[f"{dim!r} is ragged, and so it is numbered: return its coordinate as another output"] = None
+        known[dim] = Coordinate(dim, "int", tuple(range(1 << max(size - 1, 0).bit_length())), ragged=True)
     return known, list(problems)
+
+
+def _add_lengths(values: dict[str, Value], coordinates: Mapping[str, Coordinate]) -> list[str]:
+    """Add the length of each value that has a ragged dimension, as another one; return what is wrong with that."""
+    problems = []
+    for name, value in list(values.items()):
+        if along := [k for k, dim in enumerate(value.dims or ()) if coordinates[dim].ragged]:
+            if len(along) > 1 or name + LENGTH in values:
+                why = f"there is another {name + LENGTH!r}" if len(along) == 1 else "has several ragged dimensions"
+                problems.append(f"{name!r} has no name for its length: {why}")
+            meaning = f"number of values of {name}"
+            values[name + LENGTH] = Value("int", np.array(value.array.shape[along[0]]), meaning=meaning, dims=())
+    return problems
 
 
 def _check_finite(arrays: Sequence[NDArray[Any]], layout: Layout, declared: Declared) -> None:

@@ -128,7 +128,8 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     status = Status(int(stored["status"]))
     differences = None
     if status == Status.DONE:
-        pairs = {name: (stored[name].values, result[name].values) for name in map(str, result) if name in stored}
+        one, other = xr.align(stored, result, join="inner")  # a ragged one of others is longer: their lengths tell
+        pairs = {name: (one[name].values, other[name].values) for name in map(str, other) if name in one}
         differences = {name: pair for name, pair in pairs.items() if not _equal(*pair)}
     other_code = differences_of_code(opened.attributes, study)
     return Reproduction(describe(study, place), result, status.word, differences, other_code)
@@ -210,6 +211,7 @@ def _same(one: xr.Dataset | str, other: xr.Dataset | str, tolerance: float) -> b
     """Return whether two results of a point, or its failures, are the same to the last bit, or to a tolerance."""
     if isinstance(one, str) or isinstance(other, str):
         return isinstance(one, str) and isinstance(other, str) and one == other
+    one, other = xr.align(one, other, join="inner")  # the dataset of one has the longest of others: their lengths tell
     return all(_equal(one[name].values, other[name].values, tolerance) for name in other if name in one)
 
 

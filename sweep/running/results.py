@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, SweepError
 from linksweep.sweep.contract.block import Block, ledger_key
-from linksweep.sweep.contract.reducer import Sums
-from linksweep.sweep.formatting import ERRORS, TRUTH, described, short_meaning
+from linksweep.sweep.contract.reducer import LENGTH, MISSING_INT, Sums
+from linksweep.sweep.formatting import ERRORS, RAGGED, TRUTH, described, short_meaning
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.stores.store import FILL, MISSING_INT, dask_arrays_only_where_imported, with_gaps
+from linksweep.sweep.stores.store import FILL, dask_arrays_only_where_imported, with_gaps
 from linksweep.sweep.studies.study import POINT, printed_rounding
 
 dask_arrays_only_where_imported()  # before the first dataset is made here; `decode` does so before one is read
@@ -37,17 +37,22 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
     done = status == Status.DONE
     variables: dict[str, Any] = {}
     results: Mapping[str, NDArray[Any]] = {}
+    ragged = experiment.ragged()
     if done.any():
         total, n = grid.with_repeats(accumulator.total)[done], realisations[done].astype(float)
         results = accumulator.reducer.finish(total, n, np.full(len(n), float(study.sampling.n_cat)))
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name has these values already
-        values = typed_array(results.get(output.name), done, experiment.shape_of(output))
+        shape, within = experiment.shape_of(output), None
+        if output.name in ragged and output.name in results:
+            places = np.indices(shape)[output.dims.index(ragged[output.name])]
+            within = places < results[output.name + LENGTH].reshape(-1, *[1] * len(shape))
+        values = typed_array(results.get(output.name), done, shape, within)
         variables[output.name] = _variable(grid, values, output)
         if output.name in results and results[output.name].dtype.kind == "b" and values.dtype.kind == "f":
             variables[output.name][2].update(TRUTH)
-        if values.dtype.kind == "i" and not done.all():
+        if values.dtype.kind == "i" and (output.name in ragged or not done.all()):
             variables[output.name] = (*variables[output.name], {FILL: MISSING_INT})
     if not experiment.deterministic:
         over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""
@@ -56,21 +61,32 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
     variables["status"] = _variable(grid, status.copy(), Output("status", "", "state of the point"))
     variables["status"][2].update(flag_values=list(map(int, Status)), flag_meanings=" ".join(s.word for s in Status))
     variables |= _published(grid)
-    return xr.Dataset(variables, coords=_coordinates(grid))
+    longest: dict[str, int] = {}
+    for name, dimension in ragged.items():
+        variables[name][2][RAGGED] = dimension
+        longest[dimension] = max(longest.get(dimension, 1), int(np.max(results.get(name + LENGTH, 1))))
+    dataset = xr.Dataset(variables, coords=_coordinates(grid))
+    return dataset.isel({dimension: slice(length) for dimension, length in longest.items()})
 
 
-def typed_array(results: NDArray[Any] | None, done: NDArray[np.bool_], shape: tuple[int, ...]) -> NDArray[Any]:
-    """Return an array (points, *shape) with the results (done points, *shape) at the points that are done.
+def typed_array(
+    results: NDArray[Any] | None,
+    done: NDArray[np.bool_],
+    shape: tuple[int, ...],
+    within: NDArray[np.bool_] | None = None,
+) -> NDArray[Any]:
+    """Return an array (points, *shape) with the results (done points, *shape) at the points that are done, where they
+    are ``within`` their lengths.
 
     Elsewhere floats are NaN, times NaT, texts empty, integers `MISSING_INT`; truth values become floats with NaN.
     """
     if results is None:
         return np.full((len(done), *shape), np.nan)
-    if done.all():
+    if done.all() and within is None:
         return np.array(results.reshape(len(done), *shape))
     missing: Any = {"O": "", "M": np.datetime64("NaT", "ns"), "i": MISSING_INT}.get(results.dtype.kind, np.nan)
     values = np.full((len(done), *shape), missing, dtype=float if results.dtype.kind == "b" else results.dtype)
-    values[done] = results
+    values[done] = results if within is None else np.where(within, results, missing)
     return values
 
 

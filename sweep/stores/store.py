@@ -32,7 +32,7 @@ from zarr.storage import MemoryStore
 
 from linksweep.sweep.contract import SweepError, suggest
 from linksweep.sweep.contract.block import DIGEST_BYTES
-from linksweep.sweep.contract.reducer import EXACT_INT, lost_integers
+from linksweep.sweep.contract.reducer import EXACT_INT, LENGTH, MISSING_INT, lost_integers
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
 from linksweep.sweep.stores.ledger import FOLDER, REPAIR, DamagedError, Ledger, Record, path_of
@@ -60,9 +60,7 @@ ATTEMPTS = 20
 """How often a reader begins anew because what it reads was replaced meanwhile."""
 
 FILL = "_FillValue"
-
-MISSING_INT = int(np.iinfo(np.int64).min)
-"""What a file has in place of a missing integer or time, and says so: `FILL`."""
+"""The attribute of an array that says what is in place of a missing integer or time."""
 
 SINCE = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian"}
 TIMES: Mapping[str, Any] = {**SINCE, "dtype": "int64", FILL: MISSING_INT}
@@ -262,11 +260,18 @@ class Store(OpenStore):
 
 
 def _fits(before: np.dtype[np.void], dtype: np.dtype[np.void]) -> bool:
-    """Return whether rows can be of another type: the same but for the order, and integers that become floats."""
-    if set(before.names or ()) != set(dtype.names or ()):
+    """Return whether rows can be of another type: the same but for the order, integers that become floats, and arrays
+    with a length beside them that become longer.
+    """
+    names = set(before.names or ())
+    if names != set(dtype.names or ()):
         return False
-    pairs = [(before[name], dtype[name]) for name in before.names or ()]
-    return all(a == b or (a.shape == b.shape and (a.base.kind, b.base.kind) == ("i", "f")) for a, b in pairs)
+    pairs = [(before[name], dtype[name], name + LENGTH in names) for name in names]
+    return all(
+        (a.base == b.base or (a.base.kind, b.base.kind) == ("i", "f"))
+        and (a.shape == b.shape or (grows and all(m <= n for m, n in zip(a.shape, b.shape, strict=True))))
+        for a, b, grows in pairs
+    )
 
 
 def find_store(where: Where) -> OpenStore | None:
