@@ -92,6 +92,7 @@ PARAMETERS = (
     Parameter(
         *("model", "str", "amex", "mission whose accuracy curve gives the 'magnitude' errors"),
         choices=tuple(MISSIONS),
+        symbols={name: name.upper().replace("GAIA-", "Gaia ") for name in MISSIONS},
         define=mission_from_table,
     ),
     _number(
@@ -139,12 +140,16 @@ PARAMETERS = (
     _number("zonal_pm", 0.0, "RMS of such errors of its proper motions, per coordinate", PM),
     _number("zonal_length", 30.0, "width of the Gaussian correlation of zonal errors", "deg", (6.0, 180.0)),
     _vector("omega_slope", 0.0, "change of the true spin with magnitude: omega_slope (V - v_zero)", PER_MAG, 1e6),
-    _number("omega_slope_size", None, f"length of omega_slope, {ONLY_DIRECTION}", PER_MAG),
+    _number(
+        *("omega_slope_size", None, f"length of omega_slope, {ONLY_DIRECTION}", PER_MAG),
+        symbol=r"$|\mathrm{d}\omega/\mathrm{d}V|$",
+    ),
     *(
         _number(
-            f"magnitude_equation_{motion}", 0.0, f"error of its {motion} per magnitude from v_zero", PER_MAG, ANY_SIGN
+            *(f"magnitude_equation_{motion}", 0.0, f"error of its {motion} per magnitude from v_zero", PER_MAG),
+            *(ANY_SIGN, rf"$\mathrm{{d}}\mu_{letter}/\mathrm{{d}}V$"),
         )
-        for motion in ("pmra", "pmdec")
+        for motion, letter in (("pmra", r"{\alpha*}"), ("pmdec", r"\delta"))
     ),
     _number("v_zero", 15.0, "magnitude without an omega_slope or magnitude equation", "mag", MAGNITUDES),
     Parameter(

@@ -236,7 +236,10 @@ def numeric_axes(dataset: xr.Dataset, variable: str) -> list[str]:
     """
     dims = [d for d in dataset[variable].dims if d != POINT]
     names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in dims and c.dtype.kind in "if"]
-    return sorted((n for n in names if dataset[n].size > 1), key=lambda n: (-dataset[n].size, n not in dims, n))
+    sizes = {
+        n: int(dataset[n].notnull().sum()) for n in names if dataset[n].size > 1
+    }  # it may have no effect somewhere
+    return sorted(sizes, key=lambda n: (-sizes[n], n not in dims, n))
 
 
 def varied_parameters(dataset: xr.Dataset) -> list[str]:
@@ -295,7 +298,8 @@ def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
 
 def place_in_words(where: Mapping[str, Any]) -> str:
     """Return a place on the axes as ``model=gaia, v_max=16``."""
-    shown = {name: value for name, value in where.items() if not is_missing(value)}  # without effect at this point
+    # one that is missing has no effect at this point
+    shown = {name: value for name, value in where.items() if not is_missing(value) and value != ""}
     return ", ".join(f"{k}={f'{v:g}' if isinstance(v, float) else v}" for k, v in shown.items())
 
 

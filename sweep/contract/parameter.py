@@ -120,6 +120,7 @@ class Parameter:
         maximum: the largest value that is allowed.
         above: a lower bound that is not allowed itself.
         symbol: what figures show instead of the name, in the notation of Matplotlib.
+        symbols: what they show instead of values.
         define: a function that makes a further choice of a "str" from a study's table [define.PARAMETER.NAME].
         defined: the choices that one study defines; the experiment gets these objects.
         required: whether every study must set it; then there is no default.
@@ -138,6 +139,7 @@ class Parameter:
     maximum: float | None = None
     above: float | None = None
     symbol: str = ""
+    symbols: Mapping[str, str] = field(default_factory=dict)
     define: Define | None = field(default=None, compare=False, repr=False)
     defined: tuple[Named, ...] = ()
     required: bool = False

@@ -47,7 +47,7 @@ KINDS: Mapping[str, Mapping[str, Kind]] = {
         "residuals": Kind("tie:residual_figure", "Differences before and residuals after the fit on the sky"),
         "separations": Kind(
             "tie:separation_figure",
-            "Normalised separations of the sources, beside the Rayleigh distribution expected if errors are right",
+            "Shares of sources beyond each normalised separation, beside the Rayleigh distribution of right errors",
         ),
         "weight": Kind(
             "tie:weight_figure", "Discrepancy of each source per observation, against its share of the weight"

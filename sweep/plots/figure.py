@@ -95,6 +95,8 @@ def _titled(result: Result, kind: str, titled: bool = True) -> Figure:
 
 
 def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], over: Sequence[str]) -> Figure:
+    if not (kind or variables or over):
+        dataset, kind, variables, over = _as_its_study_says(dataset)
     single = [d for d in dataset["status"].dims if dataset.sizes[d] == 1]
     one_point = len(single) == dataset["status"].ndim
     only_samples = one_point and not variables and not any(name in dataset.coords for name in over)
@@ -103,6 +105,9 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     if (dataset["status"].values == Status.EXCLUDED).all():
         raise SweepError("every point is excluded by the study")
     names = variables or [quantity.main_quantity(dataset)]
+    for name in names:
+        quantity.require_quantity(dataset, name)
+    dataset = _where_known(dataset.assign_coords({d: dataset[d] for name in names for d in dataset[name].dims}), names)
     _require_values(dataset, names)
     unused = [d for d in single if d not in over]
     # something has to be drawn along
@@ -114,6 +119,32 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     if chosen in ("law", "map", "pairs") and len(names) > 1:
         raise SweepError(f"a figure of the kind {chosen} is of one variable, not of {', '.join(names)}")
     return _draw(dataset, part, chosen, names, over)
+
+
+def _as_its_study_says(dataset: xr.Dataset) -> tuple[xr.Dataset, str | None, list[str], list[str]]:
+    """Return what the study of a dataset says to draw, as far as the dataset has it: its part, kind, quantity, axes."""
+    form = style.form_of(dataset)
+    along = {n: dataset[n].values.tolist() for n in map(str, dataset.coords) if dataset[n].ndim == 1}
+    part = quantity.select(dataset, {n: value for n, value in form.at.items() if value in along.get(n, ())})
+    variables = [form.variable] if form.variable in dataset else []
+    return part, form.kind, variables, [name for name in form.over if name in along]
+
+
+def _where_known(dataset: xr.Dataset, names: list[str]) -> xr.Dataset:
+    """Return a dataset without the components at which a quantity has no value anywhere; if the others have one unit,
+    that is the unit of all.
+    """
+    for name in names:
+        for d in [d for d in quantity.own_dimensions(dataset, name) if f"{d}_unit" in dataset.coords]:
+            known = dataset[name].notnull().any([other for other in dataset[name].dims if other != d])
+            dataset = dataset.isel({d: known.values}) if known.any() else dataset
+            units, along = (
+                set(dataset[f"{d}_unit"].values.tolist()),
+                (v for v in dataset.data_vars.values() if d in v.dims),
+            )
+            shared = {v.name: v.assign_attrs(units=min(units)) for v in along if "," in formatting.units_of(v.attrs)}
+            dataset = dataset.assign(shared) if len(units) == 1 else dataset
+    return dataset
 
 
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
@@ -149,11 +180,8 @@ def _draw(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], 
 
 
 def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
-    """Raise SweepError for what is no quantity or has components of several units, which cannot share an axis, and
-    where none has a value.
-    """
+    """Raise SweepError for components of several units, which cannot share an axis, and where none has a value."""
     for name in names:
-        quantity.require_quantity(dataset, name)
         for dimension in dataset[name].dims:
             units = dataset.coords.get(f"{dimension}_unit")
             several = [] if units is None else list(dict.fromkeys(units.values.tolist()))
@@ -191,6 +219,8 @@ def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> s
 def description(figure: Figure, dataset: xr.Dataset) -> str:
     """Return what is seen: the panels, what each draws against what, and the range of values."""
     panels, signs = style.panels_of(figure), list(style.legend_entries(figure))
+    labels = (str(artist.get_label()) for axes in panels for artist in style.labelled(axes))
+    signs += [label.removeprefix(style.AT_END) for label in labels if label.startswith(style.AT_END)]
     bars = [axes.get_ylabel() for axes in figure.axes if axes not in panels and axes.get_ylabel()]
     drawn = (" against ".join(filter(None, [_label(axes, "y"), _label(axes, "x")])) or "a picture" for axes in panels)
     parts = [

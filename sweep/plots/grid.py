@@ -29,14 +29,18 @@ from linksweep.sweep.studies.study import POINT
 MOST_PANELS = 24
 MOST_ACROSS = 4  # panels of one dimension side by side; more of them continue in further rows
 FEW_POINTS = 300  # more points than this are drawn small and without errors
+MOST_MARKERS = 40  # more points on a line than this have no markers
+FEWEST_STEPS = 3  # of an axis, which then has colours of a ramp
 MOST_VECTORS = 2000  # more points than this are drawn as one image
-FAR = 30.0  # series whose medians differ by more than this factor need panels with axes of their own
+WIDE_COLOURS = 20.0  # values that span more than this factor have logarithmic colours
+FAR = 30.0  # series whose largest values differ by more than this factor need panels with axes of their own
 
 OPEN: Mapping[str, Any] = {
-    **{"linestyle": "none", "marker": "o", "markersize": 8.0, "fillstyle": "none", "markeredgewidth": 0.9}
+    **{"linestyle": "none", "marker": "o", "markersize": 4.5, "fillstyle": "none", "markeredgewidth": 0.8}
 }
 # Dashes of predictions have one of the first two widths, or together the third, in points of print.
 NARROWEST_DASH, WIDEST_DASH, ALL_DASHES = 3.0, 10.0, 150.0
+EDGE_PT = WIDEST_DASH / 2.0 + 2.0  # what a mark at the end of an axis needs, so that it is not cut off
 # Points closer than the first share of the axis cover each other; if more than the second share do, they are moved
 # aside, so many points of print from their places at most.
 COVERED, COVERED_SHARE, ASIDE_PT = 0.015, 0.25, 4.5
@@ -96,10 +100,10 @@ def _too_many(dataset: xr.Dataset, dimensions: Sequence[str]) -> SweepError:
 
 
 def _separation(array: xr.DataArray, dimension: str) -> float:
-    """Return the ratio between the largest and the smallest of the medians along a dimension."""
-    medians = np.abs(array.median([d for d in array.dims if d != dimension], skipna=True).values)
-    medians = medians[np.isfinite(medians) & (medians > 0.0)]
-    return float(medians.max() / medians.min()) if medians.size else 1.0
+    """Return the ratio between the largest and the smallest of the largest values along a dimension."""
+    largest = abs(array).max([d for d in array.dims if d != dimension], skipna=True).values
+    largest = largest[np.isfinite(largest) & (largest > 0.0)]
+    return float(largest.max() / largest.min()) if largest.size else 1.0
 
 
 def series_of(dataset: xr.Dataset, variable: str, *along: str) -> list[tuple[str, xr.Dataset]]:
@@ -141,7 +145,7 @@ def draw_panels(
     down = math.ceil(len(panels) / min(style.most_columns(wanted), MOST_ACROSS))
     across = math.ceil(len(panels) / down)
     size = (6.4, 4.4) if len(panels) == 1 else (1.2 + 3.1 * across, 1.2 + 2.4 * down)
-    figure, grid = style.new_figure(*size, down, across)
+    figure, grid = style.new_figure(*size, down, across, count=len(panels))
     firsts: dict[tuple[Any, ...], Axes] = {}
     for number, (axes, panel) in enumerate(zip(grid, panels, strict=False)):
         if number:
@@ -158,8 +162,6 @@ def draw_panels(
         axes.tick_params(which="both", labelleft=has_y, labelbottom=has_x)
         axes.set_xlabel(style.in_lines(axes.get_xlabel(), width) if has_x else "")
         axes.set_ylabel(style.in_lines(axes.get_ylabel(), height) if has_y else "")
-    for axes in grid[len(panels) :]:
-        axes.remove()
     return figure
 
 
@@ -191,6 +193,8 @@ def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     numeric = quantity.numeric_axes(dataset, variable)
     axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in _ordered(dataset)]
     axes += [name for name in numeric if name not in axes]
+    if over:  # names of components only if they are asked for
+        axes += [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords and d not in axes]
     if over and (len(over) > 1 or over[0] not in axes):
         raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {', '.join(axes)}")
     return over[0] if over else (numeric or sorted(axes, key=lambda n: -dataset[n].size))[0]
@@ -228,6 +232,8 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
     dimension = str(dataset[over].dims[0])
     order = np.argsort(x, kind="stable")
     dataset, x = dataset.isel({dimension: order}), x[order]
+    steps = _steps(dataset, variable, dimension)
+    numbers.update(zip(steps, range(len(steps)), strict=True))
     named = series_of(dataset, variable, dimension)
     seen = [one for _, one in named]
     joined = (
@@ -235,16 +241,44 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
     )
     offsets = _offsets(dataset[variable], seen)
     for (name, one), offset in zip(named, offsets, strict=True):
-        _draw_series(axes, x, one, variable, name, numbers.setdefault(name, len(numbers)), offset, joined)
+        mark = style.series(numbers.setdefault(name, len(numbers)), len(steps))
+        _draw_series(axes, x, one, variable, name, mark, offset, joined)
     colour = style.COLOURS[0] if len(numbers) == 1 else "0.35"
     if any(_is_known(one, quantity.prediction_name(one, variable)) for one in seen):
         axes.plot([], [], color=colour, label=style.PREDICTED, markersize=WIDEST_DASH, **style.DASH)
     if any(_is_known(one, f"{variable}_published") for one in seen):
-        axes.plot([], [], color=colour, **OPEN, label=style.PUBLISHED)
+        axes.plot([], [], color="0.15", **OPEN, label=style.PUBLISHED)
     if any(offsets):
         axes.plot([], [], linestyle="none", label=style.MOVED)
     style.fit_scale(axes, "y", dataset[variable])
     axes.set(xlabel=style.axis_label(dataset, over), ylabel=style.quantity_label(dataset, variable))
+    axes.margins(x=max(0.05, EDGE_PT / (72.0 * style.panel_size(axes)[0] - 2.0 * EDGE_PT)))
+    if steps and joined and len(axes.figure.axes) == 1:
+        _name_ends(axes, {name: float(one[variable].values[-1]) for name, one in named})
+
+
+def _steps(dataset: xr.Dataset, variable: str, *along: str) -> list[str]:
+    """Return the names of the series of a variable in their order if they are values of one further axis of numbers."""
+    left = [str(d) for d in dataset[variable].dims if d not in along and dataset.sizes[d] > 1]
+    if len(left) != 1 or not _is_numeric(dataset[left[0]]) or dataset.sizes[left[0]] < FEWEST_STEPS:
+        return []
+    return [style.value_text(dataset, left[0], value) for value in np.sort(dataset[left[0]].values).tolist()]
+
+
+def _name_ends(axes: Axes, ends: Mapping[str, float]) -> None:
+    """Write the values that name lines at their ends, if these are apart; the legend then leaves them out."""
+    axes.autoscale_view()  # which is otherwise put off
+    heights = np.sort(axes.transData.transform([(1.0, end) for end in ends.values()])[:, 1])
+    size = 72.0 * style.in_letters(1.0)
+    if not (np.diff(heights) * 72.0 / axes.figure.dpi > size).all():  # some end earlier, or too close
+        return
+    look: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points", "fontsize": "small"}
+    for artist in (one for one in style.labelled(axes) if one.get_label() in ends):
+        axis, _, value = str(name := artist.get_label()).partition(" = ")
+        artist.set_label(f"{style.AT_END}{name}")
+        axes.annotate(value, (1.0, ends[name]), (4.0, 0.0), va="center", **look)
+    title = style.in_lines(axis, style.in_letters(8.0))
+    axes.annotate(title, (1.0, max(ends.values())), (4.0, 0.8 * size), va="bottom", **look)
 
 
 def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
@@ -255,7 +289,7 @@ def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
         return np.asarray(array.values.astype(float))
     values = list(map(str, array.values.tolist()))
     names = list(dict.fromkeys(values))
-    style.name_ticks(axes, which, names)
+    style.name_ticks(axes, which, [style.value_text(dataset, axis, name) for name in names])
     places = np.array([names.index(value) for value in values], dtype=float)
     if array.dims == (POINT,):  # spread a little, so that points do not hide each other: golden steps keep them apart
         places += 0.5 * (np.arange(array.size) * 0.6180339887498949 % 1.0 - 0.5)
@@ -287,22 +321,23 @@ def _offsets(array: xr.DataArray, seen: list[xr.Dataset]) -> list[float]:
 
 
 def _draw_series(
-    axes: Axes, x: Array, one: xr.Dataset, variable: str, name: str, number: int, offset: float, joined: bool
+    axes: Axes, x: Array, one: xr.Dataset, variable: str, name: str, mark: dict[str, Any], offset: float, joined: bool
 ) -> None:
     """Draw one series; only its markers, with their error bars, are moved aside."""
-    mark, few = style.series(number), len(x) <= FEW_POINTS
-    colour = mark["color"]
+    colour, few, is_line = mark["color"], len(x) <= FEW_POINTS, joined and len(x) > MOST_MARKERS
     y, error = one[variable].values.astype(float), quantity.error_bar(one, variable)
-    sigma = None if error is None or not few else error.values
-    look = style.marks(number, 3.5 if few else 2.0, elinewidth=0.8, zorder=3, rasterized=len(x) > MOST_VECTORS)
+    sigma = None if error is None or not (few or is_line) else error.values
+    look: dict[str, Any] = {**mark, "linestyle": "none", "markersize": 3.5 if few else 2.0, "elinewidth": 0.8}
+    look |= {"zorder": 3, "rasterized": len(x) > MOST_VECTORS, "alpha": 1.0 if few else 0.4}
     words = name or (style.COMPUTED if quantity.standard_error(one, variable) is None else style.SIMULATED)
-    moved = [axes.errorbar(x, y, yerr=sigma, label=words, alpha=1.0 if few else 0.4, **look)]
+    moved = [] if is_line else [axes.errorbar(x, y, yerr=sigma, label=words, **look)]
     predicted, published = quantity.prediction_name(one, variable), f"{variable}_published"
     for level in y[np.isnan(x) & np.isfinite(y)]:
         axes.axhline(level, color=colour, linewidth=1.2, linestyle=":", label=WITHOUT)
     if joined:
-        axes.plot(x, y, color=colour, linewidth=0.8, alpha=0.6, zorder=2, label=JOINED)
-        if sigma is not None and not _is_known(one, predicted):
+        width, opacity, label = (1.2, 1.0, words) if is_line else (0.8, 0.6, JOINED)
+        axes.plot(x, y, color=colour, zorder=2, linewidth=width, alpha=opacity, label=label)
+        if sigma is not None and (is_line or not _is_known(one, predicted)):
             axes.fill_between(x, y - sigma, y + sigma, color=colour, label=ERROR_BAND, **style.BAND)
     if _is_known(one, predicted):
         curve, spread = one[predicted].values, one.get(f"{variable}_catalogue_error")
@@ -314,7 +349,7 @@ def _draw_series(
     if _is_known(one, published):
         rounding = one.get(f"{published}_rounding")
         half = None if rounding is None else rounding.values
-        look = {**OPEN, **mark, "elinewidth": 0.6, "zorder": 2, "label": f"_{style.PUBLISHED}"}
+        look = {**OPEN, **mark, "color": "0.15", "elinewidth": 0.6, "zorder": 4, "label": f"_{style.PUBLISHED}"}
         moved.append(axes.errorbar(x, one[published].values, yerr=half, **look))
     aside = ScaledTranslation(offset / 72.0, 0.0, axes.figure.dpi_scale_trans)
     for artist in (one for container in moved for one in container.get_children() if offset):
@@ -375,9 +410,10 @@ def _draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over
     along, result = laws.lines(dataset, variable, over), laws.fit_power_law(dataset, variable, over)
     exponents = result["expected"].values.ravel() if "expected" in result else np.full(len(along.lines), np.nan)
     drawn = [(line, expected) for line, expected in zip(along.lines, exponents, strict=True) if len(line.x)]
+    steps = _steps(dataset, variable, str(dataset[over].dims[0]))
     for number, (line, expected) in enumerate(drawn):
         x, y, errors = line.x, line.y, line.errors
-        look, place = style.marks(number, 3.5), along.place(line)
+        look, place = style.marks(number, 3.5, len(steps)), along.place(line)
         words = ", ".join(style.value_text(dataset, d, place[d]) for d in along.dims if along.grid.sizes[d] > 1)
         error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
         law, fine = fits.power_law(x, y, errors, line.samples), np.geomspace(x.min(), x.max(), 100)
@@ -442,10 +478,15 @@ def _two_axes(dataset: xr.Dataset, variable: str) -> list[str]:
 
 
 def colour_limits(array: xr.DataArray) -> Normalize:
-    """Return the scale of colours for all values of a variable, logarithmic as an axis of it would be."""
+    """Return the scale of colours for all values of a variable, logarithmic as an axis of it would be, and where they
+    span a large factor that no single gap makes up.
+    """
     values = array.values.astype(float)
     values = values[np.isfinite(values)]
-    return (LogNorm if style.is_logarithmic(array) else Normalize)(float(values.min()), float(values.max()))
+    low, high = float(values.min()), float(values.max())
+    is_wide = low > 0.0 and high > WIDE_COLOURS * low and style.unevenness(np.log(np.unique(values))) < 0.5
+    is_log = style.is_logarithmic(array) or (is_wide and style.SCALE not in array.attrs)
+    return (LogNorm if is_log else Normalize)(low, high)
 
 
 def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, limits: Normalize) -> None:
@@ -462,7 +503,8 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
     is_log = isinstance(limits, LogNorm)
     levels = LogLocator(subs=(1.0, 2.0, 5.0)) if is_log else MaxNLocator(8, steps=[1, 2, 2.5, 5, 10])
     inside = [level for level in levels.tick_values(low, high) if low < level < high]
-    if np.isfinite(values).all() and min(values.shape) > 1 and inside and not formatting.is_truth(dataset[variable]):
+    is_smooth = inside and _is_smooth(np.log(values) if is_log else values, len(inside))
+    if is_smooth and not formatting.is_truth(dataset[variable]):
         dark: list[AbstractPathEffect] = [withStroke(linewidth=2.2, foreground="0.15")]
         # solid, also those of negative numbers
         contours = axes.contour(across, up, values, colors="white", levels=inside, linewidths=0.8, linestyles="solid")
@@ -473,6 +515,15 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
         if dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
             axis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel=style.explained_label(dataset[x], x), ylabel=style.explained_label(dataset[y], y))
+
+
+def _is_smooth(values: Array, levels: int) -> bool:
+    """Return whether contours of a map would show its shape: not those of plateaus, steps and noise, which no two
+    neighbours of a point interpolate to half the distance of two levels.
+    """
+    middles = [(one[2:] + one[:-2]) / 2.0 - one[1:-1] for one in (values, values.T)]
+    largest = max(float(np.abs(one).max(initial=0.0)) for one in middles)  # NaN where a value is missing
+    return min(values.shape) > 1 and largest < 0.5 * float(np.ptp(values)) / (levels + 1)
 
 
 def _edges(places: Array, is_log: bool) -> Array:
@@ -488,6 +539,9 @@ def _accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:
     if (error := quantity.standard_error(dataset, variable)) is None:
         return ""
     value, predicted = dataset[variable], dataset.get(quantity.prediction_name(dataset, variable))
+    if (value < 0.0).any() and (value > 0.0).any():
+        largest = float(f"{error.max():.2g}")
+        return f"errors (1σ) at most {formatting.with_unit(largest, 0.0, formatting.units_of(value.attrs))}"
     relative = float((error / abs(value.where(value != 0.0))).max(skipna=True))
     apart = np.nan if predicted is None else float((abs(value - predicted) / error.where(error > 0.0)).max())
     words = f"; at most {apart:.1f}σ from the prediction" if np.isfinite(apart) else ""
@@ -521,14 +575,12 @@ def _points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str
     down = len(variables) if several else -(-len(parameters) // across)
     size = (5.2, 4.2) if across * down == 1 else (1.0 + 2.6 * across, 0.8 + 2.4 * down)
     least, share = (1.0, "row") if several else (style.PANEL_WIDTH, True)
-    figure, panels = style.new_figure(*size, down, across, least, sharey=share)
     pairs = list(product(variables, parameters))
-    for axes, (variable, parameter) in zip(panels, pairs, strict=False):
+    figure, panels = style.new_figure(*size, down, across, least, len(pairs), sharey=share)
+    for axes, (variable, parameter) in zip(panels, pairs, strict=True):
         draw_lines(axes, dataset, variable, parameter, {})
         axes.set_label(variable)  # for the caption
         axes.set_ylabel(style.quantity_label(dataset, variable) if axes.get_subplotspec().is_first_col() else "")
-    for axes in panels[len(pairs) :]:
-        axes.remove()
     style.legend(figure)
     return figure
 
@@ -576,9 +628,10 @@ def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> N
     median and bands of many points, or the curve of each of a few.
     """
     along, array, x = str(dataset[over].dims[0]), dataset[variable], dataset[over].values.astype(float)
+    steps = len(_steps(dataset, variable, POINT, along))
     for number, (words, one) in enumerate(series_of(dataset, variable, POINT, along)):
         y = one[variable].transpose(POINT, along).values.astype(float)
-        y, colour = y[np.isfinite(y).any(axis=1)], style.COLOURS[number]
+        y, colour = y[np.isfinite(y).any(axis=1)], style.series(number, steps)["color"]
         if array.sizes[POINT] <= FEW_CURVES:
             labels = [words, *[""] * (len(y) - 1)]  # alone, the curves are what the axis says
             axes.plot(x, y.T, color=colour, linewidth=0.9, alpha=0.8, label=labels)
@@ -661,7 +714,7 @@ def _draw_samples(axes: Axes, dataset: xr.Dataset, variable: str, components: di
     if units[0] == units[1]:
         unit, factor = formatting.prefixed(both.std(axis=1), units[0])
         units = [unit, unit]
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal")
     both *= factor
     mean, covariance = both.mean(axis=1), np.cov(both)
     sigma = np.sqrt(np.diag(covariance))

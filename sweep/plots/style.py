@@ -17,6 +17,7 @@ import xarray as xr
 from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
+from matplotlib.colors import LogNorm, to_hex
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 
@@ -98,22 +99,32 @@ def most_columns(columns: int, least: float = PANEL_WIDTH) -> int:
 
 
 def new_figure(
-    width: float, height: float, rows: int = 1, columns: int = 1, least: float = PANEL_WIDTH, **options: Any
+    width: float,
+    height: float,
+    rows: int = 1,
+    columns: int = 1,
+    least: float = PANEL_WIDTH,
+    count: int | None = None,
+    **options: Any,
 ) -> tuple[Figure, list[Any]]:
     """Return a figure and its panels, row by row.
 
     It has the size in inches, or panels of about the same shape in the width asked for; panels that would be less than
-    ``least`` letters wide there continue in further rows.  ``options`` are those of `Figure.subplots`.
+    ``least`` letters wide there continue in further rows.  ``count`` is how many there are if not all places.
+    ``options`` are those of `Figure.subplots`.
     """
-    across, wanted = most_columns(columns, least), _width.get()
+    across, wanted, panels = most_columns(columns, least), _width.get(), count or rows * columns
     if wanted is not None:
         shape = (height / rows) / (width / columns)
-        rows = -(-rows * columns // across)
+        rows = -(-panels // across)
         # flat panels would have no room beside their labels, nor a single row beside title and legend
         height = max(rows * max(shape * wanted / across, in_letters(16.0)), in_letters(22.0)) + in_letters(3.0)
         width = wanted
     figure = ShownFigure(figsize=(width, height), layout="constrained")
-    return figure, list(figure.subplots(rows, across, squeeze=False, **options).flat)
+    grid = list(figure.subplots(rows, across, squeeze=False, **options).flat)
+    for axes in grid[panels:]:
+        axes.remove()
+    return figure, grid[:panels]
 
 
 def panel_size(axes: Axes) -> tuple[float, float]:
@@ -146,7 +157,7 @@ def save(figure: Figure, path: Path, words: str = "") -> None:
     """
     require_format(path)
     try:
-        figure.savefig(path, dpi=160, metadata=FORMATS[path.suffix.lower()])
+        figure.savefig(path, dpi=300, metadata=FORMATS[path.suffix.lower()])
         if words:
             path.with_suffix(".txt").write_text(words, encoding="utf-8")
     except OSError as error:
@@ -163,6 +174,8 @@ def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
     """Return a name for a label: its symbol if it has one, or Greek and single letters as mathematics."""
     if attributes and (declared := attributes.get("symbol")):
         return str(declared)
+    if unnamed := re.fullmatch(r"\w+_dim_(\d+)", name):  # xarray's name of a dimension
+        return f"index\u00a0{unnamed[1]}"  # in one piece
     match = _NAME.fullmatch(name)
     if match is None:
         return name.replace("_", " ")
@@ -219,9 +232,11 @@ def with_chosen_component(dataset: xr.Dataset) -> xr.Dataset:
 
 def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     """Return a value of an axis as a legend names it."""
-    if isinstance(value, str):
-        return symbol(value) if _NAME.fullmatch(value) and "_" in value else value
-    if value != value:  # noqa: PLR0124 (NaN: the parameter has no effect there)
+    if isinstance(value, str) and value:
+        symbols = json.loads(dataset[axis].attrs.get("symbols", "{}"))
+        is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))
+        return symbols.get(value) or (symbol(value) if is_name else value)
+    if value == "" or value != value:  # noqa: PLR0124 (missing: the parameter has no effect there)
         return f"no {symbol(axis, dataset[axis].attrs)}"
     unit = formatting.written(formatting.units_of(dataset[axis].attrs))
     return f"{symbol(axis, dataset[axis].attrs)} = {formatting.plain(value)} {unit}".rstrip()
@@ -245,6 +260,7 @@ SCALE = "scale"  # the attribute of a variable whose axis was chosen: "log" or "
 # Numbers that span less than this factor are drawn on a logarithmic axis only if their ratios are equal: none is
 # farther from its place among equal steps of the logarithm than this share of the axis.
 WIDE_RATIO, EVEN = 5.0, 0.01
+PLAIN = 1e-3, 1e4  # a logarithmic axis between these has no powers of ten
 
 
 def with_scales(dataset: xr.Dataset, log: Sequence[str] = (), linear: Sequence[str] = ()) -> xr.Dataset:
@@ -258,15 +274,20 @@ def with_scales(dataset: xr.Dataset, log: Sequence[str] = (), linear: Sequence[s
         raise SweepError(f"{shown(wrong[0])} has no scale to choose{suggest(wrong[0], known) if known else ''}")
     if both := set(log) & set(linear):
         raise SweepError(f"{min(both)} cannot have both a logarithmic and a linear axis")
-    try:
-        study = FigureForm.model_validate(json.loads(dataset.attrs.get("study_document", "{}")).get("figure", {}))
-    except (ValueError, TypeError, AttributeError) as error:
-        raise SweepError(f"the table [figure] of the study cannot be read: {error}") from error
+    study = form_of(dataset)
     marked = dataset.copy()
     for scale, names in (("log", study.log), ("linear", study.linear), ("log", log), ("linear", linear)):
         for name in filter(known.__contains__, names):
             marked[name].attrs[SCALE] = scale
     return marked
+
+
+def form_of(dataset: xr.Dataset) -> FigureForm:
+    """Return what the study of a dataset says about its figure; raises SweepError where that cannot be read."""
+    try:
+        return FigureForm.model_validate(json.loads(dataset.attrs.get("study_document", "{}")).get("figure", {}))
+    except (ValueError, TypeError, AttributeError) as error:
+        raise SweepError(f"the table [figure] of the study cannot be read: {error}") from error
 
 
 def is_logarithmic(array: xr.DataArray) -> bool:
@@ -284,11 +305,11 @@ def is_logarithmic(array: xr.DataArray) -> bool:
         return bool(array.attrs[SCALE] == "log")
     if known.size < 3 or known[0] <= 0.0 or formatting.units_of(array.attrs) in formatting.LOGARITHMIC_UNITS:
         return False
-    of_ratios = _unevenness(np.log(known))
-    return of_ratios < _unevenness(known) and (of_ratios < EVEN or bool(known[-1] > WIDE_RATIO * known[0]))
+    of_ratios = unevenness(np.log(known))
+    return of_ratios < unevenness(known) and (of_ratios < EVEN or bool(known[-1] > WIDE_RATIO * known[0]))
 
 
-def _unevenness(places: Array) -> float:
+def unevenness(places: Array) -> float:
     """Return how far ascending places are at most from equal steps, as a share of their range."""
     return float(np.abs((places - places[0]) / (places[-1] - places[0]) - np.linspace(0.0, 1.0, len(places))).max())
 
@@ -303,22 +324,24 @@ def fit_scale(axes: Axes, which: str, array: xr.DataArray) -> None:
 
 
 def logarithmic(axes: Axes, which: str, values: Any) -> None:
-    """Make an axis logarithmic; if it spans less than two decades, all of its ticks, such as 1, 2 and 5, have numbers
-    as people write them.
+    """Make an axis logarithmic.  Numbers within `PLAIN`, and those of less than two decades, are written as people do;
+    the latter have ticks such as 1, 2 and 5.
     """
     axes.set(**{f"{which}scale": "log"})
     axis = axes.xaxis if which == "x" else axes.yaxis
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known) & (known > 0.0)]
     span = known.max() / known.min() if known.size else 0.0
+    whole = PLAIN[0] <= known.min() and known.max() <= PLAIN[1] if known.size else False
+    if whole or 0.0 < span < 100.0:
+        axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: number_text(value) if value > 0.0 else ""))
+        axis.set_minor_formatter(ticker.NullFormatter())
     if 0.0 < span < 100.0:
         # below a factor of eight, ticks at 1, 2 and 5 of each decade are too few
         many = (1.0, 2.0, 5.0) if span > 8.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
         few = (1.0, 3.0) if span > 10.0 else (1.0, 2.0, 5.0)
         is_small = axes.get_gridspec() is not None and min(panel_size(axes)) < in_letters(13.0)
         axis.set_major_locator(ticker.LogLocator(subs=few if is_small else many))
-        axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: number_text(value) if value > 0.0 else ""))
-        axis.set_minor_formatter(ticker.NullFormatter())
 
 
 def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
@@ -326,7 +349,8 @@ def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
     # a report makes figures smaller, not their letters; beside an axis there is an inch
     room = 0.78 * panel_size(axes)[0] / len(names) if which == "x" else 1.1
     broken, look = [in_lines(name, room, 1) for name in names], dict[str, Any]()
-    if which == "x" and in_letters(LETTER_WIDTH) * max(map(len, "\n".join(broken).split("\n"))) > room:
+    longest = max(len(plain(line)) for text in broken for line in text.split("\n"))
+    if which == "x" and in_letters(LETTER_WIDTH) * longest > room:
         broken, look = list(names), {"rotation": 45.0, "rotation_mode": "anchor", "ha": "right", "va": "center"}
         look["rotation"] = 45.0 if room > in_letters(1.4) else 90.0
     getattr(axes, f"set_{which}ticks")(range(len(names)), broken, **look)
@@ -335,7 +359,10 @@ def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
 
 def add_bar(figure: Figure, drawn: Any, array: xr.DataArray, text: str, **options: Any) -> None:
     """Add the colour bar of an array to a figure."""
-    fit_scale(figure.colorbar(drawn, label=text, **options).ax, "y", array)
+    axes = figure.colorbar(drawn, label=text, **options).ax
+    fit_scale(axes, "y", array)
+    if isinstance(drawn.norm, LogNorm):
+        logarithmic(axes, "y", array.values)
 
 
 def number_text(value: float) -> str:
@@ -356,16 +383,23 @@ def number_text(value: float) -> str:
 
 SIMULATED, COMPUTED, PREDICTED, PUBLISHED = "simulated", "computed", "predicted", "published"  # simulated: with errors
 MOVED = "markers moved sideways, lines not"
+AT_END = "_at its end: "  # how the labels of lines begin that are named at their ends and not in the legend
 
 
-def series(number: int) -> dict[str, Any]:
-    """Return colour and marker of the ``number``-th series of a panel."""
-    return {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
+def series(number: int, steps: int = 0) -> dict[str, Any]:
+    """Return colour and marker of the ``number``-th series of a panel: of a palette of names, or of a ramp of steps."""
+    ramp = to_hex(mpl.colormaps["viridis"](0.85 * number / (steps - 1))) if steps else ""
+    return {"color": ramp or COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
 
 
-def marks(number: int, size: float, **options: Any) -> dict[str, Any]:
+def marks(number: int, size: float, steps: int = 0, **options: Any) -> dict[str, Any]:
     """Return the style of the marks of the ``number``-th series, which no line joins."""
-    return {**series(number), "linestyle": "none", "markersize": size, **options}
+    return {**series(number, steps), "linestyle": "none", "markersize": size, **options}
+
+
+def labelled(axes: Axes) -> list[Any]:
+    """Return what may have a label in a panel: lines, and points with errors."""
+    return [*axes.containers, *axes.lines]
 
 
 def panels_of(figure: Figure) -> list[Axes]:

@@ -12,7 +12,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator, PercentFormatter, StrMethodFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter
 from matplotlib.transforms import Bbox
 from scipy.special import chdtrc, ndtri
 
@@ -118,14 +118,14 @@ def solution_figure(dataset: xr.Dataset) -> Figure:
         factor, unit = _readable(values, stored)
         for number, kind in enumerate(kinds):
             x = np.arange(len(panel)) + 0.6 * ((number + 0.5) / len(kinds) - 0.5)
-            look = style.marks(number, 3.5, elinewidth=1.0, label=kind)
+            look = style.marks(number, 3.5, elinewidth=1.0, label=f"{kind} error")
             axes.errorbar(x, factor * values, yerr=factor * np.nan_to_num(errors[number]), **look)
         axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
         names = [symbols[k] for k in panel]
         upright = len(panel) > 12 or any("[" in name for name in names)
         axes.set_xticks(range(len(panel)), names, rotation=90 if upright else 0)
         axes.set(xlim=(-0.7, len(panel) - 0.3), ylabel=f"estimate [{unit}]")
-    style.legend(figure, least=1, title="errors")
+    style.legend(figure, least=1)
     return figure
 
 
@@ -200,7 +200,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     dots |= {"markersize": float(np.clip(70.0 / np.sqrt(len(without)), 2.0, 9.0)), "rasterized": len(without) > 2000}
     figure, grid = style.new_figure(10.0, 3.4 * len(vectors) + 0.5, len(vectors), 3, style.WIDE)
     pairs = [pair for block in vectors.values() for pair in combinations(block, 2)]
-    for axes, pair in zip(grid, map(list, pairs), strict=False):
+    for axes, pair in zip(grid, map(list, pairs), strict=True):
         factor, unit = _readable(stretched[:, pair], str(dataset["unit"].values[pair[0]]))
         x, y = factor * stretched[:, pair].T
         axes.plot(x, y, ".", label="without one source, displacement × √(N − 1)", **dots)
@@ -214,8 +214,6 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
         axes.set(**{f"{which}label": f"{symbols[k]} [{unit}]" for which, k in zip("xy", pair, strict=True)})
         axes.margins(0.12)
         axes.autoscale_view()
-    for axes in grid[len(pairs) :]:
-        axes.remove()
     style.legend(figure)
     return figure
 
@@ -253,28 +251,28 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
 
 
 def separation_figure(dataset: xr.Dataset) -> Figure:
-    """Return histograms of the normalised separations, X before the fit and sqrt(2 Q/n) after it, beside the Rayleigh
-    distribution that they follow if the errors are right.
+    """Return the shares of sources beyond each normalised separation, X before the fit and sqrt(2 Q/n) after it, beside
+    the Rayleigh distribution that they follow if the errors are right.
     """
     before, count = _require(dataset, "normalised_separation", MANY_ROWS), dataset["n_observations"].values
     used = (count > 0.0) & (before > 0.0)
     if not np.any(used):
         raise SweepError("no source has a separation: no row has a position or motion that the satellite predicts")
     before, after = before[used], np.sqrt(2.0 * dataset["discrepancy"].values[used] / count[used])
-    top = max(float(before.max()), 10.0) * 1.0001
-    edges = np.geomspace(0.05, top, int(np.clip(2.0 * np.sqrt(len(before)), 8, 48)) + 1)
+    n, top = len(before), max(float(before.max()), 5.0)
+    x = np.geomspace(0.1, top, 400)
     figure, (axes,) = style.new_figure(6.4, 4.2)
-    counts, counts_after = (np.histogram(one, edges)[0] for one in (before, after))
-    axes.stairs(counts, edges, fill=True, color=style.COLOURS[4], alpha=0.55, label="before the fit, $X$")
-    words = r"after the fit, $\sqrt{2\,Q_i/n_i}$"
-    axes.stairs(counts_after, edges, color=style.COLOURS[1], linewidth=1.4, label=words)
-    x = np.geomspace(0.05, top, 400)
-    expected = len(before) * np.log(edges[1] / edges[0]) * x**2 * np.exp(-0.5 * x**2)  # in bins of the logarithm
-    axes.plot(x, expected, color="black", linewidth=1.2, label="Rayleigh: the errors are right")
+    words = ("before the fit, $X$", r"after the fit, $\sqrt{2\,Q_i/n_i}$")
+    for number, (one, label) in enumerate(zip((before, after), words, strict=True)):
+        look = {"color": style.COLOURS[number], "linewidth": 1.2, "label": label}
+        axes.step([x[0], *np.sort(one)], [1.0, *(np.arange(n, 0, -1) / n)], **look)
+    axes.plot(x, np.exp(-0.5 * x**2), color="black", linewidth=1.2, label="Rayleigh: the errors are right")
     limit = np.sqrt(2.0 * np.log(max(int(np.sum(count > 0.0)), 2)))
     axes.axvline(limit, color="0.4", linestyle="dashed", linewidth=1.0, label=rf"$\sqrt{{2\ln N}}$ = {limit:.2f}")
-    axes.set(xscale="log", xlim=(0.05, top), xlabel="normalised separation", ylabel=f"sources, of {len(before)}")
-    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    style.logarithmic(axes, "x", x)
+    style.logarithmic(axes, "y", np.array([1.0 / n, 1.0]))
+    axes.set(xlim=(x[0], 1.1 * top), ylim=(0.7 / n, 1.3), xlabel="normalised separation")
+    axes.set_ylabel(f"share of {n} sources beyond it")
     style.legend(figure)
     return figure
 
@@ -298,7 +296,9 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
             axes.scatter(left, ratio[gone], label="dropped, of no weight", **crosses)
         axes.axhline(1.0, color="black", linewidth=0.8, zorder=1)
         axes.axvline(LARGE_SHARE, zorder=1, **MARK)
-        axes.set(xscale="log", yscale="log", xlabel=f"share of the weight in {str(name).replace('_', ' ')}")
+        style.logarithmic(axes, "x", weight[some])
+        style.logarithmic(axes, "y", ratio)
+        axes.set_xlabel(f"share of the weight in {str(name).replace('_', ' ')}")
         axes.margins(0.08)
         axes.set_title(f"{some.sum()} kept" + (f", {gone.sum()} dropped" if np.any(gone) else ""))
     grid[0].set_ylabel("$Q_i/n_i$ (1 is expected)")
@@ -329,7 +329,7 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
     for axes, words in ((left, "share of the weight"), (right, "Cook's distance")):
         axes.xaxis.set_major_locator(MaxNLocator(5 if figure.get_figwidth() > 6.0 else 2))
         axes.set_xlabel(words)
-    left.xaxis.set_major_formatter(PercentFormatter(1.0))
+    left.xaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
     _name_bars(figure, left, dataset["source"].values[order].tolist())
     style.legend(figure)
     return figure
@@ -468,15 +468,16 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
     figure, (left, *right) = style.new_figure(width, 1.6, 1, columns, style.WIDE)
     colours = [style.COLOURS[1] if name in chosen else style.COLOURS[0] for name in names]
     left.barh(range(len(order)), 100.0 * gain[order], 0.75, color=colours)
+    if set(names) & set(chosen):
+        left.barh([], [], color=style.COLOURS[1], label="chosen")
     left.set_xlabel(f"reduction of the error of {about['goal']} [%]\nby this source alone")
     for axes in right:
-        left.set_title("orange: chosen")
         steps = dataset["step_error"].values
         for number, k in enumerate(wanted[: len(style.COLOURS)]):
             look = {"markersize": 4.0, "linewidth": 1.2, **style.series(number)}
             axes.plot(steps[:, k] / steps[0, k], label=_symbols(dataset)[k], **look)
         axes.set_xticks(range(len(chosen) + 1), ["none", *chosen], rotation=90, fontsize=7)
         axes.set(xlabel="observed, one after the other", ylabel="error relative to none")
-        axes.legend(loc="best", frameon=False)
     _name_bars(figure, left, names)
+    style.legend(figure, least=1)
     return figure

@@ -1,5 +1,6 @@
 """The labelled dataset of a study, from what blocks left, and covariances of points that share random numbers."""
 
+import json
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
@@ -155,6 +156,8 @@ def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[s
 
 def _attributes(declared: Output | Parameter) -> dict[str, Any]:
     symbol = {"symbol": declared.symbol} if declared.symbol else {}
+    if isinstance(declared, Parameter) and declared.symbols:
+        symbol["symbols"] = json.dumps(dict(declared.symbols))
     return described(declared.unit, declared.meaning) | symbol
 
 

@@ -193,6 +193,15 @@ def _drawn_log(name: str, context: Context) -> str:
     return name
 
 
+def _drawn_at(name: str, raw: Any, context: Context) -> Any:
+    labels = context.experiment.coordinates.get(name)
+    if labels is None:
+        return raw if context.experiment.undeclared and name not in context.axes else _place(name, raw, context)
+    if raw not in labels:
+        raise ValueError(f"{shown(raw)} is none of {', '.join(map(str, labels))}")
+    return raw
+
+
 def _zip(group: list[str], context: Context) -> list[str]:
     known = [name for name, values in context.axes.items() if values is not None]  # others may hold control characters
     for name in group:
@@ -525,8 +534,16 @@ class PublishedForm(Printed, frozen=True):
 
 
 class FigureForm(Section, frozen=True):
-    """The table [figure]: axes and results that are drawn on a logarithmic or a linear axis, whatever their spacing."""
+    """The table [figure]: the figure that answers the study, instead of the one that suits its results, and the axes
+    and results with a logarithmic or a linear axis, whatever their spacing.
 
+    ``variable``, ``kind``, ``over`` and ``at`` are the options of `sweep plot`.
+    """
+
+    variable: Annotated[str, _checked(_drawn)] = ""
+    kind: str | None = None
+    over: list[Annotated[str, _checked(_drawn)]] = Field(default_factory=list)
+    at: Annotated[dict[str, Any], _each(_drawn_at)] = Field(default_factory=dict)
     log: list[Annotated[str, _checked(_drawn_log)]] = Field(default_factory=list)
     linear: list[Annotated[str, _checked(_drawn)]] = Field(default_factory=list)
 

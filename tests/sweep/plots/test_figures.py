@@ -33,6 +33,9 @@ def texts(legend):
         slow("radio-stars", 1, r"$N_\mathrm{obj}$"),
         slow("galaxies", 1, r"$\sigma(\omega)$ [mas/yr]"),
         slow("scatter", 1, r"$\omega_{x}$ [mas/yr]"),
+        slow("pulsar-timing", 2, "component"),
+        slow("icrf2-icrf3", 1, "component"),
+        slow("magnitude-equation", 4, r"$V_\mathrm{max}$ [mag]"),
     ],
 )
 def test_every_study_has_a_picture_without_options(dataset_of, name, panels, along):
@@ -216,6 +219,95 @@ def decayed(store):
 
 def test_a_list_at_each_point_of_an_axis_is_a_map_over_both(decayed):
     axes = linksweep.plot(decayed, variables=["rest"]).axes[0]
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("half life", "rest dim 0")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("half life", "index\u00a00")
     shown = np.asarray(axes.collections[0].get_array()).reshape(11, 6)
     assert shown == pytest.approx(decayed["rest"].values.T)
+
+
+def figure_of(function, tmp_path, axes, kind=None, **sampling):
+    dataset = linksweep.run(function, tmp_path / "s.zarr", axes=axes, pool="serial", sampling=sampling or None)
+    return linksweep.plot(dataset, kind)
+
+
+STUDY = """
+title = "A wave"
+experiment = "wave.py:wave"
+[axes]
+x = [1.0, 2.0, 3.0]
+mode = ["a", "b"]
+[figure]
+"""
+WAVE = "def wave(x: float, mode: str):\n    return {'first': x, 'second': x * len(mode), 'third': -x}\n"
+
+
+@pytest.mark.parametrize(
+    ("figure", "code", "drawn"),
+    [
+        ('variable = "third"', 0, ["third"]),
+        ('variable = "second"\nat = { mode = "b" }\nlog = ["second"]', 0, ["second"]),
+        ('kind = "lines"\nover = ["mode"]', 0, ["first"]),
+        ('kind = "curve"', 1, "no curve of first here; possible are lines"),
+        ('at = { mode = "c" }', 2, "'c' is not on the axis"),
+        ('at = { mood = "a" }', 0, ["first"]),  # what a function returns is not known before it runs
+        ("variables = []", 2, "variables"),
+    ],
+)
+def test_a_study_names_its_figure(tmp_path, sweep, monkeypatch, figure, code, drawn):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "wave.py").write_text(WAVE)
+    (tmp_path / "wave.toml").write_text(STUDY + figure)
+    refused = code == 2
+    ended, _, err = sweep("run", "wave.toml", "-o", "w.zarr", "--pool", "serial")
+    assert (ended, (tmp_path / "w.zarr").exists()) == (2 if refused else 0, not refused), err
+    if code:
+        assert drawn in (err if refused else sweep("plot", "w.zarr")[2])
+        return
+    figure = linksweep.plot(linksweep.open("w.zarr"))
+    assert [axes.get_ylabel() for axes in axes_of(figure)] == drawn
+    chosen = linksweep.plot(linksweep.open("w.zarr"), variables=["second"])  # what is asked for comes first
+    assert [axes.get_ylabel() for axes in axes_of(chosen)] == ["second"]
+
+
+def product(x: float, y: float):
+    return x * y
+
+
+def plateau(x: float, y: float):
+    return min(x * y, 8.0)
+
+
+def step(x: float, y: float):
+    return x + 10.0 * (x > y)
+
+
+def noise(x: float, y: float):
+    return x + y + 7.0 * np.sin(1e4 * x * y)
+
+
+@pytest.mark.parametrize(
+    ("function", "has_contours"), [(product, True), slow(plateau, False), slow(step, False), slow(noise, False)]
+)
+def test_contours_are_of_smooth_maps_and_wide_ranges_have_logarithmic_colours(tmp_path, function, has_contours):
+    places = [0.5 + 0.5 * i for i in range(16)]
+    axes, _ = figure_of(function, tmp_path, {"x": places, "y": places}, "map").axes
+    assert bool(axes.texts) == has_contours
+    values = axes.collections[0].get_array()
+    assert (type(axes.collections[0].norm).__name__ == "LogNorm") == (0.0 < 20.0 * values.min() < values.max())
+
+
+def wave(x: float, phase: float, name: str = "a"):
+    return np.sin(x + 0.1 * phase) + phase
+
+
+@pytest.mark.parametrize("points", [5, 60])
+def test_values_of_an_axis_have_a_ramp_of_colours_and_stand_at_the_ends_of_lines(tmp_path, points):
+    phases = [3.0, 1.0, 2.0, 4.0]
+    [axes] = figure_of(wave, tmp_path, {"x": [0.1 * i for i in range(points)], "phase": phases}).axes
+    written = {text.get_text(): text.xy[1] for text in axes.texts}
+    assert list(written) == ["3", "1", "2", "4", "phase"]
+    assert written["4"] > written["3"] > written["2"] > written["1"]
+    lines = [line for line in axes.lines if len(line.get_xdata()) == points and line.get_marker() in ("None", "")]
+    blue = [int(str(line.get_color())[5:7], 16) for line in lines]
+    assert [line.get_ydata()[0] for line in lines] == pytest.approx([np.sin(0.1 * p) + p for p in phases])
+    assert len(set(blue)) == 4
+    assert bool(axes.containers) == (points == 5)  # markers, with their errors
