@@ -35,7 +35,7 @@ class Shown:
 
     def __init__(self, where: Where) -> None:
         """Look at nothing yet."""
-        self.watched, self.figure = Watched(where), Picture("", problem="no results are written yet")
+        self.watched, self.figure = Watched(where), Picture("")
         self.tiles: list[list[Tile]] = []
         self._drawn: Any = None
         self._redraw = 0.0
@@ -45,19 +45,20 @@ class Shown:
         if self.watched.look():
             self.tiles = self.watched.tiles(MOST_TILES, MOST_TILES)
 
-    def draw(self) -> None:
-        """Draw its results if they are new and it is time."""
+    def draw(self) -> bool:
+        """Draw its results if they are new and it is time; return whether they were drawn."""
         opened = self.watched.opened
         if opened is None or is_new(opened.root) or opened.root is self._drawn:
-            return
+            return False
         if not self.watched.is_over and time.monotonic() < self._redraw:
-            return
+            return False
         begun = time.process_time()
         try:
             self.figure = drawn(opened.dataset().assign_attrs(title=""), "", f"watch-{self.watched.location}")
         except SweepError as error:
             self.figure = Picture("", problem="; ".join(error.problems))
         self._drawn, self._redraw = opened.root, time.monotonic() + REDRAW * (time.process_time() - begun) ** 2
+        return True
 
 
 class Page:
@@ -89,9 +90,11 @@ class Page:
                 for one in self._stores:
                     one.look()
                 found = self._parts("head", "tiles", "failures")
-                self._next = time.monotonic() + pause(self._interval, time.process_time() - begun)
-                for one in self._stores:
-                    one.draw()
+                # The first look makes the points, which it need not do again.
+                took = time.process_time() - begun if self._state else 0.0
+                self._next = time.monotonic() + pause(self._interval, took)
+                # Not before the first answer, and then one at a time: tiles do not wait for figures.
+                any(one.draw() for one in self._stores if self._state)
                 self._state = json.dumps(found | self._parts("figure"))
             return self._state
 

@@ -221,7 +221,10 @@ class Watched:
         random = not self._points.grid.study.experiment.deterministic
         speed = per_second(last - first, now - then, "realisations" if random else "points")
         left = after * (now - then) / (before - after) - (time.monotonic() - now) if before > after else 0.0
-        return speed if self._points.is_adaptive or left <= 0.0 else f"{speed}, about {in_words(left)} left"
+        if self._points.is_adaptive or left <= 0.0:
+            return speed
+        percent = 100.0 * (1.0 - after / self._points.cost.sum())
+        return f"{percent:.0f} % of the work, {speed}, about {in_words(left)} left"
 
     def tiles(self, most: int, across: int) -> list[list[Tile]]:
         """Return about ``most`` tiles, in rows of at most ``across`` along the last dimension.
