@@ -110,7 +110,8 @@ class Watched:
         self._forget()
 
     def _forget(self) -> None:
-        self._files: tuple[bytes | None, ...] = ()
+        self._root: bytes | None = None
+        self._manifest: bytes | None = None
         self._points: _Points | None = None
         self._asked: tuple[Any, ...] = ()
         self._parts: dict[str, NDArray[Any]] = {}
@@ -144,30 +145,38 @@ class Watched:
 
     def _read(self) -> bool:
         with reading(self.location):
-            files = self.location.get(ROOT), self.location.get(MANIFEST)
-        if files == self._files:
-            return False
-        if files[0] is None and find_root(self.location) is None:
+            root, at_first = self.location.get(ROOT), self._points is None
+        if root is None and find_root(self.location) is None:
             self._forget()
-            self._files = files
-            return True
+            return not at_first
         try:
-            if self.opened is None or files[0] != self._files[0]:
-                self.opened = OpenStore(self.location)
-            self._take(self.opened, files[1])
+            opened, points = self._open(root)
+            with reading(self.location):  # after the root, which is never ahead of it
+                manifest = self.location.get(MANIFEST)
+            if (root, manifest) == (self._root, self._manifest):
+                return False
+            self._take(opened, points, manifest)
         except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, RuntimeError) as error:
             if holder(self.location) is None:  # else its run has replaced a file meanwhile
                 raise SweepError(f"its ledger cannot be read ({error})", str(self.location)) from error
             return False
-        self._files = files
+        self._root, self._manifest = root, manifest
         return True
 
-    def _take(self, opened: OpenStore, content: bytes | None) -> None:
-        if self._points is None or tuple(map(opened.attributes.get, ASKED)) != self._asked:
-            self._forget()
-            self._points, self._asked = _Points(opened.attributes, ""), tuple(map(opened.attributes.get, ASKED))
-            self.title = str(opened.attributes.get("title", self.title))
-        points, manifest = self._points, integrity.newest(content, manifest_of(opened.root))
+    def _open(self, root: bytes | None) -> tuple[OpenStore, _Points]:
+        """Return the store and its points, as they were if the root is as it was."""
+        if self.opened is None or self._points is None or root != self._root:
+            self.opened = OpenStore(self.location)
+            attributes = self.opened.attributes
+            asked = tuple(map(attributes.get, ASKED))
+            if self._points is None or asked != self._asked:
+                self._forget()
+                self._points, self._asked = _Points(attributes, str(self.location)), asked
+                self.title = str(attributes.get("title", self.title))
+        return self.opened, self._points
+
+    def _take(self, opened: OpenStore, points: _Points, content: bytes | None) -> None:
+        manifest = integrity.newest(content, manifest_of(opened.root))
         with reading(self.location):
             new = [part for part in manifest.parts if part.rows.name not in self._parts]
             keys = zip(new, ledger.read_keys(self.location, new), strict=True)
