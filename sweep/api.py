@@ -168,13 +168,18 @@ def run(
     return _drawable(dataset)
 
 
-def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)
+def open(  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)
+    store: Where, *, running: bool = False
+) -> xr.Dataset:
     """Return the results in a store, in memory.  During a run all of them are from the same write of the dataset.
 
     Results of `sweep tie -o` and `sweep forecast -o` can be read too.
 
     Args:
         store: a path, s3://BUCKET/NAME, or the name of a study that was run in this directory.
+        running: give points that are begun and not done their values so far, with their present errors; the
+            ``status`` of these points is then 4 ("running"), and ``n_sim_done`` counts the realisations in them.  By
+            default they are NaN.
 
     Returns:
         The outputs of the study over its axes, with units and errors.
@@ -189,7 +194,7 @@ def open(store: Where) -> xr.Dataset:  # noqa: A001 (linksweep.open, as xarray a
         True
     """
     place = store_named(store)
-    return _drawable(open_result(place).dataset)
+    return _drawable(open_result(place, running).dataset)
 
 
 def _drawable(dataset: xr.Dataset) -> xr.Dataset:

@@ -133,14 +133,15 @@ def require_free(path: Path) -> None:
         raise SweepError("exists already; give another place with -o", str(path))
 
 
-def open_result(where: Any) -> Result:
-    """Return the results in a store of any kind, in memory.
+def open_result(where: Any, running: bool = False) -> Result:
+    """Return the results in a store of any kind, in memory; those of a study with values so far if ``running``.
 
     Raises SweepError if there is no store, if it has no results yet, or if it is damaged.
     """
+    from linksweep.sweep.analysis.quantity import with_running
     from linksweep.sweep.stores.store import open_dataset
 
-    return stored_table(where) or Result(open_dataset(where))
+    return stored_table(where) or Result(with_running(open_dataset(where, running)))
 
 
 def stored_table(where: Any) -> Result | None:

@@ -58,6 +58,7 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
     before a point is done.
     """
     made: list[Answer] = []
+    dataset = quantity.without_running(dataset)
     if not (dataset["status"] == Status.DONE).any():
         return made
     first = said_first(dataset)

@@ -16,6 +16,7 @@ from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, SweepError, shown, sma
 from linksweep.sweep.contract.reducer import LENGTH
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, prefixed, units_of
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
+from linksweep.sweep.stores.store import RUNNING, finished
 from linksweep.sweep.studies.part import LOST
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import POINT, POINT_TABLE, Claim
@@ -121,9 +122,11 @@ def error_bar(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
     return dataset[declared[0]] if known is None and declared else known
 
 
-def unknown_parts(dataset: xr.Dataset, variable: str) -> list[str]:
-    """Return a sentence for every part of the error of a variable that is not known at points that are done."""
-    done = dataset["status"] == Status.DONE
+def unknown_parts(dataset: xr.Dataset, variable: str, status: Status = Status.DONE) -> list[str]:
+    """Return a sentence for every part of the error of a variable that is not known at points that are done, or that
+    have another ``status``.
+    """
+    done = dataset["status"] == status
     draw = outer_draw_of(dataset.attrs)
     words = {"mc_error": "its Monte-Carlo error", "catalogue_error": f"the choice of {draw}s"}
     needed = "more realisations" if FUNCTION in dataset.attrs else f"{FEWEST_SAMPLES} {draw}s"
@@ -375,6 +378,45 @@ def _is_meant(value: object, wanted: object) -> bool:
 # What is missing
 
 
+def with_running(dataset: xr.Dataset) -> xr.Dataset:
+    """Return the results in a store, opened with ``running``, with the values so far of points that are begun in place:
+    their ``status`` is then "running", ``n_sim_done`` counts the realisations in them, and the attribute ``running``
+    how many points these are.
+    """
+    so_far = {n.removesuffix(RUNNING): dataset[n] for n in map(str, dataset.data_vars) if n.endswith(RUNNING)}
+    if not so_far:
+        return dataset
+    begun = so_far["n_sim_done"] > 0
+    status = dataset["status"].where(~begun, np.int8(Status.RUNNING))
+    merged = {n: so_far[n].where(begun, dataset[n]).assign_attrs(dataset[n].attrs) for n in so_far}
+    flags = {"flag_values": list(map(int, Status)), "flag_meanings": " ".join(code.word for code in Status)}
+    merged["status"] = status.assign_attrs(dataset["status"].attrs | flags)
+    return finished(dataset).assign(merged).assign_attrs(running=int(begun.sum()))
+
+
+def without_running(dataset: xr.Dataset) -> xr.Dataset:
+    """Return results whose points that are running count as missing: conclusions are about those that are done."""
+    running = dataset["status"] == Status.RUNNING
+    if not running.any():
+        return dataset
+    axes = set(running.dims)
+    floats = {n: v.where(~running) for n, v in dataset.data_vars.items() if v.dtype.kind == "f" and axes <= set(v.dims)}
+    names = [n for n in floats if not str(n).endswith(("_published", "_published_rounding"))]
+    status = dataset["status"].where(~running, np.int8(Status.MISSING))
+    return dataset.assign({n: floats[n] for n in names}).assign(status=status)
+
+
+def so_far_in_words(dataset: xr.Dataset) -> str:
+    """Return how many realisations running points have, '' where there are none."""
+    done = dataset["n_sim_done"].where(dataset["status"] == Status.RUNNING) if "n_sim_done" in dataset else None
+    if done is None or not done.notnull().any():
+        return ""
+    ends = dict.fromkeys(f"{int(end):,}" for end in (done.min(), done.max()))
+    whole = dataset.attrs.get("n_sim", 0) * dataset.attrs.get("n_cat", 1)
+    of_all = f" of {whole:,}" if whole and not dataset.attrs.get("precision") else ""
+    return f"{' to '.join(ends)}{of_all} realisations"
+
+
 def lacking(dataset: xr.Dataset) -> str:
     """Return in words what these results lack; '' if every point of the study, or of the part that was chosen, is done.
 
@@ -385,7 +427,8 @@ def lacking(dataset: xr.Dataset) -> str:
     wanted = sum(counts.values()) - counts[Status.EXCLUDED]
     if unfinished := unfinished_in_words(counts):
         lost = f"; lost parts: {dataset.attrs[LOST]}" if LOST in dataset.attrs else ""
-        return f"{counts[Status.DONE]:,} of {wanted:,} points are done, {unfinished}{lost}"
+        so_far = f"; values so far are of {words}" if (words := so_far_in_words(dataset)) else ""
+        return f"{counts[Status.DONE]:,} of {wanted:,} points are done, {unfinished}{so_far}{lost}"
     of_all = wanted == dataset.attrs.get("points", wanted)  # those of a selection may all be done
     return "the store says that its run did not end" if of_all and not dataset.attrs.get("complete") else ""
 

@@ -76,6 +76,8 @@ def headline_table(dataset: xr.Dataset, most: int | None = MOST_ROWS) -> Table:
         some = _columns_of(dataset, columns, name, rows)
         shown += [replace(one, quantity=name, rank=later + one.rank) for one in some]
     finished = bool(np.all((status == Status.DONE) | (status == Status.EXCLUDED)))
+    if (status[rows] == Status.RUNNING).any():
+        shown.append(replace(columns["n_sim_done"], name="realisations"))
     return Table(shown if finished else [*shown, columns["status"]], str(dataset.attrs.get("title", "")))
 
 
@@ -131,7 +133,8 @@ def tables(dataset: xr.Dataset) -> list[Table]:
     """Return the headline results, those with errors of several kinds, and the components of the points with the worst
     condition.
     """
-    return [headline_table(dataset), *tables_with_errors(dataset, MOST_ROWS), *_component_tables(dataset)]
+    final = quantity.without_running(dataset)
+    return [headline_table(dataset), *tables_with_errors(final, MOST_ROWS), *_component_tables(final)]
 
 
 def notes(dataset: xr.Dataset) -> list[str]:
@@ -144,8 +147,11 @@ def notes(dataset: xr.Dataset) -> list[str]:
             for dim in quantity.own_dimensions(dataset, name)
         )
         sentences.append(f"{name}: values at each point, {along}; `sweep show STORE --json` has them")
-    exact = [name for name in quantity.headline_variables(dataset) if _is_exact(dataset, name)]
+    final = quantity.without_running(dataset)
+    exact = [name for name in quantity.headline_variables(dataset) if _is_exact(final, name)]
     sentences += [f"{name}: all published values are met exactly" for name in exact]
+    for name in quantity.headline_variables(dataset):
+        sentences += [f"running, {words}" for words in quantity.unknown_parts(dataset, name, Status.RUNNING)]
     if left_out := rows_left_out(dataset):
         sentences.append(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
     return [*sentences, *([f"INCOMPLETE: {words}"] if (words := quantity.lacking(dataset)) else [])]

@@ -100,7 +100,7 @@ def show(
         group.print_result(link, table_format)
     else:
         # Formats for programs keep excluded points: a column has the status.
-        with part_of(store, at, excluded_too=table_format != "text") as part:
+        with part_of(store, at, excluded_too=table_format != "text", running=True) as part:
             group.print_result(part, table_format)
 
 
@@ -161,7 +161,7 @@ class Drawing:
         chosen = self.kind, self.variables, self.over, self.log, self.linear
         if (link := options.link_in(store, self.at)) is not None:
             return draw_figure(link, *chosen), link
-        with part_of(store, self.at) as dataset:
+        with part_of(store, self.at, running=True) as dataset:
             return draw_figure(dataset, *chosen), dataset
 
 

@@ -280,19 +280,19 @@ def link_in(store: "Location", at: At) -> Any:
 
 
 @contextmanager
-def part_of(store: "Location", at: At, excluded_too: bool = False) -> Iterator[Any]:
-    """Give the part of a store's dataset that ``--at`` names; errors in the block name the store unless they say what
-    they are about.
+def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool = False) -> Iterator[Any]:
+    """Give the part of a store's dataset that ``--at`` names, with values so far if ``running``; errors in the block
+    name the store unless they say what they are about.
 
     Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
     """
-    from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES, array_outputs, select
+    from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES, array_outputs, select, with_running
     from linksweep.sweep.planning.point_status import Status
     from linksweep.sweep.stores.store import open_dataset
     from linksweep.sweep.studies.document import parse_places
 
     places = parse_places(at)
-    dataset = open_dataset(store)
+    dataset = with_running(open_dataset(store, running))
     try:
         part = select(dataset, places)
         for name in set(array_outputs(dataset)) - set(array_outputs(part)):

@@ -18,19 +18,23 @@ from linksweep.sweep.planning.point_status import Status
 # As integers: NumPy compares arrays with them ten times as fast as with members of an enumeration.
 MISSING, DONE = int(Status.MISSING), int(Status.DONE)
 
+SoFar = tuple[Rows, int, int]
+
 
 @dataclass(slots=True)
 class _Round:
     """The parts of a point that are being added, block by block in order; blocks that arrive early wait.  ``reached``
-    says whether the parts before them reach the precision.
+    says whether the parts before them reach the precision.  ``so_far`` is what was added when all catalogues begun had
+    equally many realisations last: a row, (1,), its realisations and its catalogues.
     """
 
     parts: range
     group: int = 0
     part: int = 0
-    early: dict[tuple[int, int], Rows] = field(default_factory=dict)
+    early: dict[tuple[int, int], tuple[Rows, Array | None]] = field(default_factory=dict)
     kept: list[Array] = field(default_factory=list)
     reached: bool = False
+    so_far: SoFar | None = None
 
 
 class Accumulator:
@@ -195,7 +199,9 @@ class Accumulator:
         dtype = self.reducer.dtype
         self.total = converted(self.total, dtype)
         for round_ in self._rounds.values():
-            round_.early = {place: converted(row, dtype) for place, row in round_.early.items()}
+            round_.early = {place: (converted(row, dtype), kept) for place, (row, kept) in round_.early.items()}
+            if round_.so_far is not None:
+                round_.so_far = (converted(round_.so_far[0], dtype), *round_.so_far[1:])
 
     def add(self, point: GridPoint, block: Block, row: Rows, kept: Array | None = None) -> list[Block]:
         """Add a block's row, (1,), and realisations that are ``kept``; return blocks that are needed beyond those
@@ -209,20 +215,43 @@ class Accumulator:
         round_ = self._rounds.get(index)
         if round_ is None:
             round_ = self._rounds[index] = _Round(range(self.plan.parts(cost)))
-        if kept is not None and self.reducer.samples_width:
-            round_.kept.append(kept)
         if (block.group, block.part) != (round_.group, round_.part):
-            round_.early[block.group, block.part] = row
+            round_.early[block.group, block.part] = row, kept
             return []
-        ready: Rows | None = row
+        ready: tuple[Rows, Array | None] | None = (row, kept)
         while ready is not None:
-            self.total[index : index + 1] = self.reducer.add(self.total[index : index + 1], ready)
+            self.total[index : index + 1] = self.reducer.add(self.total[index : index + 1], ready[0])
+            if ready[1] is not None and self.reducer.samples_width:
+                round_.kept.append(ready[1])
             round_.part += 1
             if round_.part == round_.parts.stop:
                 round_.part = round_.parts.start
                 round_.group += 1
+            self._note_so_far(index, cost, round_)
             ready = round_.early.pop((round_.group, round_.part), None) if round_.early else None
         return self._finish_round(point, cost, round_) if round_.group == self.plan.groups(cost) else []
+
+    def _note_so_far(self, index: int, cost: float, round_: _Round) -> None:
+        """Keep what was added if all catalogues begun have equally many realisations: their errors need that."""
+        first, last, group = round_.parts.start, round_.parts.stop, round_.group
+        if (group and round_.part != first) or (first and group < self.plan.groups(cost) > 1):
+            return
+        n_sim = self.plan.realisations(cost, last if group else round_.part)
+        n_cat = min(self.plan.grid.study.sampling.n_cat, max(1, group) * self.plan.block_shape(cost)[1])
+        round_.so_far = self.total[index : index + 1].copy(), n_sim * n_cat, n_cat
+
+    def so_far(self) -> dict[int, SoFar]:
+        """Return what points that are begun and not done have so far, by their index: a row, realisations, catalogues.
+
+        Which of their blocks these are does not depend on what is in them: the first ones in order.
+        """
+        so_far = {}
+        for index, round_ in sorted(self._rounds.items()):
+            if round_.so_far is not None:
+                row, n, n_cat = round_.so_far
+                closed = self.reducer.close(row, np.concatenate(round_.kept)) if round_.kept else row
+                so_far[index] = closed, n, n_cat
+        return so_far
 
     def are_whole(self, works: Sequence[Work]) -> bool:
         """Return whether each work is all that its points need."""
@@ -283,7 +312,8 @@ class Accumulator:
             total[:] = self.reducer.close(total, np.concatenate(kept))
         wanted, reached = wanted_parts(self.plan, cost, parts, total, round_.reached)
         if wanted > parts:
-            self._rounds[point.index] = _Round(range(parts, wanted), part=parts, kept=kept, reached=reached)
+            more = _Round(range(parts, wanted), part=parts, kept=kept, reached=reached, so_far=round_.so_far)
+            self._rounds[point.index] = more
             return list(self.blocks(point))
         del self._rounds[point.index]
         self.status[point.index] = Status.DONE

@@ -8,12 +8,13 @@ import numpy as np
 
 
 class Status(IntEnum):
-    """Where the computation of a point stands."""
+    """Where the computation of a point stands.  Stores have running points as missing ones: see `with_running`."""
 
     MISSING = 0
     DONE = 1
     FAILED = 2
     EXCLUDED = 3
+    RUNNING = 4
 
     @property
     def word(self) -> str:
@@ -26,7 +27,7 @@ def count_status(status: Any) -> dict[Status, int]:
 
     Examples:
         >>> {code.word: n for code, n in count_status([1, 1, 0]).items()}
-        {'missing': 1, 'done': 2, 'failed': 0, 'excluded': 0}
+        {'missing': 1, 'done': 2, 'failed': 0, 'excluded': 0, 'running': 0}
     """
     return {code: int(np.count_nonzero(np.asarray(status) == code)) for code in Status}
 
@@ -38,4 +39,6 @@ def unfinished_in_words(counts: Mapping[Status, int]) -> str:
         >>> unfinished_in_words(count_status([1, 1, 0, 2, 2]))
         '1 missing and 2 failed'
     """
-    return " and ".join(f"{counts[code]} {code.word}" for code in (Status.MISSING, Status.FAILED) if counts[code])
+    return " and ".join(
+        f"{counts[code]} {code.word}" for code in (Status.RUNNING, Status.MISSING, Status.FAILED) if counts[code]
+    )

@@ -33,6 +33,7 @@ UNLABELLED = {
     grid.PREDICTION_BAND: "Bands are the one-sigma errors of the predictions.",
     grid.LAW_BAND: "Bands are the one-sigma errors of the fitted laws.",
     grid.JOINED: "Thin lines join the points.",
+    grid.RUNNING: "Markers with a white centre are values so far, of points that are not done.",
     grid.WITHOUT: "Dotted lines are points on which the parameter along the axis has no effect.",
     style.MOVED: "Markers that cover each other are drawn a little to the left or right of them; lines are not.",
 }
@@ -160,7 +161,8 @@ def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
         (claim.slope.variable, claim.slope.over) for claim in quantity.claims_of(dataset) if claim.slope is not None
     }
     linear = any(dataset[name].attrs.get(style.SCALE) == "linear" for name in (variable, *numeric))
-    if any((variable, axis) in laws for axis in numeric) and not over and not linear and array.ndim == 1:
+    is_law = any((variable, axis) in laws for axis in numeric) and not (dataset["status"] == Status.RUNNING).any()
+    if is_law and not over and not linear and array.ndim == 1:
         return "law"
     long = {dataset[a].dims[0] for a in numeric if dataset[a].size >= MAP_POINTS}
     panels = int(np.prod([n for d, n in array.sizes.items() if d not in long], dtype=int))
@@ -174,6 +176,8 @@ def _draw(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], 
     shared = ", ".join(style.value_text(part, name, part[name].item()) for name in axes)
     missing = int((~part["status"].isin([Status.DONE, Status.EXCLUDED])).sum())
     words = f"INCOMPLETE: {missing:,} of {part['status'].size:,} points are not done" if missing else ""
+    if so_far := quantity.so_far_in_words(part):
+        words += f"; values so far are of {so_far}"
     figure.set_label(title := str(whole.attrs.get("title", "")))
     style.complete(figure, "\n".join(filter(None, (title, shared, words))))
     return figure

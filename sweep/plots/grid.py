@@ -23,6 +23,7 @@ from scipy.special import chdtri
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import fits, laws, quantity
 from linksweep.sweep.contract import Array, SweepError, shown, suggest
+from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.plots import GridFigure, style
 from linksweep.sweep.studies.study import POINT
 
@@ -47,7 +48,7 @@ COVERED, COVERED_SHARE, ASIDE_PT = 0.015, 0.25, 4.5
 
 # Labels of what a caption explains; matplotlib leaves labels that begin with _ out of legends.
 ERROR_BAND, PREDICTION_BAND, LAW_BAND, JOINED = "_error band", "_prediction band", "_law band", "_joined"
-WITHOUT = "_without"
+WITHOUT, RUNNING = "_without", "_running"
 
 
 # Panels
@@ -331,6 +332,11 @@ def _draw_series(
     look |= {"zorder": 3, "rasterized": len(x) > MOST_VECTORS, "alpha": 1.0 if few else 0.4}
     words = name or (style.COMPUTED if quantity.standard_error(one, variable) is None else style.SIMULATED)
     moved = [] if is_line else [axes.errorbar(x, y, yerr=sigma, label=words, **look)]
+    running = np.broadcast_to(one["status"].values == Status.RUNNING, y.shape)
+    if running.any():
+        centre = {**look, "color": "white", "markersize": 0.5 * look["markersize"], "zorder": 3.1, "label": RUNNING}
+        moved.append(axes.errorbar(x[running], y[running], **centre))
+        moved[-1].lines[0].set_label(RUNNING)  # for the caption
     predicted, published = quantity.prediction_name(one, variable), f"{variable}_published"
     for level in y[np.isnan(x) & np.isfinite(y)]:
         axes.axhline(level, color=colour, linewidth=1.2, linestyle=":", label=WITHOUT)

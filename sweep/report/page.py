@@ -314,7 +314,7 @@ MOST_ROWS = 2000  # of a table in the page, some 0.5 MB
 
 def report_of(stores: Sequence[Where]) -> str:
     """Return the page about stores; raises SweepError for a store that is missing, empty or damaged."""
-    return report_page([(place.name, open_result(place).dataset) for place in map(located, stores)])
+    return report_page([(place.name, open_result(place, running=True).dataset) for place in map(located, stores)])
 
 
 def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
@@ -445,18 +445,19 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
     numbers to explore; raises SweepError for a dataset whose claims cannot be read.
     """
     about, names, comparisons = dataset.attrs, quantity.headlines(dataset), compare.compare(dataset)
-    explored, numbers, left_out = explorer(quantity.in_readable_units(dataset), names, room)
+    final = quantity.without_running(dataset)
+    explored, numbers, left_out = explorer(quantity.in_readable_units(final), names, room)
     failures, versions = (json.loads(about.get(name, "{}")) for name in ("failures", "versions"))
     title = str(about.get("title", store))
     figures = pictures(dataset, list(dict.fromkeys([*answer.said_first(dataset), *names])), number)
     tables = {}
-    for table in results_table.tables_with_errors(dataset, MOST_ROWS):
+    for table in results_table.tables_with_errors(final, MOST_ROWS):
         meaning = dataset[table.title.split()[0]].attrs["long_name"]
         tables[f"{table.title}, {meaning}, with every kind of error"] = _sortable(table)
     for name in names if POINT_TABLE in about and len(quantity.varied_parameters(dataset)) > 1 else ():
         if dataset[name].squeeze().ndim == 1:  # one number at each point
             with suppress(SweepError):
-                indices = sensitivity(dataset.squeeze(), name)
+                indices = sensitivity(final.squeeze(), name)
                 tables[f"S{derived.notes(indices)[0][1:]}"] = _sortable(derived.tables(indices)[0])
                 picture = drawn(indices.assign_attrs(title=""), f"sensitivity of {name}", f"{number}-{name}")
                 figures.append(picture)

@@ -19,7 +19,7 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.stores.store import FILL, dask_arrays_only_where_imported, with_gaps
+from linksweep.sweep.stores.store import FILL, RUNNING, dask_arrays_only_where_imported, finished, with_gaps
 from linksweep.sweep.studies.study import POINT, printed_rounding
 
 dask_arrays_only_where_imported()  # before the first dataset is made here; `decode` does so before one is read
@@ -30,6 +30,7 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
 
     A point has values when all its blocks are there; all others are missing (`typed_array`) with a ``status`` that says
     why.  Missing integers have the number that the encoding names as ``_FillValue``; `masked` has NaN in place of it.
+    What points that are begun have so far is in variables of its own, which `with_running` puts in place.
     """
     grid = plan.grid
     study = grid.study
@@ -60,14 +61,46 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
         meaning = f"realisations done{over}"
         variables["n_sim_done"] = _variable(grid, realisations.copy(), Output("n_sim_done", "", meaning))
     variables["status"] = _variable(grid, status.copy(), Output("status", "", "state of the point"))
-    variables["status"][2].update(flag_values=list(map(int, Status)), flag_meanings=" ".join(s.word for s in Status))
-    variables |= _published(grid)
+    stored = [s for s in Status if s != Status.RUNNING]
+    variables["status"][2].update(flag_values=list(map(int, stored)), flag_meanings=" ".join(s.word for s in stored))
+    variables |= _published(grid) | _so_far(plan, accumulator)
     longest: dict[str, int] = {}
     for name, dimension in ragged.items():
         variables[name][2][RAGGED] = dimension
         longest[dimension] = max(longest.get(dimension, 1), int(np.max(results.get(name + LENGTH, 1))))
     dataset = xr.Dataset(variables, coords=_coordinates(grid))
     return dataset.isel({dimension: slice(length) for dimension, length in longest.items()})
+
+
+def _so_far(plan: Plan, accumulator: Accumulator) -> dict[str, Any]:
+    """Return ``NAME(running)`` of each result, and of the realisations that it is from, at points that are begun.
+
+    An error is NaN where it needs more catalogues than there are yet; nothing is returned where an experiment cannot
+    make results of less than all realisations.
+    """
+    so_far, grid, experiment = accumulator.so_far(), plan.grid, plan.grid.study.experiment
+    if not so_far:
+        return {}
+    rows, n, n_cat = (np.array(column) for column in zip(*so_far.values(), strict=True))
+    try:
+        results = dict(accumulator.reducer.finish(rows.reshape(-1), n.astype(float), n_cat.astype(float)))
+    except Exception:  # whatever a user's function raises
+        return {}
+    few = n_cat < min(FEWEST_SAMPLES, grid.study.sampling.n_cat)
+    outputs = {output.name: output for output in experiment.outputs if output.name not in grid.study.axes}
+    errors = {error for output in outputs.values() for error in output.errors}
+    variables = {}
+    for name, output in outputs.items():
+        values = np.full((len(grid), *experiment.shape_of(output)), np.nan)
+        values[list(so_far)] = results[name]
+        if name in errors or name.endswith(("_mc_error", "_catalogue_error")):
+            values[np.array(list(so_far))[few]] = np.nan
+        variables[f"{name}{RUNNING}"] = _variable(grid, grid.with_repeats(values), output)
+    done = np.zeros(len(grid), dtype=np.int64)
+    done[list(so_far)] = n
+    meaning = "realisations in what there is so far"
+    variables[f"n_sim_done{RUNNING}"] = _variable(grid, grid.with_repeats(done), Output("n_sim_done", "", meaning))
+    return variables
 
 
 def typed_array(
@@ -92,7 +125,10 @@ def typed_array(
 
 
 def masked(dataset: xr.Dataset) -> xr.Dataset:
-    """Return a dataset as who opens its store has it: integers of which some are missing have NaN there."""
+    """Return a dataset as who opens its store has it: integers of which some are missing have NaN there, and nothing is
+    of points that are not done.
+    """
+    dataset = finished(dataset)
     gaps = {name: variable for name, variable in dataset.data_vars.items() if FILL in variable.encoding}
     return dataset.assign({name: variable.copy(data=with_gaps(variable.values)) for name, variable in gaps.items()})
 

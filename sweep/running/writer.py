@@ -210,8 +210,8 @@ class Writer:
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
         record = {RECORD: recorded(plan.grid.study, plan.costs())}
         self._provenance = provenance(plan.grid.study) | record | kept | dict(further)
-        self._flushed = self._written = time.monotonic()
-        self._write_took = 0.0
+        self._begun = self._flushed = self._written = time.monotonic()
+        self._writing = 0.0
         self._long_write = False
         done = np.flatnonzero(accumulator.status == Status.DONE)
         for start in range(0, len(done), AT_ONCE):
@@ -251,7 +251,10 @@ class Writer:
             self._unflushed = True
             if clock - self._flushed > self._tuning.flush_every_s:
                 self.flush()
-        if clock - self._written > max(self._tuning.write_every_s, self._write_took / self._tuning.write_share):
+        # Early values so far are soon out of date.
+        tuning, elapsed = self._tuning, clock - self._begun
+        every = min(tuning.write_every_s, max(1.0, tuning.early_write * elapsed))
+        if clock - self._written > every and self._writing < tuning.early_writes_s + tuning.write_share * elapsed:
             self.write()
         done = size_of(works, len(ended))
         if result.failures:
@@ -316,7 +319,6 @@ class Writer:
 
     def write(self, final: bool = False) -> "xr.Dataset":
         """Write the labelled dataset of everything taken so far, and return it."""
-        begun = time.monotonic()
         with self._held():
             # imports xarray and pandas while the workers compute; interrupted there, they could not be imported again
             collects = gc.isenabled()
@@ -325,6 +327,7 @@ class Writer:
 
             if collects:
                 gc.enable()
+            begun = time.monotonic()
             self.flush()
         dataset = self.assembled(final)
         tuning = self._tuning
@@ -334,7 +337,7 @@ class Writer:
             if final:
                 self.store.tidy()
         self._written = time.monotonic()
-        self._write_took = self._written - begun
+        self._writing += self._written - begun
         return masked(dataset)
 
     def assembled(self, final: bool = False) -> "xr.Dataset":

@@ -141,8 +141,12 @@ class Folder:
         return False
 
     def delete(self, key: str) -> None:
-        """Remove a file if there is one."""
-        self._at(key).unlink(missing_ok=True)
+        """Remove a file if there is one, and the folder of an array of which nothing is left."""
+        path = self._at(key)
+        path.unlink(missing_ok=True)
+        if "/" in key:
+            with suppress(OSError):
+                path.parent.rmdir()
 
     def clear(self) -> None:
         """Remove all files, and the folder with all its folders if nothing is left in them."""

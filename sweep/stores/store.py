@@ -62,6 +62,11 @@ ATTEMPTS = 20
 FILL = "_FillValue"
 """The attribute of an array that says what is in place of a missing integer or time."""
 
+RUNNING = "(running)"
+"""How the name of an array ends that has the values so far of a result, at points that are begun and not done; no name
+of a result has brackets.
+"""
+
 SINCE = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian"}
 TIMES: Mapping[str, Any] = {**SINCE, "dtype": "int64", FILL: MISSING_INT}
 """The encoding of times, to the last nanosecond."""
@@ -92,8 +97,9 @@ class OpenStore:
         attributes: dict[str, Any] = self.root["attributes"]
         return attributes
 
-    def dataset(self) -> "xr.Dataset":
-        """Return the labelled dataset, in memory, as it was written at one time, whatever a run does meanwhile.
+    def dataset(self, running: bool = False) -> "xr.Dataset":
+        """Return the labelled dataset, in memory, as it was written at one time, whatever a run does meanwhile; with
+        ``running`` it has the arrays `RUNNING`.
 
         Raises SweepError if there is none yet or if it is damaged.
         """
@@ -115,7 +121,7 @@ class OpenStore:
         if not dataset.data_vars:
             words = UNFINISHED if is_new(self.root) else "has no results; `sweep run` the study to go on"
             raise SweepError(words, str(self.location))
-        return dataset
+        return dataset if running else finished(dataset)
 
     def ledger(self) -> Ledger:
         """Return the ledger; raises SweepError that names the damaged files of it."""
@@ -216,8 +222,10 @@ class Store(OpenStore):
             attributes[LEDGER_THEN] = self._ledger.manifest.model_dump_json()
             self.root = integrity.group_document(attributes, documents)
             self.location.put(ROOT, integrity.sealed(self.root, ROOT))
+            # Who reads the last writing may miss values so far, and nothing else: NaN, as if there were none yet.
+            gone |= {f for f in in_use if f"{f.partition('/')[0]}/zarr.json" in gone and f"{RUNNING}/" in f}
             self._delete(gone)
-        self._files = in_use
+        self._files = in_use - gone
 
     def lost(self) -> list[str]:
         """Return those of the files that were written which are not there any more, as after the folder was moved;
@@ -331,12 +339,18 @@ def free_beside(location: Location) -> Location:
     return next(place for place in map(located, names) if place.is_free())
 
 
-def open_dataset(where: Where) -> "xr.Dataset":
-    """Return the labelled dataset of a store, in memory, as it was written at one time, whatever a run does meanwhile.
+def open_dataset(where: Where, running: bool = False) -> "xr.Dataset":
+    """Return the labelled dataset of a store, in memory, as it was written at one time, whatever a run does meanwhile;
+    with ``running`` it has the arrays `RUNNING`.
 
     Raises SweepError unless a linksweep store of this format is there, if there is no dataset yet or it is damaged.
     """
-    return OpenStore(where).dataset()
+    return OpenStore(where).dataset(running)
+
+
+def finished(dataset: "xr.Dataset") -> "xr.Dataset":
+    """Return a dataset without what points that are not done have so far."""
+    return dataset.drop_vars([name for name in dataset.data_vars if str(name).endswith(RUNNING)])
 
 
 def read_root(location: Location) -> dict[str, Any]:
