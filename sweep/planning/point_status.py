@@ -23,13 +23,14 @@ class Status(IntEnum):
 
 
 def count_status(status: Any) -> dict[Status, int]:
-    """Return how many points of an array have each status, zeros included.
+    """Return how many points of an array have each status, zeros included unless none is running.
 
     Examples:
         >>> {code.word: n for code, n in count_status([1, 1, 0]).items()}
-        {'missing': 1, 'done': 2, 'failed': 0, 'excluded': 0, 'running': 0}
+        {'missing': 1, 'done': 2, 'failed': 0, 'excluded': 0}
     """
-    return {code: int(np.count_nonzero(np.asarray(status) == code)) for code in Status}
+    counts = {code: int(np.count_nonzero(np.asarray(status) == code)) for code in Status}
+    return {code: n for code, n in counts.items() if n or code != Status.RUNNING}
 
 
 def unfinished_in_words(counts: Mapping[Status, int]) -> str:
@@ -39,6 +40,5 @@ def unfinished_in_words(counts: Mapping[Status, int]) -> str:
         >>> unfinished_in_words(count_status([1, 1, 0, 2, 2]))
         '1 missing and 2 failed'
     """
-    return " and ".join(
-        f"{counts[code]} {code.word}" for code in (Status.RUNNING, Status.MISSING, Status.FAILED) if counts[code]
-    )
+    undone = (Status.RUNNING, Status.MISSING, Status.FAILED)
+    return " and ".join(f"{counts[code]} {code.word}" for code in undone if counts.get(code))

@@ -85,7 +85,7 @@ def status_report(store: Where) -> dict[str, Any]:
         "complete": bool(np.isin(status, FINISHED if whole else FINISHED[:2]).all()),
         "running": None if (runs := holder(opened.location)) is None else str(runs),
         "last_written": attributes.get("finished"),
-        "points": {code.word: n for code, n in count_status(status).items() if code != Status.RUNNING},
+        "points": {code.word: n for code, n in count_status(status).items()},
         "blocks": len(ledger.rows),
         **({"realisations_done": int(realisations.sum())} if random else {}),
         "axes": by_axis(axes, status, realisations, wanted),

@@ -37,7 +37,7 @@ FEWEST_ACROSS = 40
 # The most of a core that looking takes in the long run, and the longest time between looks for that reason.
 SHARE, LONGEST_S = 0.008, 20.0
 
-MISSING, DONE, FAILED, EXCLUDED = map(int, Status)
+MISSING, DONE, FAILED, EXCLUDED, _ = map(int, Status)
 
 
 class _Points:
