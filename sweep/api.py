@@ -280,11 +280,14 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], o
     reference = reference_in(study) if isinstance(study, str) else None
     if reference is not None or callable(study) or isinstance(study, Experiment):
         return study_of_function(reference or study, **options)  # type: ignore[arg-type]
+    if not isinstance(study, (str, Path, Mapping, Study)):
+        raise SweepError(f"{shown(study)} is neither a function nor a study")
+    loaded = study if isinstance(study, Study) else live_study(study) if isinstance(study, Mapping) else None
+    loaded = load_study(str(study)) if loaded is None else loaded
     if refused := [name for name, value in options.items() if value is not None]:
-        raise SweepError(f"{', '.join(refused)}: allowed only for a function; a study has its own")
-    if isinstance(study, Study):
-        return study
-    return live_study(study) if isinstance(study, Mapping) else load_study(str(study))
+        how = 'load_study("NAME", axes=["x=1,2"], settings=["n_sim=50"]) changes them'
+        raise SweepError(f"{', '.join(refused)}: allowed only for a function; a study has its own; {how}")
+    return loaded
 
 
 def _watching(study: Study, progress: Progress | None) -> AbstractContextManager[Progress]:

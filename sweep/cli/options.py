@@ -19,6 +19,7 @@ from click import Context, Parameter
 from click.shell_completion import CompletionItem
 
 import linksweep
+from linksweep.sweep.executing.pools import MOST_WORKERS
 
 if TYPE_CHECKING:
     from linksweep.sweep.stores.location import Location
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 FILE = click.Path(path_type=Path)
 """The type of the path of a file or folder, which need not exist."""
 
-WORKERS = click.IntRange(1, 4096)
+WORKERS = click.IntRange(1, MOST_WORKERS)
 POSITIVE = click.FloatRange(0.0, min_open=True)
 
 SAMPLING = ("n_sim", "n_cat", "seed", "precision", "max_n_sim", "keep_samples", "common_random_numbers")

@@ -27,6 +27,10 @@ class SweepError(Exception):
         self.where = where
         super().__init__("\n".join(self.problems))
 
+    def __str__(self) -> str:
+        """Return a line for each problem, behind the file or command that it is about."""
+        return "\n".join(f"{self.where}: {problem}" if self.where else problem for problem in self.problems)
+
 
 class _Short(reprlib.Repr):
     """A repr of bounded length and depth, also of integers so large that Python refuses to print them."""

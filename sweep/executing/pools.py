@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 PoolName = Literal["processes", "threads", "serial"]
 
+MOST_WORKERS = 4096
+
 
 class Pool(NamedTuple):
     """A pool in words, the function that opens it as ``module:name``, and whether it has workers."""
@@ -78,14 +80,17 @@ class Resources:
     client: "Client | None" = None
 
     def __post_init__(self) -> None:
-        """Raise SweepError for a pool that is not known, for a dashboard where there can be none, and for a client that
-        cannot be used, or not with the rest.
+        """Raise SweepError for a pool or a number of workers that cannot be, for a dashboard where there can be
+        none, and for a client that cannot be used, or not with the rest.
         """
-        if self.pool in (None, *POOLS) and not self.dashboard and self.client is None:
+        is_number = self.workers is None or (type(self.workers) is int and 1 <= self.workers <= MOST_WORKERS)
+        if is_number and self.pool in (None, *POOLS) and not self.dashboard and self.client is None:
             return
         # Imported here, since it imports NumPy, and the help of a command needs only the names of pools.
         from linksweep.sweep.contract import SweepError, shown, suggest
 
+        if not is_number:
+            raise SweepError(f"workers = {shown(self.workers)}: must be an integer from 1 to {MOST_WORKERS}")
         if self.pool not in (None, *POOLS):
             raise SweepError(f"no pool {shown(self.pool)}{suggest(str(self.pool), list(POOLS))}")
         if self.client is not None:

@@ -77,7 +77,7 @@ class Values:
                     return tuple((key, table_file(folder / path)) for key, path in value)
                 return table_file(folder / value)
             except SweepError as error:  # which does not name the file in its problems
-                raise ValueError(f"{shown(raw)}: {error}") from error
+                raise ValueError(f"{shown(raw)}: {'; '.join(error.problems)}") from error
         return None
 
     def _parameter(self, name: str) -> Parameter:
@@ -164,7 +164,10 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
         return list(spec)
     keys = set(spec) if isinstance(spec, dict) else set()
     if not isinstance(spec, dict) or keys - {"spacing"} not in ({"start", "stop", "step"}, {"start", "stop", "num"}):
-        raise ValueError(f"{shown(spec)}: write a list, {{ start, stop, step }} or {{ start, stop, num, spacing }}")
+        alone = " is a single value: fix it, or" if isinstance(spec, str | int | float) else ":"
+        raise ValueError(
+            f"{shown(spec)}{alone} write a list, {{ start, stop, step }} or {{ start, stop, num, spacing }}"
+        )
     start, stop = number_at("start", spec), number_at("stop", spec)
     exact = whole and isinstance(start, int) and isinstance(stop, int)
     if "step" in spec:

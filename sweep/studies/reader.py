@@ -83,7 +83,7 @@ def study_from_dict(
     ``where``, as `load_study`.
     """
     path = Path.cwd() / f"{name}.toml"
-    return _Reader(dict(document), "", path, where or str(path), Options(), code or Code()).study()
+    return _Reader(dict(document), "", path, str(path) if where is None else where, Options(), code or Code()).study()
 
 
 def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -> Study:
@@ -154,7 +154,7 @@ def live_study(document: Mapping[str, Any]) -> Study:
         raise SweepError(f"{shown(function)} is neither a function nor an Experiment")
     written.setdefault("title", name)
     digest = hashlib.sha256(json.dumps(written, sort_keys=True, default=repr).encode()).hexdigest()
-    return study_from_dict(written, f"{name}-{digest[:8]}", name, Code(afresh=isinstance(function, str)))
+    return study_from_dict(written, f"{name}-{digest[:8]}", "", Code(afresh=isinstance(function, str)))
 
 
 class _Reader:
@@ -443,7 +443,7 @@ def _read_published(form: sections.PublishedForm, values: Values, axes: Collecti
         reader = csv.DictReader((line for _, line in lines), restkey="")
         rows = [(lines[reader.line_num - 1][0], row) for row in reader]
     except SweepError as error:
-        problems.add(where, f"{file} {error}")
+        problems.add(where, f"{file} {'; '.join(error.problems)}")
         return None
     except csv.Error as error:
         problems.add(where, f"{file} is not a CSV table: {error}")

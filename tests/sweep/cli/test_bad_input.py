@@ -100,7 +100,10 @@ STUDIES = {
     "vector too short": (fixed("omega = [1.0, 1.0]"), "omega = [1.0, 1.0]: must be a list of three finite numbers"),
     "vector as axis": (axis("[1]\nomega = [[1, 1, 1]]"), "axes.omega (line 5): a vector cannot be an axis"),
     "empty axis": (axis("[]"), "axes.v_max (line 4): an axis needs at least one value"),
-    "scalar axis": (axis("16.0"), "axes.v_max (line 4): 16.0: write a list, { start, stop, step } or"),
+    "scalar axis": (
+        axis("16.0"),
+        "axes.v_max (line 4): 16.0 is a single value: fix it, or write a list, { start, stop, step } or",
+    ),
     "duplicate value": (axis("[16.0, 17, 16, 17.0]"), "axes.v_max (line 4): duplicate values 16.0, 17.0"),
     "axis and fixed": (fixed("v_max = 16.0"), "fixed.v_max (line 9): is an axis too; leave out one of the two"),
     "zero step": (axis("{ start = 14, stop = 16, step = 0 }"), "step = 0: does not lead from start = 14 to stop ="),
