@@ -30,6 +30,9 @@ CHANCE = 1e-6
 # chi2 over its expectation above which corrections are tried, and at which no further ones are.
 GOOD = 3.0
 
+# How many corrections are tried together with every other one.
+TWICE = 3
+
 # Of more sources, or with larger normal equations, only some sources are examined.
 MOST_SOURCES, MOST_NUMBERS = 2000, 10_000_000
 
@@ -232,6 +235,7 @@ def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio:
         else:
             for part in [*_by_kind(problem, tables), *_by_epoch(problem, tables)]:
                 causes += _causes(problem, part, ratio)
+            causes = causes or list(_two(problem, tables))
     said = likely(causes, 30.0 / max(1, int(np.sum(problem.rows.present))))
     return f"{alone}{said}" if said == UNEXPLAINED else said
 
@@ -290,6 +294,20 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
             all_equal = f"equal ({epochs[0]:g}), but they were measured at different ones"
             single = "wrong in single rows: positions are off along the proper motion"
             yield Cause(f"epochs of {part.words} {all_equal if len(epochs) == 1 else single}", along, 1)
+
+
+def _two(problem: Problem, tables: Sequence[str]) -> Iterator[Cause]:
+    """Yield two mistakes: those whose corrections help most, each with one after whose correction all is well."""
+    trials = [
+        (_ratio(trial), words.format(part.words), trial)
+        for part in _wholes(problem, tables)
+        for words, hides, change in _corrections(problem, part.table)
+        if not hides and (trial := _applied(problem, part, change)) is not None
+    ]
+    for left, words, trial in sorted(trials, key=lambda one: one[0])[:TWICE]:
+        for part in _wholes(trial, tables):
+            seconds = (cause for cause in _causes(trial, part, left) if cause.ratio < GOOD and not cause.hides)
+            yield from (Cause(f"{words}, and {cause.words}", cause.ratio) for cause in seconds)
 
 
 def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Change]]:

@@ -102,7 +102,7 @@ OF_TABLES_ALONE = (
         *("estimate", _UNITS, "solution of the tables as they are, reference - satellite", _EACH),
         *("error_scaled", "error_jackknife", "error_formal"),
     ),
-    _fixed("error_formal", _UNITS, "its formal error", _EACH),
+    _fixed("error_formal", _UNITS, "its formal error, with that of an estimated jitter", _EACH),
     _fixed("error_scaled", _UNITS, "its formal error times sqrt(chi2/dof)", _EACH),
     _fixed("error_jackknife", _UNITS, "its error from the solutions without each source", _EACH),
     Output("chi2_ratio", "", "chi2 of the tables over its average, 1 if errors are right", (), True, nan=True),
@@ -397,6 +397,8 @@ def _as_they_are(design: Design) -> dict[str, Any]:
         return fixed
     estimate = link.solution.estimate / MAS
     errors = {kind: np.sqrt(np.diag(link.covariances[kind])) / MAS for kind in KINDS}
+    if link.noise is not None:
+        errors["formal"] = np.sqrt(np.diag(link.covariances["estimated"])) / MAS
     power = powers(unknowns, link.solution.estimate, link.solution.covariance)
     return fixed | {
         "n_kept": np.sum((link.clipped.factors > 0.0) & (link.count > 0)),

@@ -27,7 +27,7 @@ from linksweep.core.tie.astrometry import (
     positive_definite,
     with_variance,
 )
-from linksweep.core.tie.forecast import releases_at
+from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tables.columns import (
@@ -462,6 +462,10 @@ def _epochs(read: Columns, options: TableOptions) -> Array:
             epoch = HIPPARCOS_EPOCH
         elif read.has("ra"):
             said = "no column ref_epoch; give the epochs in one, or with --satellite-epoch or --reference-epoch"
+            if read.has("source_id"):
+                said += (
+                    f" ({', '.join(f'{name} is of {one.epoch:g}' for name, one in RELEASES.items() if name < 'dr5')})"
+                )
             read.problems.append(f"{said}, or say of quasars --extragalactic satellite or --extragalactic reference")
     return np.full(len(read), np.nan if epoch is None else epoch)
 

@@ -203,6 +203,24 @@ def test_a_mistake_is_named(tmp_path, mistake, n, seed):
     assert any(re.search(words, note) for note in found), found
 
 
+PAIRS = [
+    ("mu_alpha", "a quarter year late there"),
+    ("motions exchanged", "motions in arcsec there"),
+    ("one motion reversed", "half a year early there"),
+    ("mu_alpha there", "motions exchanged"),
+]
+
+
+@pytest.mark.parametrize("pair", [PAIRS[0], *map(slow, PAIRS[1:])])
+def test_two_mistakes_at_once_are_both_named(tmp_path, pair):
+    tables = dict(zip(("satellite", "reference"), sky(12, 3), strict=True))
+    for mistake in pair:
+        side, change, _ = MISTAKES[mistake]
+        change(tables[side], np.random.default_rng(1))
+    found = solved(tmp_path, **tables)
+    assert all(re.search(MISTAKES[mistake][2], found[0]) for mistake in pair), found
+
+
 @pytest.mark.parametrize(("n", "seed"), [(5, 1), slow(20, 2), slow(60, 3)])
 def test_a_sky_without_a_mistake_is_not_suspected(tmp_path, n, seed):
     satellite, reference = sky(n, seed)
