@@ -401,7 +401,10 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     state = f"running, {report['running']}" if report["running"] else "stopped" if unfinished else "finished"
     failed = f", {points['failed']:,} failed" if points["failed"] else ""
     group.print_styled(report["title"], bold=True)
-    group.print_wrapped(f"{state}: {points['done']:,} of {counted(total, 'point')}{part} done{failed}")
+    rows = next(iter(report["axes"].values()), [])
+    done, wanted = (sum(row[key] for row in rows) for key in ("realisations_done", "realisations"))
+    share = f", {100 * done // wanted} % of the realisations" if unfinished and "realisations_done" in report else ""
+    group.print_wrapped(f"{state}: {points['done']:,} of {counted(total, 'point')}{part} done{failed}{share}")
     for key in ("note", "lost_parts"):
         if key in report:
             group.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")
