@@ -1,18 +1,23 @@
 """The answer to a study's question in words: its conclusion with values, and sentences about any results."""
 
+from __future__ import annotations  # names of xarray, which is imported only where it computes
+
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from string import Formatter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import compare, quantity
 from linksweep.sweep.contract import Array, SweepError
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.study import POINT, Conclusion, ConclusionValue
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 CONCLUSION = "conclusion"  # the attribute of a dataset that holds the conclusion of its study, as JSON
 PLUS_MINUS = " ± "  # between a value and its error in a sentence
@@ -59,15 +64,13 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
     """
     made: list[Answer] = []
     dataset = quantity.without_running(dataset)
-    if not (dataset["status"] == Status.DONE).any():
+    if not (dataset["status"].values == Status.DONE).any():
         return made
     first = said_first(dataset)
     for variable in dict.fromkeys([*first, *quantity.headlines(dataset)]):
-        meaning, values = (
-            formatting.meaning_beside(variable, dataset[variable].attrs),
-            dataset[variable].astype(float, copy=False),
-        )
-        if made and variable not in first and values.size > 1 and values.min() == values.max():
+        meaning = formatting.meaning_beside(variable, dataset[variable].attrs)
+        values = dataset[variable].values.astype(float, copy=False)
+        if made and variable not in first and values.size > 1 and _least(values) == _largest(values):
             continue  # a number that is the same everywhere answers nothing
         if errors := quantity.errors_beside(dataset, variable):
             made.append(Answer(variable, meaning, [_with_errors(dataset, variable, errors)]))
@@ -81,7 +84,7 @@ def completeness(dataset: xr.Dataset) -> list[str]:
     """Return sentences about what these results lack; none if every point of the study is done."""
     if not (words := quantity.lacking(dataset)):
         return []
-    some = bool((dataset["status"] == Status.DONE).any())
+    some = bool((dataset["status"].values == Status.DONE).any())
     return [f"Incomplete: {words}." + (" What follows is about those that are done." if some else "")]
 
 
@@ -97,8 +100,8 @@ def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, 
         dims = []
     for place in quantity.places_along(dataset, dims):
         part = dataset.isel(place)
-        labels = [str(part[d].item()) if d in part.coords else str(i) for d, i in place.items()]
-        units = [str(part[f"{d}_unit"].item()) for d in dims if f"{d}_unit" in part.coords]
+        labels = [str(part[d].values.item()) if d in part.coords else str(i) for d, i in place.items()]
+        units = [str(part[f"{d}_unit"].values.item()) for d in dims if f"{d}_unit" in part.coords]
         each = units[0] if "," in unit and len(units) == 1 else unit
         yield f"{variable} ({', '.join(labels)})" if dims else variable, each, part
 
@@ -128,26 +131,29 @@ def _range_of(values: Array, unit: str) -> str:
 
 def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     """Yield sentences about a variable in a unit."""
-    array, error = part[variable].transpose(*part["status"].dims, ...), quantity.standard_error(part, variable)
-    known = np.isfinite(array.astype(float, copy=False))
+    axes, own = quantity.axes_of(part), quantity.own_dimensions(part, variable)
+    array, error = part[variable].transpose(*axes, *own), quantity.standard_error(part, variable)
+    values = array.values.astype(float, copy=False)
+    known = np.isfinite(values)
     if not known.any():
         yield NOTHING_YET
         return
     if formatting.is_truth(array):
         points = formatting.counted(int(known.sum()), "point")
-        yield f"It is True at {int(array.where(known).sum()):,} of {points}."
+        yield f"It is True at {int(values[known].sum()):,} of {points}."
         return
-    errors = xr.zeros_like(array, dtype=float) if error is None else error.transpose(*array.dims)
+    errors = np.zeros(values.shape) if error is None else error.transpose(*axes, *own).values
     yield _range(part, array, errors, unit)
-    if array.ndim > part["status"].ndim:
+    if own:
         return
-    status, values = part["status"].transpose(*array.dims), array.astype(float, copy=False).where(known)
-    if not status.isin([Status.MISSING, Status.FAILED]).any():
-        yield from _what_changes_it(values)
+    status, values = part["status"].values, np.where(known, values, np.nan)
+    if not np.isin(status, [Status.MISSING, Status.FAILED]).any():
+        yield from _what_changes_it(axes, values)
     for words in quantity.unknown_parts(part, variable):
         sentence = words.removeprefix(f"{variable}: ")
         yield f"{sentence[0].upper()}{sentence[1:]}."
-    if (predicted := part.get(quantity.prediction_name(part, variable))) is not None:
+    if (prediction := quantity.prediction_name(part, variable)) in part:
+        predicted = part[prediction].transpose(*axes).values
         whole_name, errors_alone = (f"{variable}_{suffix}" for suffix in quantity.PREDICTION_SUFFIXES)
         without_bias = whole_name not in part and errors_alone in part and "bias" in part
         yield from _agreement(values, errors, predicted, ", which leaves a bias out" if without_bias else "")
@@ -155,8 +161,8 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
         yield f"It is not a finite number at {formatting.counted(infinite, 'point')}."
 
 
-def _range(part: xr.Dataset, array: xr.DataArray, errors: xr.DataArray, unit: str) -> str:
-    values, sigmas = quantity.exact(array.values).reshape(-1), errors.values.reshape(-1)  # integers are exact
+def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> str:
+    values, sigmas = quantity.exact(array.values).reshape(-1), errors.reshape(-1)  # integers are exact
     known = np.flatnonzero(np.isfinite(values.astype(float, copy=False)))
     low, high = (known[end(values[known])] for end in (np.argmin, np.argmax))
     number = [formatting.with_unit(values[flat].item(), float(sigmas[flat]), unit) for flat in (low, high)]
@@ -165,32 +171,41 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: xr.DataArray, unit: st
     indices = (map(int, np.unravel_index(flat, array.shape)) for flat in (low, high))
     places = [quantity.place_at(part, dict(zip(map(str, array.dims), i, strict=True))) for i in indices]
     least, largest = map(quantity.place_in_words, places)
-    points = formatting.counted(len(known), "point" if array.ndim == part["status"].ndim else "value")
+    points = formatting.counted(len(known), "point" if len(array.dims) == len(part["status"].dims) else "value")
     if values[low] == values[high]:
         return f"It is {number[0]} at {points if len(known) > 1 else least}."
     return f"It is between {number[0]} ({least}) and {number[1]} ({largest}), over {points}."
 
 
-def _what_changes_it(values: xr.DataArray) -> Iterator[str]:
+def _least(values: Array) -> Any:
+    return np.fmin.reduce(values, axis=None)  # but for NaN, as the next one
+
+
+def _largest(values: Array) -> Any:
+    return np.fmax.reduce(values, axis=None)
+
+
+def _what_changes_it(axes: list[str], values: Array) -> Iterator[str]:
     """Yield by what factor a quantity above 0 changes at most along each axis, all else being equal."""
-    if not values.min() > 0.0:
+    if not _least(values) > 0.0:
         return
-    axes = [str(d) for d in values.dims if d != POINT]  # points differ in several parameters at once
-    factors = {d: float((values.max(d) / values.min(d)).max()) for d in axes}
-    order = sorted((d for d in axes if factors[d] >= VISIBLE_FACTOR), key=lambda d: -factors[d])
+    factors = {d: _largest(np.fmax.reduce(values, axis) / np.fmin.reduce(values, axis)) for axis, d in enumerate(axes)}
+    factors.pop(POINT, None)  # points differ in several parameters at once
+    order = sorted((d for d in factors if factors[d] >= VISIBLE_FACTOR), key=lambda d: -factors[d])
     words = [f"{d} by a factor of up to {formatting.in_short(factors[d])}" for d in order]
     if words:
         yield f"What changes it: {', '.join(words)}{', all else being equal' if values.ndim > 1 else ''}."
 
 
-def _agreement(values: xr.DataArray, errors: xr.DataArray, predicted: xr.DataArray, left_out: str) -> Iterator[str]:
-    apart, relative = abs(values - predicted), abs(values / predicted.where(predicted != 0.0) - 1.0)
-    if (farthest := float(relative.max())) < ROUNDING:
+def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) -> Iterator[str]:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.abs(values / np.where(predicted == 0.0, np.nan, predicted) - 1.0)
+        deviations = np.where(np.isnan(relative), np.nan, np.abs(values - predicted) / errors)
+    if (farthest := _largest(relative)) < ROUNDING:
         yield f"It equals its prediction{left_out}, except for rounding."
     elif math.isfinite(farthest):
-        deviations = (apart / errors).where(relative.notnull())
         text = f"It differs from its prediction{left_out} by at most {100.0 * farthest:.2g} %"
-        if math.isfinite(largest := float(deviations.max())):
+        if math.isfinite(largest := _largest(deviations)):
             text += f" and {largest:.1f} of its errors"
         if far := int((deviations > ERRORS_ALLOWED).sum()):
             text += f", at {formatting.counted(far, 'point')} by more than {ERRORS_ALLOWED:g} of them"

@@ -5,14 +5,15 @@ printed digit plus three times our own Monte-Carlo error.  The error of the publ
 Monte Carlo too, is not printed anywhere and not allowed for.
 """
 
+from __future__ import annotations  # names of xarray, which is imported only where it computes
+
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
-import xarray as xr
 
 from linksweep.sweep.analysis import fits, laws, quantity
 from linksweep.sweep.contract import SweepError
@@ -20,6 +21,9 @@ from linksweep.sweep.formatting import finite_or, in_ascii, prefixed, rounded, t
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.study import Derived, Ratio, Reading, Slope, printed_rounding
 from linksweep.sweep.table_writer import Column, Table
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
@@ -113,7 +117,7 @@ def _values(dataset: xr.Dataset, name: str, fixed: Mapping[str, int]) -> Iterato
     """Yield index and number of every point at which some axes are fixed."""
     part = dataset.isel(fixed)
     dims, error = part["status"].dims, quantity.standard_error(part, name)
-    arrays = (part["status"], part[name], xr.zeros_like(part["status"], dtype=float) if error is None else error)
+    arrays = (part["status"], part[name], 0.0 * part["status"] if error is None else error)
     columns = (array.broadcast_like(part["status"]).transpose(*dims).values.reshape(-1).tolist() for array in arrays)
     for place, status, value, sigma in zip(quantity.places_along(part, dims), *columns, strict=True):
         index = {**fixed, **place}

@@ -6,16 +6,17 @@ two points a value or a crossing is interpolated: linearly in the logarithm of t
 in that of the axis if all its values are above 0 and its unit is not logarithmic already, as magnitudes are.
 """
 
+from __future__ import annotations  # names of xarray, which is imported only where it computes
+
 import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.analysis import fits, quantity
@@ -26,6 +27,9 @@ from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, uni
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 LEVELLING_POINTS = 4  # the fewest for the levelling law, which has three parameters
 DEVIATION_ALLOWED = 3.0  # an exponent may deviate from the expected one by this many of its errors
@@ -197,7 +201,7 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
         status_of = status_of.where(~(dataset[ragged] >= dataset[variable + LENGTH]), int(Status.EXCLUDED))
     x, status = dataset[over].values[order].astype(float), rows(status_of, dimension)
     value = rows(dataset[variable].astype(float), dimension)  # integers too: errors may be NaN
-    none = xr.full_like(dataset[variable], np.nan, dtype=float)
+    none = np.nan * dataset[variable].astype(float)
     errors = rows(none if error is None else error, dimension) if covariance is None else rows(covariance, *pair)
     made = []
     for number, (index, unit) in enumerate(
@@ -207,6 +211,8 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
         spread = errors[number][used] if covariance is None else errors[number][np.ix_(used, used)]
         made.append(Line(index, unit, x[used], value[number, used], spread, status[number, used], samples))
     along = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(others)}
+    import xarray as xr
+
     grid = xr.Dataset(
         coords=along | {d: dataset[d].variable for d in others}, attrs={"title": str(dataset.attrs.get("title", ""))}
     )
@@ -597,7 +603,7 @@ def interpolate(
     of_error = described(units_of(attributes), f"one-sigma error of {variable}")
     return (
         made.grid.drop_attrs(deep=False)
-        .assign_coords({over: xr.Variable((), at, dataset[over].attrs)})
+        .assign_coords({over: ((), at, dataset[over].attrs)})
         .assign({variable: (made.dims, rows[0], attributes), f"{variable}_mc_error": (made.dims, rows[1], of_error)})
     )
 

@@ -3,13 +3,14 @@
 Everything that looks at results asks here, so that tables, laws, figures and pages agree about what belongs together.
 """
 
+from __future__ import annotations  # names of xarray, which is imported only where it computes
+
 import json
 from collections.abc import Collection, Container, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
@@ -20,6 +21,9 @@ from linksweep.sweep.stores.store import RUNNING, finished
 from linksweep.sweep.studies.part import LOST
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import POINT, POINT_TABLE, Claim
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 COUNTS = ("status", "n_sim_done", "code")  # integer variables of every dataset that are not results
 
@@ -70,7 +74,13 @@ def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
     """Return those of some variables that have a value at any point, or all if none has one: a link that does not
     solve for the spin, for example, has no error of it.
     """
-    return [name for name in names if bool(dataset[name].notnull().any())] or list(names)
+    return [name for name in names if is_known(dataset[name].values).any()] or list(names)
+
+
+def is_known(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return where values of any type are not missing: NaN and NaT differ from themselves."""
+    known: NDArray[np.bool_] = np.equal(values, values)
+    return known
 
 
 def headlines(dataset: xr.Dataset) -> list[str]:
@@ -106,9 +116,10 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
     parts = [dataset[f"{variable}_{s}"] for s in ERROR_SUFFIXES if f"{variable}_{s}" in dataset]
     if not parts:
         return None
-    squares: xr.DataArray = sum((part.fillna(0.0) ** 2 for part in parts[1:]), parts[0].fillna(0.0) ** 2)
-    known: xr.DataArray = sum((part.notnull() for part in parts[1:]), parts[0].notnull())
-    return (squares**0.5).where(known)
+    values = np.array([part.transpose(*parts[0].dims).values for part in parts])
+    known = is_known(values)
+    squares = np.sum(np.where(known, values, 0.0) ** 2, axis=0)
+    return parts[0].copy(data=np.where(known.any(axis=0), np.sqrt(squares), np.nan))
 
 
 def errors_beside(dataset: xr.Dataset, variable: str) -> list[str]:
@@ -126,14 +137,15 @@ def unknown_parts(dataset: xr.Dataset, variable: str, status: Status = Status.DO
     """Return a sentence for every part of the error of a variable that is not known at points that are done, or that
     have another ``status``.
     """
-    done = dataset["status"] == status
+    done, axes = dataset["status"].values == status, axes_of(dataset)
     draw = outer_draw_of(dataset.attrs)
     words = {"mc_error": "its Monte-Carlo error", "catalogue_error": f"the choice of {draw}s"}
     needed = "more realisations" if FUNCTION in dataset.attrs else f"{FEWEST_SAMPLES} {draw}s"
     return [
         f"{variable}: {words[suffix]} is not in the error, as {needed} are needed to know it"
         for suffix in ERROR_SUFFIXES
-        if f"{variable}_{suffix}" in dataset and bool((dataset[f"{variable}_{suffix}"].isnull() & done).any())
+        if (name := f"{variable}_{suffix}") in dataset
+        and not is_known(dataset[name].transpose(*axes, *own_dimensions(dataset, name)).values[done]).all()
     ]
 
 
@@ -192,8 +204,9 @@ def error_of_sum(
         return None
     (first, second), differing = weights, [d for d in one if one[d] != other[d]]
     if not differing:
-        return xr.DataArray(abs(first + second) * errors[0])
-    variance = xr.DataArray((first * errors[0]) ** 2 + (second * errors[1]) ** 2)
+        summed: xr.DataArray = abs(first + second) * errors[0]
+        return summed
+    variance: xr.DataArray = (first * errors[0]) ** 2 + (second * errors[1]) ** 2
     covariance = covariance_along(dataset, variable, differing[0]) if len(differing) == 1 else None
     if covariance is not None:
         (dimension,) = differing
@@ -202,10 +215,10 @@ def error_of_sum(
         part = {(a, b): pair.isel({dimension: a, f"{dimension}_other": b}, drop=True) for a in (i, j) for b in (i, j)}
         variance = first**2 * part[i, i] + second**2 * part[j, j] + 2.0 * first * second * part[i, j]
         factor = float(small_sample_factor(samples_along(dataset, dimension, covariance)))
-        variance = xr.DataArray(variance * factor).clip(min=0.0)
+        variance = (variance * factor).clip(min=0.0)
     elif shares_random_numbers(dataset, differing):
-        variance = xr.full_like(variance, np.nan)
-    return xr.DataArray(variance**0.5)
+        variance = np.nan * variance
+    return variance**0.5
 
 
 # Axes and places
@@ -295,7 +308,7 @@ def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
     for dimension in (d for d in dict.fromkeys([*axes_of(dataset), *index]) if d in index):
         names = dict.fromkeys([dimension, *map(str, dataset.coords)])
         along = [n for n in names if n in dataset.coords and dataset[n].dims == (dimension,)]
-        places |= {name: dataset[name][index[dimension]].item() for name in along}
+        places |= {name: dataset[name].values[[index[dimension]]].item() for name in along}
     return places
 
 
@@ -391,14 +404,15 @@ def with_running(dataset: xr.Dataset) -> xr.Dataset:
     merged = {n: so_far[n].where(begun, dataset[n]).assign_attrs(dataset[n].attrs) for n in so_far}
     flags = {"flag_values": list(map(int, Status)), "flag_meanings": " ".join(code.word for code in Status)}
     merged["status"] = status.assign_attrs(dataset["status"].attrs | flags)
-    return finished(dataset).assign(merged).assign_attrs(running=int(begun.sum()))
+    done: xr.Dataset = finished(dataset)
+    return done.assign(merged).assign_attrs(running=int(begun.sum()))
 
 
 def without_running(dataset: xr.Dataset) -> xr.Dataset:
     """Return results whose points that are running count as missing: conclusions are about those that are done."""
-    running = dataset["status"] == Status.RUNNING
-    if not running.any():
+    if not (dataset["status"].values == Status.RUNNING).any():
         return dataset
+    running = dataset["status"] == Status.RUNNING
     axes = set(running.dims)
     floats = {n: v.where(~running) for n, v in dataset.data_vars.items() if v.dtype.kind == "f" and axes <= set(v.dims)}
     names = [n for n in floats if not str(n).endswith(("_published", "_published_rounding"))]
@@ -408,9 +422,10 @@ def without_running(dataset: xr.Dataset) -> xr.Dataset:
 
 def so_far_in_words(dataset: xr.Dataset) -> str:
     """Return how many realisations running points have, '' where there are none."""
-    done = dataset["n_sim_done"].where(dataset["status"] == Status.RUNNING) if "n_sim_done" in dataset else None
-    if done is None or not done.notnull().any():
+    running = dataset["status"].values == Status.RUNNING
+    if "n_sim_done" not in dataset or not running.any():
         return ""
+    done = dataset["n_sim_done"].values[running]
     ends = dict.fromkeys(f"{int(end):,}" for end in (done.min(), done.max()))
     whole = dataset.attrs.get("n_sim", 0) * dataset.attrs.get("n_cat", 1)
     of_all = f" of {whole:,}" if whole and not dataset.attrs.get("precision") else ""
@@ -420,6 +435,7 @@ def so_far_in_words(dataset: xr.Dataset) -> str:
 def lacking(dataset: xr.Dataset) -> str:
     """Return in words what these results lack; '' if every point of the study, or of the part that was chosen, is done.
 
+    >>> import xarray as xr
     >>> lacking(xr.Dataset({"status": ("x", [1, 1, 2])}))
     '2 of 3 points are done, 1 failed'
     """
@@ -447,28 +463,29 @@ def exact(values: NDArray[Any]) -> NDArray[Any]:
     return values if values.dtype.kind in "biu" else values.astype(float, copy=False)
 
 
-def listed(dataset: xr.Dataset, name: str, dimensions: Sequence[str], rows: Any = slice(None)) -> list[Any]:
-    """Return a variable as Python objects, one for each combination along some dimensions in C order, or for the
-    ``rows`` among them: an array where the variable has further dimensions, as long as it is at that place, NaN where
-    an integer or a truth value is missing, times as texts.
+def listed(
+    dataset: xr.Dataset, name: str | xr.DataArray, dimensions: Sequence[str], rows: Any = slice(None)
+) -> list[Any]:
+    """Return a variable, or an array of the same dataset, as Python objects, one for each combination along some
+    dimensions in C order, or for the ``rows`` among them: an array where the variable has further dimensions, as long
+    as it is at that place, NaN where an integer or a truth value is missing, times as texts.
     """
-    variable = dataset[name].variable
-    values = variable.values
+    variable = dataset[name] if isinstance(name, str) else name
+    further = [str(d) for d in variable.dims if d not in dimensions]
+    values = variable.transpose(*(d for d in dimensions if d in variable.dims), *further).values
     if is_truth(variable) and values.dtype.kind == "f":
         values = np.where(np.isnan(values), np.nan, values.astype(bool).astype(object))
     elif values.dtype.kind == "M":
         values = np.where(np.isnat(values), "", np.datetime_as_string(values, unit="auto").astype(object))
-    further = [d for d in variable.dims if d not in dimensions]
-    shape = {d: dataset.sizes[d] for d in dimensions} | {d: variable.sizes[d] for d in further}
-    whole: xr.Variable = xr.Variable(variable.dims, values).set_dims(shape)  # type: ignore[no-untyped-call]
-    whole = whole.transpose(*dimensions, *further)
-    chosen = whole.values.reshape(-1, *(shape[d] for d in further))[rows]
+    shape, rest = [dataset.sizes[d] for d in dimensions], values.shape[values.ndim - len(further) :]
+    own = [n if d in variable.dims else 1 for d, n in zip(dimensions, shape, strict=True)]
+    chosen = np.broadcast_to(values.reshape((*own, *rest)), (*shape, *rest)).reshape((-1, *rest))[rows]
     if not further:
         return list(chosen.tolist())
     if (ragged := variable.attrs.get(RAGGED)) not in further:
         return list(chosen)  # objects for each number of an image would take gigabytes
     before = (slice(None),) * further.index(ragged)
-    lengths = np.nan_to_num(listed(dataset, name + LENGTH, dimensions, rows)).astype(int)
+    lengths = np.nan_to_num(listed(dataset, f"{name}{LENGTH}", dimensions, rows)).astype(int)
     return [values[(*before, slice(length))] for values, length in zip(chosen, lengths, strict=True)]
 
 
@@ -484,7 +501,7 @@ def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
     """
     if "status" not in dataset:
         return dataset
-    names, changed, label_unit = quantities(dataset), dict[str, xr.DataArray](), dict[str, Any]()
+    names, changed, label_unit = quantities(dataset), dict[str, Any](), dict[str, Any]()
     labels = [str(n) for n in dataset.coords if str(n).endswith("_unit") and not dataset[n].dims]
     label = next((n for n in labels if n.removesuffix("_unit") in dataset.coords), "")
     declared = {error for name in names for error in errors_beside(dataset, name)}
@@ -504,6 +521,8 @@ def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
         factors |= {n: (chosen.factor**2, f"({chosen.unit})2") for n in squares if n in dataset}
         for other, (factor, new) in factors.items() if chosen.factor != 1.0 else ():
             array = dataset[other]
-            changed[other] = (array * factor).transpose(*array.dims).assign_attrs(array.attrs | {"units": new})
+            changed[other] = scaled = array.copy(data=array.values * factor)
+            scaled.attrs["units"] = new
     units = {name: dataset[name].copy(data=chosen.unit) for name, chosen in label_unit.items()}
-    return dataset.assign(changed).assign_coords(units)
+    dataset = dataset.assign(changed)
+    return dataset.assign_coords(units) if units else dataset

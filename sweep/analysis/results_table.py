@@ -1,19 +1,23 @@
 """Tables of the results of a study: the headline results for reading, and one row per point for programs."""
 
+from __future__ import annotations  # names of xarray, which is imported only where it computes
+
 import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.table_writer import Column, Table
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 MOST_ROWS = 200  # for reading: formatting a hundred thousand would take longer than computing them
 VISIBLE_BIAS = 1e-3  # the parts of a prediction are shown if the bias increases it by a larger fraction
@@ -90,7 +94,7 @@ def _columns_of(dataset: xr.Dataset, columns: dict[str, Column], name: str, rows
     error = quantity.standard_error(dataset, name)
     errors = [0.0] * len(rows)
     if error is not None:
-        errors = quantity.listed(error.to_dataset(name=name), name, quantity.axes_of(dataset), rows)
+        errors = quantity.listed(dataset, error, quantity.axes_of(dataset), rows)
 
     def beside(heading: str, values: Sequence[Any], rank: int, to: Sequence[float]) -> Column:
         return Column(heading, values, list(map(formatting.rounded, values, to)), main.unit, rank=rank)
@@ -116,8 +120,9 @@ def _is_exact(dataset: xr.Dataset, name: str) -> bool:
     """Return whether a result is equal to all its published values, of which there are some."""
     if f"{name}_published" not in dataset:
         return False
-    published = dataset[f"{name}_published"]
-    return bool(published.notnull().any() and ((dataset[name] == published) | published.isnull()).all())
+    ours, published = dataset[name].values, dataset[f"{name}_published"].values
+    known = quantity.is_known(published)
+    return bool(known.any() and np.array_equal(ours[known], published[known]))
 
 
 def _span(values: Any) -> str:
@@ -164,7 +169,7 @@ def warnings_of(dataset: xr.Dataset) -> list[str]:
 
 def rows_left_out(dataset: xr.Dataset, most: int = MOST_ROWS) -> int:
     """Return how many points a table of the first ``most`` leaves out."""
-    return max(0, int((dataset["status"] != Status.EXCLUDED).sum()) - most)
+    return max(0, int(np.count_nonzero(dataset["status"].values != Status.EXCLUDED)) - most)
 
 
 def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> list[Table]:
@@ -223,9 +228,9 @@ def _conditions(dataset: xr.Dataset) -> NDArray[np.float64]:
     """Return the condition number of each point (n,) in C order, -1 where it is not done or has none."""
     if CONDITION not in dataset:
         return np.full(dataset["status"].size, -1.0)
-    done = dataset["status"] == Status.DONE
-    known = dataset[CONDITION].where(done).fillna(-1.0).transpose(*done.dims)
-    return np.asarray(known.values.reshape(-1))
+    known = dataset[CONDITION].transpose(*dataset["status"].dims).values
+    done = quantity.is_known(known) & (dataset["status"].values == Status.DONE)
+    return np.where(done, known, -1.0).reshape(-1)
 
 
 def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:

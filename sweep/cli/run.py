@@ -206,18 +206,20 @@ def run_with_progress(
     why points failed.  The fields of `Beside` say what becomes of other points of the store.  An interruption ends the
     command.
     """
-    from linksweep.sweep.analysis.answer import answer_in_short
+    from linksweep.sweep.analysis.answer import CONCLUSION, answer_in_short
     from linksweep.sweep.interrupt import RunInterruptedError
     from linksweep.sweep.running.beside import Beside
     from linksweep.sweep.running.progress import TerminalProgress
-    from linksweep.sweep.running.run import run_study
+    from linksweep.sweep.running.run import run_labelled
     from linksweep.sweep.stores.location import short_name
 
     bar = not how.watching.quiet
     with group.a_signal_ends_the_command(), _logged(how.watching), TerminalProgress(study, bar) as progress:
         try:
             rest = how.break_lock, how.accept_code, fresh, how.max_failures
-            dataset, failures = run_study(study, store, how.resources, progress, retry, *rest, beside=Beside(**beside))
+            dataset, failures = run_labelled(
+                study, store, how.resources, progress, retry, *rest, beside=Beside(**beside)
+            )
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             group.end_stopped(stop.signal)
@@ -229,7 +231,9 @@ def run_with_progress(
         looks = () if how.as_json is None or study.part else ("plot", "report")
         progress.finish(failures, store, [f"sweep {look} {short_name(store)}" for look in looks])
     if readable:
-        for sentence in answer_in_short(dataset):
+        # A conclusion compares, which xarray does.
+        whole: Any = dataset.to_xarray() if CONCLUSION in dataset.attrs else dataset
+        for sentence in answer_in_short(whole):
             group.print_wrapped(sentence)
     return failures
 

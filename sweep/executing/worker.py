@@ -49,8 +49,8 @@ IMPORTS_S = 30.0
 # Points of a process's first call of a vectorised function for more than these that are also computed alone.
 CHECKED = 3
 
-# Seconds of a first call after which there is no second one.
-LONGEST_S = 1.0
+# Seconds of a first call after which there is no second one: in each process it delays all that follows.
+LONGEST_S = 0.2
 
 WHAT_TO_DO = (
     "A function that draws random numbers takes them from its argument rng; one whose results need not be the same "

@@ -107,7 +107,7 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
         _fail(store, accumulator, failed)
         if part and (lost := lost_parts(plan, accumulator.status, store.rows, part.total)):
             told[LOST] = f"{in_ranges(lost)} of {part.total}"
-        return Writer(accumulator, store, further=told).write(final=True)
+        return Writer(accumulator, store, further=told).write(final=True).to_xarray()
 
 
 def require_free(place: Location, study: Study, about: Sequence[Mapping[str, Any]]) -> None:

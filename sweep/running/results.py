@@ -3,12 +3,12 @@
 import json
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, SweepError
@@ -22,10 +22,101 @@ from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.stores.store import FILL, RUNNING, dask_arrays_only_where_imported, finished, with_gaps
 from linksweep.sweep.studies.study import POINT, printed_rounding
 
-dask_arrays_only_where_imported()  # before the first dataset is made here; `decode` does so before one is read
+if TYPE_CHECKING:
+    import xarray as xr
 
 
-def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
+@dataclass
+class Variable:
+    """An array with the names of its dimensions and what is to be said about it."""
+
+    dims: tuple[str, ...]
+    values: NDArray[Any]
+    attrs: dict[str, Any] = field(default_factory=dict)
+    encoding: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of the values."""
+        return self.values.dtype
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The length along each dimension."""
+        return self.values.shape
+
+    @property
+    def size(self) -> int:
+        """The number of values."""
+        return self.values.size
+
+    def copy(self, data: NDArray[Any]) -> "Variable":
+        """Return an array with other values."""
+        return replace(self, values=data, attrs=dict(self.attrs))
+
+    def transpose(self, *dims: str) -> "Variable":
+        """Return the array with its dimensions in another order."""
+        return replace(self, dims=dims, values=self.values.transpose([self.dims.index(dim) for dim in dims]))
+
+
+@dataclass
+class Labelled:
+    """The results of a study, with the parts and the names that they have in xarray.
+
+    Who only writes them or prints a table and an answer needs no more: importing xarray, and pandas with it, takes
+    longer than all the rest of a small run.
+    """
+
+    data_vars: dict[str, Variable]
+    coords: dict[str, Variable]
+    attrs: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def variables(self) -> dict[str, Variable]:
+        """All arrays by name."""
+        return self.data_vars | self.coords
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """The length of each dimension."""
+        return {d: n for one in self.variables.values() for d, n in zip(one.dims, one.shape, strict=True)}
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.variables
+
+    def __getitem__(self, name: str) -> Variable:
+        return self.variables[name] if name in self else Variable((name,), np.arange(self.sizes[name]))
+
+    def assign(self, variables: Mapping[str, Variable]) -> "Labelled":
+        """Return the results with more variables, or others in their place."""
+        return replace(self, data_vars={**self.data_vars, **variables})
+
+    def drop_vars(self, names: Collection[str]) -> "Labelled":
+        """Return the results without some variables."""
+        return replace(self, data_vars={n: one for n, one in self.data_vars.items() if n not in names})
+
+    def isel(self, place: Mapping[str, int] | Mapping[str, slice]) -> "Labelled":
+        """Return the part at an index along some dimensions, which these then lack, or at a slice."""
+
+        def part(one: Variable) -> Variable:
+            index = tuple(place.get(dim, slice(None)) for dim in one.dims)
+            dims = tuple(dim for dim, at in zip(one.dims, index, strict=True) if isinstance(at, slice))
+            return replace(one, dims=dims, values=np.asarray(one.values[index]))
+
+        data_vars, coords = ({n: part(one) for n, one in some.items()} for some in (self.data_vars, self.coords))
+        return Labelled(data_vars, coords, self.attrs)
+
+    def to_xarray(self) -> "xr.Dataset":
+        """Return the dataset that xarray has of them."""
+        import xarray as xr
+
+        dask_arrays_only_where_imported()
+        parts = self.data_vars, self.coords
+        data_vars, coords = ({n: tuple(vars(one).values()) for n, one in part.items()} for part in parts)
+        return xr.Dataset(data_vars, coords, self.attrs)
+
+
+def assemble(plan: Plan, accumulator: Accumulator) -> Labelled:
     """Return the dataset of a plan from what its accumulator holds, as it is stored.
 
     A point has values when all its blocks are there; all others are missing (`typed_array`) with a ``status`` that says
@@ -37,7 +128,7 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
     experiment = study.experiment
     status, realisations = grid.with_repeats(accumulator.status), grid.with_repeats(accumulator.realisations)
     done = status == Status.DONE
-    variables: dict[str, Any] = {}
+    variables: dict[str, Variable] = {}
     results: Mapping[str, NDArray[Any]] = {}
     ragged = experiment.ragged()
     if done.any():
@@ -53,26 +144,26 @@ def assemble(plan: Plan, accumulator: Accumulator) -> xr.Dataset:
         values = typed_array(results.get(output.name), done, shape, within)
         variables[output.name] = _variable(grid, values, output)
         if output.name in results and results[output.name].dtype.kind == "b" and values.dtype.kind == "f":
-            variables[output.name][2].update(TRUTH)
+            variables[output.name].attrs.update(TRUTH)
         if values.dtype.kind == "i" and (output.name in ragged or not done.all()):
-            variables[output.name] = (*variables[output.name], {FILL: MISSING_INT})
+            variables[output.name].encoding[FILL] = MISSING_INT
     if not experiment.deterministic:
         over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""
         meaning = f"realisations done{over}"
         variables["n_sim_done"] = _variable(grid, realisations.copy(), Output("n_sim_done", "", meaning))
     variables["status"] = _variable(grid, status.copy(), Output("status", "", "state of the point"))
     stored = [s for s in Status if s != Status.RUNNING]
-    variables["status"][2].update(flag_values=list(map(int, stored)), flag_meanings=" ".join(s.word for s in stored))
+    variables["status"].attrs.update(flag_values=list(map(int, stored)), flag_meanings=" ".join(s.word for s in stored))
     variables |= _published(grid) | _so_far(plan, accumulator)
     longest: dict[str, int] = {}
     for name, dimension in ragged.items():
-        variables[name][2][RAGGED] = dimension
+        variables[name].attrs[RAGGED] = dimension
         longest[dimension] = max(longest.get(dimension, 1), int(np.max(results.get(name + LENGTH, 1))))
-    dataset = xr.Dataset(variables, coords=_coordinates(grid))
-    return dataset.isel({dimension: slice(length) for dimension, length in longest.items()})
+    whole = Labelled(variables, _coordinates(grid))
+    return whole.isel({dimension: slice(length) for dimension, length in longest.items()})
 
 
-def _so_far(plan: Plan, accumulator: Accumulator) -> dict[str, Any]:
+def _so_far(plan: Plan, accumulator: Accumulator) -> dict[str, Variable]:
     """Return ``NAME(running)`` of each result, and of the realisations that it is from, at points that are begun.
 
     An error is NaN where it needs more catalogues than there are yet; nothing is returned where an experiment cannot
@@ -124,7 +215,7 @@ def typed_array(
     return values
 
 
-def masked(dataset: xr.Dataset) -> xr.Dataset:
+def masked(dataset: Labelled) -> Labelled:
     """Return a dataset as who opens its store has it: integers of which some are missing have NaN there, and nothing is
     of points that are not done.
     """
@@ -133,9 +224,7 @@ def masked(dataset: xr.Dataset) -> xr.Dataset:
     return dataset.assign({name: variable.copy(data=with_gaps(variable.values)) for name, variable in gaps.items()})
 
 
-def assemble_samples(
-    plan: Plan, status: NDArray[np.int8], samples: Callable[[bytes], Array]
-) -> dict[str, tuple[tuple[str, ...], Array, dict[str, Any]]]:
+def assemble_samples(plan: Plan, status: NDArray[np.int8], samples: Callable[[bytes], Array]) -> dict[str, Variable]:
     """Return the kept samples of the points that are done, with dimension ``sample``: catalogue by catalogue.
 
     ``samples`` gives those of a block by its key, (realisations, width).
@@ -151,20 +240,20 @@ def assemble_samples(
             drawn = samples(ledger_key(point.digest, block)).reshape(block.n_cat, block.n_sim, -1)
             kept[point.index, catalogues, first : first + block.n_sim] = drawn
     kept = grid.with_repeats(kept)
-    variables: dict[str, Any] = {}
+    variables: dict[str, Variable] = {}
     column = 0
     for output in experiment.sample_outputs:
         size = experiment.size_of(output)
         shape = (*grid.shape, sampling.n_cat * sampling.n_sim, *experiment.shape_of(output))
         values = kept[..., column : column + size].reshape(shape)
-        variables[output.name] = ((*grid.dimensions, "sample", *output.dims), values, _attributes(output))
+        variables[output.name] = Variable((*grid.dimensions, "sample", *output.dims), values, _attributes(output))
         column += size
     return variables
 
 
 def code_variable(
     plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], records: Sequence[Mapping[str, Any]]
-) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
+) -> Variable:
     """Return which code made each point, for a store with several records of code (`sweep.running.code`)."""
     codes = np.zeros(len(plan.grid), dtype=np.int32)
     starts = [record["first_row"] for record in records]
@@ -179,7 +268,7 @@ def code_variable(
     return _variable(plan.grid, plan.grid.with_repeats(codes), Output("code", "", meaning))
 
 
-def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[str, ...], NDArray[Any], dict[str, Any]]:
+def _variable(grid: Grid, values: NDArray[Any], output: Output) -> Variable:
     attributes = _attributes(output)
     if output.headline:
         attributes["headline"] = 1
@@ -187,7 +276,7 @@ def _variable(grid: Grid, values: NDArray[Any], output: Output) -> tuple[tuple[s
         attributes[ERRORS] = " ".join(output.errors)
     if values.dtype.kind == "M":
         attributes.pop("units", None)  # xarray has its own for times
-    return (*grid.dimensions, *output.dims), values.reshape((*grid.shape, *values.shape[1:])), attributes
+    return Variable((*grid.dimensions, *output.dims), values.reshape((*grid.shape, *values.shape[1:])), attributes)
 
 
 def _attributes(declared: Output | Parameter) -> dict[str, Any]:
@@ -197,17 +286,17 @@ def _attributes(declared: Output | Parameter) -> dict[str, Any]:
     return described(declared.unit, declared.meaning) | symbol
 
 
-def _coordinates(grid: Grid) -> dict[str, Any]:
+def _coordinates(grid: Grid) -> dict[str, Variable]:
     study = grid.study
     experiment = study.experiment
-    coordinates: dict[str, Any] = {}
+    coordinates: dict[str, Variable] = {}
     if study.points is not None:
-        coordinates[POINT] = (POINT, np.arange(grid.shape[0]), described("", "number of the point"))
+        coordinates[POINT] = Variable((POINT,), np.arange(grid.shape[0]), described("", "number of the point"))
         for name, cells in study.points.labels.items():
             if any(name == output.name or name in output.dims for output in experiment.outputs):
                 raise SweepError(f"{name} is a label and the name of a result or its dimension: rename the column")
             texts = np.array(cells, dtype=object if isinstance(cells[0], str) else None)
-            coordinates[name] = (POINT, texts, described("", "label of the point"))
+            coordinates[name] = Variable((POINT,), texts, described("", "label of the point"))
     for dimension, axes in grid.dimensions.items():
         for name in axes:
             parameter = experiment.parameter(name)
@@ -220,16 +309,17 @@ def _coordinates(grid: Grid) -> dict[str, Any]:
                 for value, is_missing in zip(values, missing, strict=True)
             ]
             values = np.array(values, dtype=object) if is_text else values
-            coordinates[name] = (dimension, np.array(values), _attributes(parameter))
+            coordinates[name] = Variable((dimension,), np.array(values), _attributes(parameter))
     for dimension, (values, unit) in experiment.dimension_coordinates().items():
-        coordinates.setdefault(dimension, (dimension, values, described(unit, dimension.replace("_", " "))))
+        about = described(unit, dimension.replace("_", " "))
+        coordinates.setdefault(dimension, Variable((dimension,), np.asarray(values), about))
     for dimension, units in experiment.component_units.items():
         about = described("", f"unit of each {dimension.replace('_', ' ')}")
-        coordinates[f"{dimension}_unit"] = (dimension, np.array(units, dtype=object), about)
+        coordinates[f"{dimension}_unit"] = Variable((dimension,), np.array(units, dtype=object), about)
     return coordinates
 
 
-def _published(grid: Grid) -> dict[str, Any]:
+def _published(grid: Grid) -> dict[str, Variable]:
     """Return ``NAME_published`` and ``NAME_published_rounding`` of each output with a column of published numbers."""
     study = grid.study
     if study.published is None:
@@ -238,7 +328,7 @@ def _published(grid: Grid) -> dict[str, Any]:
     origin: dict[str, Any] = {"source": study.published.source}
     if study.published.tolerance:
         origin |= {"tolerance": study.published.tolerance, "tolerance_reason": study.published.tolerance_reason}
-    variables: dict[str, Any] = {}
+    variables: dict[str, Variable] = {}
     for column in study.published.rows[0]:
         if column in outputs:
             output = outputs[column]
@@ -255,7 +345,7 @@ def _published(grid: Grid) -> dict[str, Any]:
             name, rounding = f"{column}_published", f"{column}_published_rounding"
             meaning = f"published {short_meaning(output.meaning) or output.name}"
             variables[name] = _variable(grid, values.reshape(-1), Output(name, output.unit, meaning))
-            variables[name][2].update(origin, outside_grid=outside)
+            variables[name].attrs.update(origin, outside_grid=outside)
             meaning = f"half a unit of the last printed digit of {name}"
             variables[rounding] = _variable(grid, roundings.reshape(-1), Output(rounding, output.unit, meaning))
     return variables
@@ -289,8 +379,6 @@ def _same(value: object, text: str) -> bool:
 
 # Most elements of one covariance, which has one for every pair of points along an axis, and of its samples.
 LARGEST = 10**7
-
-Variable = tuple[tuple[str, ...], Array, dict[str, Any]]
 
 
 def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], ledger: Rows) -> dict[str, Variable]:
@@ -376,7 +464,7 @@ def _covariance(plan: Plan, deviations: Array, output: Output, dimension: str) -
     meaning = f"covariance of {output.name} between points along {dimension}"
     attributes = described(squared(output.unit), meaning) | {"samples": count}
     others = (d for d in dimensions if d != dimension)
-    return (*others, *output.dims, dimension, f"{dimension}_other"), covariance, attributes
+    return Variable((*others, *output.dims, dimension, f"{dimension}_other"), covariance, attributes)
 
 
 def squared(unit: str) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import choose_executor, of_study
@@ -17,6 +17,7 @@ from linksweep.sweep.planning.work_queue import TUNED, Tuning
 from linksweep.sweep.running.beside import ALL, Beside, again_where, with_stored
 from linksweep.sweep.running.code import check_code, record_code
 from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
+from linksweep.sweep.running.results import Labelled, masked
 from linksweep.sweep.running.writer import (
     Taken,
     Writer,
@@ -161,10 +162,8 @@ class Session:
         known = replace(self._asked, experiment=self.study.experiment, sampling=self.study.sampling)
         return Session(self.accumulator.plan.of(known), self._where, self.store)
 
-    def part(self) -> "tuple[xr.Dataset, dict[str, str]]":
+    def part(self) -> tuple[Labelled, dict[str, str]]:
         """Return the results of the points of the study that was asked for, and its failures by place."""
-        from linksweep.sweep.running.results import masked
-
         assert self.store is not None, "it has more points"
         writer = Writer(self._part().accumulator, self.store)
         return masked(writer.assembled(final=True)), writer.failures()
@@ -204,7 +203,7 @@ class Session:
                         self._too_many = too_many
                         break
 
-    def publish(self, progress: "Progress | None" = None) -> "xr.Dataset":
+    def publish(self, progress: "Progress | None" = None) -> Labelled:
         """Write the dataset of everything that was computed, and return it.
 
         Raises TooManyFailuresError where that was ended early.
@@ -266,7 +265,13 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     return asked.accumulator.plan, session.survey
 
 
-def run_study(
+def run_study(*study: Any, **how: Any) -> "tuple[xr.Dataset, dict[str, str]]":
+    """Return what `run_labelled` does, with the dataset that xarray has of it."""
+    dataset, failures = run_labelled(*study, **how)
+    return dataset.to_xarray(), failures
+
+
+def run_labelled(
     study: Study,
     store: Where,
     resources: Resources = ANY_RESOURCES,
@@ -278,7 +283,7 @@ def run_study(
     max_failures: MaxFailures | None = None,
     tuning: Tuning = TUNED,
     beside: Beside = ALL,
-) -> "tuple[xr.Dataset, dict[str, str]]":
+) -> tuple[Labelled, dict[str, str]]:
     """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
 
     The same call after an interruption goes on where it stopped.  Points that failed before are left as they are; with
@@ -322,7 +327,7 @@ def run_study(
         return session.publish(progress), session.failures()
 
 
-def _left_alone(session: Session, progress: Progress) -> "tuple[xr.Dataset, dict[str, str]]":
+def _left_alone(session: Session, progress: Progress) -> tuple[Labelled, dict[str, str]]:
     assert session.store is not None, "it has more points"
     where = session.store.location
     progress.say(f"{where} holds more than this study asks for; it is left as it is, and these are its points")

@@ -2,7 +2,6 @@
 ledger as they come, to disk every second, and as a dataset every few seconds.
 """
 
-import gc
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -10,7 +9,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from threading import Event, RLock, Thread
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.union import UNITED
 from linksweep.sweep.planning.work_queue import TUNED, Pending, Tuning
 from linksweep.sweep.running.code import records_of
+from linksweep.sweep.running.results import Labelled, assemble, assemble_samples, code_variable, covariances, masked
 from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where
@@ -35,9 +35,6 @@ from linksweep.sweep.studies.part import PART
 from linksweep.sweep.studies.record import RECORD, provenance, recorded
 from linksweep.sweep.studies.study import Study
 from linksweep.sweep.tables.file import content_digest
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # Most failed points that a dataset names in its attributes; its status counts all.
 MAX_FAILURES_NAMED = 1000
@@ -317,33 +314,26 @@ class Writer:
                 ended.append(point)
         return good, ended, added
 
-    def write(self, final: bool = False) -> "xr.Dataset":
-        """Write the labelled dataset of everything taken so far, and return it."""
+    def write(self, final: bool = False) -> Labelled:
+        """Write the labelled dataset of everything taken so far, unless the store has it already, and return it."""
+        begun = time.monotonic()
         with self._held():
-            # imports xarray and pandas while the workers compute; interrupted there, they could not be imported again
-            collects = gc.isenabled()
-            gc.disable()  # modules are no garbage: the import takes a tenth less time without looking for some
-            from linksweep.sweep.running.results import masked
-
-            if collects:
-                gc.enable()
-            begun = time.monotonic()
             self.flush()
         dataset = self.assembled(final)
         tuning = self._tuning
-        self._long_write = dataset.nbytes > tuning.long_write_bytes or dataset["status"].size > tuning.long_write_points
+        size = sum(one.values.nbytes for one in dataset.variables.values())
+        self._long_write = size > tuning.long_write_bytes or dataset["status"].size > tuning.long_write_points
         with nullcontext() if self._long_write else self._held(), self._lock:
-            self.store.write(dataset)
+            if not self.store.has(dataset):
+                self.store.write(dataset)
             if final:
                 self.store.tidy()
         self._written = time.monotonic()
         self._writing += self._written - begun
         return masked(dataset)
 
-    def assembled(self, final: bool = False) -> "xr.Dataset":
+    def assembled(self, final: bool = False) -> Labelled:
         """Return the labelled dataset of everything taken so far."""
-        from linksweep.sweep.running.results import assemble, assemble_samples, code_variable, covariances
-
         study = self.plan.grid.study
         dataset = assemble(self.plan, self.accumulator)
         if study.sampling.keep_samples:
@@ -351,8 +341,8 @@ class Writer:
         if final and study.sampling.common_random_numbers and study.sampling.precision is None:
             dataset = dataset.assign(covariances(self.plan, self.accumulator, self.store.rows, self.store.read()))
         if len(records := records_of(self.store.attributes)) > 1:
-            dataset = dataset.assign(code=code_variable(self.plan, self.accumulator, self.store.rows, records))
-        return dataset.assign_attrs(self._attributes())
+            dataset = dataset.assign({"code": code_variable(self.plan, self.accumulator, self.store.rows, records)})
+        return replace(dataset, attrs=self._attributes())
 
     def _attributes(self) -> dict[str, Any]:
         """Return the attributes of a dataset of everything taken so far."""
@@ -383,12 +373,10 @@ class Writer:
         if not (lost := self.store.lost()):
             return
         if self._rescued is None:
-            from linksweep.sweep.running.results import assemble
-
             attributes = self._attributes() | {RESCUED: str(of)}
             with self._held(), self._lock:
                 beside = Store(create_store(free_beside(of), study, attributes), identity(study))
-                beside.write(assemble(self.plan, self.accumulator).assign_attrs(attributes))
+                beside.write(replace(assemble(self.plan, self.accumulator), attrs=attributes))
             self._rescued = str(beside.location)
         more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
         sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {self._rescued}"

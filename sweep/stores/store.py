@@ -1,7 +1,7 @@
 """The store of a study: a ledger of finished blocks and failures, and the labelled dataset made from it.
 
 The ledger is the truth.  Only the client writes, under the lock of `linksweep.sweep.stores.location`.  Nothing here
-imports what a store names.
+imports what a store names.  Zarr is imported where arrays are written or read: a run that is done needs neither.
 
 Readers see each writing of the dataset, a generation, whole or not at all.  An array's chunks can have two sets of
 names, by two encodings of Zarr's specification, and each generation uses the set that the last one does not.  So the
@@ -9,6 +9,7 @@ files of the last generation stay as they are until the root document, replaced 
 a reader who opened the last one can read on until the generation after next begins.
 """
 
+import base64
 import getpass
 import itertools
 import json
@@ -26,9 +27,6 @@ from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
-from zarr.buffer import cpu
-from zarr.codecs import Crc32cCodec, ZstdCodec
-from zarr.storage import MemoryStore
 
 from linksweep.sweep.contract import SweepError, suggest
 from linksweep.sweep.contract.block import DIGEST_BYTES
@@ -53,6 +51,9 @@ CODE = "code"
 ORIGIN = "written_by"
 """The attribute of a store that tells who wrote it, as JSON."""
 
+OF_ONE_RUN = ("finished", "command")
+"""The attributes that are others in each run, though all else is the same."""
+
 RESCUED = "rescued_of"
 """The attribute of a store of results alone: of which store they are that was lost while a run wrote to it."""
 
@@ -67,9 +68,15 @@ RUNNING = "(running)"
 of a result has brackets.
 """
 
-SINCE = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian"}
-TIMES: Mapping[str, Any] = {**SINCE, "dtype": "int64", FILL: MISSING_INT}
-"""The encoding of times, to the last nanosecond."""
+TIMES: Mapping[str, Any] = {
+    "units": "nanoseconds since 1970-01-01",
+    "calendar": "proleptic_gregorian",
+    FILL: MISSING_INT,
+}
+"""What a file says of times, which it has as integers."""
+
+MISSING_FLOAT = base64.b64encode(np.float64("nan").tobytes()).decode()
+"""What a file says that it has in place of a missing float, as xarray writes it for Zarr 3: NaN."""
 
 CHUNK_NAMES = ({"name": "default", "separator": "."}, {"name": "v2", "separator": "."})
 
@@ -187,7 +194,7 @@ class Store(OpenStore):
         if self._ledger.damaged:
             raise DamagedError(self.location, self._ledger.damaged)
 
-    def write(self, dataset: "xr.Dataset") -> None:
+    def write(self, dataset: Any) -> None:
         """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
         generation = self.attributes["generation"] + 1
         attributes, documents, chunks = encode(dataset, CHUNK_NAMES[generation % 2])
@@ -226,6 +233,19 @@ class Store(OpenStore):
             gone |= {f for f in in_use if f"{f.partition('/')[0]}/zarr.json" in gone and f"{RUNNING}/" in f}
             self._delete(gone)
         self._files = in_use - gone
+
+    def has(self, dataset: Any) -> bool:
+        """Return whether this dataset, but for when and by which command, is what was written last of these rows, and
+        every file of it is whole: then there is nothing to write.
+        """
+        wanted = {**dataset.attrs, **self.meaning, ORIGIN: origin(self.location)}
+        wanted[LEDGER_THEN] = self._ledger.manifest.model_dump_json()
+        same = all(self.attributes.get(name) == value for name, value in wanted.items() if name not in OF_ONE_RUN)
+        if not same or arrays_of(self.root).keys() != dataset.variables.keys():
+            return False
+        report = Report({}, {}, {})
+        with reading(self.location):
+            return not _check_results(self.location, self.root, report) and not report
 
     def lost(self) -> list[str]:
         """Return those of the files that were written which are not there any more, as after the folder was moved;
@@ -348,7 +368,7 @@ def open_dataset(where: Where, running: bool = False) -> "xr.Dataset":
     return OpenStore(where).dataset(running)
 
 
-def finished(dataset: "xr.Dataset") -> "xr.Dataset":
+def finished(dataset: Any) -> Any:
     """Return a dataset without what points that are not done have so far."""
     return dataset.drop_vars([name for name in dataset.data_vars if str(name).endswith(RUNNING)])
 
@@ -493,28 +513,48 @@ def dask_arrays_only_where_imported() -> None:
 
 
 def encode(
-    dataset: "xr.Dataset", chunk_names: Mapping[str, str]
+    dataset: Any, chunk_names: Mapping[str, str]
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, bytes]]:
     """Return the attributes of a dataset, the documents of its arrays, and the contents of their chunks by file.
 
     Every chunk has a checksum, and none is left out for being empty, so that a missing one must have been lost.
     """
+    from zarr import create_array
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+    from zarr.storage import MemoryStore
+
     files: dict[str, Any] = {}
-    encoding: dict[Any, dict[str, Any]] = {}
+    labels = sorted(name for name in dataset.coords if name not in dataset.sizes)
     for name, variable in dataset.variables.items():
-        encoding[name] = {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "chunks": chunk_shape(variable)}
-        encoding[name]["chunk_key_encoding"] = chunk_names
-        if variable.dtype.kind == "M":
-            encoding[name] |= TIMES
+        values, attributes, how = variable.values, dict(variable.attrs), dict[str, Any]()
+        along = [label for label in labels if set(dataset[label].dims) <= set(variable.dims)]
+        if along and name not in dataset.coords:
+            attributes["coordinates"] = " ".join(along)
+        if values.dtype.kind == "M":
+            attributes |= TIMES
+            values = values.astype("M8[ns]").view(np.int64)
+        elif values.dtype.kind in "OU":
+            values = values.astype(np.dtypes.StringDType())
+        elif values.dtype.kind == "f":
+            attributes[FILL], how["fill_value"] = MISSING_FLOAT, np.nan
         elif FILL in variable.encoding:
-            encoding[name][FILL] = variable.encoding[FILL]
-    dataset.drop_encoding().to_zarr(
-        MemoryStore(files), mode="w", consolidated=False, zarr_format=3, encoding=encoding, write_empty_chunks=True
-    )
+            attributes[FILL] = variable.encoding[FILL]
+        create_array(
+            MemoryStore(files),
+            name=name,
+            data=values,
+            chunks=chunk_shape(variable),
+            compressors=[ZstdCodec(level=1), Crc32cCodec()],
+            chunk_key_encoding=dict(chunk_names),
+            dimension_names=variable.dims,
+            attributes=attributes,
+            config={"write_empty_chunks": True},
+            **how,
+        )
     contents = {key: bytes(buffer.to_bytes()) for key, buffer in files.items()}
-    attributes: dict[str, Any] = json.loads(contents.pop(ROOT))["attributes"]
+    contents.pop(ROOT)  # of arrays alone
     documents = {str(name): json.loads(contents.pop(f"{name}/zarr.json")) for name in dataset.variables}
-    return attributes, documents, contents
+    return dict(dataset.attrs), documents, contents
 
 
 def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr.Dataset":
@@ -523,6 +563,8 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
     Raises ValueError that names a file which is missing or not what the root document means.
     """
     import xarray as xr
+    from zarr.buffer import cpu
+    from zarr.storage import MemoryStore
 
     dask_arrays_only_where_imported()
     expected = chunk_checksums(root).items()
@@ -570,13 +612,13 @@ def arrays_of(root: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return dict(root.get("consolidated_metadata", {}).get("metadata", {}))
 
 
-def chunk_shape(variable: "xr.Variable") -> tuple[int, ...]:
+def chunk_shape(variable: Any) -> tuple[int, ...]:
     """Return a shape for chunks of at most `MOST_VALUES` that are whole in the last dimensions: a point's values stay
     together, and a coordinate is one chunk.
     """
     # Values are counted, not bytes: what is on the same axes has the same chunks.
     shape = list(variable.shape)
-    for axis in range(variable.ndim):
+    for axis in range(len(shape)):
         rest = math.prod(shape[axis + 1 :])
         shape[axis] = max(1, min(shape[axis], integrity.MOST_VALUES // max(1, rest)))
         if shape[axis] > 1:

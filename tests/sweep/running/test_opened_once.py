@@ -6,11 +6,12 @@ import sys
 
 import pytest
 
+import linksweep
 from tests.conftest import COINS
 from tests.sweep.opening import (
     Resources,
     Silent,
-    load_study,
+    check,
     run_study,
     study_from_dict,
 )
@@ -72,14 +73,39 @@ n_sim = 10
 """
 
 
+HEAVY = ("distributed", "dask", "bokeh", "matplotlib", "scipy", "pandas", "xarray")
+
+
 @pytest.mark.slow
-def test_a_finished_store_starts_no_process_and_imports_no_executor(tmp_path):
+def test_a_small_run_imports_little_and_a_finished_one_less_and_writes_nothing(tmp_path):
     (tmp_path / "s.toml").write_text(TOML.format(COINS))
-    run_study(load_study(str(tmp_path / "s.toml")), tmp_path / "s.zarr", SERIAL)
-    script = WATCHED.replace("NAMES", repr(("distributed", "dask.array", "bokeh", "matplotlib", "scipy")))
-    command = [sys.executable, "-c", script, "run", "s.toml", "-o", "s.zarr", "--workers", "2", "--quiet"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    started, imported = json.loads(done.stderr.splitlines()[-1])
-    assert set(started) <= {"git"}  # which a checkout of linksweep is asked for its commit by
-    assert imported == []
+    written = []
+    for names in (HEAVY, (*HEAVY, "zarr")):
+        script = WATCHED.replace("NAMES", repr(names))
+        command = [sys.executable, "-c", script, "run", "s.toml", "-o", "s.zarr", "--pool", "serial", "--quiet"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        started, imported = json.loads(done.stderr.splitlines()[-1])
+        assert set(started) <= {"git"}  # which a checkout of linksweep is asked for its commit by
+        assert imported == []
+        written.append({file: file.read_bytes() for file in (tmp_path / "s.zarr").rglob("*") if file.is_file()})
+    assert written[0] == written[1]
+
+
+@pytest.mark.parametrize("change", ["title", "lost", "damaged", "moved"])
+def test_a_finished_run_writes_what_is_not_as_it_would_write_it(tmp_path, coins, change):
+    store = tmp_path / "s.zarr"
+    whole = linksweep.run(coins, store, pool="serial")
+    chunk = next(file for file in (store / "status").iterdir() if file.name != "zarr.json")
+    if change == "title":
+        coins = coins | {"title": "Another"}
+    elif change == "moved":
+        store = store.rename(tmp_path / "t.zarr")
+    else:
+        chunk.unlink() if change == "lost" else chunk.write_bytes(b"")
+    linksweep.run(coins, store, pool="serial")
+    stored = linksweep.open(store)
+    assert stored.equals(whole)
+    assert stored.attrs["title"] == coins["title"]
+    assert str(store) in (store / "zarr.json").read_text()
+    assert not check(store)
