@@ -37,6 +37,7 @@ PAGES = {
     "function-package.md": ["window.svg"],
     "function-quantile.md": ["waiting.svg"],
     "function-series.md": ["infected.svg"],
+    "gallery.md": re.findall(r"gallery-.*?\.svg", (ROOT / "docs" / "gallery.md").read_text()),
     "missions.md": ["missions.svg"],
     "planning-observations.md": ["ranking.svg", "epochs.svg", "plan.html"],
     "points.md": ["flow.svg", "pairs.svg", "sensitivity.svg"],
