@@ -235,8 +235,9 @@ def own_dimensions(dataset: xr.Dataset, name: str) -> list[str]:
 
 
 def array_outputs(dataset: xr.Dataset) -> list[str]:
-    """Return the outputs of a plain function that have dimensions of their own."""
-    return [n for n in map(str, dataset.data_vars) if own_dimensions(dataset, n)] if FUNCTION in dataset.attrs else []
+    """Return the outputs of a plain function that have dimensions of their own, besides samples and covariances."""
+    own = {n: own_dimensions(dataset, n) for n in map(str, dataset.data_vars) if FUNCTION in dataset.attrs}
+    return [n for n, dims in own.items() if dims and not any(d == "sample" or d.endswith("_other") for d in dims)]
 
 
 def axis_coordinates(dataset: xr.Dataset, dimensions: Sequence[str]) -> list[str]:

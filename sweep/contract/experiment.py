@@ -170,6 +170,20 @@ class Experiment:
         return self.cost is not _one
 
     @property
+    def draws_alone(self) -> bool:
+        """Whether each point draws again the random numbers that it shares with others, and shares those it can."""
+        return False
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether its realisations can be kept."""
+        return self.samples is not None
+
+    def keeping_samples(self) -> "Experiment":
+        """Return the experiment for a study that keeps its realisations."""
+        return self
+
+    @property
     def keeps_samples(self) -> bool:
         """Whether realisations are kept, whatever a study says, because results are computed from them."""
         return False

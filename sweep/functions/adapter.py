@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Experiment, GeneratorPair, Kind, Named, Output, Parameter, Point, SweepError, shown
-from linksweep.sweep.contract.parameter import name_problem, packages_problems, parameter_problems
+from linksweep.sweep.contract.parameter import name_problem, named, packages_problems, parameter_problems
 from linksweep.sweep.contract.reducer import Array, Outcome, Reducer, ResultError, Rows
 from linksweep.sweep.contract.units import unit_problem
 from linksweep.sweep.functions import results
@@ -39,8 +39,8 @@ AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 
 @dataclass(frozen=True)
 class Declaration:
-    """What a plain function declares: outputs, whether it takes arrays of points, packages whose versions count, and
-    whether two calls at a point return the same.
+    """What a plain function declares: outputs, whether it takes arrays of points, packages whose versions count,
+    whether two calls at a point return the same, and parameters that do not change its random numbers.
     """
 
     outputs: tuple[Output, ...] = ()
@@ -50,6 +50,7 @@ class Declaration:
     tolerance: float = ROUNDING
     reads: tuple[str, ...] = ()
     deterministic: bool = True
+    shared: tuple[str, ...] = ()
 
 
 def experiment(
@@ -61,6 +62,7 @@ def experiment(
     tolerance: float = ROUNDING,
     reads: str | Sequence[str] = (),
     deterministic: bool = True,
+    shared: str | Sequence[str] = (),
 ) -> Callable[[AnyFunction], AnyFunction]:
     """Declare more about a function than its signature says.  The function can be called as before.
 
@@ -76,6 +78,8 @@ def experiment(
         reads: data files, relative to the file of the function, whose content counts as code does.
         deterministic: whether a function without ``rng`` returns the same whenever it is called at a point, which is
             tried at the first one; False accepts any result.
+        shared: parameters that do not change the random numbers: points that differ in these alone get the same
+            ``rng``, so that their differences have small errors; the errors of such points are correlated.
 
     Returns:
         A decorator that returns the function.  If that is already defined, for example in another package, it returns
@@ -96,7 +100,8 @@ def experiment(
     def declare(function: AnyFunction) -> AnyFunction:
         declared = tuple(_output(one) for one in _sequence(outputs))
         texts = _sequence(packages), _sequence(citation)
-        declaration = Declaration(declared, vectorised, *texts, tolerance, _sequence(reads), deterministic)
+        further = deterministic, _sequence(shared)
+        declaration = Declaration(declared, vectorised, *texts, tolerance, _sequence(reads), *further)
         _checked(function, declaration)
         module = sys.modules.get(getattr(function, "__module__", None) or "")
         if getattr(module, getattr(function, "__qualname__", ""), None) is function:
@@ -263,12 +268,15 @@ def _checked(function: Callable[..., Any], declaration: Declaration) -> "Functio
         problems.append(f"tolerance = {shown(tolerance)}: is for vectorised functions; declare vectorised=True")
     if not isinstance(declaration.deterministic, bool):
         problems.append(f"deterministic = {shown(declaration.deterministic)}: must be True or False")
+    problems += named("shared", declaration.shared, [parameter.name for parameter in made.parameters], "parameter")
+    if declaration.shared and not made.rng:
+        problems.append("shared: it takes no rng, and so it draws no random numbers")
     if declaration.vectorised and made.rng:
         problems.append("vectorised: a function of rng is called for one point; take n_sim to get all realisations")
     if problems:
         raise SweepError(problems, f"function {made.name}")
     packages, citation = tuple(declaration.packages), declaration.citation
-    return replace(made, declaration=declaration, packages=packages, citation=citation)
+    return replace(made, declaration=declaration, packages=packages, citation=citation, shared=declaration.shared)
 
 
 def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") -> Iterator[str]:
@@ -341,8 +349,9 @@ class FunctionExperiment(Experiment):
     """A plain function as an experiment.
 
     ``layout`` describes its results, None before the first.  ``rng`` says whether it takes a generator; without one it
-    is evaluated once at each point.  ``with_default`` are arguments that are left out where a point has none.  An
-    experiment that is made from the record in a store has no function to ``call`` and computes nothing.
+    is evaluated once at each point.  ``with_default`` are arguments that are left out where a point has none.
+    ``keeps_all`` says whether all realisations are kept.  An experiment that is made from the record in a store has no
+    function to ``call`` and computes nothing.
     """
 
     call: Callable[..., Any] | None = None
@@ -351,6 +360,7 @@ class FunctionExperiment(Experiment):
     takes_n_sim: bool = False
     with_default: tuple[str, ...] = ()
     layout: Layout | None = None
+    keeps_all: bool = False
 
     def __post_init__(self) -> None:
         """Do nothing: `experiment_of` checks the declaration."""
@@ -401,10 +411,12 @@ class FunctionExperiment(Experiment):
     def with_layout(self, layout: Layout) -> "FunctionExperiment":
         """Return the experiment with a known layout of its results."""
         declared = self.declaration.outputs
+        moments = Moments(layout, declared, self.keeps_all)
         return replace(
             self,
             layout=layout,
-            outputs=Moments(layout, declared).outputs() if self.rng else _outputs(layout, declared),
+            outputs=moments.outputs() if self.rng else _outputs(layout, declared),
+            sample_outputs=moments.sample_outputs(),
             coordinates={coordinate.name: coordinate.values for coordinate in layout.coordinates},
         )
 
@@ -412,7 +424,7 @@ class FunctionExperiment(Experiment):
     def reducer(self) -> Reducer:
         """What a call, or a block of realisations, leaves of a point."""
         if self.rng and self.layout is not None:
-            return Moments(self.layout, self.declaration.outputs)
+            return Moments(self.layout, self.declaration.outputs, self.keeps_all)
         return Typed(self.layout)
 
     def compute(
@@ -437,7 +449,7 @@ class FunctionExperiment(Experiment):
                 realised = results.split_points(together, n_sim, declared, "realisations")
             else:
                 realised = [results.flatten(call(**point, rng=rng), declared) for _ in range(n_sim)]
-            outcomes.append(drawn(realised, self.name, self.declaration.outputs))
+            outcomes.append(drawn(realised, self.name, self.declaration.outputs, keep_samples))
         return outcomes
 
     def _arguments(self, point: Point) -> dict[str, Any]:
@@ -489,6 +501,21 @@ class FunctionExperiment(Experiment):
         """Return the experiment with the layout of results that a store has recorded, if any."""
         layout = layout_of_record(record)
         return self if layout is None else self.with_layout(layout)
+
+    @property
+    def draws_alone(self) -> bool:
+        """Whether each point is computed by itself, as all are."""
+        return True
+
+    @property
+    def has_samples(self) -> bool:
+        """Whether there are realisations, which can be kept."""
+        return self.rng
+
+    def keeping_samples(self) -> "FunctionExperiment":
+        """Return the experiment that keeps all realisations."""
+        made = replace(self, keeps_all=True)
+        return made if self.layout is None else made.with_layout(self.layout)
 
     @property
     def keeps_samples(self) -> bool:
@@ -574,7 +601,8 @@ def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter,
     """Return the experiment that a store has recorded, which computes nothing."""
     recorded = record["function"]
     outputs = tuple(Output(**{**one, "dims": tuple(one["dims"])}) for one in recorded["outputs"])
-    empty = _undeclared(record["name"], parameters, Declaration(outputs), recorded["rng"])
+    made = _undeclared(record["name"], parameters, Declaration(outputs), recorded["rng"])
+    empty = replace(made, shared=tuple(record["shared"]))
     layout = layout_of_record(record)
     return empty if layout is None else empty.with_layout(layout)
 

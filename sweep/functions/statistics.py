@@ -222,10 +222,12 @@ class Moments:
     Attributes:
         layout: the results of one realisation.
         declared: the outputs that the function declares, with their statistics.
+        keeps_all: whether all realisations are kept, not only those that quantiles need.
     """
 
     layout: Layout
     declared: tuple[Output, ...]
+    keeps_all: bool = False
 
     @cached_property
     def statistics(self) -> dict[str, tuple[str, ...]]:
@@ -244,8 +246,8 @@ class Moments:
 
     @cached_property
     def samples_width(self) -> int:
-        """The numbers of one realisation that quantiles need."""
-        return sum(self.size(field) for field in self.layout.fields if self.levels(field))
+        """The numbers of one realisation that are kept."""
+        return sum(self.size(field) for field in self.layout.fields if self.keeps(field))
 
     def size(self, field: Field) -> int:
         """Return how many numbers an output has."""
@@ -254,6 +256,10 @@ class Moments:
     def levels(self, field: Field) -> list[float]:
         """Return the levels of the quantiles of an output, between 0 and 1."""
         return [level for name in self.statistics[field.name] if (level := quantile_of(name)) is not None]
+
+    def keeps(self, field: Field) -> bool:
+        """Return whether the realisations of an output are kept."""
+        return self.keeps_all or bool(self.levels(field))
 
     def as_row(self, realisations: int, moments: Sequence[Array]) -> Any:
         """Return the fields of a row from the moments of all outputs, (MOMENTS, size) each."""
@@ -280,11 +286,17 @@ class Moments:
         """Return the row of a point with the quantiles of its realisations, (n, samples_width), and their errors."""
         closed, start = total.copy(), 0
         for field in self.layout.fields:
+            size = self.size(field) if self.keeps(field) else 0
             if levels := self.levels(field):
-                size = self.size(field)
                 closed["quantiles"][field.name][0] = quantiles(levels, samples[:, start : start + size])
-                start += size
+            start += size
         return closed
+
+    def sample_outputs(self) -> tuple[Output, ...]:
+        """Return the realisations of each output, where all are kept."""
+        fields = self.layout.fields if self.keeps_all else ()
+        about = ((field, f"realisations of {field.meaning or field.name.replace('_', ' ')}") for field in fields)
+        return tuple(Output(f"{f.name}_samples", f.unit, meaning, f.dims, nan=True) for f, meaning in about)
 
     def outputs(self) -> tuple[Output, ...]:
         """Return the statistics of all outputs, each followed by its error."""
@@ -325,8 +337,8 @@ class Moments:
         return results
 
 
-def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ...]) -> Outcome:
-    """Return what the realisations of a block leave: their moments, with the realisations that quantiles need.
+def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ...], keeps_all: bool) -> Outcome:
+    """Return what the realisations of a block leave: their moments, with all of them or those that quantiles need.
 
     Raises ResultError where they differ in more than their values.
     """
@@ -346,7 +358,7 @@ def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ..
             raise ResultError(f"{function}: {beyond}") from error
     columns = zip(*rows, strict=True)
     values = [np.array(column, dtype=float).reshape(len(rows), -1) for column in columns]
-    reducer = Moments(layout, declared)
-    kept = [array for field, array in zip(layout.fields, values, strict=True) if reducer.levels(field)]
+    reducer = Moments(layout, declared, keeps_all)
+    kept = [array for field, array in zip(layout.fields, values, strict=True) if reducer.keeps(field)]
     row = reducer.as_row(len(rows), [moments_of(array) for array in values])
     return Outcome(row, np.concatenate(kept, axis=1) if kept else None, layout)

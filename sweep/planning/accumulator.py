@@ -97,7 +97,7 @@ class Accumulator:
 
     def _survey_of_new_points(self) -> Survey:
         """Count points that have nothing in the ledger: of a million that cost the same without looking at them."""
-        grid, common = self.plan.grid, self.plan.grid.study.sampling.common_random_numbers
+        grid, common = self.plan.grid, self.plan.grid.study.draws_together
         total, costs = NOTHING, Counter[float]()
         groups: Groups = defaultdict(list)
         if self.plan.costs_nothing_special and not common:
@@ -118,13 +118,15 @@ class Accumulator:
 
     def _shared(self, pending: PlanSize, groups: Groups) -> PlanSize:
         """Return what is pending with its cost, of which points that share random numbers in groups save a part."""
-        common = self.plan.grid.study.sampling.common_random_numbers
+        common = self.plan.grid.study.draws_together
         return replace(pending, cost=cost_together(groups)) if common else pending
 
     def _only_block(self) -> Block | None:
         """Return the one block that every point consists of, None if points have several blocks or different ones."""
         sampling = self.plan.grid.study.sampling
-        alike = self.plan.costs_nothing_special and not sampling.common_random_numbers and sampling.precision is None
+        alike = (
+            self.plan.costs_nothing_special and not self.plan.grid.study.draws_together and sampling.precision is None
+        )
         blocks = self.plan.blocks(1.0) if alike and self._samples is None else ()
         return blocks[0] if len(blocks) == 1 else None
 

@@ -32,7 +32,7 @@ def _units(plan: Plan) -> Iterator[Unit]:
     grid, sampling = plan.grid, plan.grid.study.sampling
     groups: dict[object, list[tuple[int, float]]] = {}
     for index, parameters in grid.parameters():
-        key = grid.draw(parameters) if sampling.common_random_numbers else index
+        key = grid.draw(parameters) if grid.study.draws_together else index
         groups.setdefault(key, []).append((index, plan.cost(parameters)))
     for members in groups.values():
         for start in range(0, len(members), MOST_SHARING):
@@ -75,7 +75,7 @@ def _dealt_alike(plan: Plan, parts: int) -> tuple[NDArray[np.intp], NDArray[np.i
     cost the same: a million take a second.  None elsewhere.
     """
     sampling = plan.grid.study.sampling
-    if not plan.costs_nothing_special or sampling.common_random_numbers:
+    if not plan.costs_nothing_special or plan.grid.study.draws_together:
         return None
     if sampling.precision is None and len(plan.blocks(1.0)) > 1:
         return None

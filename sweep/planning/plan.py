@@ -165,7 +165,7 @@ class Plan:
         return min(FIRST_SIMS, sims) << (parts - 1) if parts else 0
 
     def _shape(self, cost: float) -> tuple[int, int]:
-        if self.grid.study.sampling.common_random_numbers:
+        if self.grid.study.draws_together:
             # Whatever the cost: points that share a draw need the same blocks.
             return MAX_SIMS, 1
         sims = _power_of_two(LARGEST_BLOCK / cost, MAX_SIMS)

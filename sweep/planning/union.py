@@ -221,7 +221,7 @@ def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
     clauses = zip(asked.excluded, asked.document.get("exclude", ()), strict=False)  # those of `when` follow
     document["exclude"] = [raw for clause, raw in clauses if clause in whole.excluded]
     if not asked.experiment.deterministic:
-        document["sampling"] = whole.sampling.model_dump(exclude_none=True, exclude_defaults=True)
+        document["sampling"] = whole.sampling.model_dump(exclude_none=True, exclude_unset=True)
     if whole.points is not None:
         document["points"] = whole.points.written(written(columns))
     if whole.conclusion is None:

@@ -82,7 +82,7 @@ class Pending:
     def __init__(self, plan: Plan, accumulator: Accumulator, tuning: Tuning = TUNED) -> None:
         self._plan, self._accumulator, self.most_blocks = plan, accumulator, tuning.most_blocks
         self._known: deque[Work] = deque()
-        self._fresh = self._shared() if plan.grid.study.sampling.common_random_numbers else self._alone()
+        self._fresh = self._shared() if plan.grid.study.draws_together else self._alone()
         self._left = accumulator.survey.pending.cost
         self._begun = self._warm = False
         self._tasks_out = 0

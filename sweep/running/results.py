@@ -5,7 +5,7 @@ import re
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
+from itertools import accumulate, groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, SweepError
 from linksweep.sweep.contract.block import Block, ledger_key
-from linksweep.sweep.contract.reducer import LENGTH, MISSING_INT, Sums
+from linksweep.sweep.contract.reducer import LENGTH, MISSING_INT, Reducer, Sums
 from linksweep.sweep.formatting import ERRORS, RAGGED, TRUTH, described, short_meaning
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
@@ -402,6 +402,7 @@ def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int],
         f"{output.name}_mc_covariance_{dimension}": _covariance(plan, deviations[output.name], output, dimension)
         for output, dimensions in along.items()
         for dimension in dimensions
+        if not np.isnan(deviations[output.name]).all()  # as of quantiles, which no sum gives
     }
 
 
@@ -438,21 +439,31 @@ def _deviations(
     """
     grid, count = plan.grid, len(samples)
     experiment, n_cat, reducer = grid.study.experiment, grid.study.sampling.n_cat, accumulator.reducer
-    assert isinstance(reducer, Sums), "only points with sums share random numbers"
     alone_n = sum(block.realisations for block in samples[0])
     catalogues = np.full(count, float(max(n_cat - 1, 1)))
     deviations = {o.name: np.full((len(grid), experiment.size_of(o), count), np.nan) for o in outputs}
     for point in grid.points(np.flatnonzero(accumulator.status == Status.DONE)):
-        keys = [[ledger_key(point.digest, block) for block in blocks] for blocks in samples]
-        alone = np.array([reducer.flat(ledger[[rows[key] for key in some]]).sum(axis=0) for some in keys])
         n = float(accumulator.realisations[point.index])
-        without = reducer.typed(reducer.flat(accumulator.total[point.index : point.index + 1]) - alone)
+        if isinstance(reducer, Sums):
+            keys = [[ledger_key(point.digest, block) for block in blocks] for blocks in samples]
+            alone = np.array([reducer.flat(ledger[[rows[key] for key in some]]).sum(axis=0) for some in keys])
+            without = reducer.typed(reducer.flat(accumulator.total[point.index : point.index + 1]) - alone)
+        else:
+            places = [rows[ledger_key(point.digest, block)] for block in plan.blocks(1.0)]
+            without = _without_each(reducer, [ledger[place : place + 1] for place in places])[:count]
         results = reducer.finish(without, np.full(count, n - alone_n), catalogues)
         scale = (n - alone_n) / np.sqrt(n * alone_n * (count - 1.0))  # sqrt((count - 1)/count), if these are all blocks
         for name, mine in deviations.items():
             values = np.reshape(results[name], (count, -1)).T
             mine[point.index] = scale * (values - values.mean(axis=1, keepdims=True))
     return {name: grid.with_repeats(mine) for name, mine in deviations.items()}
+
+
+def _without_each(reducer: Reducer, blocks: Sequence[Rows]) -> Rows:
+    """Return what all blocks but each in turn leave of a point together, (blocks,), added up from both ends."""
+    first, last = ([*accumulate(some, reducer.add)] for some in (blocks, blocks[::-1]))
+    between = (reducer.add(before, after) for before, after in zip(first[:-2], last[-3::-1], strict=True))
+    return np.concatenate([last[-2], *between, first[-2]])
 
 
 def _covariance(plan: Plan, deviations: Array, output: Output, dimension: str) -> Variable:

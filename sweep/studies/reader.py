@@ -210,7 +210,7 @@ class _Reader:
             title=form.title,
             question=form.question or "",
             experiment_reference=absolute_reference(form.experiment, self.folder),
-            experiment=experiment,
+            experiment=experiment.keeping_samples() if checked.sampling.keep_samples else experiment,
             axes={name: one for name, one in axes.items() if one is not None},
             fixed=fixed,
             sampling=ONCE if experiment.deterministic else checked.sampling,

@@ -292,11 +292,13 @@ class Sampling(Section):
             if keys := ", ".join(sorted(self.model_fields_set)):
                 raise ValueError(f"{experiment.name} takes no rng and is evaluated once: leave out {keys}")
             return self
+        if experiment.draws_alone and experiment.shared and "common_random_numbers" not in self.model_fields_set:
+            self.common_random_numbers = True
         precise, most = self.precision is not None, self.max_n_sim
         judged, beyond = experiment.errors_of_headline(), most is not None and most < self.n_sim
         wrong = {
             "n_cat: it has no outer draw that realisations share": self.n_cat > 1 and not experiment.outer_draw,
-            "keep_samples: it has no samples to keep": self.keep_samples and experiment.samples is None,
+            "keep_samples: it has no samples to keep": self.keep_samples and not experiment.has_samples,
             "common_random_numbers: no parameter leaves its random numbers unchanged": (
                 self.common_random_numbers and not experiment.shared
             ),
@@ -678,6 +680,11 @@ class Study:
         return self.experiment_reference.partition(".")[0] == "linksweep" and not self.document.get("define")
 
     @property
+    def draws_together(self) -> bool:
+        """Whether points that share random numbers are computed in one call, for which they are drawn once."""
+        return self.sampling.common_random_numbers and not self.experiment.draws_alone
+
+    @property
     def keeps_samples(self) -> bool:
         """Whether the ledger holds realisations: the study or the experiment asks for them."""
         return self.sampling.keep_samples or self.experiment.keeps_samples
@@ -741,7 +748,7 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
     if not experiment.deterministic:
         judged = experiment.errors_of_headline()
         needed: dict[str, Any] = {"n_cat": experiment.outer_draw, "precision": judged, "max_n_sim": judged}
-        needed |= {"keep_samples": experiment.samples, "common_random_numbers": experiment.shared}
+        needed |= {"keep_samples": experiment.has_samples, "common_random_numbers": experiment.shared}
         lines += ["", "[sampling]"]
         for key, field_ in Sampling.model_fields.items():
             if needed.get(key, True):

@@ -14,7 +14,7 @@ import linksweep
 from linksweep import Output, SweepError, experiment
 from linksweep.sweep.result import Result
 from tests.sweep.opening import Folder, merge
-from tests.tiers import examples, slow
+from tests.tiers import examples
 
 KINDS = {
     "number": lambda k, n: k / 3.0 + np.arange(n),
@@ -68,7 +68,7 @@ lengths = st.lists(st.integers(0, 9), min_size=1, max_size=4, unique=True)
 runs = st.lists(st.tuples(lengths, lengths), min_size=1, max_size=4)
 
 
-@slow
+@pytest.mark.slow
 @settings(
     max_examples=examples(12), deadline=None, suppress_health_check=[HealthCheck.too_slow], phases=[Phase.generate]
 )
@@ -164,7 +164,7 @@ def test_a_coordinate_along_a_ragged_dimension_is_another_output(tmp_path):
     assert "'t' is ragged, and so it is numbered: return its coordinate as another output" in ds.attrs["failures"]
 
 
-@slow
+@pytest.mark.slow
 def test_points_that_are_computed_again_are_as_long(tmp_path):
     ds = linksweep.run(walk, tmp_path / "s", axes={"k": [1, 2], "n": [3, 5]}, pool="serial", verify=4)
     assert ds.attrs["failures"] == "{}"

@@ -1,0 +1,116 @@
+"""Realisations of plain functions: kept where a study asks for it, of the same random numbers where declared shared."""
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+import linksweep
+from linksweep import Output, SweepError, experiment
+from tests.sweep.opening import Folder, merge
+from tests.tiers import examples
+
+KEPT = {"n_sim": 1200, "seed": 3, "keep_samples": True}  # three blocks
+
+
+@experiment(
+    outputs=[Output("wait", "s", statistics=["mean", "std", "q90", "max"]), Output("pair", dims="k")], shared="gain"
+)
+def queue(rng, gain: float = 1.0, rate: float = 2.0):
+    return {"wait": gain * rng.exponential(rate), "pair": gain + rng.normal(size=2), "late": rng.random() > 0.5}
+
+
+@experiment(shared=("gain",))
+def many(rng, n_sim, gain: float = 1.0, rate: float = 2.0):
+    return {"wait": gain * rng.exponential(rate, n_sim)}
+
+
+def sweep(function, store, sampling=KEPT, pool="serial", **axes):
+    return linksweep.run(function, store, axes=axes, sampling=sampling, pool=pool)
+
+
+def same(one, other):
+    xr.testing.assert_identical(one.drop_attrs(), other.drop_attrs())
+
+
+def test_realisations_are_those_behind_the_statistics(tmp_path):
+    ds = sweep(queue, tmp_path / "s", gain=[1.0, 2.0], rate=[0.5, 2.0, 3.0])
+    assert ds.pair_samples.dims == ("gain", "rate", "sample", "k")
+    assert (ds.wait_samples.attrs["units"], ds.sizes["sample"]) == ("s", 1200)
+    for name in ("wait", "pair", "late"):
+        kept = ds[f"{name}_samples"].transpose("sample", ...).values
+        assert len(np.unique(kept[:, 0, 0])) == (2 if name == "late" else kept[:, 0, 0].size)
+        np.testing.assert_allclose(kept.mean(axis=0), ds[f"{name}_mean"], rtol=1e-12)
+        np.testing.assert_allclose(kept.std(axis=0, ddof=1), ds[f"{name}_std"], rtol=1e-12)
+    np.testing.assert_array_equal(ds.wait_samples.max("sample"), ds.wait_max)
+    wanted = np.quantile(ds.wait_samples, 0.9, axis=2, method="hazen")
+    np.testing.assert_array_equal(ds.wait_q90, wanted)
+    assert "wait_samples" not in sweep(queue, tmp_path / "none", {"n_sim": 60}, gain=[1.0])
+    with pytest.raises(SweepError, match="keep_samples"):
+        sweep(queue, tmp_path / "s", {"n_sim": 1200, "seed": 3}, gain=[1.0])
+
+
+@pytest.mark.slow
+@settings(
+    max_examples=examples(8), deadline=None, suppress_health_check=[HealthCheck.too_slow], phases=[Phase.generate]
+)
+@given(
+    steps=st.lists(
+        st.tuples(
+            st.lists(st.sampled_from([0.5, 1.0, 2.0]), min_size=1, max_size=3, unique=True),
+            st.lists(st.sampled_from([1.0, 2.0, 3.0]), min_size=1, max_size=2, unique=True),
+            st.integers(1, 3),
+        ),
+        min_size=1,
+        max_size=3,
+    ),
+    function=st.sampled_from([queue, many]),
+    parts=st.integers(0, 3),
+)
+def test_whatever_the_order_points_that_share_random_numbers_have_the_same(tmp_path_factory, steps, function, parts):
+    folder = tmp_path_factory.mktemp("shared")
+    for gains, rates, hundreds in steps:
+        sweep(function, folder / "s", {**KEPT, "n_sim": 300 * hundreds}, gain=gains, rate=rates)
+    gains, rates = (sorted({value for step in steps for value in step[place]}) for place in (0, 1))
+    sampling = {**KEPT, "n_sim": 300 * max(step[2] for step in steps)}
+    whole = sweep(function, folder / "s", sampling, gain=gains, rate=rates)
+    if parts:
+        how = {"axes": {"gain": gains, "rate": rates}, "sampling": sampling, "pool": "serial"}
+        for part in range(1, parts + 1):
+            linksweep.run(function, folder / "once", part=f"{part}/{parts}", **how)
+        merge([Folder(path) for path in folder.glob("once.part-*")], folder / "once")
+    same(sweep(function, folder / "once", sampling, "threads", gain=gains, rate=rates), whole)
+    for gain in gains:
+        np.testing.assert_array_equal(whole.wait_samples.sel(gain=gain) / gain, whole.wait_samples[0] / gains[0])
+
+
+def test_differences_along_a_shared_axis_have_small_errors(tmp_path):
+    sampling = {"n_sim": 512 * 40, "seed": 1, "keep_samples": True}
+    ds = sweep(many, tmp_path / "s", sampling, gain=[1.0, 1.01], rate=[2.0, 3.0])
+    assert ds.attrs["common_random_numbers"] == 1
+    kept = ds.wait_samples
+    assert len(np.unique(kept.sel(gain=1.0))) == 2 * kept.sizes["sample"]  # other rates have other numbers
+    covariance = ds.wait_mean_mc_covariance_gain
+    for rate in (2.0, 3.0):
+        wanted = np.cov(kept.sel(rate=rate)) / kept.sizes["sample"]
+        np.testing.assert_allclose(covariance.sel(rate=rate), wanted, rtol=0.7)  # of 40 blocks: 22 %
+    ratio = linksweep.ratio(ds, "wait_mean", "gain", 1.01, 1.0)
+    np.testing.assert_allclose(ratio["ratio"], 1.01, rtol=1e-12)
+    assert float(ratio["ratio_error"].max()) < 1e-9
+    alone = sweep(many, tmp_path / "t", {**sampling, "common_random_numbers": False}, gain=[1.0, 1.01], rate=[2.0])
+    assert not np.array_equal(alone.wait_samples[1], 1.01 * alone.wait_samples[0])
+    assert "wait_mean_mc_covariance_gain" not in alone
+
+
+@pytest.mark.parametrize(
+    ("shared", "function", "problem"),
+    [
+        ("gian", lambda rng, gain: gain, "shared: 'gian' is no parameter; did you mean 'gain'?"),
+        (["gain"], lambda gain: gain, "shared: it takes no rng, and so it draws no random numbers"),
+    ],
+)
+def test_what_cannot_be_shared_is_refused_by_name(shared, function, problem):
+    with pytest.raises(SweepError) as refused:
+        experiment(shared=shared)(function)
+    assert problem in str(refused.value)
