@@ -227,7 +227,9 @@ class AskedStores:
         if self.everything == bool(self.stores):
             raise click.UsageError("name stores, or give --all")
         is_about_runs = (
-            self.results is not None or self.resources != Resources() or self.watching != Watching(False, False, None)
+            self.results is not None
+            or self.resources != Resources()
+            or self.watching != Watching(False, False, None, None)
         )
         if is_about_runs and not self.everything:
             raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without")

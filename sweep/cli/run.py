@@ -98,6 +98,8 @@ def _log_file(context: click.Context, _parameter: click.Parameter, value: str | 
     if value is None or context.resilient_parsing:
         return None
     try:
+        if value == "-":
+            raise ValueError("standard output has the results; name a file")
         return context.with_resource(Path(value).open("a", encoding="utf-8", errors="backslashreplace", buffering=1))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
@@ -111,6 +113,7 @@ class Watching:
     quiet: bool = flag("Print only errors, and the table.", "--quiet", "-q")
     verbose: bool = flag("Print a line for each point, and Dask's warnings.", "--verbose", "-v")
     log: TextIO | None = opt("Append everything to FILE, with times.", metavar="FILE", callback=_log_file)
+    events: TextIO | None = opt("Append events to FILE, for programs: JSON lines.", metavar="FILE", callback=_log_file)
 
     def __post_init__(self) -> None:
         if self.quiet and self.verbose:
@@ -213,8 +216,8 @@ def run_with_progress(
     from linksweep.sweep.running.run import run_labelled
     from linksweep.sweep.stores.location import short_name
 
-    bar = not how.watching.quiet
-    with group.a_signal_ends_the_command(), _logged(how.watching), TerminalProgress(study, bar) as progress:
+    shown = TerminalProgress(study, not how.watching.quiet, how.watching.events)
+    with group.a_signal_ends_the_command(), _logged(how.watching), shown as progress:
         try:
             rest = how.break_lock, how.accept_code, fresh, how.max_failures
             dataset, failures = run_labelled(

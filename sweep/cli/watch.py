@@ -94,9 +94,7 @@ def _lines(one: "Watched", width: int) -> "Iterable[Text]":
 
     from linksweep.sweep.running.failures import short
 
-    yield Text.assemble(
-        (harmless(one.title), "bold"), "  ", (one.state, COLOURS.get(one.state, "")), harmless(f"  {one.location}")
-    )
+    yield Text(harmless(f"{one.title} ({one.location}): {one.state}"), COLOURS.get(one.state, "bold"))
     yield Text(harmless(", ".join(filter(None, [one.progress, one.speed, one.words]))))
     for row in one.tiles(MOST_ROWS * width, width):
         times = 2 if 2 * len(row) <= width else 1

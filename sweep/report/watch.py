@@ -5,10 +5,9 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Iterable
-from contextlib import suppress
-from hmac import compare_digest
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from socketserver import ThreadingMixIn
 from typing import Any
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from markupsafe import Markup
 
@@ -27,7 +26,7 @@ REDRAW = 200.0
 # Names by which a browser asks; under any other, a page of others may have sent it here.
 HOSTS = ("127.0.0.1", "localhost")
 
-HEADERS = {"Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff"}
+HEADERS = [("Cache-Control", "no-store"), ("Referrer-Policy", "no-referrer"), ("X-Content-Type-Options", "nosniff")]
 
 
 class Shown:
@@ -42,7 +41,9 @@ class Shown:
 
     def look(self) -> None:
         """Look at the store."""
-        if self.watched.look():
+        before = self.watched.status
+        self.watched.look()
+        if self.watched.status is not before:
             self.tiles = self.watched.tiles(MOST_TILES, MOST_TILES)
 
     def draw(self) -> bool:
@@ -75,13 +76,18 @@ class Page:
             scripts=list(map(Markup, scripts)),
             interval=1000 * interval,
         )
-        self.policy = f"{policy(scripts)}; connect-src 'self'; frame-ancestors 'none'"
+        self.token = secrets.token_urlsafe(24)
+        self._policy = f"{policy(scripts)}; connect-src 'self'; frame-ancestors 'none'"
 
-    def content(self, name: str) -> tuple[str, str] | None:
-        """Return a file of the page and its type: "" is the whole, "state" what changes, by identifiers of elements."""
-        if name == "state":
-            return self._seen(), "application/json"
-        return None if name else (self._whole, "text/html")
+    def __call__(self, request: Any, start: Callable[..., Any]) -> list[bytes]:
+        """Answer a request, as WSGI has it."""
+        known = {f"/{self.token}/": "text/html", f"/{self.token}/state": "application/json"}
+        is_ours = request.get("HTTP_HOST", "").partition(":")[0] in HOSTS
+        kind = known.get(request["PATH_INFO"]) if is_ours and request["REQUEST_METHOD"] == "GET" else None
+        about = [("Content-Type", f"{kind or 'text/plain'}; charset=utf-8"), ("Content-Security-Policy", self._policy)]
+        start("200 OK" if kind else "404 Not Found" if is_ours else "403 Forbidden", HEADERS + about)
+        text = self._seen() if kind == "application/json" else self._whole if kind else ""
+        return [text.encode(errors="replace")]
 
     def _seen(self) -> str:
         with self._lock:
@@ -103,42 +109,20 @@ class Page:
         return {f"{name}-{i}": str(of[name](one)) for i, one in enumerate(self._stores) for name in names}
 
 
-class _Handler(BaseHTTPRequestHandler):
-    server: "_Server"
-    server_version, sys_version, timeout = "linksweep", "", 10
-
-    def do_GET(self) -> None:
-        token, _, name = self.path.removeprefix("/").partition("/")
-        if self.headers.get("Host", "").partition(":")[0] not in HOSTS:
-            self.send_error(403)
-        elif not compare_digest(token.encode(), self.server.token.encode()) or not (
-            found := self.server.page.content(name)
-        ):
-            self.send_error(404)
-        else:
-            text, kind = found
-            content = text.encode(errors="replace")
-            self.send_response(200)
-            for header, value in (HEADERS | {"Content-Security-Policy": self.server.page.policy}).items():
-                self.send_header(header, value)
-            self.send_header("Content-Type", f"{kind}; charset=utf-8")
-            self.send_header("Content-Length", str(len(content)))
-            self.end_headers()
-            with suppress(ConnectionError):  # the browser has left
-                self.wfile.write(content)
+class _Handler(WSGIRequestHandler):
+    timeout = 10
 
     def log_message(self, *_message: Any) -> None:
         return
 
 
-class _Server(ThreadingHTTPServer):
-    page: Page
-    token: str
+class _Server(ThreadingMixIn, WSGIServer):
+    daemon_threads = True
 
 
 def serve(stores: Iterable[Where], interval: float, said: Callable[[str], None]) -> None:
     """Serve a page about stores until an interruption; ``said`` is called with its address."""
-    with _Server(("127.0.0.1", 0), _Handler) as server:
-        server.page, server.token = Page(stores, interval), secrets.token_urlsafe(24)
-        said(f"http://127.0.0.1:{server.server_port}/{server.token}/")
+    page = Page(stores, interval)
+    with make_server("127.0.0.1", 0, page, _Server, _Handler) as server:
+        said(f"http://127.0.0.1:{server.server_port}/{page.token}/")
         server.serve_forever()

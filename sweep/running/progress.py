@@ -1,5 +1,6 @@
 """What is shown of a run: how far it is, the time left, what failed, and at the end what it took."""
 
+import json
 import logging
 import math
 import sys
@@ -9,7 +10,7 @@ from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from html import escape
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 from rich.console import Console
@@ -19,7 +20,7 @@ from rich.table import Table
 from rich.text import Text
 
 from linksweep.sweep.executing.task import TaskResult
-from linksweep.sweep.formatting import counted, harmless, in_words, per_second
+from linksweep.sweep.formatting import counted, harmless, in_words, now, per_second
 from linksweep.sweep.interrupt import how_ended
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
@@ -140,10 +141,15 @@ class _Watch:
 
 
 class TerminalProgress(_Watch):
-    """Shows points done, time left and speed: in a ``bar`` if there is a terminal, else in a line now and then."""
+    """Shows points done, time left and speed: in a ``bar`` if there is a terminal, else in a line now and then.
 
-    def __init__(self, study: Study, bar: bool = True) -> None:
+    To a file of ``events`` it appends a line of JSON for each: started, points, failed, written and, at the end of the
+    block, ended.
+    """
+
+    def __init__(self, study: Study, bar: bool = True, events: TextIO | None = None) -> None:
         super().__init__(study)
+        self._events, self._failures = events, 0
         self._once = study.experiment.deterministic
         self._console = Console(file=getattr(sys.stderr, "unescaped", sys.stderr))
         self._with_bar = bar and self._console.is_terminal
@@ -157,13 +163,18 @@ class TerminalProgress(_Watch):
     def __enter__(self) -> "TerminalProgress":
         return self
 
-    def __exit__(self, *_error: object) -> None:
-        self.written()
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
+        self._remove_bar()
+        # The exit by a signal has its reason as context.
+        reason = error.__context__ if isinstance(error, SystemExit) else error
+        code = int(self._failures > 0) if error is None else getattr(error, "exit_code", getattr(error, "code", 1))
+        self._write("ended", exit_code=code, reason=str(reason or "finished"), failed=self._failures)
 
     def start(self, survey: Survey, where: str, workers: int | None = None) -> None:
         """Say what there is to do and where it is done."""
         super().start(survey, where, workers)
         total, pending = survey.total, survey.pending
+        self._write("started", points=total.points, done=self._count.done, failed=survey.failed, where=where)
         self._work = pending.cost
         kept = f", {self._count.done:,} of them in the store already" if self._count.done else ""
         kept += failed_before(survey.failed)
@@ -197,11 +208,15 @@ class TerminalProgress(_Watch):
             self._first_warned = dict.fromkeys(said.warnings, place) | self._first_warned
             for line in said.printed.splitlines():
                 RECORD.info("%s: printed: %s", place, line)
+        failed = sum(point.index in taken.failed for point in taken.ended)
+        ended = {"done": len(taken.ended) - failed, "failed": failed, "realisations": taken.done.realisations}
+        self._write("points", **ended)
         for point in taken.ended if taken.failed or SENTENCES.isEnabledFor(logging.DEBUG) else ():
             place = describe(self._study, point.parameters)
             if (failure := taken.failed.get(point.index)) is None:
                 SENTENCES.debug("%s: done", place)
                 continue
+            self._write("failed", point=place, **vars(failure))
             SENTENCES.debug("%s: failed (%s)", place, failure.kind)
             RECORD.error("%s: failed (%s): %s\n%s", place, failure.kind, failure.message, failure.traceback)
         now = time.monotonic()
@@ -210,7 +225,19 @@ class TerminalProgress(_Watch):
             (SENTENCES if self._bar is None else RECORD).info(self._line())
 
     def written(self) -> None:
-        """Remove the bar."""
+        """Remove the bar: all results are on disk."""
+        self._remove_bar()
+        self._write("written")
+
+    def _write(self, event: str, **about: Any) -> None:
+        try:
+            if self._events is not None:
+                self._events.write(json.dumps({"event": event, "time": now(), **about}) + "\n")
+        except OSError as error:
+            self._events = None
+            self.say(f"warning: no more events can be written: {error.strerror}")
+
+    def _remove_bar(self) -> None:
         if self._bar is not None:
             self._bar.stop()
             self._bar = None
@@ -221,7 +248,7 @@ class TerminalProgress(_Watch):
 
     def stopped(self, signal: str, store: object) -> None:
         """Say what an interrupted run leaves, and how to go on."""
-        self.written()
+        self._remove_bar()
         done = "nothing was begun"
         if self._begun is not None:
             failed = f", {counted(self._count.failed_here, 'point')} failed" if self._count.failed_here else ""
@@ -230,7 +257,8 @@ class TerminalProgress(_Watch):
 
     def finish(self, failures: Mapping[str, str], store: object, commands: Sequence[str] = ()) -> None:
         """Say what the run took, why points failed (``failures`` by their place), and which ``commands`` come next."""
-        self.written()
+        self._remove_bar()
+        self._failures = len(failures)
         if self._begun is not None:
             further = f"; next: {', '.join(commands)}" if commands and not failures else ""
             for line in (*self.summary(self._elapsed()), f"wrote {store}{further}"):

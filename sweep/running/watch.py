@@ -110,8 +110,7 @@ class Watched:
         self._forget()
 
     def _forget(self) -> None:
-        self._root: bytes | None = None
-        self._manifest: bytes | None = None
+        self._files: tuple[bytes | None, bytes | None] = (None, None)
         self._points: _Points | None = None
         self._asked: tuple[Any, ...] = ()
         self._parts: dict[str, NDArray[Any]] = {}
@@ -126,46 +125,41 @@ class Watched:
         """Whether nothing will change unless somebody begins another run."""
         return self.state in ("finished", "stopped", "gone") or (self.state == "unreadable" and self.opened is None)
 
-    def look(self) -> bool:
-        """Read what has changed; return whether anything has."""
-        before = self.state, self.words
+    def look(self) -> None:
+        """Read what has changed."""
         try:
-            changed = self._read()
+            with reading(self.location):
+                self._read()
             if self._points is None:
                 missing = ("waiting", "no store is there yet"), ("gone", "the store was removed")
                 self.state, self.words = missing[self.opened is not None]
             elif (runs := holder(self.location)) is not None:
                 self.state, self.words = "running", str(runs)
+            elif (self.status == MISSING).any():
+                self.state, self.words = "stopped", "nobody runs it"
             else:
-                self.state = "stopped" if (self.status == MISSING).any() else "finished"
-                self.words = "nobody runs it" if self.state == "stopped" else ""
+                self.state, self.words = "finished", ""
         except SweepError as error:
-            self.state, self.words, changed = "unreadable", "; ".join(error.problems), False
-        return changed or before != (self.state, self.words)
+            self.state, self.words = "unreadable", "; ".join(error.problems)
 
-    def _read(self) -> bool:
-        with reading(self.location):
-            root, at_first = self.location.get(ROOT), self._points is None
+    def _read(self) -> None:
+        root = self.location.get(ROOT)
         if root is None and find_root(self.location) is None:
             self._forget()
-            return not at_first
+            return
         try:
             opened, points = self._open(root)
-            with reading(self.location):  # after the root, which is never ahead of it
-                manifest = self.location.get(MANIFEST)
-            if (root, manifest) == (self._root, self._manifest):
-                return False
-            self._take(opened, points, manifest)
+            manifest = self.location.get(MANIFEST)  # after the root, which is never ahead of it
+            if (root, manifest) != self._files:
+                self._take(opened, points, manifest)
+                self._files = root, manifest
         except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, RuntimeError) as error:
             if holder(self.location) is None:  # else its run has replaced a file meanwhile
                 raise SweepError(f"its ledger cannot be read ({error})", str(self.location)) from error
-            return False
-        self._root, self._manifest = root, manifest
-        return True
 
     def _open(self, root: bytes | None) -> tuple[OpenStore, _Points]:
         """Return the store and its points, as they were if the root is as it was."""
-        if self.opened is None or self._points is None or root != self._root:
+        if self.opened is None or self._points is None or root != self._files[0]:
             self.opened = OpenStore(self.location)
             attributes = self.opened.attributes
             asked = tuple(map(attributes.get, ASKED))
@@ -177,10 +171,9 @@ class Watched:
 
     def _take(self, opened: OpenStore, points: _Points, content: bytes | None) -> None:
         manifest = integrity.newest(content, manifest_of(opened.root))
-        with reading(self.location):
-            new = [part for part in manifest.parts if part.rows.name not in self._parts]
-            keys = zip(new, ledger.read_keys(self.location, new), strict=True)
-            self._keep(ledger.read_failures(self.location, manifest))
+        self._keep(ledger.read_failures(self.location, manifest))
+        new = [part for part in manifest.parts if part.rows.name not in self._parts]
+        keys = zip(new, ledger.read_keys(self.location, new), strict=True)
         known = self._parts | {part.rows.name: points.blocks(one) for part, one in keys}
         self._parts = {part.rows.name: known[part.rows.name] for part in manifest.parts}
         index, numbers = np.hstack([np.zeros((2, 0), dtype=np.int64), *self._parts.values()]).astype(np.int64)
@@ -211,8 +204,10 @@ class Watched:
     def progress(self) -> str:
         """How many points are done and failed, in words; '' where no store is."""
         missing, done, failed, _ = count_status(self.status).values()
-        points = f"{done:,} of {counted(missing + done + failed, 'point')} done"
-        return f"{points}, {failed:,} failed" if failed else points if self.status.size else ""
+        words = (
+            f"{done:,} of {counted(missing + done + failed, 'point')} done{f', {failed:,} failed' if failed else ''}"
+        )
+        return words if self.status.size else ""
 
     @property
     def bar(self) -> dict[str, float]:
@@ -249,11 +244,8 @@ class Watched:
         high = math.ceil(rows / max(1, most // math.ceil(columns / wide)))
         down, along = np.arange(0, rows, high), np.arange(0, columns, wide)
         if len(self._places) != len(down) * len(along):
-            all_points = np.arange(len(grid)).reshape(rows, columns)
-            ends = all_points[::high, ::wide], all_points[np.minimum(down + high, rows) - 1]
-            ends = ends[0], ends[1][:, np.minimum(along + wide, columns) - 1]
-            words = ([describe(grid.study, p.parameters) for p in grid.points(some.reshape(-1))] for some in ends)
-            self._places = [" to ".join(dict.fromkeys(pair)) for pair in zip(*words, strict=True)]
+            first = (down[:, None] * columns + along).reshape(-1)
+            self._places = [describe(grid.study, point.parameters) for point in grid.points(first)]
         states = np.array([FAILED, MISSING, DONE, EXCLUDED])[:, None]
         layers = np.vstack([self.status == states, self.share]).reshape(-1, rows, columns)
         sums = np.add.reduceat(np.add.reduceat(layers, down, axis=1), along, axis=2).reshape(len(layers), -1)
@@ -267,8 +259,10 @@ def _tile(place: str, failed: float, missing: float, done: float, excluded: floa
     counts = {"failed": failed, "missing": missing, "done": done, "excluded": excluded}
     state, share = next(word for word, n in counts.items() if n), share / max(missing + done, 1.0)
     state = ("running" if share else "waiting") if state == "missing" else state
-    words = ", ".join(f"{n:,.0f} {word}" for word, n in counts.items() if n) if sum(counts.values()) > 1 else state
-    return Tile(state, share, f"{place}: {words}, {100 * share:.0f} %" if state == "running" else f"{place}: {words}")
+    words = f"{state}, {100.0 * share:.0f} %" if state == "running" else state
+    if (points := sum(counts.values())) > 1:
+        words = f"{points:,.0f} points: {', '.join(f'{n:,.0f} {word}' for word, n in counts.items() if n)}"
+    return Tile(state, share, f"{place}: {words}" if points == 1 else f"from {place}, {words}")
 
 
 def pause(interval: float, took: float) -> float:

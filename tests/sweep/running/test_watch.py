@@ -117,7 +117,7 @@ def test_a_store_that_comes_runs_ends_and_goes(coins, tmp_path):
     run(coins, store, OFTEN, progress=Looking())
     assert {state for state, _ in states} == {"running"}
     assert len({progress for _, progress in states}) > 1
-    assert watched.look()
+    watched.look()
     assert (watched.state, watched.is_over) == ("finished", True)
     assert watched.progress == "6 of 6 points done"
     shutil.rmtree(store)
@@ -141,11 +141,25 @@ def test_what_has_not_changed_is_not_read_again(coins, tmp_path):
     watched.look()
     assert set(parts_of(store)) <= set(names)
     names.clear()
-    assert not watched.look()
+    watched.look()
     assert set(names) == {"zarr.json", "blocks/zarr.json"}
     run(coins | {"axes": coins["axes"] | {"coins": [1, 5, 20, 30]}}, store)
-    assert watched.look()
+    watched.look()
     assert watched.progress == "8 of 8 points done"
+
+
+def test_a_run_that_replaces_a_file_meanwhile_is_looked_at_again(coin_store, tmp_path):
+    """From the first look on."""
+    store = tmp_path / "s.zarr"
+    shutil.copytree(coin_store, store)
+    part = store / parts_of(store)[0]
+    part.rename(tmp_path / "away")
+    with locked(store):
+        watched = look(store)
+        assert (watched.state, watched.is_over, watched.progress) == ("running", False, "")
+        (tmp_path / "away").rename(part)
+        watched.look()
+        assert watched.progress == "6 of 6 points done"
 
 
 def test_looking_writes_nothing(sweep_here, coin_store, tmp_path):

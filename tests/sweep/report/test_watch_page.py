@@ -1,0 +1,191 @@
+"""The page of `sweep watch --web`: who may see it, what stands on it, and how it changes beside a run."""
+
+import base64
+import hashlib
+import json
+import re
+import signal
+import time
+from html.parser import HTMLParser
+from http.client import HTTPConnection
+from urllib.parse import urlsplit
+from wsgiref.util import setup_testing_defaults
+from wsgiref.validate import validator
+
+import pytest
+
+from tests.sweep.opening import files_of
+from tests.sweep.report.test_page import evil_store
+from tests.sweep.report.test_page_in_browser import chromium, complaints, requests
+from tests.sweep.report.test_page_in_browser import pytestmark as in_browser
+from tests.tiers import PATIENCE_S
+
+watch = pytest.importorskip("linksweep.sweep.report.watch")
+
+__all__ = ["chromium", "evil_store"]
+
+
+def ask(page, path, **request):
+    """Return status, headers and content of an answer, which keeps to the rules of WSGI."""
+    answer = {}
+    environ = {"PATH_INFO": path, "HTTP_HOST": "127.0.0.1:8000", "QUERY_STRING": "", "SCRIPT_NAME": ""} | request
+    setup_testing_defaults(environ)
+
+    def start(status, headers, *_error):
+        answer.update(status=int(status[:3]), headers=dict(headers))
+
+    response = validator(page)(environ, start)
+    content = b"".join(response).decode()
+    response.close()
+    return answer["status"], answer["headers"], content
+
+
+class Elements(HTMLParser):
+    """The names of all elements and attributes of a text."""
+
+    def __init__(self):
+        super().__init__()
+        self.names = set()
+
+    def handle_starttag(self, tag, attrs):
+        self.names |= {tag, *(name for name, _ in attrs)}
+
+
+def test_only_who_knows_the_token_sees_the_page(coin_store):
+    page = watch.Page([coin_store], 1.0)
+    home = f"/{page.token}/"
+    assert len(page.token) >= 22
+    assert page.token != watch.Page([coin_store], 1.0).token
+    for path in ("/", "", "/state", home[:-2] + "/", home + "x", home + "../", 2 * home, home[:-1], home.lower()):
+        status, _, content = ask(page, path)
+        assert (status, content) == (404, "")
+    for path in (home, home + "state"):
+        assert ask(page, path)[0] == 200
+        assert ask(page, path, HTTP_HOST="localhost")[0] == 200
+        assert ask(page, path, HTTP_HOST="evil.example:80")[::2] == (403, "")
+        assert ask(page, path, HTTP_HOST="127.0.0.1.evil.example")[::2] == (403, "")
+        assert ask(page, path, HTTP_HOST="")[::2] == (403, "")
+        assert ask(page, path, REQUEST_METHOD="POST")[::2] == (404, "")
+
+
+def test_the_policy_names_the_scripts_of_the_page_and_nothing_else(coin_store):
+    page = watch.Page([coin_store], 1.0)
+    _, headers, content = ask(page, f"/{page.token}/")
+    scripts = re.findall(r"<script>(.*?)</script>", content, flags=re.DOTALL)
+    digests = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
+    policy = headers["Content-Security-Policy"]
+    assert re.search(r"script-src ([^;]*)", policy)[1].split() == [f"'sha256-{digest}'" for digest in digests]
+    assert {"default-src 'none'", "connect-src 'self'", "frame-ancestors 'none'"} <= set(policy.split("; "))
+    assert "//" not in re.sub(r"<(script|style)>.*?</\1>", "", content, flags=re.DOTALL)
+
+
+def test_every_text_of_a_store_is_escaped(evil_store, tmp_path):
+    before = files_of(evil_store)
+    page = watch.Page([evil_store, tmp_path / "<img src=x onerror='window.owned = true'>"], 0.2)
+    for _ in range(3):  # figures come after the tiles
+        parts = json.loads(ask(page, f"/{page.token}/state")[2])
+        time.sleep(0.3)
+    text = "".join(parts.values())
+    assert "&lt;script&gt;window.owned = true&lt;/script&gt;" in parts["head-0"]
+    assert "is what failed" in parts["failures-0"]
+    assert "Traceback" in parts["failures-0"]
+    assert "No figure" in parts["figure-0"]  # the name of an axis value is no formula
+    reader = Elements()
+    reader.feed(text)
+    assert reader.names.isdisjoint({"script", "img"})
+    assert not [name for name in reader.names if name.startswith("on")]
+    assert "waiting" in parts["head-1"]
+    assert files_of(evil_store) == before
+
+
+SLOW = """
+import time
+def period(length: float, noise: float = 0.1, rng=None):
+    time.sleep(0.001)
+    if length > 1.9:
+        raise ValueError("the string broke <b>here</b>")
+    return length + rng.normal(0.0, noise)
+"""
+
+
+@pytest.fixture
+def beside(tmp_path, start_sweep):
+    """A function that starts a page about stores, and returns its address and process."""
+
+    def start(*stores):
+        process = start_sweep("watch", *stores, "--web", "--interval", "0.3", cwd=tmp_path)
+        return process.stderr.readline().strip(), process
+
+    return start
+
+
+@pytest.mark.slow
+def test_the_server_answers_on_loopback_alone(beside, tmp_path):
+    address, process = beside("nowhere.zarr")
+    url = urlsplit(address)
+    assert url.hostname == "127.0.0.1"
+    for path, host, wanted in (
+        (url.path, "localhost", 200),
+        (url.path, "x.example", 403),
+        ("/etc/passwd", "localhost", 404),
+    ):
+        connection = HTTPConnection("127.0.0.1", url.port, timeout=PATIENCE_S)
+        connection.request("GET", path, headers={"Host": host})
+        assert connection.getresponse().status == wanted
+        connection.close()
+    with pytest.raises(OSError, match="refused"):
+        HTTPConnection("127.0.0.2", url.port, timeout=5).request("GET", "/")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_S) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+@in_browser[1]
+@pytest.mark.parametrize(("width", "theme"), [(1400, "light"), (390, "dark")])
+def test_the_page_changes_beside_a_run(chromium, beside, evil_store, start_sweep, tmp_path, width, theme):
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
+    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    scheme = [{"name": "prefers-color-scheme", "value": theme}]
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": scheme})
+    chromium.get("about:blank")
+    for log in ("browser", "performance"):
+        chromium.get_log(log)
+    (tmp_path / "f.py").write_text(SLOW)
+    address, process = beside("s.zarr", evil_store)
+    chromium.get(address)
+
+    def wait_for(condition):
+        deadline = time.monotonic() + PATIENCE_S
+        while not chromium.execute_script(f"return {condition}"):
+            assert time.monotonic() < deadline, condition
+            time.sleep(0.05)
+
+    first = "document.querySelector('#head-0')"
+    wait_for(f"{first}.textContent.includes('waiting')")
+    axes = ("--axis", "length=0.2:2:0.2", "--axis", "noise=0.1,0.2", "--set", "n_sim=300")
+    running = start_sweep("run", "f.py:period", *axes, "--pool", "serial", "-o", "s.zarr", cwd=tmp_path)
+    wait_for(f"{first}.textContent.includes('running')")
+    wait_for("document.querySelectorAll('#tiles-0 i').length === 20")
+    chromium.execute_script("window.tile = document.querySelector('#tiles-0 i')")
+    wait_for("window.tile.className === 'done' && window.tile.isConnected")
+    wait_for("document.querySelector('#figure-0 svg')")
+    wait_for(f"{first}.textContent.includes('finished')")
+    assert running.wait(PATIENCE_S) == 1
+    wait_for("document.querySelectorAll('#tiles-0 i.failed').length === 2")
+    assert "18 of 20 points done, 2 failed" in chromium.title
+    details = chromium.find_element("css selector", "#failures-0 summary")
+    assert details.text == "2 × ValueError: the string broke <b>here</b>"
+    details.click()
+    assert "period" in chromium.find_element("css selector", "#failures-0 pre").text
+    chromium.find_elements("css selector", "#tiles-0 i")[-1].click()
+    assert chromium.find_element("css selector", ".said").text == "length=2.0,noise=0.2: failed"
+    wait_for("document.querySelector('#figure-1 p')")
+    assert chromium.execute_script("return document.documentElement.scrollWidth") <= width
+    assert not chromium.execute_script("return window.owned")
+    sent = requests(chromium)
+    assert all(url.startswith(address) for url in sent if not url.startswith("data:")), sent
+    assert complaints(chromium) == []
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE_S) == 0
+    wait_for("!document.querySelector('#ended').hidden")
