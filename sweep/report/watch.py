@@ -11,6 +11,7 @@ from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from markupsafe import Markup
 
+from linksweep.sweep.analysis.quantity import with_running
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.report.page import Picture, drawn, policy, template, template_file
 from linksweep.sweep.running.watch import Tile, Watched, pause
@@ -55,7 +56,8 @@ class Shown:
             return False
         begun = time.process_time()
         try:
-            self.figure = drawn(opened.dataset().assign_attrs(title=""), "", f"watch-{self.watched.location}")
+            dataset = with_running(opened.dataset(running=True)).assign_attrs(title="")
+            self.figure = drawn(dataset, "", f"watch-{self.watched.location}")
         except SweepError as error:
             self.figure = Picture("", problem="; ".join(error.problems))
         self._drawn, self._redraw = opened.root, time.monotonic() + REDRAW * (time.process_time() - begun) ** 2
