@@ -72,7 +72,7 @@ def unit_of(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> str:
     part = _of_component(dataset, derived)
     dimension = dataset[derived.variable].dims[-1:]
     units = f"{dimension[0]}_unit" if derived.component is not None else ""
-    return str(part[units].item()) if units in part.coords else units_of(part[derived.variable].attrs)
+    return str(part[units].values.item()) if units in part.coords else units_of(part[derived.variable].attrs)
 
 
 def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> Iterator[Measured]:
@@ -117,8 +117,9 @@ def _values(dataset: xr.Dataset, name: str, fixed: Mapping[str, int]) -> Iterato
     """Yield index and number of every point at which some axes are fixed."""
     part = dataset.isel(fixed)
     dims, error = part["status"].dims, quantity.standard_error(part, name)
-    arrays = (part["status"], part[name], 0.0 * part["status"] if error is None else error)
-    columns = (array.broadcast_like(part["status"]).transpose(*dims).values.reshape(-1).tolist() for array in arrays)
+    arrays = [part["status"], part[name], *([] if error is None else [error])]
+    columns = [array.transpose(*dims).values.reshape(-1).tolist() for array in arrays]
+    columns += [[0.0] * len(columns[0])] if error is None else []
     for place, status, value, sigma in zip(quantity.places_along(part, dims), *columns, strict=True):
         index = {**fixed, **place}
         where = quantity.place_at(dataset, index)

@@ -380,10 +380,10 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
     bottom = below.where(below != 0.0)
     meaning = f"{variable} at {axis} = {of} over that at {axis} = {to}"
     result = (above / bottom).rename("ratio").drop_attrs(deep=False).assign_attrs(described("", meaning)).to_dataset()
-    one, other = places
-    error = quantity.error_of_sum(dataset, variable, one, other, (1.0 / bottom, -above / bottom**2))
+    weights, (one, other) = ((1.0 / bottom).values, (-above / bottom**2).values), places
+    error = quantity.error_of_sum(dataset, variable, one, other, weights)
     if error is not None:
-        result["ratio_error"] = error.drop_attrs(deep=False).assign_attrs(described("", "one-sigma error of ratio"))
+        result["ratio_error"] = result["ratio"].dims, error, described("", "one-sigma error of ratio")
     return result
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, SweepError, shown, small_sample_factor, suggest
+from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError, shown, small_sample_factor, suggest
 from linksweep.sweep.contract.reducer import LENGTH
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, prefixed, units_of
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
@@ -191,34 +191,31 @@ def samples_along(dataset: xr.Dataset, dimension: str, covariance: xr.DataArray 
 
 def error_of_sum(
     dataset: xr.Dataset, variable: str, one: Mapping[str, int], other: Mapping[str, int], weights: tuple[Any, Any]
-) -> xr.DataArray | None:
+) -> Array | None:
     """Return the one-sigma error of a weighted sum of a variable at two indices along dimensions.
 
     If the two share random numbers, it includes their covariance, and is NaN if the dataset does not have it; otherwise
     they are independent.  ``weights`` are numbers or arrays over the other dimensions.  None if there are no errors.
     """
-    known = [standard_error(dataset.isel(place), variable) for place in (one, other)]
-    along = [name for name, coordinate in dataset.coords.items() if set(coordinate.dims) & {*one, *other}]
-    errors = [error.drop_vars(along, errors="ignore") for error in known if error is not None]
-    if not errors:
+    errors = [standard_error(dataset.isel(place), variable) for place in (one, other)]
+    if errors[0] is None or errors[1] is None:
         return None
-    (first, second), differing = weights, [d for d in one if one[d] != other[d]]
+    dims, differing = errors[0].dims, [d for d in one if one[d] != other[d]]
+    (first, second), (sigma, tau) = weights, (error.transpose(*dims).values for error in errors if error is not None)
     if not differing:
-        summed: xr.DataArray = abs(first + second) * errors[0]
-        return summed
-    variance: xr.DataArray = (first * errors[0]) ** 2 + (second * errors[1]) ** 2
-    covariance = covariance_along(dataset, variable, differing[0]) if len(differing) == 1 else None
+        return np.asarray(abs(first + second) * sigma)
+    variance = (first * sigma) ** 2 + (second * tau) ** 2
+    dimension = differing[0]
+    covariance = covariance_along(dataset, variable, dimension) if len(differing) == 1 else None
     if covariance is not None:
-        (dimension,) = differing
-        pair = covariance.isel({d: one[d] for d in one if d != dimension}, drop=True)
-        i, j = one[dimension], other[dimension]
-        part = {(a, b): pair.isel({dimension: a, f"{dimension}_other": b}, drop=True) for a in (i, j) for b in (i, j)}
-        variance = first**2 * part[i, i] + second**2 * part[j, j] + 2.0 * first * second * part[i, j]
-        factor = float(small_sample_factor(samples_along(dataset, dimension, covariance)))
-        variance = (variance * factor).clip(min=0.0)
+        i, j, name = one[dimension], other[dimension], f"{variable}_{COVARIANCE_SUFFIX}_{dimension}"
+        pairs = ({**one, dimension: a, f"{dimension}_other": b} for a, b in ((i, i), (j, j), (i, j)))
+        own, others, both = (dataset.isel(pair)[name].transpose(*dims).values for pair in pairs)
+        variance = first**2 * own + second**2 * others + 2.0 * first * second * both
+        variance = np.maximum(0.0, variance * small_sample_factor(samples_along(dataset, dimension, covariance)))
     elif shares_random_numbers(dataset, differing):
         variance = np.nan * variance
-    return variance**0.5
+    return np.asarray(np.sqrt(variance))
 
 
 # Axes and places
@@ -343,7 +340,7 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
     """
     problems: list[str] = []
     chosen: dict[str, set[int]] = {}
-    axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and not str(n).endswith("_unit")]
+    axes = [str(n) for n, c in dataset.coords.items() if len(c.dims) == 1 and not str(n).endswith("_unit")]
     for name, wanted in places.items():
         if name not in axes:
             problems.append(f"{shown(name)} is not an axis{suggest(name, axes) if axes else '; there are none'}")

@@ -234,8 +234,8 @@ def run_with_progress(
         looks = () if how.as_json is None or study.part else ("plot", "report")
         progress.finish(failures, store, [f"sweep {look} {short_name(store)}" for look in looks])
     if readable:
-        # A conclusion compares, which xarray does.
-        whole: Any = dataset.to_xarray() if CONCLUSION in dataset.attrs else dataset
+        # Slopes are fitted with xarray.
+        whole: Any = dataset.to_xarray() if '"slope"' in dataset.attrs.get(CONCLUSION, "") else dataset
         for sentence in answer_in_short(whole):
             group.print_wrapped(sentence)
     return failures

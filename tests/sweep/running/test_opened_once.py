@@ -15,6 +15,7 @@ from tests.sweep.opening import (
     run_study,
     study_from_dict,
 )
+from tests.tiers import slow
 
 SERIAL = Resources(pool="serial")
 
@@ -109,3 +110,40 @@ def test_a_finished_run_writes_what_is_not_as_it_would_write_it(tmp_path, coins,
     assert stored.attrs["title"] == coins["title"]
     assert str(store) in (store / "zarr.json").read_text()
     assert not check(store)
+
+
+MODELS = """
+import numpy as np
+
+def many(x, y=1.0):
+    if x == 3:
+        raise ValueError("no")
+    day = np.datetime64("2020-01-01") + int(x)
+    return {"f": x * 1.5e-6, "whole": int(x), "truth": x > 1, "day": day, "text": f"q{x}", "array": np.arange(3) * x}
+
+def noisy(x, y=1.0, rng=None):
+    return rng.normal(x, y)
+
+def some(x, y=1.0):
+    return np.nan if x == 1 else 1.0 / y if y else np.inf
+"""
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        *("many --axis x=0:3", "many --axis x=2,1 --axis y=1.0,2.0", "noisy --axis x=0:2 --set n_sim=5"),
+        *("some --axis x=1,2 --axis y=0.0,1.0", "some --axis x=1", "some --design sobol:4 --range x=2:3 --range y=1:2"),
+        *(slow("radio-stars --set n_cat=3 --set n_sim=4"), slow("quasars --set n_cat=2 --set n_sim=4")),
+    ],
+)
+def test_a_run_prints_what_the_dataset_in_its_store_says(tmp_path, sweep, asked):
+    (tmp_path / "models.py").write_text(MODELS)
+    study, *options = asked.split()
+    command = ("run", study if "-" in study or study == "quasars" else f"models.py:{study}", *options, "-o", "s.zarr")
+    printed = " ".join(sweep(*command, cwd=tmp_path)[1].split())
+    for sentence in linksweep.answer(linksweep.open(tmp_path / "s.zarr")).sentences:
+        assert " ".join(sentence.split()) in printed or sentence.startswith("Incomplete")
+    assert sweep(*command, "--json", cwd=tmp_path)[1] == sweep("show", "s.zarr", "--json", cwd=tmp_path)[1]
+    table = sweep("show", "s.zarr", cwd=tmp_path)[1].partition("\n\n")[0]
+    assert " ".join(table.split()) in printed
