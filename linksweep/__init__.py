@@ -4,6 +4,7 @@ This is the public interface; names that are not in ``__all__`` may change witho
 
 =========================================  ==========================================================
 `run`, `open`                              run a study, read the results in a store
+`refine`                                   add points and realisations where they matter
 `answer`, `plot`                           what results say, and their figure
 `tie`, `difference`                        link two real tables, compare two such links
 `forecast`, `apply`                        plan what to observe next, carry a table into the other frame
@@ -37,7 +38,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, ratio
     from linksweep.sweep.analysis.sensitivity import sensitivity
-    from linksweep.sweep.api import answer, open, plot, run  # noqa: A004
+    from linksweep.sweep.api import answer, open, plot, refine, run  # noqa: A004
     from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
     from linksweep.sweep.executing.pools import Limits
     from linksweep.sweep.functions.adapter import experiment
@@ -71,6 +72,7 @@ __all__ = [
     "open",
     "plot",
     "ratio",
+    "refine",
     "run",
     "sensitivity",
     "tie",
@@ -79,7 +81,7 @@ __all__ = [
 _MODULES = {
     "linksweep.sweep.analysis.laws": ("find", "fit_levelling", "fit_power_law", "interpolate", "ratio"),
     "linksweep.sweep.analysis.sensitivity": ("sensitivity",),
-    "linksweep.sweep.api": ("answer", "open", "plot", "run"),
+    "linksweep.sweep.api": ("answer", "open", "plot", "refine", "run"),
     "linksweep.sweep.contract": ("Experiment", "Output", "Parameter", "Point", "SweepError"),
     "linksweep.sweep.executing.pools": ("Limits",),
     "linksweep.sweep.functions.adapter": ("experiment",),

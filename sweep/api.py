@@ -168,6 +168,66 @@ def run(
     return _drawable(dataset)
 
 
+def refine(
+    study: str | Path | Mapping[str, Any] | Study | Callable[..., Any],
+    store: Where | None = None,
+    *,
+    find: str | None = None,
+    until: str | None = None,
+    within: float | None = None,
+    along: str | None = None,
+    variable: str | None = None,
+    max_realisations: int | None = None,
+    axes: Mapping[str, Any] | None = None,
+    fixed: Mapping[str, Any] | None = None,
+    sampling: Mapping[str, Any] | None = None,
+    **options: Any,
+) -> xr.Dataset:
+    """Run a study, then add the points and realisations that matter next, round by round, into the same store.
+
+    After an interruption the same call goes on where it stopped.  See the page on refining.
+
+    Args:
+        study: as for `run`.
+        store: as for `run`.
+        find: a condition, "sigma_spin < 0.6 mas/yr": points locate where it begins or ceases to be met.
+        until: instead of ``find``, a limit of the error of values between points, "error < 0.002": points are added
+            where a value differs by more from what its neighbours on the axis give.
+        within: how well to locate it, in the unit of the axis; for ``until`` the shortest interval, by default a
+            thousandth of the axis.
+        along: the axis that gets points; by default the only one with several numbers.
+        variable: for ``until``, the output; by default the main one.
+        max_realisations: how many there may be in all; by default a fifth of those of the full grid.
+        axes: as for `run`.
+        fixed: as for `run`.
+        sampling: as for `run`.
+        options: further arguments of `run`: ``workers``, ``pool`` and so on.
+
+    Returns:
+        The outputs of the study with its further points, over its axes; the attribute ``refined`` has all rounds, as
+        JSON.
+
+    Raises:
+        SweepError: as `run`, and for a goal that does not suit the study.
+
+    Example:
+        >>> import linksweep
+        >>> def decay(t: float):
+        ...     return 0.5**t
+        >>> ds = linksweep.refine(decay, axes={"t": [0.0, 4.0, 8.0]}, find="decay < 0.1", within=0.01, pool="serial")
+        >>> ds.sizes["t"], round(float(linksweep.find(ds, "decay < 0.1", over="t")["first"]), 3)
+        (12, 3.322)
+    """
+    from linksweep.sweep.analysis.refine import Goal, refinements
+
+    loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling})
+    place = located(store or default_store(loaded.name))
+    goal = Goal(find, until, within, along, variable, max_realisations)
+    for state in refinements(loaded, place, goal, lambda now: run(now, place, **options)):
+        log.info("%s", state.upcoming or " ".join(state.sentences()))
+    return state.dataset
+
+
 def open(  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)
     store: Where, *, running: bool = False
 ) -> xr.Dataset:

@@ -41,6 +41,7 @@ PAGES = {
     "missions.md": ["missions.svg"],
     "planning-observations.md": ["ranking.svg", "epochs.svg", "plan.html"],
     "points.md": ["flow.svg", "pairs.svg", "sensitivity.svg"],
+    "refine.md": ["wave.svg"],
     "report.md": ["quasars-report.html", "both.html"],
     "running.md": ["run.log"],
     "studies.md": ["quick.png"],
@@ -79,6 +80,7 @@ SCRIPTS = {
     "functions.md": ("", 0),
     "planning-observations.md": ("", 0),
     "points.md": ("flow.py", 1),
+    "refine.md": ("shapes.py", 1),
     "results.md": ("", 0),
     "tie.md": ("", 0),
 }

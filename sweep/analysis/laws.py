@@ -595,7 +595,7 @@ def interpolate(
         i = min(max(int(np.searchsorted(x, at)) - 1, 0), len(x) - 2)
         logarithm = bool(np.all(line.y[i : i + 2] > 0.0))
         u, spread = _pair(line, i, logarithm)
-        *_, z = scale = _on_scale(np.append(x, at), made.over_unit)
+        *_, z = scale = on_scale(np.append(x, at), made.over_unit)
         fraction = (z - scale[i]) / (scale[i + 1] - scale[i])
         value, error = _mix(fraction, u, spread, line.samples)
         row[:] = (np.exp(value), np.exp(value) * error) if logarithm else (value, error)
@@ -631,7 +631,7 @@ def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[flo
     logarithm = bool(np.all(line.y[i : i + 2] > 0.0)) and threshold > 0.0
     u, spread = _pair(line, i, logarithm)
     fraction = ((np.log(threshold) if logarithm else threshold) - u[0]) / (u[1] - u[0])
-    z = _on_scale(line.x, over_unit)
+    z = on_scale(line.x, over_unit)
     step = z[i + 1] - z[i]
     # to first order the place moves by the error of the quantity there, over its slope
     place, error = z[i] + fraction * step, abs(step / (u[1] - u[0])) * _mix(fraction, u, spread, line.samples)[1]
@@ -658,7 +658,7 @@ def _is_logarithmic(x: Array, unit: str) -> bool:
     return bool(np.all(x > 0.0)) and unit not in LOGARITHMIC_UNITS
 
 
-def _on_scale(x: Array, unit: str) -> Array:
+def on_scale(x: Array, unit: str) -> Array:
     """Return the axis on the scale for interpolation: its logarithm, or itself if it is one already or has none."""
     return np.log(x) if _is_logarithmic(x, unit) else x
 

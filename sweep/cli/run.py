@@ -9,7 +9,7 @@ import sys
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -22,8 +22,11 @@ from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
 from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_json, without_secrets
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from linksweep.sweep.executing.pools import PoolName, Resources
     from linksweep.sweep.running.failures import MaxFailures
+    from linksweep.sweep.running.results import Labelled
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.part import Part
 
@@ -204,10 +207,10 @@ def run_with_progress(
     retry: bool = False,
     fresh: bool = False,
     **beside: Any,
-) -> dict[str, str]:
+) -> "tuple[Labelled, dict[str, str]]":
     """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone.  Return
-    why points failed.  The fields of `Beside` say what becomes of other points of the store.  An interruption ends the
-    command.
+    the results, and why points failed.  The fields of `Beside` say what becomes of other points of the store.  An
+    interruption ends the command.
     """
     from linksweep.sweep.analysis.answer import CONCLUSION, answer_in_short
     from linksweep.sweep.interrupt import RunInterruptedError
@@ -238,7 +241,7 @@ def run_with_progress(
         whole: Any = dataset.to_xarray() if '"slope"' in dataset.attrs.get(CONCLUSION, "") else dataset
         for sentence in answer_in_short(whole):
             group.print_wrapped(sentence)
-    return failures
+    return dataset, failures
 
 
 def print_verified(study: "linksweep.Study", store: "Location", points: int, shown: bool = True) -> bool:
@@ -290,9 +293,62 @@ def run(
     if (retry or fresh) and (only or keep or redo):
         raise click.UsageError("--only, --keep and --redo do not go with --retry and --fresh")
     study, store = asked.stored() if retry else asked.load(part)
-    failures = run_with_progress(study, store, how, retry=retry, fresh=fresh, only=only, keep=keep, redo=redo)
+    _, failures = run_with_progress(study, store, how, retry=retry, fresh=fresh, only=only, keep=keep, redo=redo)
     differing = verify and print_verified(study, store, verify, not how.watching.quiet)
     if failures or differing:
+        sys.exit(group.EXIT_FAILED_POINTS)
+
+
+@group.command("Run", "Add points and realisations where they matter")
+def refine(
+    asked: options.AskedStudy = options.group(options.AskedStudy),
+    goal: Any = options.passed(
+        find=opt('The condition to locate, e.g. "sigma_spin < 0.6 mas/yr".', metavar="CONDITION"),
+        until=opt('Interpolate to this, in the unit of the result: "error < 0.002".', metavar="CONDITION"),
+        within=opt("How well to locate it, in the unit of the axis.", type=POSITIVE, metavar="WIDTH"),
+        along=opt("The axis that gets points.  [default: the only one with several numbers]"),
+        variable=opt("With --until: what to interpolate.  [default: the main result]"),
+        most=opt(
+            "All realisations that there may be.  [default: a fifth of the full grid's]",
+            "--max-realisations",
+            type=click.IntRange(1),
+        ),
+    ),
+    how: Running = options.group(Running),
+) -> None:
+    """Run STUDY, then add the points and realisations that matter next, round by round, into the same store.
+
+    With --find they locate where a condition changes, to the width that is asked for; with --until values between
+    points are interpolated to an error.  Points are not cut finer than their Monte-Carlo error says: they get more
+    realisations instead.  The same command goes on after an interruption.
+
+    \b
+    sweep refine quasars --find "sigma_spin < 0.6" --within 0.01
+    sweep refine quasars --along v_max --until "error < 0.002"
+    """
+    from linksweep.sweep.analysis.laws import find
+    from linksweep.sweep.analysis.refine import Goal, refinements
+
+    study, store = asked.load()
+    wanted, failures = Goal(**goal), dict[str, str]()
+
+    def run(now: "linksweep.Study") -> "xr.Dataset":
+        dataset, failed = run_with_progress(now, store, replace(how, as_json=None))
+        failures.update(failed)
+        return dataset.to_xarray()
+
+    for state in refinements(study, store, wanted, run):
+        if state.upcoming is not None and not how.watching.quiet:
+            click.echo(f"round {len(state.rounds) + 1}: {state.upcoming}", err=True)
+    if how.as_json:
+        report = {name: value for name, value in vars(state).items() if name != "dataset"}
+        click.echo(to_json(report | {"failures": failures}))
+    else:
+        if wanted.find is not None and not failures:
+            group.print_result(find(state.dataset, wanted.find, state.along), "text")
+        for sentence in state.sentences():
+            group.print_wrapped(sentence)
+    if failures:
         sys.exit(group.EXIT_FAILED_POINTS)
 
 
@@ -408,7 +464,7 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     state = f"running, {report['running']}" if report["running"] else "stopped" if unfinished else "finished"
     failed = f", {points['failed']:,} failed" if points["failed"] else ""
     group.print_styled(report["title"], bold=True)
-    rows = next(iter(report["axes"].values()), [])
+    rows: list[dict[str, Any]] = next(iter(report["axes"].values()), [])
     done, wanted = (sum(row[key] for row in rows) for key in ("realisations_done", "realisations"))
     share = f", {100 * done // wanted} % of the realisations" if unfinished and "realisations_done" in report else ""
     group.print_wrapped(f"{state}: {points['done']:,} of {counted(total, 'point')}{part} done{failed}{share}")
@@ -417,6 +473,8 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
             group.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")
     click.echo()
     group.print_tables(axis_table(dimension, report["units"]) for dimension in report["axes"].values())
+    for number, one in enumerate(report["rounds"], 1):
+        group.print_wrapped(f"round {number} of sweep refine: {one}", later="   ")
     if failures := report["failures"]:
         click.echo(f"\n{counted(len(failures), 'point')} failed:")
         for reason in reasons_of(failures).in_words():

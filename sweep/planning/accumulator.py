@@ -76,7 +76,8 @@ class Accumulator:
 
     def _survey(self, rows: Rows) -> Survey:
         # Three ways for the sake of time: a million points take seconds, one after the other minutes.
-        if not self._rows and not self._failed and self._only is None and self._share is None:
+        is_new = not self._rows and not self._failed and self._only is None and self._share is None
+        if is_new and not self.plan.grid.study.counts:
             return self._survey_of_new_points()
         if self._whole is not None:
             return self._survey_of_whole_points(self._whole, rows)
@@ -123,10 +124,8 @@ class Accumulator:
 
     def _only_block(self) -> Block | None:
         """Return the one block that every point consists of, None if points have several blocks or different ones."""
-        sampling = self.plan.grid.study.sampling
-        alike = (
-            self.plan.costs_nothing_special and not self.plan.grid.study.draws_together and sampling.precision is None
-        )
+        study = self.plan.grid.study
+        alike = self.plan.costs_nothing_special and not study.draws_together and study.is_alike
         blocks = self.plan.blocks(1.0) if alike and self._samples is None else ()
         return blocks[0] if len(blocks) == 1 else None
 
@@ -216,7 +215,7 @@ class Accumulator:
         cost = self.plan.cost(point.parameters)
         round_ = self._rounds.get(index)
         if round_ is None:
-            round_ = self._rounds[index] = _Round(range(self.plan.parts(cost)))
+            round_ = self._rounds[index] = _Round(self.plan.parts_of(point))
         if (block.group, block.part) != (round_.group, round_.part):
             round_.early[block.group, block.part] = row, kept
             return []
@@ -259,7 +258,7 @@ class Accumulator:
         """Return whether each work is all that its points need."""
         study = self.plan.grid.study
         whole = study.sampling.n_cat * study.sampling.n_sim
-        simple = study.sampling.precision is None and not self.reducer.samples_width
+        simple = study.is_alike and not self.reducer.samples_width
         return simple and all(work.block.realisations == whole for work in works)
 
     def add_whole(self, works: Sequence[Work], rows: Rows) -> list[GridPoint]:
@@ -304,7 +303,8 @@ class Accumulator:
         if self._share is not None and (own := self._share[point.index]) is not None:
             return own
         round_ = self._rounds.get(point.index)
-        return self.plan.blocks(self.plan.cost(point.parameters), None if round_ is None else round_.parts)
+        parts = self.plan.parts_of(point) if round_ is None else round_.parts
+        return self.plan.blocks(self.plan.cost(point.parameters), parts)
 
     def _finish_round(self, point: GridPoint, cost: float, round_: _Round) -> list[Block]:
         """Mark a point as done, or begin another round if its precision needs one."""

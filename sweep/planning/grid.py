@@ -91,12 +91,12 @@ class Grid:
                 continue
             parameters = self._fixed.copy()
             parameters.update(zip(names, itertools.chain.from_iterable(combination), strict=True))
-            if not (clauses and self.excludes(parameters)):
+            if not (clauses and self.excludes(parameters)) and index not in self._left_out:
                 yield index, parameters
 
     def indices(self) -> NDArray[np.intp]:
         """Return the indices of the points that `parameters` yields."""
-        if self.first_rows is None and not self.study.excluded:
+        if self.first_rows is None and not self.study.excluded and not self._left_out:
             return np.arange(len(self))
         return np.fromiter((index for index, _ in self.parameters()), dtype=np.intp)
 
@@ -113,6 +113,13 @@ class Grid:
                 parameters = self._fixed.copy()
                 parameters.update(zip(self._names, itertools.chain.from_iterable(combination), strict=True))
                 yield GridPoint(index, parameters, digest, stream)
+
+    @cached_property
+    def _left_out(self) -> set[int]:
+        """The indices of the points that a study which was refined does not have."""
+        without = {bytes.fromhex(name) for name, n in self.study.counts.items() if n == 0}
+        digests = self.digests(np.arange(len(self))) if without else ()
+        return {index for index, digest in enumerate(digests) if digest in without}
 
     def point(self, index: int) -> GridPoint:
         """Return the point at an index, excluded or not."""

@@ -91,7 +91,9 @@ def united(stored: Study, asked: Study, held: Collection[bytes] | None = None) -
         zipped=tuple(names for names in rows if len(names) > 1 and (points is None or names != points.names)),
         points=points,
         excluded=excluded,
+        counts={},
     )
+    result = replace(result, counts=_counts(theirs, places, mine, result))
     if result.digest() == asked.digest():
         return asked
     overrides = asked.overrides if EARLIER in asked.overrides else (*asked.overrides, EARLIER)
@@ -208,6 +210,18 @@ def _sampling(stored: Study, asked: Study) -> Sampling:
     return old if same and (old.precision or 1.0) <= (new.precision or 0.0) else new
 
 
+def _counts(theirs: Grid, places: NDArray[np.intp], mine: Grid, whole: Study) -> dict[str, int]:
+    """Return the realisations of single points of two studies, the larger ones; where either was refined, points of
+    their union that neither has are left out.
+    """
+    both = [*theirs.study.counts.items(), *mine.study.counts.items()]
+    counts = {name: n for name, n in sorted(both, key=lambda one: one[1]) if n}
+    if not all(n for _, n in both):
+        grid, there = Grid(whole), {*theirs.digests(places), *mine.digests(mine.indices())}
+        counts |= {digest.hex(): 0 for digest in grid.digests(grid.indices()) if digest not in there}
+    return counts
+
+
 def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
     """Return the document from which a store makes the union again."""
 
@@ -224,6 +238,7 @@ def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
         document["sampling"] = whole.sampling.model_dump(exclude_none=True, exclude_unset=True)
     if whole.points is not None:
         document["points"] = whole.points.written(written(columns))
+    document["counts"] = whole.counts
     if whole.conclusion is None:
         document.pop("conclusion", None)
     theirs, mine = (one.document.get("define", {}) for one in (stored, asked))

@@ -159,7 +159,8 @@ class Session:
     def _part(self) -> "Session":
         """Return the session of the points of the study that was asked for alone, with what is there now."""
         assert self._asked is not None, "the store has more"
-        known = replace(self._asked, experiment=self.study.experiment, sampling=self.study.sampling)
+        study = self.study
+        known = replace(self._asked, experiment=study.experiment, sampling=study.sampling, counts=study.counts)
         return Session(self.accumulator.plan.of(known), self._where, self.store)
 
     def part(self) -> tuple[Labelled, dict[str, str]]:

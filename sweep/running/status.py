@@ -17,6 +17,7 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import TARGET, Plan
 from linksweep.sweep.planning.point_status import Status, count_status
+from linksweep.sweep.planning.refined import rounds_of
 from linksweep.sweep.running.run import plan_study
 from linksweep.sweep.running.writer import failures_by_place
 from linksweep.sweep.stores.location import Location, Where, holder, located, reading
@@ -91,6 +92,7 @@ def status_report(store: Where) -> dict[str, Any]:
         "axes": by_axis(axes, status, realisations, wanted),
         "units": {name: study.experiment.parameter(name).unit for name in study.axes},
         **({"lost_parts": attributes[LOST]} if LOST in attributes else {}),
+        "rounds": [str(one) for one in rounds_of(attributes)],
         "failures": failures,
         "command": attributes.get("command"),
         "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")}

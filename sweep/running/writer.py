@@ -23,6 +23,7 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe
 from linksweep.sweep.planning.plan import Plan, PlanSize, Work
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.planning.refined import REFINED
 from linksweep.sweep.planning.union import UNITED
 from linksweep.sweep.planning.work_queue import TUNED, Pending, Tuning
 from linksweep.sweep.running.code import records_of
@@ -43,7 +44,7 @@ MAX_FAILURES_NAMED = 1000
 BLOCK = "block"
 
 # Attributes of a store that every later run keeps.
-KEPT = ("merged", "started")
+KEPT = ("merged", "started", REFINED)
 
 
 # The name in a store that is not that of an array.

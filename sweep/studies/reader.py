@@ -217,6 +217,7 @@ class _Reader:
             zipped=tuple(map(tuple, checked.grid.zip)),
             points=table,
             excluded=(*(tuple(clause.values()) for clause in checked.exclude), *clauses),
+            counts=form.counts,
             when=tuple(when),
             published=published,
             source=self.where,

@@ -569,6 +569,7 @@ class Form(Section):
     grid: GridForm = GridForm()
     points: PointsForm | None = None
     exclude: list[Annotated[dict[str, Any], Field(min_length=1), _each(_condition)]] = Field(default_factory=list)
+    counts: dict[str, Annotated[int, Field(ge=0, le=10**9)]] = Field(default_factory=dict)
     when: dict[str, Annotated[dict[str, list[Any]], Field(min_length=1)]] = Field(default_factory=dict)
     published: PublishedForm | None = None
     claim: list[Claim] = Field(default_factory=list)
@@ -629,6 +630,8 @@ class Study:
         zipped: groups of axes that share a dimension.
         points: the columns of a table of points, which share a dimension and in which values may repeat.
         excluded: the conditions under which points are left out.
+        counts: a larger n_sim of single points, by their digests, or 0 for those that are left out, as `sweep refine`
+            has them.
         when: the parameters that have an effect only with some values of others; None where they have none.
         published: published results.
         source: the file that it was read from.
@@ -651,6 +654,7 @@ class Study:
     zipped: tuple[tuple[str, ...], ...] = ()
     points: PointTable | None = None
     excluded: tuple[tuple[Condition, ...], ...] = ()
+    counts: Mapping[str, int] = field(default_factory=dict)
     when: tuple[str, ...] = ()
     published: Published | None = None
     source: str = ""
@@ -689,6 +693,16 @@ class Study:
         """Whether the ledger holds realisations: the study or the experiment asks for them."""
         return self.sampling.keep_samples or self.experiment.keeps_samples
 
+    @property
+    def may_differ(self) -> bool:
+        """Whether single points may have more realisations than others."""
+        return not (self.sampling.precision or self.sampling.keep_samples or self.sampling.common_random_numbers)
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether all points get the same realisations."""
+        return self.sampling.precision is None and not self.counts
+
     def meaning(self) -> dict[str, Any]:
         """Return what determines the results of every point besides its own parameters: if this differs, results cannot
         be mixed.
@@ -719,6 +733,7 @@ class Study:
             "zip": self.zipped,
             **({} if self.points is None else {"points": self.points.names}),
             **({"labels": self.points.labels} if self.points is not None and self.points.labels else {}),
+            **({"counts": self.counts} if self.counts else {}),
             "exclude": [[vars(c) for c in clause] for clause in self.excluded],
         }
         return hashlib.sha256(json.dumps(whole, sort_keys=True, default=content_digest).encode()).hexdigest()

@@ -1,0 +1,286 @@
+"""Points and realisations that are added where they matter, against roots that are known in closed form."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as examples_of
+from hypothesis import strategies as st
+
+import linksweep
+from linksweep.sweep.contract import SweepError
+from tests.tiers import examples
+
+ELEVEN = {"x": np.linspace(0.0, 1.0, 11)}
+
+
+def shape(x: float, root: float, power: float = 1.0, is_step: bool = False) -> float:
+    """Rises through 0 at the root: a power, or a step."""
+    return math.copysign(1.0 if is_step else abs(x - root) ** power, x - root)
+
+
+def decay(x: float, rate: float) -> float:
+    return math.exp(-rate * x)
+
+
+def noisy(rng, x: float, sigma: float = 0.1) -> float:
+    return {"y": x - 0.4321 + sigma * rng.normal()}
+
+
+def wave(x: float) -> float:
+    return math.sin(2.0 * math.pi * x)
+
+
+def crossings(ds, condition, **more):
+    return linksweep.find(ds, condition, over="x", **more)
+
+
+def rounds(ds):
+    return json.loads(ds.attrs.get("refined", "[]"))
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.slow
+@examples_of(max_examples=examples(25), deadline=None)
+@given(
+    root=st.floats(0.01, 0.99),
+    power=st.floats(0.3, 3.0),
+    is_step=st.booleans(),
+    finest=st.sampled_from([0.003, 0.01]),
+    number=st.integers(2, 12),
+)
+def test_a_root_is_located_with_a_fifth_of_the_points_of_the_full_grid(root, power, is_step, finest, number):
+    fixed, axes = {"root": root, "power": power, "is_step": is_step}, {"x": np.linspace(0.0, 1.0, number)}
+    ds = linksweep.refine(shape, axes=axes, fixed=fixed, find="shape > 0", within=finest, pool="serial")
+    found = crossings(ds, "shape > 0")
+    assert int(found["crossings"]) == 1
+    assert abs(float(found["first"]) - root) <= finest
+    x = ds.x.values
+    i = np.searchsorted(x, root)
+    assert x[i] - x[i - 1] <= finest * (1.0 + 1e-9)
+    assert len(x) <= 0.2 * (1.0 / finest + 1.0)
+    added = [point["x"] for one in rounds(ds) for point in one["points"]]
+    assert sorted({*axes["x"], *added}) == x.tolist()  # the store says why each point is there
+
+
+@pytest.mark.slow
+def test_every_line_gets_points_at_its_own_crossing_and_further_runs_leave_no_gaps():
+    goal = {"find": "decay < 0.2", "along": "x", "pool": "serial"}
+    rates = {"rate": [1.0, 2.0, 3.0]}
+    ds = linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.01, **goal)
+    first = crossings(ds, "decay < 0.2")["first"].values
+    assert np.isnan(first[0])  # it is above everywhere
+    np.testing.assert_allclose(first[1:], math.log(5.0) / np.array([2.0, 3.0]), atol=0.001)
+    new = ~np.isin(ds.x.values, ELEVEN["x"])
+    assert (ds.status.values[new] == 1).sum(axis=1).tolist() == [1] * new.sum()  # on one line each
+    again = linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.01, **goal)
+    assert again.equals(ds)
+    finer = linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.001, **goal)
+    assert rounds(finer)[: len(rounds(ds))] == rounds(ds)
+    linksweep.run(decay, "s.zarr", axes=ELEVEN | rates, pool="serial")
+    assert linksweep.open("s.zarr").equals(finer)
+    linksweep.run(decay, "s.zarr", axes=ELEVEN | {"rate": [4.0]}, pool="serial")
+    whole = linksweep.open("s.zarr")
+    assert whole.attrs["complete"] == 1
+    assert set(np.unique(whole.status)) == {1, 3}
+    both = linksweep.refine(decay, "s.zarr", axes=ELEVEN | {"rate": [1.0, 2.0, 3.0, 4.0]}, within=0.001, **goal)
+    np.testing.assert_allclose(crossings(both, "decay < 0.2")["first"].values[-1], math.log(5.0) / 4.0, atol=1e-3)
+
+
+def test_values_between_points_are_interpolated_to_the_error_that_was_asked_for():
+    ds = linksweep.refine(wave, axes=ELEVEN, until="error < 0.01", pool="serial")
+    x = np.linspace(0.0, 1.0, 2001)
+    apart = np.interp(x, ds.x.values, ds.wave.values) - np.sin(2.0 * np.pi * x)
+    assert np.abs(apart).max() < 0.01
+    assert ds.sizes["x"] <= 0.1 / np.diff(ds.x.values).min() * 10  # not all of it
+    step = linksweep.refine(
+        shape, axes=ELEVEN, fixed={"root": 0.618, "is_step": True}, until="error < 0.01", within=0.001, pool="serial"
+    )
+    assert np.diff(step.x.values).min() <= 0.001
+    assert step.sizes["x"] < 40  # the rest of the axis stays as it was
+
+
+def counted(x: int) -> float:
+    return 1.0 / x
+
+
+def test_midpoints_are_values_of_the_axis_in_its_own_spacing():
+    whole = linksweep.refine(counted, axes={"x": [1, 100, 200]}, find="counted < 0.017", within=1, pool="serial")
+    assert whole.x.dtype.kind == "i"
+    assert {58, 59} <= set(whole.x.values.tolist())  # 1/0.017 = 58.8
+    assert linksweep.refine(counted, axes={"x": [1, 100, 200]}, find="counted < 0.017", within=1, pool="serial").equals(
+        whole
+    )
+
+    def inverse(x: float):
+        return 1.0 / x
+
+    log = linksweep.refine(
+        inverse, axes={"x": [1.0, 100.0, 1e4, 1e6]}, find="inverse < 0.0005", within=500.0, pool="serial"
+    )
+    assert rounds(log)[0]["points"] == [{"x": 1000.0}]
+
+
+def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no_more_than_a_fifth_are_spent():
+    sampling = {"n_sim": 100, "seed": 3}
+    ds = linksweep.refine(
+        noisy, "n.zarr", axes=ELEVEN, sampling=sampling, find="y_mean > 0", within=0.01, pool="serial"
+    )
+    assert int(ds.n_sim_done.sum()) <= 0.2 * 101 * 100
+    more = ds.x.values[ds.n_sim_done.values > 100]
+    assert len(more) >= 1
+    assert np.abs(more - 0.4321).max() < 0.11
+    base = linksweep.run(noisy, "b.zarr", axes=ELEVEN, sampling=sampling, pool="serial")
+    far = base.x[np.abs(base.x - 0.4321) > 0.2]
+    assert ds.sel(x=far).y_mean.equals(base.sel(x=far).y_mean)  # to the bit
+    lavish = linksweep.refine(
+        noisy,
+        "n.zarr",
+        axes=ELEVEN,
+        sampling=sampling,
+        find="y_mean > 0",
+        within=0.004,
+        max_realisations=10**6,
+        pool="serial",
+    )
+    assert abs(float(crossings(lavish, "y_mean > 0")["first"]) - 0.4321) < 0.006
+    assert linksweep.run(noisy, "n.zarr", axes=ELEVEN, sampling=sampling, pool="serial").equals(
+        lavish.sel(x=ELEVEN["x"])
+    )
+
+
+@pytest.mark.slow
+def test_what_is_said_to_be_known_of_a_noisy_crossing_is_true_as_often_as_two_errors_are(sweep, tmp_path):
+    (tmp_path / "noise.py").write_text(
+        "def noisy(rng, x: float, sigma: float = 0.1):\n    return {'y': x - 0.4321 + sigma * rng.normal()}\n"
+    )
+    inside = []
+    for seed in range(60):
+        command = ["refine", "noise.py:noisy", "--axis", "x=0:1:0.1", "--set", f"seed={seed}", "--set", "n_sim=200"]
+        status, out, err = sweep(
+            *command, "--find", "y_mean > 0", "--within", "0.01", "--json", "-o", f"{seed}.zarr", cwd=tmp_path
+        )
+        assert status == 0, err
+        report = json.loads(out)
+        assert report["spent"] <= 0.2 * report["full"]
+        (known,) = report["known"].values()
+        ds = linksweep.open(tmp_path / f"{seed}.zarr")
+        inside.append(abs(float(crossings(ds, "y_mean > 0")["first"]) - 0.4321) <= known)
+    assert np.mean(inside) >= 0.9
+
+
+class Stop:
+    """Ends a run after some points, as Ctrl-C does."""
+
+    def __init__(self, after):
+        self.left = after
+
+    def __getattr__(self, name):
+        return lambda *_: None
+
+    def advance(self, *_):
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("pool", ["serial", pytest.param("processes", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("after", [0, 3, pytest.param(5, marks=pytest.mark.slow), 9])
+def test_what_is_stopped_in_any_round_goes_on_to_the_same_bits(after, pool):
+    goal = {"axes": ELEVEN, "sampling": {"n_sim": 600}, "find": "y_mean > 0", "within": 0.02}
+    whole = linksweep.refine(noisy, "whole.zarr", **goal, pool="serial")
+    watching = Stop(after)
+    for _ in range(20):
+        try:
+            ds = linksweep.refine(noisy, "stopped.zarr", **goal, pool=pool, progress=watching)
+            break
+        except KeyboardInterrupt:
+            watching = Stop(after + 3)
+    assert ds.equals(whole)
+    assert rounds(ds) == rounds(whole)
+    assert linksweep.open("stopped.zarr").equals(whole)
+
+
+def test_points_that_fail_or_are_excluded_end_the_cutting_there():
+    def broken(x: float) -> float:
+        if 0.42 < x < 0.48:
+            raise ValueError("no")
+        return x - 0.45
+
+    ds = linksweep.refine(broken, "f.zarr", axes=ELEVEN, find="broken > 0", within=0.01, pool="serial", max_failures=5)
+    assert (ds.status.values == 2).sum() == 1
+    assert ds.sizes["x"] == 12
+
+
+def test_a_condition_on_a_conditional_axis_leaves_the_other_points_alone():
+    def kernel(name: str, width: float = 1.0):
+        return width if name == "rbf" else 0.5
+
+    axes = {"name": ["flat", "rbf"], "width": [0.0, 0.5, 1.0]}
+    study = {"experiment": kernel, "axes": axes, "when": {"width": {"name": ["rbf"]}}}
+    ds = linksweep.refine(study, find="kernel > 0.3", within=0.1, along="width", pool="serial")
+    assert (ds.sel(name="rbf").status.values == 1).sum() == ds.sizes["width"] - 1
+    assert (ds.sel(name="flat").status.values == 1).sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"),
+    [
+        ({}, "find"),
+        ({"find": "shape > 0", "until": "error < 1", "within": 0.1}, "until"),
+        ({"find": "shape > 0"}, "within"),
+        ({"find": "shape > 0", "within": -1.0}, "within"),
+        ({"find": "shape > 0", "within": math.nan}, "within"),
+        ({"find": "shape is 0", "within": 0.1}, "shape is 0"),
+        ({"until": "shape < 0"}, "error < 0.002"),
+        ({"until": "error > 1"}, "error < 0.002"),
+        ({"find": "shape > 0", "within": 0.1, "along": "y"}, "y"),
+        ({"find": "shape > 0", "within": 0.1, "variable": "other"}, "other"),
+        ({"find": "shape > 0", "within": 0.1, "max_realisations": 0}, "max_realisations"),
+    ],
+)
+def test_a_goal_that_is_none_is_refused_before_anything_is_written(goal, words, tmp_path):
+    with pytest.raises(SweepError, match=words):
+        linksweep.refine(shape, "r.zarr", axes=ELEVEN, fixed={"root": 0.5}, pool="serial", **goal)
+    assert not (tmp_path / "r.zarr").exists()
+
+
+def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
+    (tmp_path / "f.py").write_text("def step(x: float):\n    return float(x > 0.618)\n")
+    command = ["refine", "f.py:step", "--axis", "x=0:1:0.25", "--find", "step > 0.5", "--within", "0.1", "-o", "s.zarr"]
+    status, out, err = sweep(*command, cwd=tmp_path)
+    assert status == 0, err
+    assert "round 1: 1 new point" in err
+    status, again, err = sweep(*command, "--json", cwd=tmp_path)
+    assert status == 0, err
+    report = json.loads(again)
+    assert (report["spent"], report["full"], report["upcoming"]) == (7, 11, None)
+    assert report["known"] == {"": pytest.approx(0.0625, rel=0.3)}
+    assert "step > 0.5" in out
+    status, shown, err = sweep("status", "s.zarr", cwd=tmp_path)
+    assert status == 0, err
+    assert shown.count("of sweep refine") == len(report["rounds"]) == 2
+
+
+@pytest.mark.slow
+def test_the_crossing_of_the_quasars_is_that_of_the_full_grid(sweep, tmp_path):
+    few = ["quasars", "--set", "n_sim=20", "--set", "n_cat=30", "--axis", "model=amex"]
+    goal = ["--find", "sigma_spin < 0.6", "--within", "0.02"]
+    status, out, err = sweep("refine", *few, "--axis", "v_max=14:16:0.5", *goal, "--json", "-o", "r.zarr", cwd=tmp_path)
+    assert status == 0, err
+    status, _, err = sweep("run", *few, "--axis", "v_max=14:16:0.02", "-o", "full.zarr", cwd=tmp_path)
+    assert status == 0, err
+    first, last = (
+        float(linksweep.find(linksweep.open(tmp_path / name), "sigma_spin < 0.6", over="v_max")[which].item())
+        for name, which in (("full.zarr", "first"), ("full.zarr", "last"))
+    )
+    mine = float(linksweep.find(linksweep.open(tmp_path / "r.zarr"), "sigma_spin < 0.6", over="v_max")["first"].item())
+    assert first - 0.02 <= mine <= last + 0.02
+    report = json.loads(out)
+    assert report["spent"] <= 0.2 * report["full"]
