@@ -14,15 +14,14 @@ from markupsafe import Markup
 from linksweep.sweep.analysis.quantity import with_running
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.report.page import Picture, drawn, policy, template, template_file
-from linksweep.sweep.running.watch import Tile, Watched, pause
+from linksweep.sweep.running.watch import SHARE, Tile, Watched, pause
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.store import is_new
 
 MOST_TILES = 2000
 
-# Between two drawings of a figure there are so many times the square of the seconds that one takes: a few of small
-# studies, minutes of those that take long.
-REDRAW = 200.0
+# The most of a core that drawing takes of a study of few points; of more, it takes no more than looking.
+FIGURE_SHARE, FEW_POINTS = 0.1, 10_000
 
 # Names by which a browser asks; under any other, a page of others may have sent it here.
 HOSTS = ("127.0.0.1", "localhost")
@@ -60,7 +59,8 @@ class Shown:
             self.figure = drawn(dataset, "", f"watch-{self.watched.location}")
         except SweepError as error:
             self.figure = Picture("", problem="; ".join(error.problems))
-        self._drawn, self._redraw = opened.root, time.monotonic() + REDRAW * (time.process_time() - begun) ** 2
+        share = FIGURE_SHARE if self.watched.status.size <= FEW_POINTS else SHARE
+        self._drawn, self._redraw = opened.root, time.monotonic() + (time.process_time() - begun) / share
         return True
 
 
