@@ -45,7 +45,7 @@ PAGES = {
     "report.md": ["quasars-report.html", "both.html"],
     "running.md": ["run.log"],
     "studies.md": ["quick.png"],
-    "watch.md": ["events.jsonl"],
+    "watch.md": ["results/quasars.zarr/zarr.json"],
     "tie.md": ["pulsars.svg", "pulsars-report.html", "icrf-figures/spectrum.png"],
 }
 
