@@ -455,7 +455,7 @@ def _add_block(
         weight, right, spread = some.onto(rows)
         sums.right[one] += derivatives.reshape(len(derivatives), -1) @ right.T.ravel()
         if sums.spread is not None:
-            add_products(sums.spread[one], derivatives.copy(), spread)
+            add_products(sums.spread[one], derivatives, spread)
         add_products(sums.normal[one], derivatives, weight)
         sums.squares[one] += some.squares.sum()
         sums.count[one] += some.count.sum()
@@ -476,40 +476,7 @@ def _pieces(group: NDArray[np.integer[Any]]) -> Iterator[slice]:
 
 
 def add_products(total: Array, matrix: Array, weight: Array) -> None:
-    """Add the sum over n sources of K' W K to ``total`` (K, K).
-
-    Where W has a root this is one product of a matrix with itself, half the work of a general product.
-    ``matrix`` (K, r, n) and ``weight`` (n, r, r), symmetric.  ``matrix`` is overwritten.
-    """
-    if _apply_root(matrix, weight):
-        flat = matrix.reshape(len(total), -1)
-        total += flat @ flat.T  # NumPy computes only one half of it
-        return
-    weighted = np.empty_like(matrix)
-    for i in range(matrix.shape[1]):
-        np.multiply(weight[:, i, i], matrix[:, i], out=weighted[:, i])
-        for j in range(matrix.shape[1]):
-            if i != j and np.any(element := weight[:, i, j]):
-                weighted[:, i] += element * matrix[:, j]
+    """Add the sum over n sources of K' W K to ``total`` (K, K); ``matrix`` (K, r, n) and ``weight`` (n, r, r)."""
+    by = range(matrix.shape[1])
+    weighted = np.stack([sum(weight[:, i, j] * matrix[:, j] for j in by) for i in by], axis=1)
     total += matrix.reshape(len(total), -1) @ weighted.reshape(len(total), -1).T
-
-
-def _apply_root(matrix: Array, weight: Array) -> bool:
-    """Replace K by L' K with W = L L'; return False and change nothing unless W is regular of one or two parameters."""
-    size = matrix.shape[1]
-    first = weight[:, 0, 0]
-    if size > 2 or not np.all(first > 0.0):
-        return False
-    if size == 1:
-        matrix[:, 0] *= np.sqrt(first)
-        return True
-    second, cross = weight[:, 1, 1], weight[:, 0, 1]
-    rest = second - cross**2 / first
-    if not np.all(rest > REGULAR * second):
-        return False
-    root = np.sqrt(first)
-    matrix[:, 0] *= root
-    if np.any(cross):
-        matrix[:, 0] += (cross / root) * matrix[:, 1]
-    matrix[:, 1] *= np.sqrt(rest)
-    return True

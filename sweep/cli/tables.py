@@ -14,21 +14,21 @@ import click
 
 import linksweep
 from linksweep.sweep.cli import group, options
-from linksweep.sweep.cli.options import FILE, JSON, POSITIVE, arg, choice, flag, many, opt, passed
+from linksweep.sweep.cli.options import FILE, JSON, arg, flag, opt, passed
 from linksweep.sweep.cli.run import resources as run_on
 from linksweep.sweep.formatting import to_json
-from linksweep.sweep.tie.options import FORECAST, TIE, Declared, Options, Plan, declared
+from linksweep.sweep.search.options import SearchOptions
+from linksweep.sweep.tables.options import Declared, declared
+from linksweep.sweep.tie.options import FORECAST, TIE, Options, Plan
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from linksweep.sweep.executing.pools import Resources
 
-NOT_NEGATIVE = click.FloatRange(0.0)
 EXPERIMENT = arg(default="linksweep.core.experiment:link")
 
 year = partial(opt, type=float, metavar="YEAR")
-arcsec = partial(opt, type=click.FloatRange(0.0, 3600.0, min_open=True), metavar="ARCSEC")
 MORE_EPOCHS = arg(nargs=-1, type=FILE, metavar="[--epochs FILE...]")
 
 
@@ -102,22 +102,22 @@ def params(
 
 
 # How the command calls options whose names do not say what it does with them.
-FLAGS = {"goal": "--for", "number": "--choose"}
+FLAGS = {"goal": "--for", "number": "--choose", "radius": "--radius"}
 
 
 def _declared(entry: str, *groups: type[Declared]) -> Any:
-    """Declare the options of a command as `linksweep.sweep.tie.options` has them; it checks their values."""
+    """Declare the options of a command as they are declared once for all; these check the values."""
     made = {}
     for one in declared(entry, *groups):
         limits, metavar, kind = one.metadata["about"], one.metadata["metavar"], one.metadata["about"]["kind"]
-        more: dict[str, Any] = {"metavar": metavar} if metavar else {"is_flag": True}
+        more: dict[str, Any] = {"metavar": metavar, "type": str} if metavar else {"is_flag": True}
         if metavar == "FILE":
             more["type"] = FILE
         if choices := limits.get("choices"):
             more["shell_complete"] = partial(_words, choices)
         name = one.name.removesuffix("s") if "=" in metavar and kind in ("map", "files") else one.name
         several = kind in ("map", "files") or bool(one.metadata["joined"])
-        flag_name = FLAGS.get(name, "--" + name.replace("_", "-"))
+        flag_name = FLAGS.get(one.name, "--" + name.replace("_", "-"))
         if one.default not in (None, (), "") and metavar:
             more["default"] = [one.default] if several else one.default
         text = limits["meaning"]
@@ -127,32 +127,6 @@ def _declared(entry: str, *groups: type[Declared]) -> Any:
 
 def _words(words: Sequence[str], _context: Any, _parameter: Any, incomplete: str) -> list[str]:
     return [word for word in words if word.startswith(incomplete)]
-
-
-SEARCH = passed(
-    radius=many("Match radius, of all or of one catalogue.  [default: 5]", metavar="[NAME=]ARCSEC"),
-    error=many(
-        "Position error of each coordinate, instead of columns ra_error and dec_error.", metavar="[NAME=]ARCSEC"
-    ),
-    column=many("The column with a quantity, e.g. ra=RAmdeg or pgc:PGC=pgc.", metavar="[NAME:]KEY=COLUMN"),
-    unit=many("The unit of a quantity whose column has none, e.g. ra=hourangle.", metavar="[NAME:]KEY=UNIT"),
-    where=many("Only stars, or rows of NAME, that meet this, e.g. 'vt_mag < 9'.", metavar="[NAME:]CONDITION"),
-    epoch=opt("Julian year of the galaxy positions.", default=2000.0),
-    ref_epoch=many("Epoch of the stars, instead of a column ref_epoch.", metavar="[NAME=]YEAR"),
-    missing_pm=choice("What to do with stars that have no proper motion.", ("error", "zero"), default="error"),
-    merge_radius_arcsec=arcsec(
-        "Entries this close are one galaxy.  [default: the sum of their radii]", "--merge-radius"
-    ),
-    k_sigma=opt("Uncertain: offset above this many sigma.", type=POSITIVE, default=3.0),
-    crowding_radius_arcsec=arcsec("Uncertain: so many stars within this radius.", "--crowding-radius", default=120.0),
-    crowding_stars=opt("Uncertain: at least so many other stars in it.", type=click.IntRange(1), default=3),
-    epoch_difference_yr=opt(
-        "Years to a second epoch.", "--epoch-difference", type=POSITIVE, metavar="YR", default=20.0
-    ),
-    second_epoch_error_mas=opt(
-        "Its position error.", "--second-epoch-error", type=NOT_NEGATIVE, metavar="MAS", default=0.0
-    ),
-)
 
 
 @dataclass(frozen=True)
@@ -284,7 +258,7 @@ def match(
     stars: Path = arg(type=FILE),
     galaxies: tuple[Path, ...] = arg(nargs=-1, required=True, type=FILE),
     supplement: Path | None = opt("More stars, whose matches are a class of their own.", type=FILE),
-    search: dict[str, Any] = SEARCH,
+    search: dict[str, Any] = _declared("match", SearchOptions),
     output: Path = options.output("The matches as ECSV.", default=Path("results/matches.ecsv")),
     table: Path | None = opt("Also the paper's 46-byte table.", type=FILE),
     figure: Path | None = opt("Also draw an all-sky map: .png, .svg or .pdf.", type=FILE),

@@ -1,20 +1,20 @@
 """A search for galaxies in a star catalogue: what to search, from the options of the command line, and its matches."""
 
-import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array
-from linksweep.sweep.contract import SweepError, suggest
-from linksweep.sweep.formatting import split_assignment
+from linksweep.sweep.contract import Parameter, SweepError
 from linksweep.sweep.search import crossmatch
+from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.tables.columns import EPOCHS, Columns, unit_of
+from linksweep.sweep.tables.options import Pairs, by_table, number
 from linksweep.sweep.tables.reader import read_table
 from linksweep.sweep.tables.where import conditions, rows_where
 
@@ -47,7 +47,7 @@ class Reading:
     units: Mapping[str, str] = field(default_factory=dict)
     error_arcsec: float | None = None
     ref_epoch: float | None = None
-    missing_pm: Literal["error", "zero"] = "error"
+    missing_pm: str = "error"
     where: str | None = None
 
 
@@ -84,133 +84,50 @@ def table_name(path: Path) -> str:
     return path.name.split(".")[0]
 
 
-def plan_search(
-    stars: Path,
-    galaxies: Sequence[Path],
-    supplement: Path | None = None,
-    *,
-    radius: Sequence[str] = (),
-    error: Sequence[str] = (),
-    ref_epoch: Sequence[str] = (),
-    column: Sequence[str] = (),
-    unit: Sequence[str] = (),
-    where: Sequence[str] = (),
-    missing_pm: Literal["error", "zero"] = "error",
-    epoch: float = 2000.0,
-    k_sigma: float = crossmatch.Rules.k_sigma,
-    crowding_radius_arcsec: float = crossmatch.Rules.crowding_radius / ARCSEC,
-    crowding_stars: int = crossmatch.Rules.crowding_stars,
-    merge_radius_arcsec: float | None = None,
-    epoch_difference_yr: float = 20.0,  # the paper's: 117 and 127 mas give about 6 mas/yr
-    second_epoch_error_mas: float = 0.0,
-) -> Search:
-    """Return the search that the options of the command line ask for; no file is read yet.
+def plan_search(stars: Path, galaxies: Sequence[Path], supplement: Path | None = None, **options: Any) -> Search:
+    """Return the search that `SearchOptions` ask for; no file is read yet.
 
-    ``radius`` and ``error`` (arcsec) are NAME=VALUE, or VALUE for all galaxy tables; ``ref_epoch`` (yr) is NAME=VALUE,
-    or VALUE for all star tables.  ``column`` is KEY=COLUMN for the star tables or NAME:KEY=COLUMN for one table;
-    ``unit``, KEY=UNIT or NAME:KEY=UNIT, gives the unit of a column for which the file gives none.  ``where`` is a
-    condition for the star tables, or NAME:CONDITION.
-    The other arguments are those of `Rules` and `Search`.
     Raises SweepError for two tables with the same name, unknown names and values out of range.
     """
+    asked = SearchOptions.named("match", options)
     star_paths = (stars,) if supplement is None else (stars, supplement)
     star_names, galaxy_names = [table_name(path) for path in star_paths], [table_name(path) for path in galaxies]
     names = star_names + galaxy_names
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise SweepError(f"two tables are called {', '.join(map(repr, twice))}; give the files different names")
-    # NaN passes the command line's own limits
-    for option, value, least, most in (
-        ("k_sigma", k_sigma, 0.0, np.inf),
-        ("crowding_radius_arcsec", crowding_radius_arcsec, 0.0, np.inf),
-        ("merge_radius_arcsec", merge_radius_arcsec or 0.0, 0.0, np.inf),
-        ("epoch_difference_yr", epoch_difference_yr, 0.0, np.inf),
-        ("second_epoch_error_mas", second_epoch_error_mas, 0.0, np.inf),
-        ("epoch", epoch, *EPOCHS),
-    ):
-        if not least <= value <= most or math.isinf(value):
-            raise SweepError(f"{option} = {value:g}: must be a number from {least:g} to {most:g}")
-    problems: list[str] = []
-
-    def number(option: str, texts: Sequence[str], tables: Sequence[str], common: Sequence[str]) -> dict[str, float]:
-        low, high, unit = (
-            (*EPOCHS, "yr") if option == "--ref-epoch" else (0.0, crossmatch.MAX_RADIUS / ARCSEC, "arcsec")
-        )
-
-        def checked(_key: str, text: str) -> float:
-            try:
-                value = float(text)
-            except ValueError:
-                value = math.nan
-            if not low < value <= high:
-                raise ValueError(f"must be a number above {low:g} and at most {high:g} [{unit}]")
-            return value
-
-        by_table = _by_table(option, texts, tables, common, checked, problems)
-        return {table: values[""] for table, values in by_table.items()}
-
-    def quantity(option: str, texts: Sequence[str], known: Sequence[str]) -> dict[str, dict[str, str]]:
-        def checked(key: str, value: str) -> str:
-            if not key:
-                raise ValueError(f"write KEY={option[2:].upper()} or NAME:KEY={option[2:].upper()}")
-            if key not in known:
-                raise ValueError(f"there is no quantity {key!r}{suggest(key, known)}")
-            return value
-
-        return _by_table(option, texts, names, star_names, checked, problems)
-
-    radii = number("--radius", radius, galaxy_names, galaxy_names)
-    errors = number("--error", error, names, galaxy_names)
-    epochs = number("--ref-epoch", ref_epoch, star_names, star_names)
-    columns, units = quantity("--column", column, QUANTITIES), quantity("--unit", unit, WITH_UNITS)
-    if problems:
-        raise SweepError(problems)
-    merge_radius = None if merge_radius_arcsec is None else merge_radius_arcsec * ARCSEC
-    chosen = conditions(where, names, star_names)
+    columns, units = (by_table(n, getattr(asked, n), names, star_names) for n in ("columns", "units"))
+    radii = _numbers("radius", asked.radius, galaxy_names, galaxy_names)
+    errors, epochs = (
+        _numbers("error", asked.error, names, galaxy_names),
+        _numbers("ref_epoch", asked.ref_epoch, star_names, star_names),
+    )
+    chosen = conditions(asked.where.split(";"), names, star_names)
     readings = {
         name: Reading(
             *(columns.get(name, {}), units.get(name, {}), errors.get(name), epochs.get(name)),
-            *(missing_pm, chosen.get(name)),
+            *(asked.missing_pm, chosen.get(name)),
         )
         for name in names
     }
+    merge_radius = None if asked.merge_radius is None else asked.merge_radius * ARCSEC
     return Search(
-        *(star_paths, tuple(galaxies), dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | radii, readings, epoch),
-        crossmatch.Rules(k_sigma, crowding_radius_arcsec * ARCSEC, crowding_stars, merge_radius),
-        *(epoch_difference_yr, second_epoch_error_mas),
+        *(star_paths, tuple(galaxies), dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | radii, readings),
+        asked.epoch,
+        crossmatch.Rules(asked.k_sigma, asked.crowding_radius * ARCSEC, asked.crowding_stars, merge_radius),
+        *(asked.epoch_difference, asked.second_epoch_error),
     )
 
 
-def _by_table(
-    option: str,
-    texts: Sequence[str],
-    tables: Sequence[str],
-    common: Sequence[str],
-    checked: Callable[[str, str], Any],
-    problems: list[str],
-) -> dict[str, dict[str, Any]]:
-    """Return {table: {key: value}} from texts like VALUE, NAME=VALUE, KEY=VALUE and NAME:KEY=VALUE.
-
-    A value for one table overrides that for all ``common`` ones.  What is wrong is added to ``problems``: unknown
-    tables, what was said twice, and what ``checked`` raises as a ValueError.
-    """
-    keyed = option in ("--column", "--unit")
-    values: dict[tuple[str, str], Any] = {}
-    for text in texts:
-        name, value = split_assignment(text) if keyed or "=" in text else ("", text)
-        table, key = name.rpartition(":")[::2] if keyed else (name, "")
-        try:
-            if table and table not in tables:
-                raise ValueError(f"no table {table!r}{suggest(table, tables)}")
-            if (table, key) in values:
-                raise ValueError(f"given twice{f' for {table!r}' if table else ''}")
-            values[table, key] = checked(key, value)
-        except ValueError as error:
-            problems.append(f"{option} {text}: {error}")
-    by_table: dict[str, dict[str, Any]] = {}
-    for (table, key), value in sorted(values.items(), key=lambda item: bool(item[0][0])):  # those of all tables first
-        for one in [table] if table else common:
-            by_table.setdefault(one, {})[key] = value
-    return by_table
+def _numbers(name: str, pairs: Pairs, tables: Sequence[str], common: Sequence[str]) -> dict[str, float]:
+    """Return a radius, an error (arcsec) or an epoch (yr) by table; raises SweepError for one out of range."""
+    low, high, unit = (*EPOCHS, "yr") if name == "ref_epoch" else (0.0, crossmatch.MAX_RADIUS / ARCSEC, "arcsec")
+    allowed = Parameter(name, "float", unit=unit, above=low, maximum=high)
+    of_tables = tuple((f"{table.removesuffix(':')}:", text) for table, text in pairs)
+    try:
+        said = by_table(name, of_tables, tables, common)
+        return {table: allowed.parse(number(one[""])) for table, one in said.items()}
+    except ValueError as error:
+        raise SweepError(str(error)) from error
 
 
 def find_matches(search: Search) -> Result:

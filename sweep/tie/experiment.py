@@ -16,9 +16,10 @@ from linksweep.core.tie.solution import Clip, KeptSources, Solution, clipped, pa
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
 from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
 from linksweep.sweep.tables.file import TableFile
+from linksweep.sweep.tables.options import declared, parameter
 from linksweep.sweep.tie import setup
 from linksweep.sweep.tie.link import FIELD_OF, Link, solve_link, spectrum
-from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, Options, Plan, declared, parameter
+from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, Options, Plan
 from linksweep.sweep.tie.setup import DECLARED, Setup
 
 # ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin

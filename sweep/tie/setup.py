@@ -29,12 +29,13 @@ from linksweep.core.tie.noise import ALL, ESTIMATE
 from linksweep.core.tie.problem import Problem
 from linksweep.core.tie.solution import sources_of
 from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import SweepError, suggest
 from linksweep.sweep.formatting import first_of, split_assignment
+from linksweep.sweep.tables.options import by_table, number, parameter
 from linksweep.sweep.tables.reader import read_table as read_file
 from linksweep.sweep.tables.where import conditions
 from linksweep.sweep.tie.epochs import Epochs, with_observations
-from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, Pairs, parameter
+from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options
 from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, built_in, read_table
 
 DECLARED = {one.name: parameter(one) for one in fields(Options)}
@@ -69,29 +70,32 @@ _NONE = np.zeros(0, dtype=np.int64)
 
 def table_options(options: Options) -> dict[str, TableOptions]:
     """Return how each table is read, by its name; raises SweepError for tables that do not exist."""
-    names = [*SIDES, *dict(options.missions)]
+    missions = list(dict(options.missions))
+    names = [*SIDES, *missions]
     try:
-        for mission in names[2:]:
+        for mission in missions:
             require_mission_name(mission)
-        epochs = {name: DECLARED["epoch"].parse(float(year)) for name, year in options.mission_epochs}
+        epochs = {name: DECLARED["epoch"].parse(number(year)) for name, year in options.mission_epochs}
     except ValueError as error:
         raise SweepError(str(error)) from error
     marked = {name: _listed_in(getattr(options, name)) for name in MARKS}
-    asked: dict[str, Any] = {"columns": _by_table(options.columns, names), "units": _by_table(options.units, names)}
-    asked |= {"mission_epochs": epochs, "where": conditions(options.where.split(";"), names, SIDES[:1])} | marked
-    for what, tables in asked.items():
-        there = names[2:] if what == "mission_epochs" else names
-        if unknown := [table for table in tables if table not in there]:
-            raise SweepError(f"{what}: no table {unknown[0]}, only {', '.join(there) or 'those of missions'}")
+    for what, tables, known in (("mission_epochs", epochs, missions), *((n, marked[n], names) for n in MARKS)):
+        if unknown := [table for table in tables if table not in known]:
+            raise SweepError(
+                f"{what}: no table {unknown[0]!r}{suggest(unknown[0], known) if known else ', and no mission'}"
+            )
+    columns, units = (by_table(n, getattr(options, n), names, names) for n in ("columns", "units"))
+    where = conditions(options.where.split(";"), names, SIDES[:1])
     epochs |= {"satellite": options.satellite_epoch, "reference": options.reference_epoch}
     return {
         name: TableOptions(
-            **{key: asked[key].get(name, {}) for key in ("columns", "units")},
+            columns.get(name, {}),
+            units.get(name, {}),
             epoch=epochs.get(name),
             extragalactic=name in marked["extragalactic"],
             positions=options.positions if name == "reference" and options.positions != TABLE else None,
             accelerations=None if options.accelerations == TABLE else options.accelerations,
-            where=asked["where"].get(name),
+            where=where.get(name),
             parallax_zero_point=name in marked["parallax_zero_point"],
             zero_errors=options.zero_errors,
             pmra_cos_dec=False if name in marked["without_cos_dec"] else None,
@@ -102,16 +106,6 @@ def table_options(options: Options) -> dict[str, TableOptions]:
 
 def _listed_in(text: str) -> list[str]:
     return [name for part in text.split(",") if (name := part.strip())]
-
-
-def _by_table(items: Pairs, tables: Sequence[str]) -> dict[str, dict[str, str]]:
-    """Return what is said of each quantity of each table; an item that names no table is for all."""
-    by_table: dict[str, dict[str, str]] = {}
-    for key, value in items:
-        table, colon, quantity = key.rpartition(":")
-        for one in [table] if colon else tables:
-            by_table.setdefault(one, {})[quantity] = value
-    return by_table
 
 
 def jitter_of(jitter: Mapping[str, Any], mission: str | None, missions: Collection[str]) -> dict[str, Any]:

@@ -69,10 +69,10 @@ def test_a_forecast_is_printed():
         ("psrpi psrpi --mission hip=nowhere.fits", "nowhere.fits: no such file"),
         ("psrpi psrpi --mission a=psrpi --mission a=psrpi", "named twice"),
         ("psrpi psrpi --mission a=psrpi --unknowns orientation,b:spin", "'b:spin'"),
-        ("psrpi psrpi --mission a=psrpi --mission-epoch b=1991.25", "no table b"),
+        ("psrpi psrpi --mission a=psrpi --mission-epoch b=1991.25", "no table 'b'"),
         ("psrpi psrpi --mission a=psrpi --mission-epoch a=1991.25,1992", "1991.25,1992"),
         ("psrpi psrpi --mission a=psrpi --jitter b:position=1", "no mission 'b'"),
-        ("psrpi psrpi --without-cos-dec b", "no table b"),
+        ("psrpi psrpi --without-cos-dec b", "no table 'b'"),
     ],
 )
 def test_wrong_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, arguments, message):

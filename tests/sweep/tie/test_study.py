@@ -264,6 +264,7 @@ def test_studies_and_forecasts_have_every_option_of_a_link_under_its_name():
         ("weights", "--weights", "equall"),
         ("epoch", "--epoch", 99.0),
         ("aberration", "--aberration", -1.0),
+        ("aberration", "--aberration", "much"),
         ("known_spin", "--known-spin", [0.1, 0.2]),
         ("zero_errors", "--zero-errors", "none"),
         ("jitter", "--jitter", "position"),
@@ -382,7 +383,7 @@ def test_a_study_reads_the_text_of_the_icrf(tmp_path, monkeypatch):
         ({"jitter": "estimate", "position_jitter": 0.1}, "jitter is there, and position_jitter"),
         ({"jitter": "position"}, "KIND=MAS"),
         ({"missions": {"hip": "nowhere.ecsv"}}, "no such file"),
-        ({"mission_epochs": {"hip": "1991.25"}}, "mission_epochs: no table hip"),
+        ({"mission_epochs": {"hip": "1991.25"}}, "mission_epochs: no table 'hip'"),
         ({"missions": ["psrpi"]}, "a table of paths"),
     ],
 )
