@@ -9,8 +9,6 @@ from socketserver import ThreadingMixIn
 from typing import Any
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
-from markupsafe import Markup
-
 from linksweep.sweep.analysis.quantity import with_running
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.report.page import Picture, drawn, policy, template, template_file
@@ -72,12 +70,8 @@ class Page:
         self._stores, self._interval = list(map(Shown, stores)), interval
         self._lock, self._next, self._state = threading.Lock(), 0.0, ""
         self._template, scripts = template("watch.html.j2"), list(map(template_file, ("page.js", "watch.js")))
-        self._whole = self._template.render(
-            stores=self._stores,
-            style=Markup("\n".join(map(template_file, ("page.css", "watch.css")))),
-            scripts=list(map(Markup, scripts)),
-            interval=1000 * interval,
-        )
+        about = {"style": "\n".join(map(template_file, ("page.css", "watch.css"))), "interval": 1000 * interval}
+        self._whole = self._template.render(stores=self._stores, scripts=scripts, **about)
         self.token = secrets.token_urlsafe(24)
         self._policy = f"{policy(scripts)}; connect-src 'self'; frame-ancestors 'none'"
 

@@ -131,8 +131,8 @@ class Watched:
             with reading(self.location):
                 self._read()
             if self._points is None:
-                missing = ("waiting", "no store is there yet"), ("gone", "the store was removed")
-                self.state, self.words = missing[self.opened is not None]
+                self.state = "waiting" if self.opened is None else "gone"
+                self.words = "no store is there yet" if self.opened is None else "the store was removed"
             elif (runs := holder(self.location)) is not None:
                 self.state, self.words = "running", str(runs)
             elif (self.status == MISSING).any():
