@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 MOST_ROWS = 12
 """Rows of tiles in a terminal."""
 
-MOST_REASONS = 5
-"""Reasons of failed points in a terminal."""
-
 COLOURS = {"running": "cyan", "done": "green", "finished": "green", "failed": "bold red", "stopped": "yellow"}
 MARKS = {"done": "█", "failed": "×", "waiting": "·"}
 PARTLY = "▁▂▃▄▅▆▇"
@@ -92,14 +89,14 @@ def _lines(one: "Watched", width: int) -> "Iterable[Text]":
     """Yield what a terminal shows of a store."""
     from rich.text import Text
 
-    from linksweep.sweep.running.failures import short
+    from linksweep.sweep.running.failures import NAMED, short
 
     yield Text(harmless(f"{one.title} ({one.location}): {one.state}"), COLOURS.get(one.state, "bold"))
     yield Text(harmless(", ".join(filter(None, [one.progress, one.speed, one.words]))))
     for row in one.tiles(MOST_ROWS * width, width):
         times = 2 if 2 * len(row) <= width else 1
         yield Text.assemble(*((times * _mark(tile), COLOURS.get(tile.state, "dim")) for tile in row))
-    for points, record in one.reasons[:MOST_REASONS]:
+    for points, record in one.reasons[:NAMED]:
         line = f"{counted(points, 'point')} failed: {short(record['message'])}, for example at {record['place']}"
         yield Text(harmless(line), "red")
 

@@ -44,6 +44,7 @@ class _Points:
     """The points of a study, and what each of them needs; arrays are by the index in the grid.
 
     ``wanted`` are the realisations of a point, infinite where a precision decides; ``cost`` is that of all of them.
+    The speed of a run is that of what ``noun`` says.
     """
 
     def __init__(self, attributes: Mapping[str, Any], where: str) -> None:
@@ -52,6 +53,7 @@ class _Points:
         plan, share = Plan(self.grid), share_of(Plan(self.grid))
         indices = self.grid.indices() if share is None else np.array(list(share), dtype=np.intp)
         self.is_adaptive = study.sampling.precision is not None
+        self.noun = "points" if study.experiment.deterministic else "realisations"
         self.wanted, cost = np.zeros(len(self.grid)), np.ones(len(self.grid))
         self.wanted[indices] = math.inf if self.is_adaptive else study.sampling.n_cat * study.sampling.n_sim
         for index, own in (share or {}).items():
@@ -131,8 +133,7 @@ class Watched:
             with reading(self.location):
                 self._read()
             if self._points is None:
-                self.state = "waiting" if self.opened is None else "gone"
-                self.words = "no store is there yet" if self.opened is None else "the store was removed"
+                self.state, self.words = ("waiting", "no store yet") if self.opened is None else ("gone", "removed")
             elif (runs := holder(self.location)) is not None:
                 self.state, self.words = "running", str(runs)
             elif (self.status == MISSING).any():
@@ -155,7 +156,9 @@ class Watched:
                 self._files = root, manifest
         except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, RuntimeError) as error:
             if holder(self.location) is None:  # else its run has replaced a file meanwhile
-                raise SweepError(f"its ledger cannot be read ({error})", str(self.location)) from error
+                raise SweepError(
+                    f"its ledger cannot be read ({error}); `sweep check` says more", str(self.location)
+                ) from error
 
     def _open(self, root: bytes | None) -> tuple[OpenStore, _Points]:
         """Return the store and its points, as they were if the root is as it was."""
@@ -186,8 +189,7 @@ class Watched:
         status[failed[failed >= 0]], share[failed[failed >= 0]] = FAILED, 0.0
         self.status, self.share = points.grid.with_repeats(status), points.grid.with_repeats(share)
         left = float((points.cost * (1.0 - share))[status == MISSING].sum())
-        random = not points.grid.study.experiment.deterministic
-        ended = int(realisations.sum() if random else np.isin(status, (DONE, FAILED)).sum())
+        ended = int(np.isin(status, (DONE, FAILED)).sum() if points.noun == "points" else realisations.sum())
         self._last = time.monotonic(), left, ended
         if not self._first[0] or ended < self._first[2]:
             self._first = self._last
@@ -222,13 +224,11 @@ class Watched:
         (then, before, first), (now, after, last) = self._first, self._last
         if self.state != "running" or now <= then or self._points is None:
             return ""
-        random = not self._points.grid.study.experiment.deterministic
-        speed = per_second(last - first, now - then, "realisations" if random else "points")
+        speed = per_second(last - first, now - then, self._points.noun)
         left = after * (now - then) / (before - after) - (time.monotonic() - now) if before > after else 0.0
         if self._points.is_adaptive or left <= 0.0:
             return speed
-        percent = 100.0 * (1.0 - after / self._points.cost.sum())
-        return f"{percent:.0f} % of the work, {speed}, about {in_words(left)} left"
+        return f"{100 * (1 - after / self._points.cost.sum()):.0f} % of the work, {speed}, about {in_words(left)} left"
 
     def tiles(self, most: int, across: int) -> list[list[Tile]]:
         """Return about ``most`` tiles, in rows of at most ``across`` along the last dimension.
