@@ -40,7 +40,7 @@ def _error_models(side: str) -> list[str]:
     return [name for name, model in ERROR_MODELS.items() if side in model.sides]
 
 
-ONLY_DIRECTION = "which then gives the direction only"
+ONLY_DIRECTION, SLOPE = "which then gives the direction only", r"$|\mathrm{d}\omega/\mathrm{d}V|$"
 PARAMETERS = (
     # step A: the reference catalogue
     _choice("catalogue", CATALOGUES, "synthetic", "reference catalogue (step A)"),
@@ -140,10 +140,7 @@ PARAMETERS = (
     _number("zonal_pm", 0.0, "RMS of such errors of its proper motions, per coordinate", PM),
     _number("zonal_length", 30.0, "width of the Gaussian correlation of zonal errors", "deg", (6.0, 180.0)),
     _vector("omega_slope", 0.0, "change of the true spin with magnitude: omega_slope (V - v_zero)", PER_MAG, 1e6),
-    _number(
-        *("omega_slope_size", None, f"length of omega_slope, {ONLY_DIRECTION}", PER_MAG),
-        symbol=r"$|\mathrm{d}\omega/\mathrm{d}V|$",
-    ),
+    _number("omega_slope_size", None, f"length of omega_slope, {ONLY_DIRECTION}", PER_MAG, FROM_0, SLOPE),
     *(
         _number(
             *(f"magnitude_equation_{motion}", 0.0, f"error of its {motion} per magnitude from v_zero", PER_MAG),

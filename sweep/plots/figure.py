@@ -108,7 +108,8 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     names = variables or [quantity.main_quantity(dataset)]
     for name in names:
         quantity.require_quantity(dataset, name)
-    dataset = _where_known(dataset.assign_coords({d: dataset[d] for name in names for d in dataset[name].dims}), names)
+    dataset = dataset.assign_coords({d: dataset[d] for name in names for d in dataset[name].dims})
+    dataset = _where_known(dataset, names[0])
     _require_values(dataset, names)
     unused = [d for d in single if d not in over]
     # something has to be drawn along
@@ -131,20 +132,16 @@ def _as_its_study_says(dataset: xr.Dataset) -> tuple[xr.Dataset, str | None, lis
     return part, form.kind, variables, [name for name in form.over if name in along]
 
 
-def _where_known(dataset: xr.Dataset, names: list[str]) -> xr.Dataset:
+def _where_known(dataset: xr.Dataset, variable: str) -> xr.Dataset:
     """Return a dataset without the components at which a quantity has no value anywhere; if the others have one unit,
     that is the unit of all.
     """
-    for name in names:
-        for d in [d for d in quantity.own_dimensions(dataset, name) if f"{d}_unit" in dataset.coords]:
-            known = dataset[name].notnull().any([other for other in dataset[name].dims if other != d])
-            dataset = dataset.isel({d: known.values}) if known.any() else dataset
-            units, along = (
-                set(dataset[f"{d}_unit"].values.tolist()),
-                (v for v in dataset.data_vars.values() if d in v.dims),
-            )
-            shared = {v.name: v.assign_attrs(units=min(units)) for v in along if "," in formatting.units_of(v.attrs)}
-            dataset = dataset.assign(shared) if len(units) == 1 else dataset
+    for d in [d for d in quantity.own_dimensions(dataset, variable) if f"{d}_unit" in dataset.coords]:
+        known = dataset[variable].notnull().any([other for other in dataset[variable].dims if other != d])
+        dataset = dataset.isel({d: known.values}) if known.any() else dataset
+        units, along = set(dataset[f"{d}_unit"].values.tolist()), (v for v in dataset.data_vars.values() if d in v.dims)
+        shared = {v.name: v.assign_attrs(units=min(units)) for v in along if "," in formatting.units_of(v.attrs)}
+        dataset = dataset.assign(shared) if len(units) == 1 else dataset
     return dataset
 
 

@@ -146,7 +146,7 @@ def draw_panels(
     down = math.ceil(len(panels) / min(style.most_columns(wanted), MOST_ACROSS))
     across = math.ceil(len(panels) / down)
     size = (6.4, 4.4) if len(panels) == 1 else (1.2 + 3.1 * across, 1.2 + 2.4 * down)
-    figure, grid = style.new_figure(*size, down, across, count=len(panels))
+    figure, grid = style.new_figure(*size, down, across, n=len(panels))
     firsts: dict[tuple[Any, ...], Axes] = {}
     for number, (axes, panel) in enumerate(zip(grid, panels, strict=False)):
         if number:
@@ -545,13 +545,10 @@ def _accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:
     if (error := quantity.standard_error(dataset, variable)) is None:
         return ""
     value, predicted = dataset[variable], dataset.get(quantity.prediction_name(dataset, variable))
-    if (value < 0.0).any() and (value > 0.0).any():
-        largest = float(f"{error.max():.2g}")
-        return f"errors (1σ) at most {formatting.with_unit(largest, 0.0, formatting.units_of(value.attrs))}"
-    relative = float((error / abs(value.where(value != 0.0))).max(skipna=True))
+    relative = float(error.max()) / (float(abs(value).max()) or np.nan)
     apart = np.nan if predicted is None else float((abs(value - predicted) / error.where(error > 0.0)).max())
     words = f"; at most {apart:.1f}σ from the prediction" if np.isfinite(apart) else ""
-    return f"errors (1σ) at most {100.0 * relative:.2g} %{words}" if np.isfinite(relative) else ""
+    return f"errors (1σ) at most {100.0 * relative:.2g} % of the largest{words}" if np.isfinite(relative) else ""
 
 
 LINES = GridFigure(

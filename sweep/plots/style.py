@@ -99,21 +99,15 @@ def most_columns(columns: int, least: float = PANEL_WIDTH) -> int:
 
 
 def new_figure(
-    width: float,
-    height: float,
-    rows: int = 1,
-    columns: int = 1,
-    least: float = PANEL_WIDTH,
-    count: int | None = None,
-    **options: Any,
+    width: float, height: float, rows: int = 1, columns: int = 1, least: float = PANEL_WIDTH, n: int = 0, **more: Any
 ) -> tuple[Figure, list[Any]]:
     """Return a figure and its panels, row by row.
 
     It has the size in inches, or panels of about the same shape in the width asked for; panels that would be less than
-    ``least`` letters wide there continue in further rows.  ``count`` is how many there are if not all places.
-    ``options`` are those of `Figure.subplots`.
+    ``least`` letters wide there continue in further rows.  ``n`` is how many there are if not all places.
+    ``more`` are options of `Figure.subplots`.
     """
-    across, wanted, panels = most_columns(columns, least), _width.get(), count or rows * columns
+    across, wanted, panels = most_columns(columns, least), _width.get(), n or rows * columns
     if wanted is not None:
         shape = (height / rows) / (width / columns)
         rows = -(-panels // across)
@@ -121,7 +115,7 @@ def new_figure(
         height = max(rows * max(shape * wanted / across, in_letters(16.0)), in_letters(22.0)) + in_letters(3.0)
         width = wanted
     figure = ShownFigure(figsize=(width, height), layout="constrained")
-    grid = list(figure.subplots(rows, across, squeeze=False, **options).flat)
+    grid = list(figure.subplots(rows, across, squeeze=False, **more).flat)
     for axes in grid[panels:]:
         axes.remove()
     return figure, grid[:panels]

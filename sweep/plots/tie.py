@@ -467,9 +467,9 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
     width, columns = (9.6, 2) if chosen else (5.6, 1)
     figure, (left, *right) = style.new_figure(width, 1.6, 1, columns, style.WIDE)
     colours = [style.COLOURS[1] if name in chosen else style.COLOURS[0] for name in names]
-    left.barh(range(len(order)), 100.0 * gain[order], 0.75, color=colours)
     if set(names) & set(chosen):
-        left.barh([], [], color=style.COLOURS[1], label="chosen")
+        left.barh([0], [0.0], color=style.COLOURS[1], label="chosen")
+    left.barh(range(len(order)), 100.0 * gain[order], 0.75, color=colours)
     left.set_xlabel(f"reduction of the error of {about['goal']} [%]\nby this source alone")
     for axes in right:
         steps = dataset["step_error"].values

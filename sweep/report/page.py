@@ -29,7 +29,7 @@ import yaml
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, Template
 from markupsafe import Markup
-from matplotlib.collections import PathCollection
+from matplotlib.collections import PathCollection, QuadMesh
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import Normal
@@ -38,7 +38,16 @@ from matplotlib.text import Text
 from linksweep.sweep.analysis import answer, compare, derived, quantity, results_table
 from linksweep.sweep.analysis.sensitivity import sensitivity
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.formatting import is_truth, meaning_beside, prefixed, units_of, with_micro_signs, written
+from linksweep.sweep.formatting import (
+    first_of,
+    is_truth,
+    meaning_beside,
+    prefixed,
+    units_of,
+    with_micro_signs,
+    with_unit,
+    written,
+)
 from linksweep.sweep.planning.point_status import Status, count_status
 from linksweep.sweep.plots import KINDS, grid, style
 from linksweep.sweep.plots import figure as drawing
@@ -49,8 +58,8 @@ from linksweep.sweep.studies.study import POINT, POINT_TABLE
 from linksweep.sweep.table_writer import Table
 
 # Pictures are made for paper.  Those of one panel, at most so many inches wide, are scaled with letters of the same
-# size, to be read on a phone; others are scrolled sideways there.
-ONE_PANEL, SHRINK = 6.4, 0.8
+# size, to be read on a phone; others are as wide as the page, and drawn once more, so many mm wide, for a phone.
+ONE_PANEL, SHRINK, PAGE, NARROW = 6.4, 0.8, 10.3, 90.0
 MOST_MARKS = 2000  # more points than this are drawn as one image: in SVG each of them takes some 100 bytes
 
 # The name of the figure of single estimates, which is also its caption.
@@ -62,7 +71,7 @@ MOST_NUMBERS = 200_000  # in a page for all its interactive views together, some
 
 
 class Picture(NamedTuple):
-    """A figure as SVG of a width in points, or a sentence that says why there is none."""
+    """A figure as SVG of a width in points, and perhaps of a narrow one, or a sentence that says why there is none."""
 
     name: str
     svg: str = ""
@@ -70,6 +79,7 @@ class Picture(NamedTuple):
     problem: str = ""
     caption: str = ""
     description: str = ""
+    narrow: str = ""
 
 
 # Pictures
@@ -85,7 +95,9 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     dataset, status = dataset.assign_attrs(title=""), dataset["status"]
     alone, ordered = status.size == 1, POINT not in status.dims
     made = [drawn(dataset, SAMPLES, f"{number}-samples")] if alone and grid.sampled(dataset) is not None else []
-    varying = [name for name in variables if _varies(dataset[name])]
+    if chosen := style.form_of(dataset).variable:
+        made.append(drawn(dataset, chosen, f"{number}-chosen"))
+    varying = [name for name in variables if _varies(dataset[name]) and name != chosen]
     if alone and not made and not varying:
         varying = [name for name in variables if {"predicted", "published"} & _parts(dataset, name).keys()]
     for i, name in enumerate(varying):
@@ -108,13 +120,9 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
 
 def link_pictures(result: Result, number: int) -> list[Picture]:
     """Return all figures that a link or a forecast can have; ``number`` as for `pictures`."""
-    made = []
-    with _inside_a_page(str(number)):
-        for i, (kind, figure) in enumerate(drawing.all_figures(result, titled=False).items()):
-            mpl.rcParams["svg.hashsalt"] = f"linksweep-{number}-{i}"
-            name = KINDS[result.kind][kind].caption
-            made.append(Picture(name, _svg(figure), 72.0 * figure.get_figwidth()))
-    return made
+    kinds = KINDS[result.kind].items()
+    made = [drawn(result.dataset, one.caption, f"{number}-{kind}", kind=kind) for kind, one in kinds]
+    return [one for one in made if one.svg]  # of the others the dataset lacks something
 
 
 def drawn(
@@ -128,19 +136,27 @@ def drawn(
     """Return the figure that suits a dataset, or one of a given kind, after ``add`` was called with it; ``salt`` makes
     the identifiers in it differ from those of other figures.
     """
-    with _inside_a_page(salt):
-        try:
+
+    def draw(width: float | None = None) -> tuple[Figure, str]:
+        with _inside_a_page(f"{salt}-{width}", width):
             figure = drawing.draw_figure(dataset, kind, variables)
+            figure.suptitle("")
             if add is not None:
                 add(figure)
-            if figure.get_figwidth() <= ONE_PANEL:
+            if width is None and figure.get_figwidth() <= ONE_PANEL:
                 figure.set_size_inches(*(SHRINK * figure.get_size_inches()))
-            words = f"{name}. {drawing.caption(figure, dataset)}".strip()
-            return Picture(
-                name, _svg(figure), 72.0 * figure.get_figwidth(), "", words, drawing.description(figure, dataset)
-            )
-        except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
-            return Picture(name, problem=" ".join(str(error).split()))
+            elif width is None:
+                figure.set_figwidth(max(PAGE, figure.get_figwidth()))
+            return figure, _svg(figure)
+
+    try:
+        figure, svg = draw()
+        narrow = draw(NARROW)[1] if figure.get_figwidth() > ONE_PANEL else ""
+        words = f"{name}. {drawing.caption(figure, dataset) if 'status' in dataset else ''}".strip()
+        about = drawing.description(figure, dataset)
+        return Picture(name, svg, 72.0 * figure.get_figwidth(), "", words, about, narrow)
+    except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
+        return Picture(name, problem=" ".join(str(error).split()))
 
 
 def differences(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
@@ -175,8 +191,8 @@ def _is_known(array: xr.DataArray | None) -> bool:
 
 
 @contextmanager
-def _inside_a_page(salt: str) -> Iterator[None]:
-    with style.settings(), warnings.catch_warnings():
+def _inside_a_page(salt: str, width: float | None = None) -> Iterator[None]:
+    with style.settings(width), warnings.catch_warnings():
         mpl.rcParams.update({"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"})
         warnings.filterwarnings("ignore", message="Glyph")  # text stays text: the reader's fonts show it
         yield
@@ -198,6 +214,8 @@ def _svg(figure: Figure) -> str:
     svg = svg[svg.index("<svg") :]
     # a style element would apply to the whole page
     svg = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>", "", svg, flags=re.DOTALL)
+    if not any(isinstance(artist, QuadMesh) for artist in figure.findobj()):  # whose colours have a meaning
+        svg = svg.replace("<image ", '<image class="points" ')
     used = set(re.findall(r"#([\w.-]+)", svg))
     svg = re.sub(r' id="([^"]*)"', lambda name: name[0] if name[1] in used else "", svg)
     head, rest = svg.split(">", 1)
@@ -449,7 +467,9 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
     explored, numbers, left_out = explorer(quantity.in_readable_units(final), names, room)
     failures, versions = (json.loads(about.get(name, "{}")) for name in ("failures", "versions"))
     title = str(about.get("title", store))
-    figures = pictures(dataset, list(dict.fromkeys([*answer.said_first(dataset), *names])), number)
+    figures = pictures(
+        dataset, list(dict.fromkeys([*answer.said_first(dataset), *names, *quantity.array_outputs(dataset)])), number
+    )
     tables = {}
     for table in results_table.tables_with_errors(final, MOST_ROWS):
         meaning = dataset[table.title.split()[0]].attrs["long_name"]
@@ -468,6 +488,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         "question": str(about.get("question", "")),
         "gaps": answer.completeness(dataset),
         "short": list(map(with_micro_signs, answer.answer_in_short(dataset))),
+        "head": list(map(with_micro_signs, answer.conclusion_in_words(dataset))),  # the box says the rest
         "answers": [
             replace(one, sentences=list(map(with_micro_signs, one.sentences))) for one in answer.answers(dataset)
         ],
@@ -514,6 +535,7 @@ def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
     return {
         "store": store,
         "title": result.title,
+        "head": [_result_in_words(result.dataset)],
         "answers": answers,
         "pictures": link_pictures(result, number),
         "explorer": {"quantities": []},
@@ -523,6 +545,17 @@ def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
         "provenance": _provenance("link", result.dataset.attrs),
         "version": metadata.version("linksweep"),
     }
+
+
+def _result_in_words(dataset: xr.Dataset) -> str:
+    """Return the unknowns of a link with the first kind of their errors, or the errors of a forecast at its end."""
+    errors = dataset["errors"][0] if "estimate" in dataset else dataset["error"][-1]
+    columns = (dataset["unknown"], dataset.get("estimate", errors), errors * ("estimate" in dataset), dataset["unit"])
+    rows = zip(*(one.values.tolist() for one in columns), strict=True)
+    texts = first_of([f"{name} = {with_unit(*row)}" for name, *row in rows], 6)
+    if "estimate" in dataset:
+        return with_micro_signs(f"{texts} ({errors['error_kind'].item()} errors)")
+    return with_micro_signs(f"Errors with {errors['stage'].item()}: {texts.replace(' = ', ' ')}")
 
 
 # What sections have in common

@@ -102,3 +102,16 @@ def test_without_rows_of_a_reference_nothing_is_said_of_the_tables(tmp_path, swe
     said = " ".join(linksweep.answer(linksweep.open(path)).sentences)
     assert "estimate (" not in said
     assert "chi2" not in said
+
+
+def test_the_head_of_a_link_is_its_result(tmp_path, sweep):
+    assert sweep("tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "-o", tmp_path / "t.zarr")[0] == 0
+    assert sweep("report", tmp_path / "t.zarr", "-o", tmp_path / "t.html")[0] == 0
+    link, page = linksweep.open(tmp_path / "t.zarr"), (tmp_path / "t.html").read_text()
+    head = re.search(r'class="headline"><p>(.*?)</p>', page)[1]
+    values = {
+        name: (float(value), float(error)) for name, value, error in re.findall(r"(\w+) = (\S+) ± (\S+) mas", head)
+    }
+    for k, name in enumerate(link["unknown"].values.tolist()):
+        assert values[name] == pytest.approx((link.estimate[k].item(), link.errors[0, k].item()), abs=0.006)
+    assert f"({link['error_kind'][0].item()} errors)" in head
