@@ -115,6 +115,9 @@ class _Handler(WSGIRequestHandler):
 class _Server(ThreadingMixIn, WSGIServer):
     daemon_threads = True
 
+    def handle_error(self, *_request: Any) -> None:
+        return  # browsers leave, or open connections that they do not use
+
 
 def serve(stores: Iterable[Where], interval: float, said: Callable[[str], None]) -> None:
     """Serve a page about stores until an interruption; ``said`` is called with its address."""

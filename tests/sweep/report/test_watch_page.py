@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 import signal
+import socket
 import time
 from html.parser import HTMLParser
 from http.client import HTTPConnection
@@ -135,8 +136,12 @@ def test_the_server_answers_on_loopback_alone(beside, tmp_path):
         connection.close()
     with pytest.raises(OSError, match="refused"):
         HTTPConnection("127.0.0.2", url.port, timeout=5).request("GET", "/")
+    with socket.create_connection(("127.0.0.1", url.port)) as idle:
+        idle.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+    time.sleep(0.5)
     process.send_signal(signal.SIGINT)
     assert process.wait(PATIENCE_S) == 0
+    assert process.stderr.read() == "Ctrl-C ends it\n"
     assert list(tmp_path.iterdir()) == []
 
 
