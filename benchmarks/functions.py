@@ -1,5 +1,5 @@
-"""Plain functions beside xyzpy and pipefunc: the same models, with the numbers checked, in lines of code and in seconds
-after the imports.
+"""Plain functions beside xyzpy and pipefunc: the same models, with the numbers checked, in lines of code, in seconds
+after the imports, and as whole processes.
 
 Ours run with the packages of this environment, `sun` only where pvlib is one of them.
 """
@@ -29,6 +29,13 @@ IDEAL_S = (40 - 4) * 0.5 / 4
 """What the naps of `nap` beyond the first four take on four workers."""
 
 VECTORISED, NEAR_IDEAL = Target("<=", 2.0), Target("<=", 1.1)
+
+WHOLE = {"nap": ("xyzpy", "pipefunc"), "vectorised": ("xyzpy",), "trivial": ("xyzpy",)}
+"""The peers that whole commands are compared with: the faster pool of forked processes, and what keeps nothing before
+the end.
+"""
+
+WHOLE_TARGETS = {"nap": NEAR_IDEAL, "vectorised": Target("<=", 3.0), "trivial": Target("<=", 3.0)}
 
 FOUR = ("sir", "wait", "sun", "vectorised")
 
@@ -70,7 +77,26 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
                 report.append(Measured(f"{words}, over the ideal after start: {tool}", after, "", target))
             if model in FOUR and told:
                 lines[tool][0] += told[0].lines
+    report += _whole_commands(pythons, size, repetitions) if peers else []
     return [*report, *(Measured(f"lines of code of the first four: {tool}", of) for tool, of in lines.items())]
+
+
+def _whole_commands(pythons: dict[str, str], size: Size, repetitions: int) -> list[Measured]:
+    """Return seconds of whole processes that sweep a model once, by turns, and ours over those of its fastest peer."""
+    report: list[Measured] = []
+    for model, others in WHOLE.items():
+        seconds: dict[str, list[float]] = {tool: [] for tool in ("linksweep", *others)}
+        for _ in range(1 if size == "tiny" else repetitions):
+            for tool, taken in seconds.items():
+                command = [pythons[tool], str(TIMED), tool, model, str(MOST[size]), "once"]
+                with tempfile.TemporaryDirectory() as folder:
+                    taken.append(watch(command, Path(folder)).seconds)
+        words = f"{MODELS[model]}, whole command"
+        report += [Measured(f"{words}: {tool}", taken, "s") for tool, taken in seconds.items()]
+        ratios = [ours / min(rest) for ours, *rest in zip(*seconds.values(), strict=True)]
+        target = WHOLE_TARGETS[model] if size != "tiny" else None
+        report.append(Measured(f"{words}, over {' or '.join(others)}", ratios, "", target))
+    return report
 
 
 def _timed(python: str, tool: str, model: str, most: int) -> Timed:

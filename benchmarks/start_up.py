@@ -53,9 +53,9 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
         Measured("python -c 'import click'", clicking, "s"),
         Measured("sweep --help", helping, "s"),
         Measured("the second over the first", ratio, "", Target("<=", 3.0)),
-        Measured("sweep run of one point", running, "s"),
+        Measured("sweep run of one point", running, "s", Target("<=", 0.6) if size != "tiny" else None),
         Measured(
-            "sweep run of it again, when it is done", finished, "s", Target("<=", 1.0) if size != "tiny" else None
+            "sweep run of it again, when it is done", finished, "s", Target("<=", 0.45) if size != "tiny" else None
         ),
         Measured("the imports that it needs", importing, "s"),
         *(

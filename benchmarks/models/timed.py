@@ -1,7 +1,8 @@
-"""Times one model swept by one tool, in an environment that has it: ``python timed.py linksweep sir POINTS``.
+"""Times one model swept by one tool, in an environment that has it: ``python timed.py linksweep sir POINTS [once]``.
 
 Sweeps a few points first, so that imports do not count, then those of the axes (at most POINTS of each), checks the
-numbers against the model itself, and prints seconds of both, points and lines of code as JSON.
+numbers against the model itself, and prints seconds of both, points and lines of code as JSON.  With ``once`` it does
+nothing but sweep the axes, so that the whole process can be timed.
 """
 
 import importlib
@@ -55,10 +56,13 @@ def check(name, axes, found):
             assert np.array_equal(curve.values if curve.ndim else curve.item(), expected[0]), point
 
 
-def main(tool, name, most):
+def main(tool, name, most, once=""):
     """Time one model by one tool in a folder of its own."""
     sweep = getattr(importlib.import_module(f"with_{tool}"), name)
-    axes = {axis: values[:most] for axis, values in models.AXES[name].items()}
+    axes = {axis: values[: int(most)] for axis, values in models.AXES[name].items()}
+    if once:
+        sweep(axes)
+        return
     few = {axis: values[:FIRST] for axis, values in axes.items()}
     seconds = {}
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
@@ -76,4 +80,4 @@ def main(tool, name, most):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], sys.argv[2], int(sys.argv[3]))
+    main(*sys.argv[1:])

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
-from linksweep.sweep.analysis import fits, laws, quantity
+from linksweep.sweep.analysis import quantity
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import finite_or, in_ascii, prefixed, rounded, to_json, units_of, with_error
 from linksweep.sweep.planning.point_status import Status
@@ -24,6 +24,8 @@ from linksweep.sweep.table_writer import Column, Table
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from linksweep.sweep.analysis import laws
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
@@ -82,6 +84,8 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
         raise OutsideGridError(f"{name} is not a result of this store")
     part = _of_component(dataset, derived)
     if isinstance(derived, Slope):
+        from linksweep.sweep.analysis import laws  # of the three only this is fitted
+
         if derived.over not in dataset.coords:
             raise OutsideGridError(f"{derived.over} is not an axis of this store")
         fixed = _fixed(dataset, claim.where)
@@ -154,6 +158,8 @@ def _slope(line: laws.Line, where: Mapping[str, Any], over: str) -> Measured:
         return Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(line.x)}")
     if not (np.all(line.x > 0.0) and np.all(np.isfinite(line.y)) and np.all(line.y > 0.0)):
         return Measured(where, broken="there are values that are not above 0, which have no power law")
+    from linksweep.sweep.analysis import fits
+
     try:
         law = fits.power_law(line.x, line.y, line.errors, line.samples)
     except ValueError as error:
