@@ -115,7 +115,8 @@ def run(
             every bit; the results are in the store all the same.
 
     Returns:
-        The outputs of the study over its axes, in memory; `open` returns all points of the store.
+        The outputs of the study over its axes, in memory, but for large arrays, which are read from the store as they
+        are used; `open` returns all points of the store.
 
     Raises:
         SweepError: for bad input, before anything is written; where too many points fail, or ``verify`` finds some that

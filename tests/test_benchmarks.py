@@ -16,6 +16,7 @@ ROOT = Path(__file__).parent.parent
 COUNTS = {
     "core-speed": 4 * 4 + 2 + 3,
     "overhead": 3,
+    "large": 10,
     "main-job": 6,
     "small-catalogues": 4,
     "memory": 3,

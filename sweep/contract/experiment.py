@@ -297,6 +297,10 @@ class Experiment:
         """Return the dimension along which an output has another length at each point, ``NAME_length``, by its name."""
         return {}
 
+    def large(self) -> dict[str, str]:
+        """Return the types of the outputs that are large arrays, of which rows have only references to their chunks."""
+        return {}
+
     def dimension_coordinates(self) -> dict[str, tuple[Any, str]]:
         """Return the values along each dimension of outputs, and their unit."""
         return {name: (np.array(labels, dtype=object), "") for name, labels in self.coordinates.items()}

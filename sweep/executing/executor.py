@@ -11,7 +11,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import Outcome, SweepError
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.pools import DEFAULT_POOL, NO_LIMITS, POOLS, Limits, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Batch, Call, Executor, Opened, Place, RefusedError, Say, TaskResult
@@ -61,13 +61,16 @@ def _opened(reference: str, resources: Resources, say: Say) -> Opened:
     return opened
 
 
-def of_study(study: Study, execute: Executor, is_missing: Callable[[int], bool]) -> Run:
-    """Return an executor of the work of a study, as long as its points are missing; it raises RefusedError where a
+def of_study(
+    study: Study, execute: Executor, is_missing: Callable[[int], bool], keep: Callable[[Outcome], Outcome]
+) -> Run:
+    """Return an executor of the work of a study, as long as its points are missing, that lets workers ``keep`` what is
+    large; it raises RefusedError where a
     worker refuses its results.
     """
 
     def run(take: Callable[[int], list[list[Work]]]) -> Iterator[tuple[list[Work], TaskResult]]:
-        results = execute(lambda number: [Batch(study, works, is_missing) for works in take(number)])
+        results = execute(lambda number: [Batch(study, works, is_missing, keep) for works in take(number)])
         return (_accepted(batch.works, result) for batch, result in results)
 
     return run

@@ -99,12 +99,11 @@ class Resources:
             others = ("workers", "pool", "scheduler", "cluster", "dashboard")
             if named := [name for name in others if getattr(self, name) not in (None, False)]:
                 raise SweepError(f"client and {', '.join(named)} are different places to run on; give one of them")
-            if not isinstance(self.client, Client):
-                raise SweepError(f"client = {shown(self.client)}: must be a distributed.Client")
-            if self.client.asynchronous:
-                raise SweepError("client is asynchronous; make one with Client(..., asynchronous=False)")
-            if self.client.status != "running":
-                raise SweepError(f"client is not connected to a scheduler: its status is {self.client.status!r}")
+            one = self.client
+            if not isinstance(one, Client) or one.asynchronous or one.status != "running":
+                state = f", which is {one.status}" if isinstance(one, Client) else ""
+                wanted = "a distributed.Client that is connected, without asynchronous=True"
+                raise SweepError(f"client = {shown(one)}{state}: must be {wanted}")
             return
         if self.scheduler is not None or self.cluster is not None or self.pool not in (None, DEFAULT_POOL):
             raise SweepError("a dashboard is for local worker processes; a scheduler and a cluster have their own")

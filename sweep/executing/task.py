@@ -41,7 +41,8 @@ class Task:
     ``enough_s`` seconds, if that is more than `sweep.executing.worker.ENOUGH_S`, a worker returns what it has.
     ``time_limit_s`` is for a block of one point; with it the process must be one that may be ended.  A
     ``repeatable`` experiment is to return the same results whenever it is called.  With ``caught`` false what it
-    raises is raised, and what it prints is printed.
+    raises is raised, and what it prints is printed.  ``keep`` takes each outcome, to write what is large, before it is
+    sent.
     """
 
     experiment_reference: str
@@ -53,6 +54,7 @@ class Task:
     enough_s: float = 0.0
     repeatable: bool = False
     caught: bool = True
+    keep: Callable[[Outcome], Outcome] | None = None
 
     def seed_of(self, unit: PointBlock) -> int:
         """Return where the global generators of a process start for a unit: apart from its own generators."""
@@ -127,12 +129,13 @@ class Call:
 @dataclass(frozen=True)
 class Batch:
     """A job: blocks of a study that go to a worker in one task.  ``is_missing`` says of a point, by its index, whether
-    it is still to be computed.
+    it is still to be computed; ``keep`` is that of its task.
     """
 
     study: Study
     works: list[Work]
     is_missing: Callable[[int], bool] = lambda _: True
+    keep: Callable[[Outcome], Outcome] | None = None
 
     def __len__(self) -> int:
         return sum(len(work.points) for work in self.works)
@@ -155,8 +158,8 @@ class Batch:
             for work in self.works
         )
         digest = source_digest(reference)
-        keep, again = sampling.keep_samples, experiment.repeatable
-        return Task(reference, sampling.seed, units, keep, limits.time_s, digest, enough_s, again)
+        samples, again = sampling.keep_samples, experiment.repeatable
+        return Task(reference, sampling.seed, units, samples, limits.time_s, digest, enough_s, again, keep=self.keep)
 
     def alone(self) -> "list[Batch]":
         """Return each block by itself."""

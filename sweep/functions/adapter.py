@@ -538,6 +538,10 @@ class FunctionExperiment(Experiment):
         coordinates = () if self.layout is None else self.layout.coordinates
         return {coordinate.name: (coordinate.array(), coordinate.unit) for coordinate in coordinates}
 
+    def large(self) -> dict[str, str]:
+        """Return the types of large results."""
+        return {} if self.layout is None or self.rng else self.layout.large
+
     def nan_outputs(self) -> list[str]:
         """Return all outputs: results have been checked when the function returned them."""
         return [output.name for output in self.outputs]

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, shown, suggest
+from linksweep.sweep.contract.large import REFERENCE, chunk_grid, is_large
 from linksweep.sweep.contract.parameter import name_problem
 from linksweep.sweep.contract.reducer import LENGTH, beyond_floats, not_finite, padded
 from linksweep.sweep.contract.units import is_quantity, same_unit
@@ -76,8 +77,16 @@ class Layout:
 
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
-        """The type of a row: each result as itself."""
-        return np.dtype([(field.name, DTYPES[field.type], self.shape(field)) for field in self.fields])
+        """The type of a row: each result as itself, or the references to its chunks."""
+        shapes = [(field, self.shape(field)) for field in self.fields]
+        chunks = {field.name: (REFERENCE, math.prod(chunk_grid(s))) for field, s in shapes if field.name in self.large}
+        return np.dtype([(field.name, *chunks.get(field.name, (DTYPES[field.type], s))) for field, s in shapes])
+
+    @cached_property
+    def large(self) -> dict[str, str]:
+        """The types of results that are large arrays of numbers, as long at every point: rows refer to their chunks."""
+        some = (field for field in self.fields if field.type in NUMBERS and field.name not in self.ragged)
+        return {field.name: DTYPES[field.type] for field in some if is_large(self.shape(field))}
 
     @cached_property
     def ragged(self) -> dict[str, str]:
@@ -145,7 +154,7 @@ def differences(expected: Layout, other: Layout) -> tuple[str, ...]:
 def _facts(layout: Layout) -> dict[str, Any]:
     facts: dict[str, Any] = {}
     for field in layout.fields:
-        kind = "number" if field.type in NUMBERS else field.type
+        kind = "number" if field.type in NUMBERS and field.name not in layout.large else field.type
         qualities = {"dims": field.dims, "type": kind, "unit": field.unit}
         facts |= {f"the {quality} of {field.name!r}": value for quality, value in qualities.items()}
     for one in (coordinate for coordinate in layout.coordinates if not coordinate.ragged):

@@ -295,14 +295,16 @@ def _take(
             keys.append(key)
     records = records_of(source.attributes)
     starts = [record["first_row"] for record in records]
-    for number, some in groupby(keys, key=lambda key: bisect_right(starts, rows[key])):
+    for number, group in groupby(keys, key=lambda key: bisect_right(starts, rows[key])):
         if number:
             _begin_code(store, records[number - 1])
-        alike = list(some)
+        alike = list(group)
         for start in range(0, len(alike), ROWS_AT_ONCE):
             part = alike[start : start + ROWS_AT_ONCE]
             samples = [ledger.samples(key) for key in part] if source.study.keeps_samples else []
-            store.append(part, converted(held[[rows[key] for key in part]], dtype), samples)
+            some = converted(held[[rows[key] for key in part]], dtype)
+            store.adopt(source.location, some)
+            store.append(part, some, samples)
     return refused
 
 

@@ -1,6 +1,7 @@
 """The labelled dataset of a study, from what blocks left, and covariances of points that share random numbers."""
 
 import json
+import math
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -13,12 +14,15 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, SweepError
 from linksweep.sweep.contract.block import Block, ledger_key
+from linksweep.sweep.contract.large import REFERENCE
 from linksweep.sweep.contract.reducer import LENGTH, MISSING_INT, Reducer, Sums
 from linksweep.sweep.formatting import ERRORS, RAGGED, TRUTH, described, short_meaning
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.stores.large import Stored
+from linksweep.sweep.stores.location import Location
 from linksweep.sweep.stores.store import FILL, RUNNING, dask_arrays_only_where_imported, finished, with_gaps
 from linksweep.sweep.studies.study import POINT, printed_rounding
 
@@ -28,27 +32,28 @@ if TYPE_CHECKING:
 
 @dataclass
 class Variable:
-    """An array with the names of its dimensions and what is to be said about it."""
+    """An array with the names of its dimensions and what is to be said about it; a large one is `Stored`."""
 
     dims: tuple[str, ...]
-    values: NDArray[Any]
+    values: Any
     attrs: dict[str, Any] = field(default_factory=dict)
     encoding: dict[str, Any] = field(default_factory=dict)
 
     @property
     def dtype(self) -> np.dtype[Any]:
         """The type of the values."""
-        return self.values.dtype
+        dtype: np.dtype[Any] = self.values.dtype
+        return dtype
 
     @property
     def shape(self) -> tuple[int, ...]:
         """The length along each dimension."""
-        return self.values.shape
+        return tuple(self.values.shape)
 
     @property
     def size(self) -> int:
         """The number of values."""
-        return self.values.size
+        return math.prod(self.shape)
 
     def copy(self, data: NDArray[Any]) -> "Variable":
         """Return an array with other values."""
@@ -56,7 +61,9 @@ class Variable:
 
     def transpose(self, *dims: str) -> "Variable":
         """Return the array with its dimensions in another order."""
-        return replace(self, dims=dims, values=self.values.transpose([self.dims.index(dim) for dim in dims]))
+        return replace(
+            self, dims=dims, values=np.asarray(self.values).transpose([self.dims.index(dim) for dim in dims])
+        )
 
 
 @dataclass
@@ -99,6 +106,8 @@ class Labelled:
         """Return the part at an index along some dimensions, which these then lack, or at a slice."""
 
         def part(one: Variable) -> Variable:
+            if place.keys().isdisjoint(one.dims):
+                return one
             index = tuple(place.get(dim, slice(None)) for dim in one.dims)
             dims = tuple(dim for dim, at in zip(one.dims, index, strict=True) if isinstance(at, slice))
             return replace(one, dims=dims, values=np.asarray(one.values[index]))
@@ -111,13 +120,18 @@ class Labelled:
         import xarray as xr
 
         dask_arrays_only_where_imported()
-        parts = self.data_vars, self.coords
-        data_vars, coords = ({n: tuple(vars(one).values()) for n, one in part.items()} for part in parts)
+
+        def plain(one: Variable) -> tuple[Any, ...]:
+            values = one.values.to_xarray() if isinstance(one.values, Stored) else one.values
+            return one.dims, values, one.attrs, one.encoding
+
+        data_vars, coords = ({n: plain(one) for n, one in part.items()} for part in (self.data_vars, self.coords))
         return xr.Dataset(data_vars, coords, self.attrs)
 
 
-def assemble(plan: Plan, accumulator: Accumulator) -> Labelled:
-    """Return the dataset of a plan from what its accumulator holds, as it is stored.
+def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labelled:
+    """Return the dataset of a plan from what its accumulator holds, as it is stored; large arrays are read from the
+    store at the ``location`` as they are used.
 
     A point has values when all its blocks are there; all others are missing (`typed_array`) with a ``status`` that says
     why.  Missing integers have the number that the encoding names as ``_FillValue``; `masked` has NaN in place of it.
@@ -128,7 +142,7 @@ def assemble(plan: Plan, accumulator: Accumulator) -> Labelled:
     experiment = study.experiment
     status, realisations = grid.with_repeats(accumulator.status), grid.with_repeats(accumulator.realisations)
     done = status == Status.DONE
-    variables: dict[str, Variable] = {}
+    variables, large = dict[str, Variable](), experiment.large()
     results: Mapping[str, NDArray[Any]] = {}
     ragged = experiment.ragged()
     if done.any():
@@ -141,7 +155,13 @@ def assemble(plan: Plan, accumulator: Accumulator) -> Labelled:
         if output.name in ragged and output.name in results:
             places = np.indices(shape)[output.dims.index(ragged[output.name])]
             within = places < results[output.name + LENGTH].reshape(-1, *[1] * len(shape))
-        values = typed_array(results.get(output.name), done, shape, within)
+        if output.name in large:
+            chunks = np.zeros((len(done), *accumulator.reducer.dtype[output.name].shape), dtype=REFERENCE)
+            chunks[done] = results.get(output.name, chunks[done])
+            chunks, kind = chunks.reshape(*grid.shape, -1), np.dtype(large[output.name])
+            values: Any = Stored(location, chunks, (*grid.shape, *shape), kind)
+        else:
+            values = typed_array(results.get(output.name), done, shape, within)
         variables[output.name] = _variable(grid, values, output)
         if output.name in results and results[output.name].dtype.kind == "b" and values.dtype.kind == "f":
             variables[output.name].attrs.update(TRUTH)
@@ -221,7 +241,9 @@ def masked(dataset: Labelled) -> Labelled:
     """
     dataset = finished(dataset)
     gaps = {name: variable for name, variable in dataset.data_vars.items() if FILL in variable.encoding}
-    return dataset.assign({name: variable.copy(data=with_gaps(variable.values)) for name, variable in gaps.items()})
+    return dataset.assign(
+        {name: variable.copy(data=with_gaps(np.asarray(variable.values))) for name, variable in gaps.items()}
+    )
 
 
 def assemble_samples(plan: Plan, status: NDArray[np.int8], samples: Callable[[bytes], Array]) -> dict[str, Variable]:
@@ -268,7 +290,7 @@ def code_variable(
     return _variable(plan.grid, plan.grid.with_repeats(codes), Output("code", "", meaning))
 
 
-def _variable(grid: Grid, values: NDArray[Any], output: Output) -> Variable:
+def _variable(grid: Grid, values: Any, output: Output) -> Variable:
     attributes = _attributes(output)
     if output.headline:
         attributes["headline"] = 1
@@ -276,7 +298,9 @@ def _variable(grid: Grid, values: NDArray[Any], output: Output) -> Variable:
         attributes[ERRORS] = " ".join(output.errors)
     if values.dtype.kind == "M":
         attributes.pop("units", None)  # xarray has its own for times
-    return Variable((*grid.dimensions, *output.dims), values.reshape((*grid.shape, *values.shape[1:])), attributes)
+    if not isinstance(values, Stored):
+        values = values.reshape((*grid.shape, *values.shape[1:]))
+    return Variable((*grid.dimensions, *output.dims), values, attributes)
 
 
 def _attributes(declared: Output | Parameter) -> dict[str, Any]:

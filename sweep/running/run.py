@@ -189,7 +189,7 @@ class Session:
         most_blocks = writer.pending.most_blocks
         with self._kept(writer):
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
-            run = of_study(self.study, execute, self.accumulator.is_missing)
+            run = of_study(self.study, execute, self.accumulator.is_missing, writer.store.keep)
             results = run(writer.pending.take)  # workers begin while this process writes
             if pending.blocks:
                 writer.write()  # so that there is a labelled, if empty, dataset from the start

@@ -262,7 +262,7 @@ class Writer:
     def _as_rows(self, result: TaskResult) -> tuple[TaskResult, Rows]:
         """Return the rows of results that are like those before, in order, and a result in which the others fail."""
         failures = dict(result.failures)
-        outcomes = {row: outcome for row, outcome in result.outcomes.items() if row not in failures}
+        outcomes = {row: self.store.kept(one) for row, one in result.outcomes.items() if row not in failures}
         experiment, fields, refused = self.plan.grid.study.experiment.learned(outcomes)
         if experiment is not self.plan.grid.study.experiment:
             self._learn(experiment)
@@ -336,7 +336,7 @@ class Writer:
     def assembled(self, final: bool = False) -> Labelled:
         """Return the labelled dataset of everything taken so far."""
         study = self.plan.grid.study
-        dataset = assemble(self.plan, self.accumulator)
+        dataset = assemble(self.plan, self.accumulator, self.store.location)
         if study.sampling.keep_samples:
             dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
         if final and study.sampling.common_random_numbers and study.sampling.precision is None:
@@ -377,7 +377,9 @@ class Writer:
             attributes = self._attributes() | {RESCUED: str(of)}
             with self._held(), self._lock:
                 beside = Store(create_store(free_beside(of), study, attributes), identity(study))
-                beside.write(replace(assemble(self.plan, self.accumulator), attrs=attributes))
+                # Of arrays that were only in the lost files nothing is left.
+                left = assemble(self.plan, self.accumulator, of).drop_vars(study.experiment.large())
+                beside.write(replace(left, attrs=attributes))
             self._rescued = str(beside.location)
         more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
         sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {self._rescued}"

@@ -18,6 +18,8 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, ValidationError, model_validator
 
+from linksweep.sweep.contract.large import MOST_VALUES, REFERENCE
+
 FORMAT = 6
 
 ROOT, MANIFEST = "zarr.json", "blocks/zarr.json"
@@ -36,16 +38,11 @@ MISSING = "it is missing"
 
 DEEPEST = 32  # lists and objects inside each other in a document; what linksweep writes has less than half
 
-MOST_VALUES = 2**20
-"""The most values of a chunk of results, 8 MB of floats.  Values are counted and not bytes, so that results on the same
-axes have the same chunks whatever their types, as Dask wants.
-"""
-
 MOST_BYTES = 2**31
 """The most bytes of a file of the ledger, unpacked."""
 
-TYPES = ("<f8", "<i8", "|b1", "<M8[ns]", "|O")
-"""Types of the fields of a row of the ledger; the last is text."""
+TYPES = ("<f8", "<i8", "|b1", "<M8[ns]", "|O", REFERENCE.str)
+"""Types of the fields of a row of the ledger; the last two are text and references to chunks."""
 
 
 @contextmanager

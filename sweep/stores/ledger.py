@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Rows, SweepError
 from linksweep.sweep.contract.block import KEY_BYTES, BlockRows
+from linksweep.sweep.contract.large import REFERENCE
 from linksweep.sweep.contract.reducer import converted
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import MANIFEST, File, Manifest, Part, noting
+from linksweep.sweep.stores.large import FILE, FOLDER, file_of, references
 from linksweep.sweep.stores.location import Location, reading, writing
-
-FOLDER = MANIFEST.rpartition("/")[0]
 
 PART_BYTES = 2**22
 """Bytes of a part: a compromise between few files for many blocks and what each flush writes again."""
@@ -96,6 +96,8 @@ class Ledger:
         # Kept for the one who opens the store; gone with the first new rows, since it may be as large as all results.
         self._rows: Rows | None = np.ascontiguousarray(records["row"])
         self.rows = BlockRows(records["key"].tobytes())
+        self.chunks = _references(records)
+        self.damaged |= dict.fromkeys({*map(file_of, self.chunks)} - self.keys, integrity.MISSING)
         self._new: list[Blocks] = []
         self._unwritten = 0
         self._new_documents: set[str] = set()
@@ -147,7 +149,10 @@ class Ledger:
         return np.asarray(samples[ends[row - 1] if row else 0 : ends[row]])
 
     def verify(self) -> None:
-        """Add to ``damaged`` the samples that are not what was written; opening has checked the rest."""
+        """Add to ``damaged`` the samples and chunks that are not what was written; opening has checked the rest."""
+        for chunk in self.chunks:
+            with reading(self._location), noting(self.damaged, file_of(chunk)):
+                integrity.whole(self._location.get(file_of(chunk)), chunk.hex())
         for file in (part.samples for part in self.parts if part.samples):
             with reading(self._location), noting(self.damaged, path_of(file)):
                 integrity.whole(self._location.get(path_of(file)), file.checksum)
@@ -161,6 +166,7 @@ class Ledger:
         records["row"] = rows
         self._new.append((records, np.concatenate([np.zeros((0, self.samples_width)), *samples])))
         self.rows.extend(keys)
+        self.chunks |= references(rows)
         self._rows, self._changed = None, True
         self._unwritten += sum(array.nbytes for array in self._new[-1])
         if self._unwritten > MOST_UNWRITTEN:
@@ -181,7 +187,7 @@ class Ledger:
         """Give rows another type, those that are there without the blocks to ``drop``; durable after `flush`."""
         self.flush()
         revision, gone = self.manifest.revision + 1, set(drop)
-        before, self.parts = self.parts, []
+        before, self.parts, self.chunks = self.parts, [], set()
         for number, part in enumerate(before):
             # One by one: samples may not fit into memory together.
             records, samples = self._part(part)
@@ -190,6 +196,7 @@ class Ledger:
             changed["row"] = converted(records["row"], dtype)
             kept = np.array([key.tobytes() not in gone for key in records["key"]], dtype=bool)
             changed["key"][kept] = records["key"][kept]
+            self.chunks |= _references(changed)
             samples = samples[np.repeat(kept, _counts(records).astype(np.intp))] if part.samples else samples
             with writing(self._location):
                 self.parts.append(self._put((changed, samples), revision, 10**6 + number))
@@ -241,19 +248,30 @@ class Ledger:
         # Only now do the new files count: after an error all of this is written again.
         self.manifest, self._contents, self.parts = manifest, (content,), parts
         self._new, self._unwritten, self._new_documents, self._changed = [], 0, set(), False
-        self.tidy()
+        self._delete_old()
         # Kept until the next flush, for those who read the store meanwhile.
         self._old = before - set(self.files)
 
     def tidy(self) -> None:
-        """Remove the files that did not count any more at the last flush."""
+        """Remove the files that did not count any more at the last flush, and chunks to which no row refers: at the end
+        of a run, since workers write them before their rows come.
+        """
+        self._delete_old()
+        if any(self.dtype[name].base == REFERENCE for name in self.dtype.names or ()):
+            with writing(self._location):
+                there = {key for key in self._location.keys(f"{FOLDER}/") if FILE.fullmatch(key)}
+                for key in there - {*map(file_of, self.chunks)}:
+                    self._location.delete(key)
+
+    def _delete_old(self) -> None:
         with writing(self._location):
             for key in self._old - set(self.files):
                 self._location.delete(key)
         self._old = set()
 
     def mend(self, damaged: Iterable[str]) -> None:
-        """Write a ledger that is whole, without the parts and documents in damaged files: what was in them is missing.
+        """Write a ledger that is whole, without the parts, chunks and documents in damaged files: what was in them is
+        missing.
 
         The rows of a lost part are zero from now on, so that all others keep their numbers.
         """
@@ -264,6 +282,10 @@ class Ledger:
         for kind, file in self.manifest.documents.items():
             if path_of(file) in damaged:
                 self._documents.pop(kind, None)
+        if lost := {chunk for chunk in self.chunks if file_of(chunk) in damaged}:
+            keys, rows = self.rows.keys_of_rows(), self.read()
+            gone = [key for number, key in enumerate(keys) if references(rows[number : number + 1]) & lost]
+            self.retype(self.dtype, self.samples_width, gone)
         self.flush(again=True)
 
     def _with_new(self, revision: int) -> list[Part]:
@@ -375,6 +397,11 @@ def _recorded(failures: Mapping[bytes, Record]) -> dict[str, Record]:
 
 def _record_type(dtype: np.dtype[np.void]) -> np.dtype[np.void]:
     return np.dtype([("key", f"V{KEY_BYTES}"), ("row", dtype)])
+
+
+def _references(records: NDArray[Any]) -> set[bytes]:
+    """Return the references to chunks in the rows that count."""
+    return references(records["row"][records["key"] != np.void(bytes(KEY_BYTES))])
 
 
 def _columns(records: NDArray[Any]) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:

@@ -100,6 +100,17 @@ class Folder:
         for key, content in files.items():
             self._write(key, content, durable=False)
 
+    def copy_all(self, names: Mapping[str, str]) -> None:
+        """Give files other names; a file system without links, or with no more for a file, copies them."""
+        for key, old in names.items():
+            self.delete(key)
+            path = self._at(key)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                os.link(self._at(old), path)
+            except OSError:
+                self._write(key, self._at(old).read_bytes(), durable=False)
+
     def create(self, key: str, content: bytes) -> bool:
         """Write a file unless there is one, by linking a finished one to its name; return whether it was written."""
         path = self._at(key)
@@ -321,6 +332,16 @@ class Bucket:
         """Write objects, some at a time."""
         with ThreadPoolExecutor(AT_ONCE) as pool:
             list(pool.map(self.put, files.keys(), files.values()))
+
+    def copy_all(self, names: Mapping[str, str]) -> None:
+        """Copy objects to other names, some at a time."""
+
+        def copy(new: str, old: str) -> None:
+            with self._request():
+                self.objects.copy(old, new)
+
+        with ThreadPoolExecutor(AT_ONCE) as pool:
+            list(pool.map(copy, names.keys(), names.values()))
 
     def create(self, key: str, content: bytes) -> bool:
         """Write an object unless there is one: a put that the server refuses in that case."""

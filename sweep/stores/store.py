@@ -13,7 +13,6 @@ import base64
 import getpass
 import itertools
 import json
-import math
 import os
 import platform
 import re
@@ -28,12 +27,25 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import SweepError, suggest
+from linksweep.sweep.contract import Outcome, Rows, SweepError, suggest
 from linksweep.sweep.contract.block import DIGEST_BYTES
 from linksweep.sweep.contract.reducer import EXACT_INT, LENGTH, MISSING_INT, lost_integers
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
-from linksweep.sweep.stores.ledger import FOLDER, REPAIR, DamagedError, Ledger, Record, path_of
+from linksweep.sweep.stores.large import (
+    CHUNK_NAMES,
+    FOLDER,
+    Stored,
+    ToStore,
+    chunk_name,
+    file_of,
+    missing,
+    new_array,
+    read,
+    references,
+    written,
+)
+from linksweep.sweep.stores.ledger import REPAIR, DamagedError, Ledger, Record, path_of
 from linksweep.sweep.stores.location import RESULTS, Folder, Location, Where, holder, located, locked, reading, writing
 
 if TYPE_CHECKING:
@@ -77,8 +89,6 @@ TIMES: Mapping[str, Any] = {
 
 MISSING_FLOAT = base64.b64encode(np.float64("nan").tobytes()).decode()
 """What a file says that it has in place of a missing float, as xarray writes it for Zarr 3: NaN."""
-
-CHUNK_NAMES = ({"name": "default", "separator": "."}, {"name": "v2", "separator": "."})
 
 MARKS = (b"linksweep_format", b"study_meaning", b"study_digest")
 """Words by which a document of a store can be recognised even if it is damaged."""
@@ -188,6 +198,23 @@ class Store(OpenStore):
             if record is not None:
                 self.fail(digest, record)
 
+    @property
+    def keep(self) -> ToStore:
+        """What writes large arrays into this store from other processes, and leaves them where it cannot."""
+        place = self.location
+        return ToStore(str(place.path) if isinstance(place, Folder) else str(place), self.attributes[STORE])
+
+    def kept(self, outcome: Outcome) -> Outcome:
+        """Return an outcome whose large arrays are in the store; raises SweepError where they cannot be."""
+        with writing(self.location):
+            return written(outcome, self.location)
+
+    def adopt(self, source: Location, rows: Rows) -> None:
+        """Copy the chunks of rows of another store; raises SweepError as `large.read`."""
+        for chunk in references(rows) - self._ledger.chunks:
+            with writing(self.location):
+                self.location.put(file_of(chunk), read(source, chunk))
+
     def verify(self) -> None:
         """Raise SweepError where files of the ledger that opening did not read are damaged."""
         self._ledger.verify()
@@ -197,7 +224,9 @@ class Store(OpenStore):
     def write(self, dataset: Any) -> None:
         """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
         generation = self.attributes["generation"] + 1
-        attributes, documents, chunks = encode(dataset, CHUNK_NAMES[generation % 2])
+        attributes, documents, chunks, large = encode(dataset, CHUNK_NAMES[generation % 2])
+        checksums = {key: integrity.checksum(content) for key, content in chunks.items()}
+        checksums |= {key: chunk.hex() for key, chunk in large.items()}
         attributes |= self.meaning | {
             FORMAT_OF: FORMAT,
             ORIGIN: origin(self.location),
@@ -205,17 +234,18 @@ class Store(OpenStore):
             "generation": generation,
             STORE: self.attributes[STORE],
             BLOCKS: len(self.rows),
-            CHUNKS: json.dumps({key: integrity.checksum(content) for key, content in chunks.items()}),
+            CHUNKS: json.dumps(checksums),
         }
         about = {STORE: attributes[STORE], REVISION: generation}
         described = {f"{name}/zarr.json": document for name, document in documents.items()}
         gone = {f"{name}/zarr.json" for name in arrays_of(self.root)} - described.keys()
-        in_use = {*described, *chunks, *chunk_checksums(self.root)}
+        in_use = {*described, *checksums, *chunk_checksums(self.root)}
         with writing(self.location):
             # The order is what makes a kill harmless: rows, then results, then the root that refers to both.
             self.keep_copy(attributes)
             self.flush()
             self._delete(self._files - in_use - gone)
+            self.location.copy_all({key: file_of(chunk) for key, chunk in large.items()})
             # Values first and the status last, for those who read without the root document.
             for is_status in (False, True):
                 self.location.put_all({k: c for k, c in chunks.items() if k.startswith("status/") == is_status})
@@ -253,6 +283,7 @@ class Store(OpenStore):
         """
         documents = {f"{name}/zarr.json" for name in arrays_of(self.root)}
         needed = {ROOT, *self._ledger.files, *documents, *chunk_checksums(self.root)}
+        needed |= {*map(file_of, self._ledger.chunks)}
         with reading(self.location):
             content = self.location.get(ROOT)
             gone = needed - set(self.location.keys())
@@ -514,16 +545,14 @@ def dask_arrays_only_where_imported() -> None:
 
 def encode(
     dataset: Any, chunk_names: Mapping[str, str]
-) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, bytes]]:
-    """Return the attributes of a dataset, the documents of its arrays, and the contents of their chunks by file.
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]], dict[str, bytes], dict[str, bytes]]:
+    """Return the attributes of a dataset, the documents of its arrays, the contents of their chunks by file, and the
+    references to those that the ledger has.
 
     Every chunk has a checksum, and none is left out for being empty, so that a missing one must have been lost.
     """
-    from zarr import create_array
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-    from zarr.storage import MemoryStore
-
     files: dict[str, Any] = {}
+    large: dict[str, bytes] = {}
     labels = sorted(name for name in dataset.coords if name not in dataset.sizes)
     for name, variable in dataset.variables.items():
         values, attributes, how = variable.values, dict(variable.attrs), dict[str, Any]()
@@ -539,22 +568,24 @@ def encode(
             attributes[FILL], how["fill_value"] = MISSING_FLOAT, np.nan
         elif FILL in variable.encoding:
             attributes[FILL] = variable.encoding[FILL]
-        create_array(
-            MemoryStore(files),
-            name=name,
-            data=values,
-            chunks=chunk_shape(variable),
-            compressors=[ZstdCodec(level=1), Crc32cCodec()],
-            chunk_key_encoding=dict(chunk_names),
-            dimension_names=variable.dims,
-            attributes=attributes,
-            config={"write_empty_chunks": True},
-            **how,
-        )
+        how |= {"dtype": values.dtype, "dimension_names": variable.dims, "attributes": attributes}
+        array = new_array(files, name, values.shape, chunk_key_encoding=chunk_names, **how)
+        if not isinstance(values, Stored):
+            array[...] = values
+            continue
+        # The first point is written as a missing one: all others that are missing have the same chunks.
+        array[(0,) * (values.chunks.ndim - 1)] = missing(values.dtype)
+        chunks = [(place, files.get(chunk_name(name, chunk_names, first)), c) for place, first, c in values.places()]
+        for place, empty, chunk in chunks:
+            file = chunk_name(name, chunk_names, place)
+            files[file] = empty
+            if any(chunk):
+                large[file] = chunk
+                del files[file]
     contents = {key: bytes(buffer.to_bytes()) for key, buffer in files.items()}
     contents.pop(ROOT)  # of arrays alone
     documents = {str(name): json.loads(contents.pop(f"{name}/zarr.json")) for name in dataset.variables}
-    return dict(dataset.attrs), documents, contents
+    return dict(dataset.attrs), documents, contents, large
 
 
 def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr.Dataset":
@@ -610,20 +641,6 @@ def chunk_checksums(root: Mapping[str, Any]) -> dict[str, str]:
 def arrays_of(root: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the documents of the dataset's arrays by name."""
     return dict(root.get("consolidated_metadata", {}).get("metadata", {}))
-
-
-def chunk_shape(variable: Any) -> tuple[int, ...]:
-    """Return a shape for chunks of at most `MOST_VALUES` that are whole in the last dimensions: a point's values stay
-    together, and a coordinate is one chunk.
-    """
-    # Values are counted, not bytes: what is on the same axes has the same chunks.
-    shape = list(variable.shape)
-    for axis in range(len(shape)):
-        rest = math.prod(shape[axis + 1 :])
-        shape[axis] = max(1, min(shape[axis], integrity.MOST_VALUES // max(1, rest)))
-        if shape[axis] > 1:
-            break
-    return tuple(shape)
 
 
 def _of_arrays(keys: Collection[str], names: Collection[str]) -> set[str]:

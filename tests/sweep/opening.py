@@ -21,6 +21,7 @@ from linksweep.sweep.running.status import status_report
 from linksweep.sweep.running.writer import create_store, find_store, open_store
 from linksweep.sweep.stores import ledger, location
 from linksweep.sweep.stores.integrity import sealed, unsealed
+from linksweep.sweep.stores.large import file_of
 from linksweep.sweep.stores.ledger import path_of
 from linksweep.sweep.stores.location import Folder, Holder, holder, located, locked, short_name, store_named
 from linksweep.sweep.stores.store import OpenStore, Store, check, chunk_checksums, open_dataset, repair
@@ -86,7 +87,8 @@ def in_use(store):
     """Return the files that the root document means, and those of the ledger; the rest is of the writing before."""
     opened = OpenStore(store)
     described = {f"{name}/zarr.json" for name in opened.root["consolidated_metadata"]["metadata"]}
-    return {"zarr.json", *described, *chunk_checksums(opened.root), *opened.ledger().files}
+    kept = opened.ledger()
+    return {"zarr.json", *described, *chunk_checksums(opened.root), *kept.files, *map(file_of, kept.chunks)}
 
 
 def forge(store, change, file="zarr.json"):

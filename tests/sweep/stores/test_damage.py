@@ -37,6 +37,22 @@ MODEL = (
 )
 
 
+IMAGES = """
+import numpy as np
+def model(k: int = 1):
+    if k == 3:
+        raise ValueError("three")
+    return {"image": np.random.default_rng(k).normal(size=(5, 16)), "y": k / 3}
+"""
+
+
+def small_chunks(monkeypatch, folder):
+    """Return a study of large arrays, those of eighty values, which are two chunks each."""
+    monkeypatch.setattr("linksweep.sweep.contract.large.MOST_VALUES", 64)
+    (folder / "images.py").write_text(IMAGES)
+    return {"title": "Images", "experiment": f"{folder}/images.py:model", "axes": {"k": [1, 2, 3, 4]}}
+
+
 def small_parts(monkeypatch, size=4 * ROW):
     monkeypatch.setattr(opening.ledger, "PART_BYTES", size)
 
@@ -57,11 +73,13 @@ def named(report):
     return {*report.identity, *report.ledger, *report.results}
 
 
-@pytest.fixture(params=["coins", slow("samples")])
+@pytest.fixture(params=["coins", slow("images"), slow("samples")])
 def whole(request, tmp_path, coins, monkeypatch):
     """A study and a store of it, with several parts of the ledger, and a failure."""
     small_parts(monkeypatch, 8 * ROW if request.param == "coins" else 2**19)
     document = coins if request.param == "coins" else SAMPLES
+    if request.param == "images":
+        document = small_chunks(monkeypatch, tmp_path)
     run(document, tmp_path / "whole.zarr")
     store = existing_store(tmp_path / "whole.zarr", document)
     store.fail(b"another point ..", {"message": "it failed"})
@@ -76,8 +94,8 @@ def test_every_file_may_be_damaged(whole, tmp_path, change, step):
     wanted, used = linksweep.open(store), in_use(store)
     assert not check(store)
     files = sorted(files_of(store))
-    files = [file for file in files if document["title"] == "Coins" or file.startswith(("zarr.json", "blocks/"))]
-    assert sum(file.startswith("blocks/rows") for file in files) > 2
+    files = [file for file in files if document["title"] != "Samples" or file.startswith(("zarr.json", "blocks/"))]
+    assert sum(file.startswith(("blocks/rows", "blocks/large")) for file in files) > 2
     for file in files[list(DAMAGE.values()).index(change) :: step]:
         copy, aside = tmp_path / "copy.zarr", tmp_path / "copy.zarr.damaged"
         for old in (copy, aside):
@@ -108,10 +126,15 @@ class Killed(BaseException):
     """The end of a process before an operation on a file."""
 
 
+@pytest.mark.parametrize("what", ["coins", slow("images")])
 @pytest.mark.parametrize(("where", "step"), [("folder", 8), slow("folder", 1), slow("bucket", 3)])
-def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, step, request, tmp_path, coins, monkeypatch):
+def test_killed_before_any_operation_it_is_unfinished_and_goes_on(
+    what, where, step, request, tmp_path, coins, monkeypatch
+):
     often = {"flush_every_s": -1.0}
     document = coins | {"axes": {"coins": [1, 5]}, "sampling": {"n_sim": 100, "n_cat": 20, "seed": 7}}
+    if what == "images":
+        document = small_chunks(monkeypatch, tmp_path) | {"axes": {"k": [1, 2]}}
     base = str(tmp_path) if where == "folder" else request.getfixturevalue("bucket")
     kind = type(located(f"{base}/s.zarr"))
     done, last = [], [10**9]
@@ -129,6 +152,9 @@ def test_killed_before_any_operation_it_is_unfinished_and_goes_on(where, step, r
     for name in ("put", "create", "swap", "delete"):
         monkeypatch.setattr(kind, name, counted(getattr(kind, name)))
     monkeypatch.setattr(kind, "put_all", lambda place, files: [place.put(*file) for file in files.items()])
+    copy_all = kind.copy_all
+    copy = counted(lambda place, new, old: copy_all(place, {new: old}))
+    monkeypatch.setattr(kind, "copy_all", lambda place, names: [copy(place, *name) for name in names.items()])
     wanted = run(document, f"{base}/whole.zarr", tuning=often)
     total = len(done)
     assert total > 20
@@ -240,7 +266,7 @@ def test_a_copy_made_during_a_run_is_whole_or_refused(tmp_path, coins):
         process.communicate()
 
 
-@pytest.fixture(params=["function", slow("samples")])
+@pytest.fixture(params=["function", slow("images"), slow("samples")])
 def history(request, place, tmp_path, monkeypatch):
     """A study, its store, the files of that after each of three writings, and the results."""
     small_parts(monkeypatch)
@@ -250,6 +276,8 @@ def history(request, place, tmp_path, monkeypatch):
     if request.param == "samples":
         sampling = {"n_sim": 200, "n_cat": 3, "seed": 5, "keep_samples": True}
         document, axes = SAMPLES | {"sampling": sampling}, [{"n_obj": [20, 30, 40][:n]} for n in (1, 2, 3)]
+    if request.param == "images":
+        document, axes = small_chunks(monkeypatch, tmp_path), [{"k": [1, 2, 3, 4, 5, 6][:n]} for n in (3, 5, 6)]
     writings = []
     for given in axes:
         document = document | {"axes": given}
@@ -341,7 +369,9 @@ def is_told(store, differing, wanted, sweep):
         problems.append(err)
     else:
         assert json.loads(out)["blocks"] == len(opening.OpenStore(store).ledger().rows)
-        read = {f for f in differing if f.startswith("blocks/") and not f.startswith("blocks/samples")}
+        read = {
+            f for f in differing if f.startswith("blocks/") and not f.startswith(("blocks/samples", "blocks/large"))
+        }
         missing = {f for f in differing if located(store).get(f) is None and f.startswith("blocks/")}
         assert "zarr.json" in differing or not read | missing
     assert "zarr.json" in differing or all(any(file in told for file in differing) for told in problems)

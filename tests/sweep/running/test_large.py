@@ -1,0 +1,166 @@
+"""Large arrays: written once, by the process that computed them, and read as they are used."""
+
+import os
+import shutil
+import subprocess
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+import linksweep
+from linksweep import Limits, Output, SweepError, experiment
+from tests.sweep.opening import merge
+from tests.sweep.outside import Outside
+
+MOST = 64
+"""Values of a chunk, in place of a million."""
+
+
+@pytest.fixture(autouse=True)
+def _small(monkeypatch):
+    monkeypatch.setattr("linksweep.sweep.contract.large.MOST_VALUES", MOST)
+
+
+def image_of(shape, whole):
+    """Return a function of two parameters with an image and a number; it fails at b = 2."""
+
+    @experiment(outputs=[Output("image", nan=True), Output("level"), Output("names")])
+    def picture(a: int, b: int = 0):
+        if b == 2:
+            raise ValueError("two")
+        drawn = np.random.default_rng([a, b]).normal(size=shape)
+        if whole:
+            return {"image": (1e6 * drawn).astype(int) + 2**53, "level": a / 3, "names": [f"{a}", "x"]}
+        drawn.flat[:: 7 + a] = np.nan
+        drawn.flat[1] = np.inf
+        return {"image": drawn, "level": a / 3, "names": [f"{a}", "x"]}
+
+    return picture
+
+
+def check(dataset, picture):
+    """Compare the images of a dataset with what the function returns, and require that others are missing."""
+    dataset = dataset.transpose("a", "b", ...)
+    images = dataset["image"].values
+    for place in np.ndindex(images.shape[:2]):
+        if dataset["status"].values[place] == 1:
+            wanted = picture(dataset["a"].values[place[0]], dataset["b"].values[place[1]])["image"]
+            np.testing.assert_array_equal(images[place].astype(wanted.dtype), wanted)
+        else:
+            assert np.isnan(images[place].astype(float)).all()
+
+
+shapes = st.lists(st.integers(1, 90), min_size=1, max_size=3).filter(lambda s: MOST // 2 < np.prod(s) < 3000).map(tuple)
+
+
+@pytest.mark.slow
+@settings(max_examples=10, phases=[Phase.generate])  # the least example takes as long to find as many others to try
+@given(
+    shape=shapes,
+    whole=st.booleans(),
+    a=st.lists(st.integers(0, 5), min_size=1, max_size=3, unique=True),
+    b=st.lists(st.integers(1, 3), min_size=1, max_size=3, unique=True),
+    pool=st.sampled_from(["serial", "serial", "threads"]),
+)
+def test_arrays_are_what_the_function_returned(tmp_path_factory, shape, whole, a, b, pool):
+    store, asked = tmp_path_factory.mktemp("large") / "s.zarr", {"a": a, "b": [0, *b]}
+    picture = image_of(shape, whole)
+    for more in ({}, {"a": [7, *a]}, {"b": [*b, 9, 0]}):
+        ds = linksweep.run(picture, store, axes=asked | more, pool=pool, max_failures="100%")
+        check(ds, picture)
+        check(linksweep.open(store), picture)
+        assert ds.sizes["a"] * ds.sizes["b"] == np.prod([len(values) for values in (asked | more).values()])
+        with xr.open_zarr(store) as plain:
+            if not whole:  # plain xarray rounds integers beside missing ones
+                check(plain, picture)
+            assert plain["level"].isnull().values.tolist() == (plain["status"] != 1).values.tolist()
+        some = np.s_[-1, ::-1, ..., ::-2]
+        np.testing.assert_array_equal(ds["image"][some].astype(float), ds["image"].values[some].astype(float))
+
+
+def digests(store):
+    return {file.relative_to(store): file.read_bytes() for file in Path(store).glob("*/c*.*")}
+
+
+@pytest.mark.parametrize("options", [{"pool": "threads", "workers": 2}, {"workers": 2}, {"limits": Limits(60.0)}])
+def test_who_writes_them_changes_no_bit_and_they_are_stored_once(options, tmp_path):
+    picture, axes = image_of((9, 40), False), {"a": range(3), "b": [0, 2]}
+    serial = linksweep.run(picture, tmp_path / "serial.zarr", axes=axes, pool="serial", max_failures="100%")
+    ds = linksweep.run(picture, tmp_path / "s.zarr", axes=axes, max_failures="100%", **options)
+    xr.testing.assert_identical(ds.drop_attrs(), serial.drop_attrs())
+    check(ds, picture)
+    assert digests(tmp_path / "s.zarr") == digests(tmp_path / "serial.zarr")
+    # A chunk is one file with two names; missing ones are files of their own.
+    linked = [file for file in (tmp_path / "s.zarr" / "image").glob("c*.*") if file.stat().st_nlink == 2]
+    assert len(linked) == np.sum(ds["status"].values == 1) * 9
+    assert len(list((tmp_path / "s.zarr" / "blocks").glob("large.*"))) == len(linked)
+
+
+def test_part_of_them_are_merged_and_the_merged_store_needs_no_other(tmp_path):
+    picture, axes = image_of((9, 40), False), {"a": range(5), "b": [0, 2]}
+    whole = linksweep.run(picture, tmp_path / "whole.zarr", axes=axes, pool="serial", max_failures="100%")
+    for part in ("1/2", "2/2"):
+        linksweep.run(picture, tmp_path / "s.zarr", axes=axes, pool="serial", max_failures="100%", part=part)
+    parts = sorted(tmp_path.glob("s.zarr.part-*"))
+    merge(parts, tmp_path / "s.zarr")
+    for part in parts:
+        shutil.rmtree(part)
+    xr.testing.assert_identical(linksweep.open(tmp_path / "s.zarr").drop_attrs(), whole.drop_attrs())
+    again = linksweep.run(picture, tmp_path / "s.zarr", axes=axes, pool="serial", redo="a > 2", max_failures="100%")
+    xr.testing.assert_identical(again.drop_attrs(), whole.drop_attrs())
+    assert len(list(tmp_path.glob("s.zarr/blocks/large.*"))) == 5 * 9
+
+
+def test_they_are_read_from_the_store_or_not_at_all(tmp_path):
+    picture = image_of((9, 40), False)
+    ds = linksweep.run(picture, tmp_path / "s.zarr", axes={"a": [1, 2], "b": [0]}, pool="serial")
+    linksweep.run(picture, tmp_path / "s.zarr", axes={"a": [0, 1, 2, 3], "b": [0, 1]}, pool="serial")
+    check(ds, picture)
+    shutil.rmtree(tmp_path / "s.zarr")
+    with pytest.raises(SweepError, match=r"blocks/large\..* cannot be read: it is missing"):
+        ds["image"].load()
+
+
+def test_types_that_differ_are_refused_by_name(tmp_path):
+    def picture(a: int):
+        return np.zeros(40, dtype=int if a else float)
+
+    options = {"axes": {"a": [0, 1, 0.0, 2][:2]}, "pool": "serial"}
+    ds = linksweep.run(picture, tmp_path / "s.zarr", **options)
+    assert ds["status"].values.tolist() == [1, 2]
+    assert "the type of 'picture' is 'int', expected 'float'" in ds.attrs["failures"]
+
+
+HIDDEN = """
+import numpy as np
+from pathlib import Path
+def picture(a: int):
+    assert not list(Path({store!r}).parent.glob("*.zarr"))
+    return {{"image": np.random.default_rng(a).normal(size=(1100, 500))}}
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hides", [False, True])
+def test_workers_of_a_scheduler_write_them_where_they_see_the_store(hides, tmp_path, monkeypatch):
+    monkeypatch.setattr("linksweep.sweep.contract.large.MOST_VALUES", 2**20)
+    folder = tmp_path / "stores"
+    folder.mkdir()
+    hide = ["unshare", "--mount", "sh", "-c", f'mount -t tmpfs none "{folder}" && "$@"', "sh"] if hides else []
+    if hides and (os.geteuid() != 0 or subprocess.run([*hide, "true"], check=False).returncode):
+        pytest.skip("a file system of its own for a process needs root and unshare")
+    (tmp_path / "pictures.py").write_text(
+        HIDDEN.format(store=str(folder / "s.zarr")).replace("not list", "not list" if hides else "list")
+    )
+    study = {"title": "p", "experiment": f"{tmp_path}/pictures.py:picture", "axes": {"a": [1, 2, 3]}}
+    with closing(Outside(tmp_path)) as outside:
+        outside.start_worker(before=hide)
+        ds = linksweep.run(study, folder / "s.zarr", scheduler=outside.address)
+    wanted = [np.random.default_rng(a).normal(size=(1100, 500)) for a in (1, 2, 3)]
+    np.testing.assert_array_equal(ds["image"].values, wanted)
+    np.testing.assert_array_equal(xr.open_zarr(folder / "s.zarr")["image"].values, wanted)
