@@ -342,15 +342,9 @@ def sky_cells(ra: Array, dec: Array, divisions: int) -> NDArray[np.int16]:
 
     2 d^2 cells for ``divisions`` d: d bands of equal height in sin dec, each of 2 d equal steps in ra.
     """
-    cells = np.zeros(len(ra), dtype=np.int16)
-    for edge in np.arcsin(np.arange(1, divisions) * (2.0 / divisions) - 1.0):
-        cells += dec >= edge  # a sine of each source takes longer than all comparisons
-    cells *= 2 * divisions
-    if np.any((ra < 0.0) | (ra >= 2.0 * np.pi)):
-        ra = ra % (2.0 * np.pi)
-    step = (ra * (divisions / np.pi)).astype(np.int16)
-    step[step == 2 * divisions] = 0
-    return np.asarray(cells + step)
+    band = np.minimum(divisions * 0.5 * (1.0 + np.sin(dec)), divisions - 1).astype(np.int16)
+    step = ((ra % (2.0 * np.pi)) * (divisions / np.pi)).astype(np.int16) % (2 * divisions)
+    return np.asarray(2 * divisions * band + step)
 
 
 # ---- outliers: sources left out before or during the solution, or given less weight

@@ -10,7 +10,7 @@ import numpy as np
 
 from linksweep.core.frames import MAS, Array
 from linksweep.core.tie import forecast
-from linksweep.core.tie.noise import ALL, noises
+from linksweep.core.tie.noise import noises
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import Clip, KeptSources, Solution, clipped, parse_clip, solve
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
@@ -38,10 +38,6 @@ MOST_BINS = 10
 POWER_SHAPE, BIN_SHAPE = (len(FIELDS), HIGHEST_STORED), (MOST_BINS, 3)
 
 
-def _number(name: str, default: float, meaning: str, unit: str = "", minimum: float = 0.0, **limits: Any) -> Parameter:
-    return Parameter(name, "float", default, meaning, unit, minimum=minimum, **limits)
-
-
 def _one_of(name: str, meaning: str, *choices: str) -> Parameter:
     return Parameter(name, "str", choices[0], meaning, choices=choices)
 
@@ -64,12 +60,10 @@ PARAMETERS = (
     Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),
     _one_of("new_positions", "of new rows: displaced by the parallax, or mean ones", *POSITIONS),
     _one_of("candidates", "for new positions: sources with rows, or all of the satellite's", "matched", "all"),
-    _number("position_jitter", 0.0, "added in quadrature to the reference's positions", "mas"),
-    _number("motion_jitter", 0.0, "added in quadrature to the reference's motions", "mas/yr"),
     _one_of("truth", "of the draws: the solution of the tables, or zero", "estimate", "zero"),
     Parameter("error_factor", "float", 1.0, "errors of the draws over those of the tables", above=0.0),
-    _number("outliers", 0.0, "fraction of sources of a draw with larger errors", maximum=1.0),
-    _number("outlier_factor", 10.0, "how much larger they are", minimum=1.0),
+    Parameter("outliers", "float", 0.0, "fraction of sources of a draw with larger errors", minimum=0.0, maximum=1.0),
+    Parameter("outlier_factor", "float", 10.0, "how much larger they are", minimum=1.0),
 )
 
 _UNITS, _SQUARES = ", ".join(UNITS), ", ".join(FIELD_UNITS)
@@ -262,12 +256,7 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
         raise SweepError("satellite is required: the table of the satellite")
     if reference is not None and zero_motion:
         raise SweepError("zero_motion = true is for quasars without a table, and there is a reference")
-    sizes = point["position_jitter"], point["motion_jitter"]
-    if point["jitter"] and any(sizes):
-        raise SweepError("jitter is there, and position_jitter or motion_jitter: all=MAS:MAS_YR in jitter is the same")
     chosen = {one.name: _plain(point[one.name]) for one in OF_TABLES if one.name in point}
-    if any(sizes):
-        chosen["jitter"] = {ALL: sizes}
     if point["known_spin_table"] is not None:
         chosen["known_spin"] = point["known_spin_table"].path
     options = Options(**chosen)
@@ -480,7 +469,7 @@ def unused(point: Point) -> dict[str, str]:
         (
             reference or point["zero_motion"],
             "there are no rows of a reference",
-            "known_.*|.*jitter|truth|accept_misfit",
+            "known_.*|jitter|truth|accept_misfit",
         ),
         (point["release"] != TABLE, "it is for a release", "from_release"),
         (point["n_new"] > 0, "it is for n_new above 0", "new_.*|goal|candidates"),

@@ -118,7 +118,9 @@ def set_up_row_groups(
             values[:2, group.first : group.first + places.shape[1]] = places
         for note in notes:
             noted.setdefault(note, group.first)
-    epoch = _median_epoch(epochs) if options.epoch is None else options.epoch
+    epoch = options.epoch
+    if epoch is None:
+        epoch = setup.default_epoch(np.concatenate([np.repeat(*one) for one in epochs]))
     said = [f"{path.name}, from row {first + 1} on: {note}" for note, first in noted.items()]
     if (more := len(said) - MOST_NOTES) > 0:
         said[MOST_NOTES:] = [f"{path.name}: {more} more such notes"]
@@ -136,16 +138,6 @@ def set_up_row_groups(
     said.append(f"read in {len(groups)} row groups; sources are named by their row numbers")
     whole = setup.Setup(left, right, matched, problem, numbers[1:], tuple(said))
     return whole, StreamedSources(unknowns.labels, problems, [group.first for group in groups], n, run)
-
-
-def _median_epoch(each: Sequence[tuple[Array, Indices]]) -> float:
-    """Return `setup.default_epoch` of all epochs, from the different ones of each row group and their numbers."""
-    epochs, place = np.unique(np.concatenate([epochs for epochs, _ in each]), return_inverse=True)
-    if not len(epochs):
-        return setup.default_epoch(epochs)
-    last = np.cumsum(np.bincount(place, np.concatenate([counts for _, counts in each])))
-    middle = [(last[-1] - 1) // 2, last[-1] // 2]  # the middle one twice, or the two around the middle
-    return setup.default_epoch(epochs[np.searchsorted(last, middle, side="right")])
 
 
 def _unknowns(group: RowGroup, sample: Array, notes: list[str]) -> Unknowns:

@@ -194,7 +194,7 @@ def test_releases_new_positions_and_jitter_change_the_forecast_as_they_should():
     now, later = (results(at | {"release": r, "from_release": "dr3"}, 2)["sigma_predicted"] for r in ("table", "dr5"))
     # almost all of the error is the satellite's, whose positions improve as T^-1/2
     assert (later / now)[:3] == pytest.approx((34 / 126) ** 0.5, rel=1e-3)
-    exact, jitter = (results(point("pulsar-timing", position_jitter=j), 2)["error_formal"][:3] for j in (0.0, 5.0))
+    exact, jitter = (results(point("pulsar-timing", jitter=j), 2)["error_formal"][:3] for j in ("", "all=5.0"))
     assert np.all(jitter > exact)
 
 
@@ -380,7 +380,6 @@ def test_a_study_reads_the_text_of_the_icrf(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"jitter": "estimate", "position_jitter": 0.1}, "jitter is there, and position_jitter"),
         ({"jitter": "position"}, "KIND=MAS"),
         ({"missions": {"hip": "nowhere.ecsv"}}, "no such file"),
         ({"mission_epochs": {"hip": "1991.25"}}, "mission_epochs: no table 'hip'"),
