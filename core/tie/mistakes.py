@@ -65,9 +65,13 @@ PLAUSIBLE = 2e-4, 1e4
 
 GROUPS: dict[str, Rows] = {"positions": (0, 1), "parallaxes": (2,), "proper motions": (3, 4)}
 NOT_POSITIONS: dict[str, Rows] = {"parallaxes": (2,), "proper motions": (3, 4), "pmra": (3,), "pmdec": (4,)}
-ALL: tuple[str, Rows] = ("all quantities", (0, 1, 2, 3, 4))
+# What may have errors in another unit.
+WITH_ERRORS: dict[str, Rows] = {**GROUPS, "all quantities": (0, 1, 2, 3, 4), "ra": (0,), "dec": (1,)}
 
 UNEXPLAINED = "no known mistake explains it: errors may be too small, or sources not single"
+
+# How much a correction hides that makes errors larger.
+HIDES_ALL = 2
 
 Change = Callable[[Astrometry], Astrometry]
 
@@ -241,15 +245,19 @@ def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio:
 
 
 def likely(causes: Sequence[Cause], alike: float) -> str:
-    """Return a clause about the causes that hide least: the best, and those that are as good within ``alike``."""
+    """Return a clause about the causes that hide least: the best, and those that are as good within ``alike``.
+
+    Larger errors always bring chi2 down: of these the best brings it to its expectation.
+    """
     if not causes:
         return UNEXPLAINED
     least = min(cause.hides for cause in causes)
-    ordered = sorted((cause for cause in causes if cause.hides == least), key=lambda cause: cause.ratio)
-    best = ordered[0].ratio
-    same = [cause.words for cause in ordered if cause.ratio <= best + alike * max(best, 1.0)]
+    bad = {cause: abs(np.log(cause.ratio)) if least == HIDES_ALL else cause.ratio for cause in causes}
+    ordered = sorted((cause for cause in causes if cause.hides == least), key=bad.__getitem__)
+    best = bad[ordered[0]]
+    same = [cause.words for cause in ordered if bad[cause] <= best + alike * max(best, 1.0)]
     words = ", or ".join(dict.fromkeys(same[:3]))
-    return f"the likely cause: {words} (corrected, chi2 is {best:.2g} times its expectation)"
+    return f"the likely cause: {words} (corrected, chi2 is {ordered[0].ratio:.2g} times its expectation)"
 
 
 def _deficit(problem: Problem, tables: Sequence[str], groups: Sequence[_Group]) -> str:
@@ -259,7 +267,7 @@ def _deficit(problem: Problem, tables: Sequence[str], groups: Sequence[_Group]) 
         what = group.words.removeprefix("the ").partition(" of ")[0]
         wholes = [part for part in _wholes(problem, tables) if part.table in ("satellite", group.part.table)]
         for part, (name, rows), (factor, unit) in product(
-            (group.part, *wholes[::-1]), ((what, group.rows), ALL), units
+            (group.part, *wholes[::-1]), ((what, group.rows), ("all quantities", WITH_ERRORS["all quantities"])), units
         ):
             trial = _applied(problem, part, _scaled(rows, factor, errors=True))
             try:
@@ -335,8 +343,8 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
     if table == "satellite" and problem.satellite.further is not None:
         yield from _accelerations()
     for ratio, unit in SMALLER.items():
-        for name, rows in (*GROUPS.items(), ALL) if ratio > 15.0 else ():
-            yield f"errors of {name} of {{}} too small, {unit}", 2, _scaled(rows, ratio, errors=True)
+        for name, rows in WITH_ERRORS.items() if ratio > 15.0 else ():
+            yield f"errors of {name} of {{}} too small, {unit}", HIDES_ALL, _scaled(rows, ratio, errors=True)
 
 
 def _changed(names: Sequence[str], change: Callable[[Any], Any]) -> Change:

@@ -20,12 +20,12 @@ Flags = NDArray[np.bool_]
 # Column names of quantities, best first, in any case. _RA and _DE are last because VizieR computes them for an epoch of
 # its own.
 NAMES: Mapping[str, tuple[str, ...]] = {
-    "ra": ("ra", "RAdeg", "RArad", "ra_icrs", "_RA"),
-    "dec": ("dec", "DEdeg", "DErad", "dec_icrs", "DE_ICRS", "_DE"),
-    "parallax": ("parallax", "plx"),
+    "ra": ("ra", "RAdeg", "RArad", "ra_icrs", "raj", "_RA"),
+    "dec": ("dec", "DEdeg", "DErad", "dec_icrs", "DE_ICRS", "decj", "_DE"),
+    "parallax": ("parallax", "plx", "px"),
     "pmra": ("pmra", "pm_ra_cosdec", "pm_ra"),
     "pmdec": ("pmdec", "pm_dec", "pmDE"),
-    "ref_epoch": ("ref_epoch", "epoch", "pos_epoch", "mjd"),
+    "ref_epoch": ("ref_epoch", "epoch", "pos_epoch", "posepoch", "mjd"),
     "radial_velocity": ("radial_velocity", "dr2_radial_velocity", "rv"),
     "v_mag": ("v_mag", "phot_g_mean_mag", "vt_mag"),
     "name": (
@@ -66,6 +66,7 @@ GAIA_MARKS = {"source_id", "ref_epoch"}
 SEXAGESIMAL = {"deg": False, "d:m:s": False, "hourangle": True, "h": True, "h:m:s": True}
 
 _SIDES = ("reference_", "satellite_")
+_BRACKETS = re.compile(r"\s*[\[(][^\])]*[\])]$")
 _NAMED_TIME = re.compile(
     r"^_?ra(h|hr|hrs|hours?|m|s)$|^_?(ra|alpha)\w*[\W_](h|hr|hrs|hours?|hms|m|min|s|sec)\W*$", re.I
 )
@@ -78,8 +79,11 @@ _ANGLE = re.compile(
 
 
 def first_found(wanted: Iterable[str], names: Collection[str]) -> str | None:
-    """Return the column of the first wanted name that is found, ignoring case if need be; None if there is none."""
-    in_any_case = {name.casefold(): name for name in reversed(list(names))}
+    """Return the column of the first wanted name that is found, ignoring case and a unit in brackets behind it if need
+    be; None if there is none.
+    """
+    plain = {_BRACKETS.sub("", name).casefold(): name for name in reversed(list(names))}
+    in_any_case = plain | {name.casefold(): name for name in reversed(list(names))}
     columns = (name if name in names else in_any_case.get(name.casefold()) for name in wanted)
     return next((name for name in columns if name is not None), None)
 

@@ -54,7 +54,7 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _RULE = re.compile(r"[-=+]+")
 _CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
 # How tables spell units out; dates are numbers of days.
-_WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr"}
+_WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr", "hms": "h:m:s", "dms": "d:m:s"}
 _BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
 
 
@@ -347,8 +347,12 @@ def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
     delimiter = best if best in unquoted else " "
     names, units, first = _fields(header, delimiter), None, at
     if any(map(_NUMBER.fullmatch, names)):  # this line is a row already
-        comment = next((line.lstrip("#") for line in reversed(lines[:at]) if line.startswith("#")), "")
-        names = next((f for d in (delimiter, " ") if len(f := _fields(comment, d)) == len(names)), names)
+        above = [
+            _fields(line.lstrip("#"), d) for line in reversed(lines[:at]) for d in (delimiter, " ") if line[:1] == "#"
+        ]
+        fitting = [fields for fields in above if len(fields) == len(names)] or [names]
+        units = fitting.pop(0) if len(fitting) > 1 and _are_units(fitting[0]) else None
+        names = fitting[0]
         if any(map(_NUMBER.fullmatch, names)):
             said = f"its first line, {header.strip()[:60]!r}, is not one of column names"
             raise SweepError(f"{said} (a table of CDS needs its ReadMe beside it)")
@@ -454,6 +458,10 @@ def _add_degrees(table: Any) -> None:
             negative = [str(text).strip() == "-" for text in np.ma.filled(np.ma.asarray(table[sign]), "+")]
             values = values * np.where(negative, -1.0, 1.0)
         table[name] = MaskedColumn(np.ma.getdata(values), mask=np.ma.getmaskarray(values), unit="deg")
+        error = f"e_{parts[-1]}"
+        if error in table.colnames and f"e_{name}" not in table.colnames:
+            table[f"e_{name}"] = table[error]
+            table[f"e_{name}"].unit = table[error].unit or ("arcsec" if sign else "s")
 
 
 # ---- Parquet: whole, or one row group at a time

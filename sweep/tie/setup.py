@@ -472,7 +472,8 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
     ):
         if len(numbers):
             notes.append(f"{named_rows(numbers)} of {name}: {what}")
-    several = np.bincount(matched.source)[matched.source] > 1
+    new = ~np.isin(matched.rows, [*exact, *nearly])
+    several = new & (np.bincount(matched.source[new])[matched.source] > 1)
     epochs = rows.epoch[rows.present[0]]
     if np.any(several & rows.present[0]) and len(epochs) > 2 and np.all(epochs == epochs[0]):
         notes.append(f"{name}: all positions have the epoch {epochs[0]:g}, although sources have several: is it right?")

@@ -64,6 +64,9 @@ COARSE = 0.1
 # Errors after a mistake in their unit is corrected, mas or mas/yr.
 TYPICAL = (0.005, 300.0)
 
+# No array of telescopes has errors that differ by more between the coordinates.
+UNEQUAL = 100.0
+
 # Errors of the positions of calibrators, mas.
 CALIBRATORS = (0.005, 50.0)
 
@@ -207,6 +210,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     read.finish()
     _note_lost(read, np.isfinite(values) & ~np.isfinite(errors), notes)
     _note_unlikely(values, errors, notes)
+    _note_unequal(errors, notes)
     _check_positions(read, values, errors)
     present = np.isfinite(values) & np.isfinite(errors)
     further = _accelerations(read, np.all(present, axis=0), options, notes)
@@ -347,6 +351,15 @@ def _note_unlikely(values: Array, errors: Array, notes: list[str], quantities: M
             cause = f" The likely cause: {', or '.join(likely)}." if likely else ""
             what = f"errors of {name} of {median:.2g} {unit}, which no instrument has."
             notes.append(f"{what}{cause} Say --unit {name}_error=UNIT")
+
+
+def _note_unequal(errors: Array, notes: list[str]) -> None:
+    """Note errors of the two coordinates, or of their motions, of which one is likely to be in another unit."""
+    for one, other in ((0, 1), (3, 4)):
+        both = errors[[one, other]][:, np.isfinite(errors[[one, other]]).all(axis=0)]
+        if both.size and not 1.0 / UNEQUAL < (ratio := np.divide(*np.median(both, axis=1))) < UNEQUAL:
+            names = f"{PARAMETERS[one]} are {ratio:.3g} times those of {PARAMETERS[other]}"
+            notes.append(f"errors of {names}: is one of them in another unit?")
 
 
 def _check_positions(read: Columns, values: Array, errors: Array) -> None:

@@ -82,6 +82,7 @@ def written(folder: Path, name: str, content: str | bytes) -> Path:
         ("ra dec id\n10.5 20 1\n# a comment\n200 -3 2", ["ra", "dec", "id"]),
         ("ra,dec,id\ndegrees,deg,\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
         ("ra [deg],dec (deg),id\n10.5,20,1\n200,-3,2\n", ["ra [deg]", "dec (deg)", "id"]),
+        ("#ra;dec;id\n#(deg);(deg);\n10.5;20;1\n200;-3;2\n", ["ra", "dec", "id"]),  # as psrcat writes it
         ('"ra","dec","id"\n"10.5","20","1"\n"200","-3","2"\n', ["ra", "dec", "id"]),
     ],
 )
@@ -92,6 +93,18 @@ def test_delimited_text(text, names, tmp_path):
         np.testing.assert_array_equal([table[n] for n in names], [[10.5, 200.0], [20.0, -3.0], [1, 2]])
     if "deg" in text:
         assert [table[n].unit for n in names] == [u.deg, u.deg, None]
+
+
+def test_units_in_names_and_errors_of_parts_are_found(tmp_path):
+    text = "Name,RA [deg],Dec [deg],RA_err (uas)\nA,10.5,20,3\n"
+    read = Columns(read_table(written(tmp_path, "t.csv", text)))
+    assert (read.quantity("ra").tolist(), read.quantity("dec").tolist()) == ([10.5], [20.0])
+    np.testing.assert_allclose(read.quantity("ra_error"), 0.003)
+    text = "Name RAh RAm RAs DE- DEd DEm DEs e_RAs e_DEs\nA 01 00 00.0 - 30 00 00.0 0.001 0.02\n"
+    read = Columns(read_table(written(tmp_path, "t.txt", text)))
+    np.testing.assert_allclose([read.quantity(name)[0] for name in ("ra", "dec")], [15.0, -30.0])
+    np.testing.assert_allclose(read.quantity("ra_error"), 15.0 * np.cos(np.radians(30.0)))
+    np.testing.assert_allclose(read.quantity("dec_error"), 20.0)
 
 
 def test_a_table_of_vizier(tmp_path):

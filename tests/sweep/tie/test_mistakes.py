@@ -154,6 +154,12 @@ MISTAKES = {
     "motions in arcsec there": ("reference", scaled(MOTIONS, 1e-3), "proper motions of the reference, arcsec taken"),
     "position errors in deg": ("satellite", scaled(POSITIONS, 1.0 / 3.6e6), "deg taken for mas"),
     "position errors in deg there": ("reference", scaled(POSITIONS, 1.0 / 3.6e6), "deg taken for mas"),
+    "errors of ra in seconds": (
+        "reference",
+        scaled(["ra_error"], 1.0 / 1.5e4),
+        "errors of ra.*(seconds of time|no inst)",
+    ),
+    "errors of dec in arcsec": ("reference", scaled(["dec_error"], 1e-3), "errors of dec.*arcsec taken"),
     "errors in mas declared as deg": ("reference", declared(POSITIONS, "deg"), "mas taken for deg"),
     "position errors in uas": ("reference", scaled(POSITIONS, 1e3), "errors of positions.*uas taken for mas"),
     "errors in uas": ("satellite", scaled(ERRORS, 1e3), "too large, uas taken for mas"),
