@@ -105,8 +105,8 @@ def run(
             it.
         redo: a condition on parameters, "x > 2 and y == 8": finished points of the store that meet it are computed
             again; ``old`` is true for points that other code made.
-        max_failures: end the run when more points than this number, or than this percentage, "5%", of those that ended
-            fail; by default if the first 20 all fail for the same reason, with "100%" never.
+        max_failures: end the run when more points than this number, or than this percentage, "5%", of those that were
+            tried fail; by default if the first 20 all fail for the same reason, with "100%" never.
         deterministic: False accepts a function without ``rng`` that returns another result each time, as
             ``@experiment(deterministic=False)`` does; by default it is refused.
         progress: an object that is notified of the progress; by default a bar in terminals and notebooks.

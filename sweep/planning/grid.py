@@ -100,6 +100,25 @@ class Grid:
             return np.arange(len(self))
         return np.fromiter((index for index, _ in self.parameters()), dtype=np.intp)
 
+    def coarse_first(self, indices: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return indices in a nested order: the first ones cover each axis in large steps, later ones lie between them.
+
+        The bits of the places along all axes are taken in turn, the highest first, as those of a number from its lowest
+        on (van der Corput 1935, Verteilungsfunktionen).  Rows of a design cover its ranges in their own order.
+        """
+        designed = self.study.points is not None and "design" in self.study.points.origin
+        order, bit = np.zeros(len(indices), dtype=np.int64), 0
+        bits = [(length - 1).bit_length() for length in self.shape]
+        places_along = [np.array(places, dtype=np.int64) for places in self._places(indices)]
+        along = [*zip(self.dimensions, places_along, bits, strict=True)]
+        for level in range(max(bits, default=0)):
+            for dimension, places, most in along:
+                if level < most:
+                    shift = level if designed and dimension == POINT else most - 1 - level
+                    order |= ((places >> shift) & 1) << bit
+                    bit += 1
+        return indices[np.argsort(order, kind="stable")]
+
     def points(self, indices: NDArray[np.intp] | None = None) -> Iterator[GridPoint]:
         """Yield the points that are not excluded, in C order, or those at ``indices``, excluded or not."""
         indices = self.indices() if indices is None else indices

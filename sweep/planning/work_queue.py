@@ -1,19 +1,19 @@
-"""The pending work of a run, given out in tasks of about a second, as measured, in the order of the grid; no
-result depends on how.
+"""The pending work of a run, given out in tasks of about a second, as measured: the whole grid coarsely at first, and a
+few realisations of every point; no result depends on how.
 """
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import accumulate, islice
 
 import numpy as np
 
 from linksweep.sweep.contract import Array
 from linksweep.sweep.contract.block import Block
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.grid import GridPoint
+from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
 from linksweep.sweep.planning.plan import MOST_SHARING, TARGET, Plan, Work
 
 # Seconds of work that a task aims at.
@@ -28,6 +28,9 @@ SHORTEST_TASK_S = 0.05
 # Weight of all earlier results in the measured speed when one more comes in: later points may be slower.
 KEPT = 0.7
 
+
+# Bytes of realisations that may be kept in memory of points that are begun and not done.
+MOST_KEPT = 2**28
 
 # Tasks at the executor for each thread: enough that none waits, few enough that no grid makes a large graph.
 TASKS_IN_FLIGHT = 4
@@ -81,21 +84,22 @@ class Pending:
 
     def __init__(self, plan: Plan, accumulator: Accumulator, tuning: Tuning = TUNED) -> None:
         self._plan, self._accumulator, self.most_blocks = plan, accumulator, tuning.most_blocks
-        self._known: deque[Work] = deque()
-        self._fresh = self._shared() if plan.grid.study.draws_together else self._alone()
+        self._known: deque[Work] = deque()  # comes before all other work
+        self._added: deque[Work] = deque()
+        self._fresh = self._in_turns()
         self._left = accumulator.survey.pending.cost
         self._begun = self._warm = False
         self._tasks_out = 0
         self._measured_cost = self._measured_s = 0.0
 
     def add(self, works: Iterable[Work]) -> None:
-        """Put work that results have shown to be needed before all other work.
+        """Add work that results have shown to be needed; it comes when all points have had what they need at first.
 
         Before the first `take` only its cost is counted: it is found then with all other work that is missing.
         """
         for work in works:
             if self._begun:
-                self._known.append(work)
+                self._added.append(work)
             self._left += work.cost
 
     def take(self, count: int) -> list[list[Work]]:
@@ -156,33 +160,69 @@ class Pending:
         return min(cost, TARGET) if self._plan.grid.study.keeps_samples else cost
 
     def _next(self) -> Work | None:
-        while self._known:
-            work = self._known.popleft()
+        return next(self._wanted(self._known), None) or next(self._fresh, None) or next(self._wanted(self._added), None)
+
+    def _wanted(self, works: deque[Work]) -> Iterator[Work]:
+        """Take works; yield those of points that have not failed meanwhile."""
+        while works:
+            work = works.popleft()
             if any(self._accumulator.is_missing(point.index) for point in work.points):
-                return work
-        return next(self._fresh, None)
+                yield work
 
-    def _alone(self) -> Iterator[Work]:
-        """Yield the work of every point by itself; nothing more of a point that has failed meanwhile."""
-        for point in self._plan.grid.points(self._accumulator.missing_points()):
-            for block in self._accumulator.missing(point):
-                if not self._accumulator.is_missing(point.index):
+    def _in_turns(self) -> Iterator[Work]:
+        """Yield the work of all points in turns: one block of each at first, then two more, then four.
+
+        So all points have values early that are about equally good, and the blocks of a point mostly come together.
+        Points begin in a nested order, and no more of them than fit into memory; others begin when these are done.
+        """
+        teams, is_last = map(self._blocks, self._teams()), False
+        while not is_last:
+            begun, size, is_last = list[Iterator[Work]](), 1, True
+            for works in teams:
+                if (yield from _turn(works, size)):
+                    begun.append(works)
+                if len(begun) >= self._most_begun():
+                    is_last = False
                     break
-                yield self._plan.work((point,), block)
+            while begun:
+                size, turns, begun = 2 * size, begun, []
+                for works in turns:
+                    if (yield from _turn(works, size)):
+                        begun.append(works)
+            yield from self._wanted(self._added)
 
-    def _shared(self) -> Iterator[Work]:
-        """Yield the work of points that draw the same random numbers together."""
-        grid = self._plan.grid
+    def _most_begun(self) -> int:
+        sampling, width = self._plan.grid.study.sampling, self._accumulator.reducer.samples_width
+        return max(1, min(AT_ONCE, MOST_KEPT // max(1, 8 * width * sampling.n_sim)))
+
+    def _teams(self) -> Iterator[Sequence[GridPoint]]:
+        """Yield points that draw the same random numbers together, all others alone."""
+        grid, order = self._plan.grid, self._plan.grid.coarse_first(self._accumulator.missing_points())
+        if not grid.study.draws_together:
+            yield from ((point,) for point in grid.points(order))
+            return
         groups: dict[bytes, list[int]] = {}
-        for point in grid.points(self._accumulator.missing_points()):
+        for point in grid.points(order):
             groups.setdefault(point.stream, []).append(point.index)
-        for indices in groups.values():
+        for indices in map(sorted, groups.values()):
             for start in range(0, len(indices), MOST_SHARING):
-                points = list(grid.points(np.array(indices[start : start + MOST_SHARING])))
-                wanting: dict[Block, list[GridPoint]] = {}
-                for point in points:
-                    for block in self._accumulator.missing(point):
-                        wanting.setdefault(block, []).append(point)
-                for block in sorted(wanting):
-                    if left := [p for p in wanting[block] if self._accumulator.is_missing(p.index)]:
-                        yield self._plan.work(tuple(left), block)
+                yield list(grid.points(np.array(indices[start : start + MOST_SHARING])))
+
+    def _blocks(self, team: Sequence[GridPoint]) -> Iterator[Work]:
+        """Yield the work of some points that share random numbers; nothing more of those that have failed meanwhile."""
+        wanting: dict[Block, list[GridPoint]] = {}
+        for point in team:
+            for block in self._accumulator.missing(point):
+                wanting.setdefault(block, []).append(point)
+        for block in sorted(wanting):
+            if left := [p for p in wanting[block] if self._accumulator.is_missing(p.index)]:
+                yield self._plan.work(tuple(left), block)
+
+
+def _turn(works: Iterator[Work], size: int) -> Generator[Work, None, bool]:
+    """Yield the next works; return whether there were so many."""
+    left = size
+    for work in islice(works, size):
+        left -= 1
+        yield work
+    return not left

@@ -30,7 +30,7 @@ class TooManyFailuresError(SweepError):
 
 @dataclass(frozen=True)
 class MaxFailures:
-    """The most points of a run that may fail before it is ended: a ``number``, or ``percent`` of those that ended.
+    """The most points of a run that may fail before it is ended: a ``number``, or ``percent`` of those that were tried.
 
     >>> MaxFailures.of("5 %"), MaxFailures.of(3)
     (MaxFailures(number=None, percent=5.0), MaxFailures(number=3, percent=None))
@@ -101,7 +101,9 @@ class FailureCount:
         """Begin with all ``points`` of a study; ``before`` of them have ended in earlier runs, some of them failed."""
         self._study, self.points, self._before, self._most = study, points, before, most
         self._failed_before = failed_before
-        self._first: list[str] = []  # what the first points have in common with others, '' for one that is done
+        # What the first points that were tried have in common with others, '' for one without a failure so far.
+        self._first: dict[int, str] = {}
+        self._begun: set[int] = set()
         self._reasons = Reasons()
         self.ended = 0
 
@@ -140,11 +142,17 @@ class FailureCount:
             return max(1, min(FIRST, left))
         return FIRST - len(self._first) or None
 
-    def take(self, ended: Iterable[GridPoint], failed: Mapping[int, Failure]) -> list[str]:
-        """Count points that have ended; return a sentence for each of the first reasons."""
+    def take(self, ended: Iterable[GridPoint], failed: Mapping[int, Failure], begun: Iterable[int] = ()) -> list[str]:
+        """Count points that have ended, and by their indices those that have ``begun`` well; return a sentence for each
+        of the first reasons.
+        """
         new = []
+        for index in begun:
+            self._begun.add(index)
+            self._note(index, "")
         for point in ended:
             self.ended += 1
+            self._begun.discard(point.index)
             kind = ""
             if (failure := failed.get(point.index)) is not None:
                 known = len(self._reasons.first)
@@ -152,24 +160,28 @@ class FailureCount:
                 kind = self._reasons.add(place, failure.message)
                 if known < len(self._reasons.first) <= NAMED:
                     new.append(f"failed at {place}: {short(failure.message)}")
-            if len(self._first) < FIRST:
-                self._first.append(kind)
+            self._note(point.index, kind)
         return new
+
+    def _note(self, index: int, kind: str) -> None:
+        if index in self._first or len(self._first) < FIRST:
+            self._first[index] = kind
 
     def too_many(self) -> str:
         """Return why the run is to be ended, in words; '' where it goes on, or where nothing is left to do anyway."""
-        here, most = self.failed_here, self._most
+        here, most, tried = self.failed_here, self._most, self.ended + len(self._begun)
         if self._before + self.ended >= self.points or not here:
             return ""
         if most is None:
-            alike = len(self._first) == FIRST and "" not in self._first and len(set(self._first)) == 1
+            kinds = set(self._first.values())
+            alike = len(self._first) == FIRST and "" not in kinds and len(kinds) == 1
             return f"the first {FIRST} points all failed for the same reason: {self._reasons}" if alike else ""
         if most.percent is None:
             exceeded = here > (most.number or 0)
         else:
-            exceeded = self.ended >= FIRST and 100.0 * here > most.percent * self.ended
-        of_ended = f"{here:,} of the {counted(self.ended, 'point')} that ended failed, more than {most}"
-        return f"{of_ended}: {self._reasons}" if exceeded else ""
+            exceeded = tried >= FIRST and 100.0 * here > most.percent * tried
+        of_tried = f"{here:,} of the {counted(tried, 'point')} that were tried failed, more than {most}"
+        return f"{of_tried}: {self._reasons}" if exceeded else ""
 
 
 def reasons_of(failures: Mapping[str, str]) -> Reasons:

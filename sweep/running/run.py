@@ -197,7 +197,7 @@ class Session:
                 for given, result in results:
                     works = writer.pending.settle(given, result.seconds, result.cold)
                     taken = writer.take(works, result)
-                    failing.take(taken.ended, taken.failed)
+                    failing.take(taken.ended, taken.failed, taken.begun)
                     writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
                     progress.advance(works, result, taken)
                     if too_many := failing.too_many():

@@ -4,7 +4,7 @@ ledger as they come, to disk every second, and as a dataset every few seconds.
 
 import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from threading import Event, RLock, Thread
@@ -177,12 +177,15 @@ def changed_points(attributes: Mapping[str, Any], study: Study) -> list[str]:
 
 @dataclass(frozen=True)
 class Taken:
-    """What a task did, what more its results call for, which points it ended, and why some failed, by their index."""
+    """What a task did, what more its results call for, which points it ended, and by their index why some failed, and
+    which are begun without a failure.
+    """
 
     done: PlanSize
     more: PlanSize
     ended: tuple[GridPoint, ...]
     failed: Mapping[int, Failure]
+    begun: Set[int] = frozenset()
 
 
 class Writer:
@@ -257,7 +260,8 @@ class Writer:
         done = size_of(works, len(ended))
         if result.failures:
             done = replace(done, realisations=sum(points[row][1].realisations for row in good))
-        return Taken(done, size_of(added, 0), tuple(ended), failed)
+        begun = {i for row in good if self.accumulator.is_missing(i := points[row][0].index)}
+        return Taken(done, size_of(added, 0), tuple(ended), failed, begun)
 
     def _as_rows(self, result: TaskResult) -> tuple[TaskResult, Rows]:
         """Return the rows of results that are like those before, in order, and a result in which the others fail."""
