@@ -426,7 +426,7 @@ def so_far_in_words(dataset: xr.Dataset) -> str:
     done = dataset["n_sim_done"].values[running]
     ends = dict.fromkeys(f"{int(end):,}" for end in (done.min(), done.max()))
     whole = dataset.attrs.get("n_sim", 0) * dataset.attrs.get("n_cat", 1)
-    of_all = f" of {whole:,}" if whole and not dataset.attrs.get("precision") else ""
+    of_all = f" of {whole:,}" if whole >= done.max() and not dataset.attrs.get("precision") else ""
     return f"{' to '.join(ends)}{of_all} realisations"
 
 

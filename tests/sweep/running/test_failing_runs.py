@@ -142,7 +142,7 @@ def test_a_retry_of_a_run_that_was_ended_goes_on(folder, sweep):
     assert counts("s.zarr")["done"] == 60
 
 
-@pytest.mark.parametrize(("most", "failed"), [(0, 1), (7, 8), ("7", 8), ("40%", None), ("100 %", 50)])
+@pytest.mark.parametrize(("most", "failed"), [(0, 1), (7, 8), ("7", 8), ("30%", None), ("100 %", 50)])
 def test_the_most_failures_that_are_allowed(tmp_path, most, failed):
     def late(x: int):
         return 1 // (x % 2 == 0)  # the values between come last
@@ -157,7 +157,7 @@ def test_the_most_failures_that_are_allowed(tmp_path, most, failed):
             run()
     found = counts(tmp_path / "s.zarr")
     assert found["done"] == 50
-    assert 30 < found["failed"] < 50 if failed is None else found["failed"] == failed
+    assert 20 < found["failed"] < 50 if failed is None else found["failed"] == failed
 
 
 @pytest.mark.parametrize("wrong", ["-1", "101%", "many", "", "1.5", "5 %%"])
