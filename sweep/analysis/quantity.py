@@ -25,7 +25,7 @@ from linksweep.sweep.studies.study import POINT, POINT_TABLE, Claim
 if TYPE_CHECKING:
     import xarray as xr
 
-COUNTS = ("status", "n_sim_done", "code")  # integer variables of every dataset that are not results
+BESIDES = ("status", "wall_time", "n_sim_done", "code")  # variables of every dataset that are not results
 
 # Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature.
 ERROR_SUFFIXES = ("mc_error", "catalogue_error")
@@ -61,7 +61,7 @@ def quantities(dataset: xr.Dataset) -> list[str]:
 
 def _is_number(dataset: xr.Dataset, name: str) -> bool:
     kind = dataset[name].dtype.kind  # integers and truth values are results only of a plain function
-    return kind == "f" or (kind in "ib" and FUNCTION in dataset.attrs and name not in COUNTS)
+    return name not in BESIDES and (kind == "f" or (kind in "ib" and FUNCTION in dataset.attrs))
 
 
 def headline_variables(dataset: xr.Dataset) -> list[str]:

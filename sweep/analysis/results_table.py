@@ -146,12 +146,9 @@ def notes(dataset: xr.Dataset) -> list[str]:
     """Return the sentences below the tables: warnings, what the tables leave out, and what is missing."""
     sentences = [f"warning: {words}" for words in filter(None, [*warnings_of(dataset), condition_warning(dataset)])]
     for name in quantity.array_outputs(dataset):
-        ragged = dataset[name].attrs.get(formatting.RAGGED)
-        along = " and ".join(
-            f"{'up to ' if dim == ragged else ''}{dataset.sizes[dim]:,} along {dim}"
-            for dim in quantity.own_dimensions(dataset, name)
-        )
-        sentences.append(f"{name}: values at each point, {along}; `sweep show STORE --json` has them")
+        along = " and ".join(f"{dataset.sizes[dim]:,} along {dim}" for dim in quantity.own_dimensions(dataset, name))
+        most = "at most " if formatting.RAGGED in dataset[name].attrs else ""
+        sentences.append(f"{name}: values at each point, {most}{along}; `sweep show STORE --json` has them")
     final = quantity.without_running(dataset)
     exact = [name for name in quantity.headline_variables(dataset) if _is_exact(final, name)]
     sentences += [f"{name}: all published values are met exactly" for name in exact]

@@ -171,8 +171,10 @@ class Experiment:
 
     @property
     def draws_alone(self) -> bool:
-        """Whether each point draws again the random numbers that it shares with others, and shares those it can."""
-        return False
+        """Whether each point draws again the random numbers that it shares, as those of plain functions do, which share
+        what they declare.
+        """
+        return not self.sums
 
     @property
     def has_samples(self) -> bool:

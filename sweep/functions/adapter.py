@@ -503,11 +503,6 @@ class FunctionExperiment(Experiment):
         return self if layout is None else self.with_layout(layout)
 
     @property
-    def draws_alone(self) -> bool:
-        """Whether each point is computed by itself, as all are."""
-        return True
-
-    @property
     def has_samples(self) -> bool:
         """Whether there are realisations, which can be kept."""
         return self.rng

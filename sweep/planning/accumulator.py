@@ -41,8 +41,8 @@ class Accumulator:
     """Joins blocks by the reducer of an experiment.
 
     The blocks of a point are added in their own order, not in order of arrival, so that the result is bitwise the same
-    however they were computed; only blocks that arrive early are kept.  ``total``, ``realisations`` and ``status``
-    (points,) are indexed like the grid.
+    however they were computed; only blocks that arrive early are kept.  ``total``, ``realisations``, ``status`` and
+    ``seconds``, of all blocks of a point together, (points,) are indexed like the grid.
     """
 
     def __init__(
@@ -53,12 +53,13 @@ class Accumulator:
         failed: Collection[bytes] = (),
         only: Collection[bytes] | None = None,
         samples: Callable[[bytes], Array] | None = None,
+        seconds: Array | None = None,
     ) -> None:
         """Start with the ``rows`` of a ledger and what these ``held``, and with the points (by digest) that ``failed``.
 
         With ``only``, no other points than these are computed, and of the others those that are there count.
-        ``samples`` returns the kept realisations of the block with a key.  Raises SweepError for a plan of too many
-        blocks.
+        ``samples`` returns the kept realisations of the block with a key, and ``seconds`` are those of the rows.
+        Raises SweepError for a plan of too many blocks.
         """
         grid = plan.grid
         self.plan, self._failed, self._only = plan, failed, only
@@ -68,6 +69,8 @@ class Accumulator:
         self.total = np.zeros(len(grid), dtype=self.reducer.dtype)
         self.realisations = np.zeros(len(grid), dtype=np.int64)
         self.status = np.full(len(grid), Status.EXCLUDED, dtype=np.int8)
+        self.seconds = np.zeros(len(grid))
+        self._seconds = np.full(self._rows.end, np.nan) if seconds is None else seconds
         self._rounds: dict[int, _Round] = {}
         self._share = share_of(plan)
         self._whole = self._only_block() if self._share is None else None
@@ -143,6 +146,7 @@ class Accumulator:
             done = ~failed & (rows >= 0)
             self.status[some] = np.select([failed, done], [int(Status.FAILED), DONE], MISSING)
             self.realisations[some] = np.where(rows >= 0, block.realisations, 0)
+            self.seconds[some[rows >= 0]] = self._seconds[rows[rows >= 0]]
             self._put(some[done], ledger[rows[done]])
             missing = ~failed & ~done & (wanted if self._only is not None else True)
             held, pending = held + int((rows >= 0).sum()), pending + int(missing.sum())
@@ -164,7 +168,7 @@ class Accumulator:
             else:
                 held += size
                 kept = None if self._samples is None else self._samples(key)
-                blocks += self.add(point, block, rows[row : row + 1], kept)
+                blocks += self.add(point, block, rows[row : row + 1], kept, float(self._seconds[row]))
         whole = PlanSize(1, 0, 0, 0.0)
         return (held, left + whole) if left.blocks else (held + whole, left)
 
@@ -204,11 +208,14 @@ class Accumulator:
             if round_.so_far is not None:
                 round_.so_far = (converted(round_.so_far[0], dtype), *round_.so_far[1:])
 
-    def add(self, point: GridPoint, block: Block, row: Rows, kept: Array | None = None) -> list[Block]:
+    def add(
+        self, point: GridPoint, block: Block, row: Rows, kept: Array | None = None, seconds: float = np.nan
+    ) -> list[Block]:
         """Add a block's row, (1,), and realisations that are ``kept``; return blocks that are needed beyond those
         known.
         """
         index = point.index
+        self.seconds[index] += seconds
         self.realisations[index] += block.realisations
         if not self.is_missing(index) or self._is_divided(index):
             return []
@@ -261,12 +268,13 @@ class Accumulator:
         simple = study.is_alike and not self.reducer.samples_width
         return simple and all(work.block.realisations == whole for work in works)
 
-    def add_whole(self, works: Sequence[Work], rows: Rows) -> list[GridPoint]:
+    def add_whole(self, works: Sequence[Work], rows: Rows, seconds: Array) -> list[GridPoint]:
         """Add the only block of each of some points, many at once; return the points."""
         points = [point for work in works for point in work.points]
         indices = np.array([point.index for point in points], dtype=np.intp)
         self.realisations[indices] += self.plan.grid.study.sampling.n_cat * self.plan.grid.study.sampling.n_sim
         self._put(indices, rows[: len(points)])
+        self.seconds[indices] = seconds[: len(points)]
         self.status[indices] = DONE
         return points
 

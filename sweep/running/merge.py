@@ -103,7 +103,7 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
         for source in sources:
             failed |= _take(store, source, sources, experiment, failed if part else {})
         store.flush()
-        accumulator = Accumulator(plan, store.rows, store.read(), only=(), samples=store.samples)
+        accumulator = Accumulator(plan, store.rows, store.read(), (), (), store.samples, store.seconds())
         _fail(store, accumulator, failed)
         if part and (lost := lost_parts(plan, accumulator.status, store.rows, part.total)):
             told[LOST] = f"{in_ranges(lost)} of {part.total}"
@@ -278,7 +278,7 @@ def _take(
     ``failed``; return the failures of points whose results do not fit those of the other sources.
     """
     ledger, dtype = source.ledger(), experiment.reducer.dtype
-    rows, held = ledger.rows, ledger.read()
+    rows, held, seconds = ledger.rows, ledger.read(), ledger.seconds()
     refused: dict[bytes, Record] = {}
 
     def refuse(key: bytes, why: str) -> None:
@@ -301,10 +301,11 @@ def _take(
         alike = list(group)
         for start in range(0, len(alike), ROWS_AT_ONCE):
             part = alike[start : start + ROWS_AT_ONCE]
+            places = [rows[key] for key in part]
             samples = [ledger.samples(key) for key in part] if source.study.keeps_samples else []
-            some = converted(held[[rows[key] for key in part]], dtype)
+            some = converted(held[places], dtype)
             store.adopt(source.location, some)
-            store.append(part, some, samples)
+            store.append(part, some, samples, seconds[places])
     return refused
 
 

@@ -171,6 +171,8 @@ def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labell
         over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""
         meaning = f"realisations done{over}"
         variables["n_sim_done"] = _variable(grid, realisations.copy(), Output("n_sim_done", "", meaning))
+    took = np.where(done, grid.with_repeats(accumulator.seconds), np.nan)
+    variables["wall_time"] = _variable(grid, took, Output("wall_time", "s", "wall time of all blocks of the point"))
     variables["status"] = _variable(grid, status.copy(), Output("status", "", "state of the point"))
     stored = [s for s in Status if s != Status.RUNNING]
     variables["status"].attrs.update(flag_values=list(map(int, stored)), flag_meanings=" ".join(s.word for s in stored))

@@ -91,7 +91,9 @@ class Session:
             self.accumulator = Accumulator(plan)
         else:
             failed = store.failures.keys() - again
-            self.accumulator = Accumulator(plan, store.rows, store.read(), failed, wanted, store.samples)
+            self.accumulator = Accumulator(
+                plan, store.rows, store.read(), failed, wanted, store.samples, store.seconds()
+            )
         self._asked: Study | None = None
         self.is_left_alone = False
         self._too_many = ""

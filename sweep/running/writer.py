@@ -247,7 +247,7 @@ class Writer:
             failed |= self._refuse_results([p.index for p in ended if self.accumulator.is_done(p.index)])
             self.pending.add(added)
             samples = [kept for row in good if (kept := result.outcomes[row].kept) is not None]
-            self.store.append([keys[row] for row in good], rows, samples)
+            self.store.append([keys[row] for row in good], rows, samples, result.seconds[good])
             self.store.clear_failures(point.digest for point in ended if point.index not in failed)
             self._unflushed = True
             if clock - self._flushed > self._tuning.flush_every_s:
@@ -299,7 +299,7 @@ class Writer:
         need.
         """
         if not result.failures and self.accumulator.are_whole(works):
-            whole = self.accumulator.add_whole(works, rows)
+            whole = self.accumulator.add_whole(works, rows, result.seconds)
             return list(range(len(whole))), whole, []
         good: list[int] = []
         ended: list[GridPoint] = []
@@ -312,7 +312,8 @@ class Writer:
             else:
                 own = rows[len(good) : len(good) + 1]
                 good.append(row)
-                more = self.accumulator.add(point, block, own, result.outcomes[row].kept)
+                kept, seconds = result.outcomes[row].kept, float(result.seconds[row])
+                more = self.accumulator.add(point, block, own, kept, seconds)
                 added += [self.plan.work((point,), one) for one in more]
                 ends = self.accumulator.is_done(point.index)
             if ends:

@@ -20,7 +20,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, Validat
 
 from linksweep.sweep.contract.large import MOST_VALUES, REFERENCE
 
-FORMAT = 6
+FORMAT = 7
 
 ROOT, MANIFEST = "zarr.json", "blocks/zarr.json"
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from numcodecs import zstd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from linksweep.sweep.contract import Array, Rows, SweepError
 from linksweep.sweep.contract.block import KEY_BYTES, BlockRows
@@ -98,6 +98,7 @@ class Ledger:
         self.rows = BlockRows(records["key"].tobytes())
         self.chunks = _references(records)
         self.damaged |= dict.fromkeys({*map(file_of, self.chunks)} - self.keys, integrity.MISSING)
+        self._seconds = [records["seconds"].copy()]
         self._new: list[Blocks] = []
         self._unwritten = 0
         self._new_documents: set[str] = set()
@@ -138,6 +139,10 @@ class Ledger:
                 raise DamagedError(self._location, damaged)
         return self._rows
 
+    def seconds(self) -> Array:
+        """Return how long each row took to compute, which says nothing of what is in it."""
+        return np.concatenate(self._seconds)
+
     def samples(self, key: bytes) -> Array:
         """Return the kept samples of a finished block that was flushed, (realisations, width)."""
         # Samples have no index: the key of a block says how many realisations it has, and a lost row has the key zero.
@@ -157,13 +162,16 @@ class Ledger:
             with reading(self._location), noting(self.damaged, path_of(file)):
                 integrity.whole(self._location.get(path_of(file)), file.checksum)
 
-    def append(self, keys: Sequence[bytes], rows: Rows, samples: Sequence[Array] = ()) -> None:
-        """Add finished blocks, with their samples if these are kept; durable after `flush`."""
+    def append(
+        self, keys: Sequence[bytes], rows: Rows, samples: Sequence[Array] = (), seconds: ArrayLike = np.nan
+    ) -> None:
+        """Add finished blocks, with their samples if these are kept, and how long they took; durable after `flush`."""
         if not keys:
             return
         records = np.zeros(len(keys), dtype=_record_type(self.dtype))
         records["key"] = np.frombuffer(b"".join(keys), dtype=f"V{KEY_BYTES}")
-        records["row"] = rows
+        records["row"], records["seconds"] = rows, seconds
+        self._seconds.append(records["seconds"].copy())
         self._new.append((records, np.concatenate([np.zeros((0, self.samples_width)), *samples])))
         self.rows.extend(keys)
         self.chunks |= references(rows)
@@ -193,7 +201,7 @@ class Ledger:
             records, samples = self._part(part)
             # A dropped row stays, with the key zero.
             changed = np.zeros(len(records), dtype=_record_type(dtype))
-            changed["row"] = converted(records["row"], dtype)
+            changed["row"], changed["seconds"] = converted(records["row"], dtype), records["seconds"]
             kept = np.array([key.tobytes() not in gone for key in records["key"]], dtype=bool)
             changed["key"][kept] = records["key"][kept]
             self.chunks |= _references(changed)
@@ -396,7 +404,7 @@ def _recorded(failures: Mapping[bytes, Record]) -> dict[str, Record]:
 
 
 def _record_type(dtype: np.dtype[np.void]) -> np.dtype[np.void]:
-    return np.dtype([("key", f"V{KEY_BYTES}"), ("row", dtype)])
+    return np.dtype([("key", f"V{KEY_BYTES}"), ("seconds", "<f8"), ("row", dtype)])
 
 
 def _references(records: NDArray[Any]) -> set[bytes]:
@@ -405,9 +413,9 @@ def _references(records: NDArray[Any]) -> set[bytes]:
 
 
 def _columns(records: NDArray[Any]) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:
-    """Return the keys and fields of rows, as views: those of fixed width, and those of texts."""
+    """Return the keys, seconds and fields of rows, as views: those of fixed width, and those of texts."""
     row = records["row"]
-    columns = [records["key"], *(row[name] for name in row.dtype.names or ())]
+    columns = [records["key"], records["seconds"], *(row[name] for name in row.dtype.names or ())]
     return [c for c in columns if not c.dtype.hasobject], [c for c in columns if c.dtype.hasobject]
 
 

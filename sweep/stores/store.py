@@ -167,7 +167,7 @@ class Store(OpenStore):
         self.failures, self.rows = self._ledger.failures, self._ledger.rows
         self.read, self.samples, self.append = self._ledger.read, self._ledger.samples, self._ledger.append
         self.fail, self.clear_failures = self._ledger.fail, self._ledger.clear_failures
-        self.flush, self.tidy = self._ledger.flush, self._ledger.tidy
+        self.flush, self.tidy, self.seconds = self._ledger.flush, self._ledger.tidy, self._ledger.seconds
         self._files = _of_arrays(self._ledger.keys, arrays_of(self.root))
 
     def hold(self, dtype: np.dtype[np.void], samples_width: int) -> None:

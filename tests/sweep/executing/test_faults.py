@@ -17,7 +17,7 @@ LONG = ("--set", "n_sim=20000", "--set", "n_cat=6")
 
 
 def results(store):
-    return xr.open_zarr(store).load().drop_attrs()
+    return xr.open_zarr(store).load().drop_vars("wall_time").drop_attrs()
 
 
 def started_to_write(store: Path, process):
@@ -40,7 +40,7 @@ def reference(tmp_path_factory):
     (path / "small.toml").write_text(LINK_STUDY)
     study = load_study(str(path / "small.toml"), ("n_sim=20000", "n_cat=6"))
     dataset = run_study(study, path / "serial.zarr", Resources(pool="serial", limits=NO_LIMITS))[0]
-    return dataset.drop_attrs()
+    return dataset.drop_vars("wall_time").drop_attrs()
 
 
 @pytest.fixture
