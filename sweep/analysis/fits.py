@@ -86,7 +86,7 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> Pow
     unit = 1.0 if known else chi2 / dof if dof > 0 else 0.0
     solve = np.stack([u / information, ones / total])
     spread = unit * float(small_sample_factor(samples)) * solve @ covariance @ solve.T
-    exponent_error, relative_error = np.sqrt(np.diag(spread))
+    exponent_error, relative_error = np.sqrt(np.diag(spread).clip(min=0.0))  # 0 but for rounding where all is shared
     both = exponent_error * relative_error
     amplitude = np.exp(mean)
     return PowerLaw(

@@ -273,6 +273,8 @@ def _checked(function: Callable[..., Any], declaration: Declaration) -> "Functio
         problems.append("shared: it takes no rng, and so it draws no random numbers")
     if declaration.vectorised and made.rng:
         problems.append("vectorised: a function of rng is called for one point; take n_sim to get all realisations")
+    if declaration.vectorised and any(output.ragged for output in outputs):
+        problems.append("vectorised: an array over points holds no arrays of different length; leave out ragged")
     if problems:
         raise SweepError(problems, f"function {made.name}")
     packages, citation = tuple(declaration.packages), declaration.citation

@@ -708,12 +708,13 @@ class Study:
         be mixed.
         """
         defaults = self.experiment.defaults()
+        shared = sorted(self.experiment.shared) if self.experiment.draws_alone else True
         return {
             "experiment": self.experiment.name,
             "experiment_version": self.experiment.version,
             **({} if self.experiment.deterministic else {"seed": self.sampling.seed}),
             **({"keep_samples": True} if self.sampling.keep_samples else {}),
-            **({"common_random_numbers": True} if self.sampling.common_random_numbers else {}),
+            **({"common_random_numbers": shared} if self.sampling.common_random_numbers else {}),
             **({"when": self.document["when"]} if self.document.get("when") else {}),
             "fixed": {k: v for k, v in sorted(self.fixed.items()) if v != defaults[k]},
         }
@@ -763,7 +764,10 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
     if not experiment.deterministic:
         judged = experiment.errors_of_headline()
         needed: dict[str, Any] = {"n_cat": experiment.outer_draw, "precision": judged, "max_n_sim": judged}
-        needed |= {"keep_samples": experiment.has_samples, "common_random_numbers": experiment.shared}
+        needed |= {
+            "keep_samples": experiment.has_samples,
+            "common_random_numbers": experiment.shared and not experiment.draws_alone,
+        }
         lines += ["", "[sampling]"]
         for key, field_ in Sampling.model_fields.items():
             if needed.get(key, True):

@@ -202,9 +202,9 @@ def test_what_is_stopped_in_any_round_goes_on_to_the_same_bits(after, pool):
             break
         except KeyboardInterrupt:
             watching = Stop(after + 3)
-    assert ds.equals(whole)
+    stopped = linksweep.open("stopped.zarr")
+    assert all(one.drop_vars("wall_time").equals(whole.drop_vars("wall_time")) for one in (ds, stopped))
     assert rounds(ds) == rounds(whole)
-    assert linksweep.open("stopped.zarr").equals(whole)
 
 
 def test_points_that_fail_or_are_excluded_end_the_cutting_there():

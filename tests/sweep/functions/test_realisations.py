@@ -114,3 +114,13 @@ def test_what_cannot_be_shared_is_refused_by_name(shared, function, problem):
     with pytest.raises(SweepError) as refused:
         experiment(shared=shared)(function)
     assert problem in str(refused.value)
+
+
+def test_what_is_shared_is_part_of_what_the_numbers_mean(tmp_path):
+    def declared(*shared):
+        return experiment(shared=shared)(lambda rng, gain=1.0, rate=2.0: gain * rng.exponential(rate))
+
+    sweep(declared("gain"), tmp_path / "s", {"n_sim": 60}, gain=[1.0, 2.0])
+    for shared in (["gain", "rate"], ["rate"], []):
+        with pytest.raises(SweepError, match=r"common_random_numbers: .'gain'. in the store"):
+            sweep(declared(*shared), tmp_path / "s", {"n_sim": 60}, gain=[3.0])
