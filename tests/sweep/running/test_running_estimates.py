@@ -75,7 +75,8 @@ def test_quasars_at_a_tenth(tmp_path, sweep_here):
     assert "yet" in " ".join(linksweep.answer(ds).sentences)
     # the same command goes on; whole results have nothing of it
     whole = linksweep.run(built_in, store, pool="serial")
-    assert whole.identical(linksweep.run(built_in, tmp_path / "again.zarr", pool="serial").assign_attrs(whole.attrs))
+    again = linksweep.run(built_in, tmp_path / "again.zarr", pool="serial").assign_attrs(whole.attrs)
+    assert whole.drop_vars("wall_time").identical(again.drop_vars("wall_time"))
     assert linksweep.open(store, running=True).identical(linksweep.open(store))
     assert not [path.name for path in store.iterdir() if "(" in path.name]
 
