@@ -132,7 +132,7 @@ def test_a_part_that_the_study_excludes_is_refused(part_excluded, command, at, p
 
 def test_excluded_points_are_a_status_in_tables_for_programs_and_no_figure(part_excluded):
     code, out, _ = run_sweep("show", part_excluded, "--at", "a=2,b=2", "--format", "csv")
-    assert (code, out.split()) == (0, ["law,status", ",excluded"])
+    assert (code, out.splitlines()) == (0, ["law,wall_time [s],status", ",,excluded"])
     with pytest.raises(linksweep.SweepError, match="every point is excluded by the study"):
         linksweep.plot(linksweep.open(part_excluded).sel(b=3.0))
 
