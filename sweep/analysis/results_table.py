@@ -38,7 +38,7 @@ def records(dataset: xr.Dataset) -> Table:
     """Return one row per point: the axes, then every variable without further dimensions; for a plain function also
     those with further dimensions, each value a list.
     """
-    columns = _columns(dataset)
+    columns = _columns(dataset, quantity.array_outputs(dataset))
     arrays = {
         name: {"dims": dims, "coordinates": {dim: quantity.listed(dataset, dim, [dim]) for dim in dims}}
         for name in quantity.array_outputs(dataset)
@@ -50,13 +50,15 @@ def records(dataset: xr.Dataset) -> Table:
     return Table(list(columns.values()), about={"units": units} | ({"arrays": arrays} if arrays else {}), meta=meta)
 
 
-def _columns(dataset: xr.Dataset, rows: Any = slice(None)) -> dict[str, Column]:
-    """Return the columns of `records` by name, for all points or those at ``rows``, counted in C order."""
+def _columns(dataset: xr.Dataset, arrays: Sequence[str], rows: Any = slice(None)) -> dict[str, Column]:
+    """Return the columns of `records` by name, with those of some ``arrays``, for all points or those at ``rows``,
+    counted in C order.
+    """
     dims = quantity.axes_of(dataset)
     flat = [str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dims)]
     columns = {
         name: Column(name, quantity.listed(dataset, name, dims, rows), unit=formatting.units_of(dataset[name].attrs))
-        for name in [*quantity.axis_coordinates(dataset, dims), *flat, *quantity.array_outputs(dataset)]
+        for name in [*quantity.axis_coordinates(dataset, dims), *flat, *arrays]
     }
     words = [code.word for code in Status]
     return columns | {"status": Column("status", [words[code] for code in columns["status"].values])}
@@ -72,8 +74,9 @@ def headline_table(dataset: xr.Dataset, most: int | None = MOST_ROWS) -> Table:
     dataset = quantity.in_readable_units(dataset)
     status = dataset["status"].values.reshape(-1)
     rows = np.flatnonzero(status != Status.EXCLUDED)[:most]
-    columns = _columns(dataset, rows)
-    names = [name for name in quantity.headline_variables(dataset) if name in columns]
+    names = quantity.headline_variables(dataset)
+    columns = _columns(dataset, [name for name in quantity.array_outputs(dataset) if name in names], rows)
+    names = [name for name in names if name in columns]
     shown = [columns[name] for name in quantity.axis_coordinates(dataset, quantity.axes_of(dataset))]
     for number, name in enumerate(quantity.with_values(dataset, names)):
         later = OTHER if number else 0
