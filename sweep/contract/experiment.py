@@ -176,11 +176,6 @@ class Experiment:
         """
         return not self.sums
 
-    @property
-    def has_samples(self) -> bool:
-        """Whether its realisations can be kept."""
-        return self.samples is not None
-
     def keeping_samples(self) -> "Experiment":
         """Return the experiment for a study that keeps its realisations."""
         return self

@@ -504,11 +504,6 @@ class FunctionExperiment(Experiment):
         layout = layout_of_record(record)
         return self if layout is None else self.with_layout(layout)
 
-    @property
-    def has_samples(self) -> bool:
-        """Whether there are realisations, which can be kept."""
-        return self.rng
-
     def keeping_samples(self) -> "FunctionExperiment":
         """Return the experiment that keeps all realisations."""
         made = replace(self, keeps_all=True)

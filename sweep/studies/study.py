@@ -294,11 +294,11 @@ class Sampling(Section):
             return self
         if experiment.draws_alone and experiment.shared and "common_random_numbers" not in self.model_fields_set:
             self.common_random_numbers = True
-        precise, most = self.precision is not None, self.max_n_sim
+        precise, most, keeps = self.precision is not None, self.max_n_sim, experiment.samples or experiment.draws_alone
         judged, beyond = experiment.errors_of_headline(), most is not None and most < self.n_sim
         wrong = {
             "n_cat: it has no outer draw that realisations share": self.n_cat > 1 and not experiment.outer_draw,
-            "keep_samples: it has no samples to keep": self.keep_samples and not experiment.has_samples,
+            "keep_samples: it has no samples to keep": self.keep_samples and not keeps,
             "common_random_numbers: no parameter leaves its random numbers unchanged": (
                 self.common_random_numbers and not experiment.shared
             ),
@@ -765,7 +765,7 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         judged = experiment.errors_of_headline()
         needed: dict[str, Any] = {"n_cat": experiment.outer_draw, "precision": judged, "max_n_sim": judged}
         needed |= {
-            "keep_samples": experiment.has_samples,
+            "keep_samples": experiment.samples or experiment.draws_alone,
             "common_random_numbers": experiment.shared and not experiment.draws_alone,
         }
         lines += ["", "[sampling]"]
