@@ -281,7 +281,7 @@ def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
     if over is None and not axes:
         raise SweepError(f"{variable} has no axis with several numbers")
     if over is None and len({dataset[axis].dims[0] for axis in axes}) > 1:
-        raise SweepError(f"name the axis; {variable} has {listed_axes}")
+        raise SweepError(f"name the axis with --over; {variable} has {listed_axes}")
     return over or next((axis for axis in axes if axis in dataset.dims), axes[0])
 
 

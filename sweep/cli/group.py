@@ -49,6 +49,10 @@ _stopped_by: list[int] = []
 atexit.register(gc.freeze)
 
 
+HOW_TO_SET = """a function is FILE.py:NAME; --axis NAME=1,2,3 or --axis NAME=0:1:0.1 gives a parameter values,
+--set NAME=VALUE one, also n_sim and seed"""
+
+
 class _Group(click.Group):
     """Lists its commands by what they are for; turns a SweepError of any command into one message and exit code 2, and
     a signal into exit code 128 plus its number.
@@ -86,7 +90,12 @@ class _Group(click.Group):
             end_stopped(stop.signal)
         except click.UsageError as error:
             click.echo(f"error: {error.format_message()}", err=True)
-            click.echo(f"see {error.ctx.command_path if error.ctx else ctx.command_path} --help", err=True)
+            command = error.ctx.command_path if error.ctx else ctx.command_path
+            if command == "sweep run" and (
+                isinstance(error, click.NoSuchOption) or "unexpected extra" in error.message
+            ):
+                click.echo(HOW_TO_SET, err=True)
+            click.echo(f"see {command} --help", err=True)
             sys.exit(error.exit_code)
         except linksweep.SweepError as error:
             where, problems = f"{error.where}: " if error.where else "", error.problems

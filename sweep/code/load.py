@@ -30,7 +30,7 @@ from weakref import WeakKeyDictionary
 
 from linksweep.sweep.code import reach
 from linksweep.sweep.code.reach import Reach, digest_of, distributions_of, version_of
-from linksweep.sweep.contract import Experiment, SweepError, shown
+from linksweep.sweep.contract import Experiment, SweepError, shown, suggest
 from linksweep.sweep.functions.adapter import ATTRIBUTE, experiment_of, is_plain_function, name_of
 
 # Our package, never looked for beside a user's file.
@@ -273,8 +273,8 @@ def load_experiment(
 
 def _require(is_wanted: bool, wanted: str, reference: str, value: object) -> None:
     if not is_wanted:
-        kind = "has no attribute" if value is None else f"has a {type(value).__name__}, not {wanted}, at"
-        raise SweepError(f"{shown(reference)}: the module {kind} {shown(reference.rpartition(':')[2])}")
+        what, name = f"a {type(value).__name__}, not {wanted}", shown(reference.rpartition(":")[2])
+        raise SweepError(f"{shown(reference)}: the module has {what}, at {name}")
 
 
 def keep(function: Callable[..., Any] | Experiment) -> str:
@@ -332,7 +332,7 @@ def absolute_reference(reference: str, folder: Path) -> str:
 
 
 def _find(reference: str, folder: Path | None = None, digest: str | None = None, afresh: bool = False) -> Any:
-    """Return the object that a reference names, None where its module has no such attribute."""
+    """Return the object that a reference names; raises SweepError where there is none."""
     absolute = absolute_reference(reference, folder or Path.cwd())
     place, _, attribute = absolute.rpartition(":")
     if not place or not attribute:
@@ -352,7 +352,11 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
             module = (code or _remember(LocalFiles(Path(place)))).module()
         else:
             module = importlib.import_module(place)
-        return getattr(module, attribute, None)
+        if not hasattr(module, attribute):
+            functions = [name for name, value in vars(module).items() if callable(value) and not name.startswith("_")]
+            hint = suggest(attribute, functions)
+            raise SweepError(f"{shown(reference)}: the module has no attribute {shown(attribute)}{hint}")
+        return getattr(module, attribute)
     except SweepError as error:
         raise SweepError(error.problems, error.where and f"{reference}, {error.where}") from error
     except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported

@@ -62,7 +62,8 @@ class DefinitionError(ValueError):
 
 def nearest(word: str, known: Sequence[str]) -> str:
     """Return '; did you mean ...?' for a misspelt word; '' where none of the known words is like it."""
-    near = difflib.get_close_matches(word, known, n=1, cutoff=0.65)
+    near = [one for one in known if len(word) > 2 and one.startswith(f"{word}_")]  # the mean of what was returned
+    near += difflib.get_close_matches(word, known, n=1, cutoff=0.65)
     # One that is in the other: `heatmap` is no map, and `decay` may be decay.zarr.
     near += sorted(
         (one for one in known if word and min(len(word), len(one)) > 2 and (one in word or word in one)), key=len

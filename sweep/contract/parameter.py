@@ -224,8 +224,10 @@ class Parameter:
         raise self._refused(raw)
 
     def _refused(self, raw: object, more: str = "") -> ValueError:
-        if isinstance(raw, str) and self.kind in ("float", "int") and re.fullmatch(r"[^:]+:[^:]+", raw):
-            more = f"; a range of them has a step, as {raw}:0.5, or a number of values, as {raw}:log5"
+        if isinstance(raw, str) and self.kind in ("float", "int"):
+            more = "; several are 1,2,3, and a range of them is 1:2:0.5"
+            if re.fullmatch(r"[^:]+:[^:]+", raw):
+                more = f"; a range of them has a step, as {raw}:0.5, or a number of values, as {raw}:log5"
         return ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}{more or bound_in_words(raw)}")
 
     def _known(self) -> tuple[Any, ...]:

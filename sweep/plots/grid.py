@@ -271,7 +271,7 @@ def _name_ends(axes: Axes, ends: Mapping[str, float]) -> None:
     axes.autoscale_view()  # which is otherwise put off
     heights = np.sort(axes.transData.transform([(1.0, end) for end in ends.values()])[:, 1])
     size = 72.0 * style.in_letters(1.0)
-    if not (np.diff(heights) * 72.0 / axes.figure.dpi > size).all():  # some end earlier, or too close
+    if not (np.diff(heights) * 72.0 / axes.figure.dpi > 0.85 * size).all():  # some end earlier, or too close
         return
     look: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points", "fontsize": "small"}
     for artist in (one for one in style.labelled(axes) if one.get_label() in ends):

@@ -48,6 +48,10 @@ def find_study(name_or_path: str) -> Path:
         files = [str(path) for end in ("toml", "py") for path in Path(name_or_path).parent.glob(f"*.{end}")]
         hint = suggest(name_or_path, [*built_in, *files])
         raise SweepError(f"no study {shown(name_or_path)}: neither a file nor a built-in study{hint}")
+    if os.path.isdir(name_or_path):
+        raise SweepError(
+            "is a folder, not a study; in a store, `sweep run --retry STORE` tries failed points again", name_or_path
+        )
     return built_in.get(name_or_path, Path(name_or_path))
 
 

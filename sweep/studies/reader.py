@@ -190,7 +190,9 @@ class _Reader:
         if points or "points" not in self.document:  # else the table is wrong: what it has is not known
             for name in (one.name for one in experiment.parameters if one.required):
                 if name not in {**axes, **fixed}:
-                    sentence = f"{name} has no default: the study must set it, here or in [axes]"
+                    sentence = (
+                        f"{name} has no default: set it here (--set {name}=VALUE) or in axes (--axis {name}=VALUES)"
+                    )
                     problems.add(("fixed", name), sentence)
         experiment = self._with_labels(experiment, axes, fixed)
         published = None if form.published is None else _read_published(form.published, values, axes)

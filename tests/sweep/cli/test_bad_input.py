@@ -413,6 +413,18 @@ def attributes(store, change):
     (store / "zarr.json").write_text(json.dumps(metadata))
 
 
+DECAY = "def decay(years: float, half_life: float, rng):\n    return {'left': rng.random() ** years, 'lost': years}\n"
+
+
+@pytest.fixture(scope="module")
+def decayed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("decay")
+    (folder / "decay.py").write_text(DECAY)
+    axes = ("--axis", "years=1,2", "--axis", "half_life=3,4", "--set", "n_sim=5")
+    assert run_sweep("run", "decay.py:decay", *axes, "-o", folder / "s.zarr", "--pool", "serial", cwd=folder)[0] == 0
+    return folder / "s.zarr"
+
+
 @pytest.mark.parametrize(
     ("arguments", "hint"),
     [
@@ -423,12 +435,37 @@ def attributes(store, change):
         (("run", "decay"), "'decay.py'"),
         (("show", "decay"), "'decay.zarr'"),
         (("plot", "decay.zarr", "--kind", "heatmap"), "'map'"),
+        (("run", "decay.py", "decay", "--axis", "years=1,2"), "FILE.py:NAME"),
+        (("run", "decay.py:decay", "--axis", "years", "1,2"), "--axis NAME=1,2,3"),
+        (("run", "decay.py:decay", "--years", "1,2"), "--axis NAME=1,2,3"),
+        (("run", "decay.py:decay", "years=1,2"), "--axis NAME=1,2,3"),
+        (("run", "decay.py:decay", "--axis", "years=1,2", "--set", "half_life=2", "--seed", "4"), "--set NAME=VALUE"),
+        (("run", "decay.py:decai", "--axis", "years=1,2"), "'decay'"),
+        (("run", "decay.py:decay", "--axis", "years=1,2"), "--set half_life=VALUE"),
+        (("run", "decay.py:decay", "--axis", "years=1-2", "--set", "half_life=2"), "1:2:0.5"),
+        (("run", "decay.py:decay", "--axis", "years=1;2", "--set", "half_life=2"), "1,2,3"),
+        (("run", "decay.zarr"), "sweep run --retry"),
+        (("plot", "done.zarr", "--variable", "left"), "'left_mean'"),
+        (("show", "done.zarr", "--at", "year=1"), "'years'"),
+        (("fit", "done.zarr"), "--over"),
+        (("plot", "done.zarr", "--over", "time"), "there are years, half_life"),
+        (("plot", "done.zarr", "--at", "years=3"), "1.0, 2.0"),
+        (("plot", "done.zarr", "-o", "picture"), ".png"),
+        (("find", "done.zarr"), "--where"),
+        (("plot", "done.zarr", "--logy"), "'--log'"),
+        (
+            ("run", "decay.py:decay", "--axis", "years=1,2", "--axis", "years=3", "--set", "half_life=2"),
+            "leave out one",
+        ),
+        (("run", "decays.py:decay", "--axis", "years=1,2"), "there is no file"),
     ],
 )
-def test_a_typical_mistake_gets_a_hint_that_solves_it(sweep_here, tmp_path, monkeypatch, arguments, hint):
+def test_a_typical_mistake_gets_a_hint_that_solves_it(sweep_here, tmp_path, monkeypatch, decayed, arguments, hint):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "decay.py").touch()
+    (tmp_path / "decay.py").write_text(DECAY)
     (tmp_path / "decay.zarr").mkdir()
+    if "done.zarr" in arguments:
+        shutil.copytree(decayed, tmp_path / "done.zarr")
     code, out, err = sweep_here(*arguments)
     assert (code, out) == (2, "")
     assert err.startswith("error: ")

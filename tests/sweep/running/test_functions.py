@@ -96,7 +96,7 @@ def test_a_study_must_say_what_has_no_default_and_nothing_is_sampled(tmp_path):
     def f(a: float, b: float = 1.0):
         return a + b
 
-    with pytest.raises(SweepError, match="a has no default: the study must set it"):
+    with pytest.raises(SweepError, match="a has no default: set it"):
         run(f, tmp_path / "s.zarr", axes={"b": [1.0]})
     with pytest.raises(SweepError, match=r"f takes no rng .* leave out n_sim"):
         run(f, tmp_path / "s.zarr", axes={"a": [1.0]}, sampling={"n_sim": 5})
