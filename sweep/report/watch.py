@@ -45,11 +45,10 @@ class Shown:
             self.tiles = self.watched.tiles(MOST_TILES, MOST_TILES)
 
     def draw(self) -> bool:
-        """Draw its results if they are new and it is time; return whether they were drawn."""
+        """Draw its results if they are new and it is time; return whether they were."""
         opened = self.watched.opened
-        if opened is None or is_new(opened.root) or opened.root is self._drawn:
-            return False
-        if not self.watched.is_over and time.monotonic() < self._redraw:
+        waits = not self.watched.is_over and time.monotonic() < self._redraw
+        if opened is None or is_new(opened.root) or opened.root is self._drawn or waits:
             return False
         begun = time.process_time()
         try:
@@ -58,8 +57,9 @@ class Shown:
         except SweepError as error:
             self.figure = Picture("", problem="; ".join(error.problems))
         share = FIGURE_SHARE if self.watched.status.size <= FEW_POINTS else SHARE
-        self._drawn, self._redraw = opened.root, time.monotonic() + (time.process_time() - begun) / share
-        return True
+        took = time.process_time() - begun if self.figure.svg else 0.0
+        self._drawn, self._redraw = opened.root, time.monotonic() + took / share
+        return bool(self.figure.svg)
 
 
 class Page:
@@ -106,8 +106,6 @@ class Page:
 
 
 class _Handler(WSGIRequestHandler):
-    timeout = 10
-
     def log_message(self, *_message: Any) -> None:
         return
 
