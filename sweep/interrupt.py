@@ -48,13 +48,13 @@ class Interruptions:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Delay signals until the end of this block, which must be short."""
-        self._holding = True
+        """Delay signals until the end of this block, which must be short, or of the block around it."""
+        before, self._holding = self._holding, True
         try:
             yield
         finally:
-            self._holding = False
-        if self._owed:
+            self._holding = before
+        if self._owed and not before:
             self._owed = False
             self._interrupt()
 

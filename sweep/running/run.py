@@ -198,10 +198,12 @@ class Session:
             with writer:
                 for given, result in results:
                     works = writer.pending.settle(given, result.seconds, result.cold)
-                    taken = writer.take(works, result)
+                    with held():  # so that an interruption leaves nothing taken that was not told
+                        taken = writer.take(works, result)
+                        progress.advance(works, result, taken)
+                    writer.write_when_due()
                     failing.take(taken.ended, taken.failed, taken.begun)
                     writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
-                    progress.advance(works, result, taken)
                     if too_many := failing.too_many():
                         self._too_many = too_many
                         break

@@ -252,16 +252,20 @@ class Writer:
             self._unflushed = True
             if clock - self._flushed > self._tuning.flush_every_s:
                 self.flush()
-        # Early values so far are soon out of date.
-        tuning, elapsed = self._tuning, clock - self._begun
-        every = min(tuning.write_every_s, max(1.0, tuning.early_write * elapsed))
-        if clock - self._written > every and self._writing < tuning.early_writes_s + tuning.write_share * elapsed:
-            self.write()
         done = size_of(works, len(ended))
         if result.failures:
             done = replace(done, realisations=sum(points[row][1].realisations for row in good))
         begun = {i for row in good if self.accumulator.is_missing(i := points[row][0].index)}
         return Taken(done, size_of(added, 0), tuple(ended), failed, begun)
+
+    def write_when_due(self) -> None:
+        """Write the labelled dataset if the last one is some time ago."""
+        # Early values so far are soon out of date.
+        clock = time.monotonic()
+        tuning, elapsed = self._tuning, clock - self._begun
+        every = min(tuning.write_every_s, max(1.0, tuning.early_write * elapsed))
+        if clock - self._written > every and self._writing < tuning.early_writes_s + tuning.write_share * elapsed:
+            self.write()
 
     def _as_rows(self, result: TaskResult) -> tuple[TaskResult, Rows]:
         """Return the rows of results that are like those before, in order, and a result in which the others fail."""
