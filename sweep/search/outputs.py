@@ -238,7 +238,7 @@ def summarise(result: Result) -> dict[str, Any]:
 
     A mean of no values is None.
     """
-    search, matches, rules = result.search, result.matches, result.search.rules
+    search, matches, asked = result.search, result.matches, result.search.asked
     columns = match_columns(result)
     magnitude = next((name for name in MAGNITUDES if name in columns), None)
     stars = {table_name(path): table for path, table in zip(search.stars, result.stars, strict=True)}
@@ -268,13 +268,10 @@ def summarise(result: Result) -> dict[str, Any]:
         | {"all": _means(columns, magnitude, search)},
         "reasons": {name: int(doubt.sum()) for name, doubt in matches.reasons.items()},
         "magnitude": magnitude,
-        "epoch": search.epoch,
-        "k_sigma": rules.k_sigma,
-        "crowding_radius_arcsec": rules.crowding_radius / ARCSEC,
-        "crowding_stars": rules.crowding_stars,
-        "merge_radius_arcsec": None if rules.merge_radius is None else rules.merge_radius / ARCSEC,
-        "epoch_difference_yr": search.epoch_difference_yr,
-        "second_epoch_error_mas": search.second_epoch_error_mas,
+        **{name: getattr(asked, name) for name in ("epoch", "k_sigma", "crowding_stars")},
+        **{f"{name}_arcsec": getattr(asked, name) for name in ("crowding_radius", "merge_radius")},
+        "epoch_difference_yr": asked.epoch_difference,
+        "second_epoch_error_mas": asked.second_epoch_error,
         "notes": notes,
     }
 
@@ -292,7 +289,7 @@ def _means(columns: pd.DataFrame, magnitude: str | None, search: Search) -> dict
         return {key: None if np.isnan(value) else float(value) for key, value in values.items()}
 
     errors = {key: stats(f"{key}_error") for key in ("ra", "dec")}
-    years, second = search.epoch_difference_yr, search.second_epoch_error_mas
+    years, second = search.asked.epoch_difference, search.asked.second_epoch_error
     return {
         "n": len(columns),
         "ra_error_mas": errors["ra"],

@@ -53,20 +53,23 @@ class Reading:
 
 @dataclass(frozen=True)
 class Search:
-    """What to search and how: files, match radius and `Reading` by table name, epoch (Julian year) and rules.
+    """What to search and how: files, match radius and `Reading` by table name, and the other options.
 
-    ``stars`` are the star catalogue and, if there is one, the supplement.  The summary assumes a second epoch
-    ``epoch_difference_yr`` later, with errors of ``second_epoch_error_mas``.
+    ``stars`` are the star catalogue and, if there is one, the supplement.
     """
 
     stars: tuple[Path, ...]
     galaxies: tuple[Path, ...]
     radius_arcsec: Mapping[str, float]
     readings: Mapping[str, Reading]
-    epoch: float
-    rules: crossmatch.Rules
-    epoch_difference_yr: float
-    second_epoch_error_mas: float
+    asked: SearchOptions
+
+    @property
+    def rules(self) -> crossmatch.Rules:
+        """What makes a match uncertain."""
+        asked = self.asked
+        merge = None if asked.merge_radius is None else asked.merge_radius * ARCSEC
+        return crossmatch.Rules(asked.k_sigma, asked.crowding_radius * ARCSEC, asked.crowding_stars, merge)
 
 
 @dataclass(frozen=True)
@@ -109,13 +112,8 @@ def plan_search(stars: Path, galaxies: Sequence[Path], supplement: Path | None =
         )
         for name in names
     }
-    merge_radius = None if asked.merge_radius is None else asked.merge_radius * ARCSEC
-    return Search(
-        *(star_paths, tuple(galaxies), dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | radii, readings),
-        asked.epoch,
-        crossmatch.Rules(asked.k_sigma, asked.crowding_radius * ARCSEC, asked.crowding_stars, merge_radius),
-        *(asked.epoch_difference, asked.second_epoch_error),
-    )
+    radius = dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | radii
+    return Search(star_paths, tuple(galaxies), radius, readings, asked)
 
 
 def _numbers(name: str, pairs: Pairs, tables: Sequence[str], common: Sequence[str]) -> dict[str, float]:
@@ -151,7 +149,7 @@ def find_matches(search: Search) -> Result:
             names = ", ".join("-".join(map(str, tyc)) for tyc in again[:5].itertuples(index=False))
             more = f" and {len(again) - 5} more" if len(again) > 5 else ""
             raise SweepError(f"TYC {names}{more}: in the star table and again in the supplement")
-    parts = [_star_positions(table, search.epoch) for table in stars]
+    parts = [_star_positions(table, search.asked.epoch) for table in stars]
     positions = crossmatch.Positions(*map(np.concatenate, zip(*parts, strict=True)))
     supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars])
     catalogues = [

@@ -71,10 +71,9 @@ _NAMED_TIME = re.compile(
     r"^_?ra(h|hr|hrs|hours?|m|s)$|^_?(ra|alpha)\w*[\W_](h|hr|hrs|hours?|hms|m|min|s|sec)\W*$", re.I
 )
 _NAMED_RADIANS = re.compile(r"[\W_]rad\W*$|^(ra|de|dec)rad$", re.I)
-_ANGLE = re.compile(
+_ANGLE = (
     r"\s*([+\-\u2212]?)\s*(\d{1,3})\s*([:hd°\s])\s*(\d{1,2})"
-    r"(?:\s*[:m'′\s]\s*(\d{1,2}(?:\.\d*)?)\s*(?:s|\"|″)?|(\.\d*))?\s*m?\s*",
-    re.I,
+    r"(?:\s*[:m'′\s]\s*(\d{1,2}(?:\.\d*)?)\s*(?:s|\"|″)?|(\.\d*))?\s*m?\s*"
 )
 
 
@@ -341,25 +340,29 @@ class Columns:
         return values if factor == 1.0 else values * factor
 
     def _sexagesimal(self, name: str, unit: Any, right_ascension: bool) -> Array:
+        import pandas as pd
+
         form = "" if unit is None else str(unit).strip('"').replace(" ", ":")  # VizieR writes quotes around it
         if form not in ("", *SEXAGESIMAL):
             raise ValueError(f"column {name!r} is text and in {unit}; an angle as text is in {', '.join(SEXAGESIMAL)}")
         hours = SEXAGESIMAL.get(form, right_ascension)
-        column = self.table[name]
-        texts = [_written(item) for item in column]
-        values, bad = np.full(len(texts), np.nan), np.zeros(len(texts), dtype=bool)
-        for row in np.flatnonzero(~gaps(column)):
-            if texts[row].strip():
-                angle = _angle(texts[row], hours, right_ascension)
-                bad[row] = angle is None
-                values[row] = np.nan if angle is None else angle
-        if bad.any():
+        texts = pd.Series([_written(item) for item in self.table[name]], dtype=object)
+        there = ~gaps(self.table[name]) & (texts.str.strip() != "").to_numpy()
+        parts = texts.str.extract(rf"\A{_ANGLE}\Z", flags=re.IGNORECASE)
+        parts.columns = ["sign", "first", "mark", "minutes", "seconds", "fraction"]
+        mark, first = parts["mark"].str.lower(), parts["first"].astype(float)
+        in_hours = (mark == "h") | (hours & ~mark.isin(["d", "°"]))
+        minutes = (parts["minutes"] + parts["fraction"].fillna("")).astype(float)
+        seconds = parts["seconds"].astype(float).fillna(0.0)
+        good = (minutes < 60.0) & (seconds <= 60.0) & ~(in_hours & (not right_ascension or first >= HOURS))
+        if (bad := there & ~good.to_numpy()).any():
             example = "12 34 56.7 or 12:34:56.7" if hours else "-12 34 56.7 or -12:34:56.7"
             rows = rows_listed(bad, [repr(text) for text in texts])
-            too_many = hours and not form and any(_ANGLE.fullmatch(texts[row]) for row in np.flatnonzero(bad))
+            too_many = hours and not form and np.any(first[bad].notna())
             hint = "; is it in degrees? Say it: units ra = deg" if too_many else ""
             raise ValueError(f"column {name!r} is text that is no angle like {example} in row {rows}{hint}")
-        return values
+        values = (first + minutes / 60.0 + seconds / 3600.0) * np.where(in_hours, 15.0, 1.0)
+        return np.asarray(values.where(~parts["sign"].isin(["-", "\u2212"]), -values).where(there), dtype=np.float64)
 
     def _julian_years(self, name: str) -> Array:
         from astropy.time import Time
@@ -434,18 +437,3 @@ def _check_hours(name: str, values: Array, size: float) -> None:
         f'column {name!r} has no unit and {doubt}  Say it: units = {{ ra = "deg" }} in a study, --unit ra=deg with a '
         'command, or "hourangle"'
     )
-
-
-def _angle(text: str, hours: bool, right_ascension: bool) -> float | None:
-    """Return the degrees of a sexagesimal angle, None for other text and for too many minutes, seconds or hours."""
-    match = _ANGLE.fullmatch(text)
-    if match is None:
-        return None
-    sign, first, mark, minutes, seconds, fraction = match.groups()
-    if mark in "hHdD°":
-        hours = mark in "hH"
-    whole, part, rest = float(first), float(minutes + (fraction or "")), float(seconds or 0.0)
-    if (hours and (not right_ascension or whole >= HOURS)) or part >= 60.0 or rest > 60.0:
-        return None
-    angle = (whole + part / 60.0 + rest / 3600.0) * (15.0 if hours else 1.0)
-    return -angle if sign in ("-", "\u2212") and sign else angle
