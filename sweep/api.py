@@ -179,9 +179,6 @@ def refine(
     along: str | None = None,
     variable: str | None = None,
     max_realisations: int | None = None,
-    axes: Mapping[str, Any] | None = None,
-    fixed: Mapping[str, Any] | None = None,
-    sampling: Mapping[str, Any] | None = None,
     **options: Any,
 ) -> xr.Dataset:
     """Run a study, then add the points and realisations that matter next, round by round, into the same store.
@@ -199,10 +196,7 @@ def refine(
         along: the axis that gets points; by default the only one with several numbers.
         variable: for ``until``, the output; by default the main one.
         max_realisations: how many there may be in all; by default a fifth of those of the full grid.
-        axes: as for `run`.
-        fixed: as for `run`.
-        sampling: as for `run`.
-        options: further arguments of `run`: ``workers``, ``pool`` and so on.
+        options: further arguments of `run`: ``axes``, ``sampling``, ``workers`` and so on.
 
     Returns:
         The outputs of the study with its further points, over its axes; the attribute ``refined`` has all rounds, as
@@ -219,14 +213,14 @@ def refine(
         >>> ds.sizes["t"], round(float(linksweep.find(ds, "decay < 0.1", over="t")["first"]), 3)
         (12, 3.322)
     """
-    from linksweep.sweep.analysis.refine import Goal, refinements
+    from linksweep.sweep.analysis.refine import refinements
 
-    loaded = _study(study, {"axes": axes, "fixed": fixed, "sampling": sampling})
+    names = ("axes", "fixed", "points", "labels", "exclude", "when", "sampling", "title")
+    loaded = _study(study, {name: options.pop(name) for name in names if name in options})
     place = located(store or default_store(loaded.name))
-    goal = Goal(find, until, within, along, variable, max_realisations)
-    for state in refinements(loaded, place, goal, lambda now: run(now, place, **options)):
-        log.info("%s", state.upcoming or " ".join(state.sentences()))
-    return state.dataset
+    goal = {"find": find, "until": until, "within": within, "along": along, "variable": variable}
+    *_, last = refinements(loaded, place, goal | {"most": max_realisations}, lambda now: run(now, place, **options))
+    return last.dataset
 
 
 def open(  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)

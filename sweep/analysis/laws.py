@@ -115,6 +115,21 @@ class Lines:
         units = {line.unit for line in self.lines}
         return units.pop() if len(units) == 1 else ""
 
+    def thresholds(self, limit: Limit) -> dict[str, float]:
+        """Return the number of a limit in each unit of the lines, without those of another kind.
+
+        Raises SweepError where all are of another kind.
+        """
+        numbers, refusals = dict[str, float](), []
+        for unit in dict.fromkeys(line.unit for line in self.lines):
+            try:
+                numbers[unit] = limit.number_in(unit)
+            except SweepError as error:  # components of another kind are left out
+                refusals.append(error)
+        if not numbers:
+            raise refusals[0]
+        return numbers
+
     def place(self, line: Line) -> dict[str, Any]:
         """Return the coordinates of a line by name, those of dimensions first."""
         one = self.grid.isel(line.index)
@@ -537,14 +552,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
     """
     limit = parse_limit(limit) if isinstance(limit, str) else limit
     made = lines(dataset, limit.variable, over, covariance)
-    thresholds, refusals = dict[str, float](), []
-    for unit in dict.fromkeys(line.unit for line in made.lines):
-        try:
-            thresholds[unit] = limit.number_in(unit)
-        except SweepError as error:  # components of another kind are left out
-            refusals.append(error)
-    if not thresholds:
-        raise refusals[0]
+    thresholds = made.thresholds(limit)
     rows = [_cross(line, limit, thresholds.get(line.unit, np.nan), made.over_unit) for line in made.lines]
     for row in rows:
         row["conclusion"] = _crossing_in_words(row, made.over_unit, made.unit)

@@ -22,8 +22,6 @@ from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
 from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_json, without_secrets
 
 if TYPE_CHECKING:
-    import xarray as xr
-
     from linksweep.sweep.executing.pools import PoolName, Resources
     from linksweep.sweep.running.failures import MaxFailures
     from linksweep.sweep.running.results import Labelled
@@ -308,11 +306,7 @@ def refine(
         within=opt("How well to locate it, in the unit of the axis.", type=POSITIVE, metavar="WIDTH"),
         along=opt("The axis that gets points.  [default: the only one with several numbers]"),
         variable=opt("With --until: what to interpolate.  [default: the main result]"),
-        most=opt(
-            "All realisations that there may be.  [default: a fifth of the full grid's]",
-            "--max-realisations",
-            type=click.IntRange(1),
-        ),
+        most=opt("Most in all.  [default: a fifth of the full grid's]", "--max-realisations", type=click.IntRange(1)),
     ),
     how: Running = options.group(Running),
 ) -> None:
@@ -327,29 +321,23 @@ def refine(
     sweep refine quasars --along v_max --until "error < 0.002"
     """
     from linksweep.sweep.analysis.laws import find
-    from linksweep.sweep.analysis.refine import Goal, refinements
+    from linksweep.sweep.analysis.refine import refinements
+    from linksweep.sweep.result import Result
 
-    study, store = asked.load()
-    wanted, failures = Goal(**goal), dict[str, str]()
-
-    def run(now: "linksweep.Study") -> "xr.Dataset":
-        dataset, failed = run_with_progress(now, store, replace(how, as_json=None))
-        failures.update(failed)
-        return dataset.to_xarray()
-
-    for state in refinements(study, store, wanted, run):
+    (study, store), mute = asked.load(), replace(how, as_json=None)
+    for state in refinements(study, store, goal, lambda now: run_with_progress(now, store, mute)[0].to_xarray()):
         if state.upcoming is not None and not how.watching.quiet:
             click.echo(f"round {len(state.rounds) + 1}: {state.upcoming}", err=True)
+    is_whole = not (failures := json.loads(state.dataset.attrs["failures"]))
+    found = Result(find(state.dataset, goal["find"], state.along)) if goal["find"] and is_whole else None
     if how.as_json:
-        report = {name: value for name, value in vars(state).items() if name != "dataset"}
-        click.echo(to_json(report | {"failures": failures}))
+        answer = {"failures": failures, "answer": found and json.loads(found.written("json"))}
+        click.echo(to_json({name: value for name, value in vars(state).items() if name != "dataset"} | answer))
     else:
-        if wanted.find is not None and not failures:
-            group.print_result(find(state.dataset, wanted.find, state.along), "text")
-        for sentence in state.sentences():
+        group.print_tables(found.tables() if found else ())
+        for sentence in [*(found.notes() if found else ()), *state.sentences()]:
             group.print_wrapped(sentence)
-    if failures:
-        sys.exit(group.EXIT_FAILED_POINTS)
+    sys.exit(0 if is_whole else group.EXIT_FAILED_POINTS)
 
 
 @group.command("Run", "Say what a run would do, and write nothing")

@@ -5,7 +5,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from hashlib import blake2b
 from typing import Any, Generic, TypeVar
@@ -201,6 +201,12 @@ class Grid:
     def excludes(self, parameters: Mapping[str, Any]) -> bool:
         """Return whether the study leaves out a point."""
         return any(all(c.holds(parameters[c.name]) for c in clause) for clause in self.study.excluded)
+
+
+def all_but(study: Study, points: Collection[bytes]) -> dict[str, int]:
+    """Return the counts by which a study leaves out all points but some, by their digests."""
+    grid = Grid(replace(study, counts={}))
+    return {digest.hex(): 0 for digest in grid.digests(grid.indices()) if digest not in points}
 
 
 def describe(study: Study, parameters: dict[str, Any]) -> str:

@@ -147,32 +147,29 @@ class Plan:
         sampling, (sims, _) = self.grid.study.sampling, self.block_shape(cost)
         wanted = n_sim or sampling.n_sim
         if sampling.precision is None:
-            own, more = min(wanted, sampling.n_sim), max(wanted - sampling.n_sim, 0)
-            doubled = sampling.n_sim * ((1 << _doublings_to(sims, sampling.n_sim)) - 1)
-            small = -(-min(more, doubled) // sampling.n_sim)  # how often n_sim; 2**k - 1 of these are in k parts
-            return -(-own // sims) + small.bit_length() + -(-max(more - doubled, 0) // sims)
+            own = min(wanted, sampling.n_sim)
+            return -(-own // sims) + -(-(wanted - own) // min(sims, sampling.n_sim))
         if wanted >= sims:
             return -(-wanted // sims) + _doublings(sims)
         return 1 + max(0, math.ceil(math.log2(wanted / min(FIRST_SIMS, sims))))
 
     def parts_of(self, point: GridPoint) -> range:
         """Return the parts of a point, of its first ones where a precision may call for more."""
-        study, cost = self.grid.study, self.cost(point.parameters)
-        more = study.counts.get(point.digest.hex(), 0) if study.counts and study.may_differ else 0
-        return range(self.parts(cost, max(more, study.sampling.n_sim)))
+        study = self.grid.study
+        more = study.counts.get(point.digest.hex(), 0) if study.counts else 0
+        return range(self.parts(self.cost(point.parameters), max(more, study.sampling.n_sim)))
 
     def realisations(self, cost: float, parts: int) -> int:
         """Return how many realisations of a catalogue the first ``parts`` hold.
 
-        All parts are of the same size but for the last of the study's n_sim, which holds what is left of these; further
-        ones double the number until they have that size.  With a precision to reach there is no such remainder, but the
-        first parts are small and double the number each.
+        All parts are of the same size but for the last of the study's n_sim, which holds what is left of these.  With a
+        precision to reach there is no such remainder, but the first parts are small and double the number of
+        realisations each.
         """
         sampling, (sims, _) = self.grid.study.sampling, self.block_shape(cost)
         if sampling.precision is None:
-            further, doublings = max(0, parts - -(-sampling.n_sim // sims)), _doublings_to(sims, sampling.n_sim)
-            more = sampling.n_sim * ((1 << min(further, doublings)) - 1) + max(0, further - doublings) * sims
-            return min(parts * sims, sampling.n_sim) + more
+            further = max(0, parts - -(-sampling.n_sim // sims))
+            return min(parts * sims, sampling.n_sim) + further * min(sims, sampling.n_sim)
         whole = parts - _doublings(sims)
         if whole > 0:
             return sims * whole
@@ -272,11 +269,6 @@ def cost_together(groups: Groups) -> float:
 def _doublings(sims: int) -> int:
     """Return the number of doublings in which parts reach their full size."""
     return (sims // FIRST_SIMS).bit_length() - 1 if sims > FIRST_SIMS else 0
-
-
-def _doublings_to(sims: int, n_sim: int) -> int:
-    """Return how often ``n_sim`` doubles before it is ``sims``."""
-    return (-(-sims // n_sim) - 1).bit_length()
 
 
 def _power_of_two(ratio: float, most: int) -> int:

@@ -7,7 +7,7 @@ from typing import Any
 
 from linksweep.sweep.contract import Value
 from linksweep.sweep.formatting import counted
-from linksweep.sweep.planning.grid import Grid, GridPoint
+from linksweep.sweep.planning.grid import Grid, GridPoint, all_but
 from linksweep.sweep.studies.study import Study
 
 REFINED = "refined"
@@ -50,22 +50,14 @@ def refined(study: Study, rounds: Iterable[Round]) -> Study:
                 axes[one.along] = tuple(dict.fromkeys([*axes[one.along], point[one.along]]))
                 added.add(point_at(study, point).digest)
         counts |= {name: max(n, counts.get(name, 0)) for name, n in one.n_sim.items()}
-    grown = {name: {*own} for name, own in study.axes.items() if len(axes[name]) > len(own)}
-    axes |= {name: tuple(sorted(axes[name], key=_in_order)) for name in grown}
-    for other in Grid(replace(study, axes=axes)).points() if grown else ():
-        if other.digest not in added and any(other.parameters[name] not in own for name, own in grown.items()):
-            counts[other.digest.hex()] = 0
-    written = {name: parameters[name].written(axes[name]) for name in grown}
-    document = {**study.document, "counts": counts}
-    document |= {"axes": document["axes"] | written} if grown else {}
+    grown = [name for name, own in study.axes.items() if len(axes[name]) > len(own)]
+    axes |= {name: tuple(sorted(axes[name], key=lambda value: (value is None, value or 0))) for name in grown}
+    grid, written = Grid(study), {name: parameters[name].written(axes[name]) for name in grown}
+    counts |= all_but(replace(study, axes=axes), {*added, *grid.digests(grid.indices())})
+    document = {**study.document, "counts": counts, "axes": study.document.get("axes", {}) | written}
     return replace(study, axes=axes, counts=counts, document=document)
 
 
 def point_at(study: Study, values: Mapping[str, Value]) -> GridPoint:
     """Return the point of a study with some values on its axes, which need not have them."""
     return Grid(replace(study, axes={n: (values[n],) for n in study.axes}, zipped=(), points=None, counts={})).point(0)
-
-
-def _in_order(value: Value) -> tuple[bool, Any]:
-    """Return a key by which numbers are in ascending order, and what is missing comes last."""
-    return value is None, 0 if value is None else value

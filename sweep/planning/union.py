@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Value, shown
-from linksweep.sweep.planning.grid import MAX_POINTS, Grid
+from linksweep.sweep.planning.grid import MAX_POINTS, Grid, all_but
 from linksweep.sweep.studies.points import MAX_VALUES, labels_of, require_distinct
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
 from linksweep.sweep.tables.file import as_json
@@ -216,10 +216,9 @@ def _counts(theirs: Grid, places: NDArray[np.intp], mine: Grid, whole: Study) ->
     """
     both = [*theirs.study.counts.items(), *mine.study.counts.items()]
     counts = {name: n for name, n in sorted(both, key=lambda one: one[1]) if n}
-    if not all(n for _, n in both):
-        grid, there = Grid(whole), {*theirs.digests(places), *mine.digests(mine.indices())}
-        counts |= {digest.hex(): 0 for digest in grid.digests(grid.indices()) if digest not in there}
-    return counts
+    if all(n for _, n in both):
+        return counts
+    return counts | all_but(whole, {*theirs.digests(places), *mine.digests(mine.indices())})
 
 
 def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:

@@ -693,16 +693,6 @@ class Study:
         """Whether the ledger holds realisations: the study or the experiment asks for them."""
         return self.sampling.keep_samples or self.experiment.keeps_samples
 
-    @property
-    def may_differ(self) -> bool:
-        """Whether single points may have more realisations than others."""
-        return not (self.sampling.precision or self.sampling.keep_samples or self.sampling.common_random_numbers)
-
-    @property
-    def is_alike(self) -> bool:
-        """Whether all points get the same realisations."""
-        return self.sampling.precision is None and not self.counts
-
     def meaning(self) -> dict[str, Any]:
         """Return what determines the results of every point besides its own parameters: if this differs, results cannot
         be mixed.

@@ -242,7 +242,7 @@ def test_a_condition_on_a_conditional_axis_leaves_the_other_points_alone():
         ({"until": "error > 1"}, "error < 0.002"),
         ({"find": "shape > 0", "within": 0.1, "along": "y"}, "y"),
         ({"find": "shape > 0", "within": 0.1, "variable": "other"}, "other"),
-        ({"find": "shape > 0", "within": 0.1, "max_realisations": 0}, "max_realisations"),
+        ({"find": "shape > 0", "within": 0.0}, "within"),
     ],
 )
 def test_a_goal_that_is_none_is_refused_before_anything_is_written(goal, words, tmp_path):
