@@ -181,6 +181,8 @@ def _add_band(figure: Figure) -> None:
 
 
 def _varies(array: xr.DataArray) -> bool:
+    if array.dtype.kind not in "biuf":
+        return False
     finite = array.values[np.isfinite(array.values)]
     return bool(finite.size and finite.min() < finite.max())
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import Output, SweepError, experiment
+from linksweep.sweep.report.page import report_page
 from linksweep.sweep.result import Result
 from tests.sweep.opening import Folder, merge
 from tests.tiers import examples
@@ -101,12 +102,13 @@ def test_whatever_the_order_a_dataset_has_the_values_of_each_point(tmp_path_fact
     )
 
 
-def test_tables_laws_and_another_look_know_the_lengths(tmp_path):
+def test_tables_pages_and_laws_know_the_lengths(tmp_path):
     store = tmp_path / "s.zarr"
     linksweep.run(walk, store, axes={"k": [1, 2], "n": [3]}, pool="serial")
     ds = linksweep.run(walk, store, axes={"k": [1, 2], "n": [3, 5]}, pool="serial")
     assert (ds.number.attrs["ragged"], ds.sizes["step"]) == ("step", 5)
     result = Result(ds)
+    assert "<svg" in report_page([("walk", ds)])
     rows = json.loads(result.written("json"))["rows"]
     assert [len(row["number"]) for row in rows] == [3, 5, 3, 5] == [len(row["table"][1]) for row in rows]
     (tmp_path / "t.ecsv").write_text(result.written("ecsv"))
