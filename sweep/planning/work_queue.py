@@ -4,9 +4,9 @@ few realisations of every point; no result depends on how.
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, islice
+from itertools import accumulate
 
 import numpy as np
 
@@ -73,6 +73,10 @@ def task_seconds(threads: float) -> float:
     (1.0, 200.0)
     """
     return max(TASK_S, threads / TASKS_PER_S)
+
+
+# Blocks that some points need, and the points: of each block, or all of them.
+Team = tuple[Sequence[Block], tuple[GridPoint, ...] | Mapping[Block, Sequence[GridPoint]]]
 
 
 class Pending:
@@ -160,7 +164,8 @@ class Pending:
         return min(cost, TARGET) if self._plan.grid.study.keeps_samples else cost
 
     def _next(self) -> Work | None:
-        return next(self._wanted(self._known), None) or next(self._fresh, None) or next(self._wanted(self._added), None)
+        known = next(self._wanted(self._known), None) if self._known else None
+        return known or next(self._fresh, None) or next(self._wanted(self._added), None)
 
     def _wanted(self, works: deque[Work]) -> Iterator[Work]:
         """Take works; yield those of points that have not failed meanwhile."""
@@ -175,54 +180,49 @@ class Pending:
         So all points have values early that are about equally good, and the blocks of a point mostly come together.
         Points begin in a nested order, and no more of them than fit into memory; others begin when these are done.
         """
-        teams, is_last = map(self._blocks, self._teams()), False
+        teams, is_last = self._teams(), False
         while not is_last:
-            begun, size, is_last = list[Iterator[Work]](), 1, True
-            for works in teams:
-                if (yield from _turn(works, size)):
-                    begun.append(works)
-                if len(begun) >= self._most_begun():
-                    is_last = False
-                    break
+            begun, done, is_last = list[Team](), 1, True
+            for team in teams:
+                yield from self._works(team, 0, 1)
+                if len(team[0]) > 1:
+                    begun.append(team)
+                    if len(begun) >= self._most_begun():
+                        is_last = False
+                        break
             while begun:
-                size, turns, begun = 2 * size, begun, []
-                for works in turns:
-                    if (yield from _turn(works, size)):
-                        begun.append(works)
+                for team in begun:
+                    yield from self._works(team, done, 2 * done + 1)
+                done = 2 * done + 1
+                begun = [team for team in begun if len(team[0]) > done]
             yield from self._wanted(self._added)
 
     def _most_begun(self) -> int:
         sampling, width = self._plan.grid.study.sampling, self._accumulator.reducer.samples_width
         return max(1, min(AT_ONCE, MOST_KEPT // max(1, 8 * width * sampling.n_sim)))
 
-    def _teams(self) -> Iterator[Sequence[GridPoint]]:
+    def _teams(self) -> Iterator[Team]:
         """Yield points that draw the same random numbers together, all others alone."""
-        grid, order = self._plan.grid, self._plan.grid.coarse_first(self._accumulator.missing_points())
+        grid, missing = self._plan.grid, self._accumulator.missing
+        order = grid.coarse_first(self._accumulator.missing_points())
         if not grid.study.draws_together:
-            yield from ((point,) for point in grid.points(order))
+            yield from ((missing(point), (point,)) for point in grid.points(order))
             return
         groups: dict[bytes, list[int]] = {}
         for point in grid.points(order):
             groups.setdefault(point.stream, []).append(point.index)
         for indices in map(sorted, groups.values()):
             for start in range(0, len(indices), MOST_SHARING):
-                yield list(grid.points(np.array(indices[start : start + MOST_SHARING])))
+                wanting: dict[Block, list[GridPoint]] = {}
+                for point in grid.points(np.array(indices[start : start + MOST_SHARING])):
+                    for block in missing(point):
+                        wanting.setdefault(block, []).append(point)
+                yield sorted(wanting), wanting
 
-    def _blocks(self, team: Sequence[GridPoint]) -> Iterator[Work]:
-        """Yield the work of some points that share random numbers; nothing more of those that have failed meanwhile."""
-        wanting: dict[Block, list[GridPoint]] = {}
-        for point in team:
-            for block in self._accumulator.missing(point):
-                wanting.setdefault(block, []).append(point)
-        for block in sorted(wanting):
-            if left := [p for p in wanting[block] if self._accumulator.is_missing(p.index)]:
-                yield self._plan.work(tuple(left), block)
-
-
-def _turn(works: Iterator[Work], size: int) -> Generator[Work, None, bool]:
-    """Yield the next works; return whether there were so many."""
-    left = size
-    for work in islice(works, size):
-        left -= 1
-        yield work
-    return not left
+    def _works(self, team: Team, first: int, last: int) -> Iterator[Work]:
+        """Yield the work of some blocks of a team, without the points that have failed meanwhile."""
+        blocks, wanting = team
+        for block in blocks[first:last]:
+            points = wanting if isinstance(wanting, tuple) else wanting[block]
+            if left := tuple([point for point in points if self._accumulator.is_missing(point.index)]):
+                yield self._plan.work(left, block)
