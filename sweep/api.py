@@ -166,7 +166,7 @@ def run(
         log.warning("%s: %s", place, harmless(failed_points(failures)))
     if verify and (differing := verified(loaded, place, verify).differing):
         raise SweepError(differing, str(place))
-    return _drawable(dataset)
+    return _drawable(dataset.to_xarray())
 
 
 def refine(

@@ -12,8 +12,8 @@ from linksweep.core.experiment import link
 from linksweep.core.missions import CALIBRATED
 from linksweep.core.missions.calibrate import draw_skies, spin_variance
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import load_study
+from tests.sweep.opening import run_study
 
 SPIN = ["omega_x", "omega_y", "omega_z"]
 SLOWEST_S = 1700  # a hang, not a speed limit

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from string import Formatter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -70,7 +70,8 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
     for variable in dict.fromkeys([*first, *quantity.headlines(dataset)]):
         meaning = formatting.meaning_beside(variable, dataset[variable].attrs)
         values = dataset[variable].values.astype(float, copy=False)
-        if made and variable not in first and values.size > 1 and _least(values) == _largest(values):
+        low, high = (end.reduce(values, axis=None) for end in (np.fmin, np.fmax))
+        if made and variable not in first and values.size > 1 and low == high:
             continue  # a number that is the same everywhere answers nothing
         if errors := quantity.errors_beside(dataset, variable):
             made.append(Answer(variable, meaning, [_with_errors(dataset, variable, errors)]))
@@ -177,19 +178,11 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> s
     return f"It is between {number[0]} ({least}) and {number[1]} ({largest}), over {points}."
 
 
-def _least(values: Array) -> Any:
-    return np.fmin.reduce(values, axis=None)  # but for NaN, as the next one
-
-
-def _largest(values: Array) -> Any:
-    return np.fmax.reduce(values, axis=None)
-
-
 def _what_changes_it(axes: list[str], values: Array) -> Iterator[str]:
     """Yield by what factor a quantity above 0 changes at most along each axis, all else being equal."""
-    if not _least(values) > 0.0:
+    if not np.nanmin(values) > 0.0:
         return
-    factors = {d: _largest(np.fmax.reduce(values, axis) / np.fmin.reduce(values, axis)) for axis, d in enumerate(axes)}
+    factors = {d: np.nanmax(np.fmax.reduce(values, axis) / np.fmin.reduce(values, axis)) for axis, d in enumerate(axes)}
     factors.pop(POINT, None)  # points differ in several parameters at once
     order = sorted((d for d in factors if factors[d] >= VISIBLE_FACTOR), key=lambda d: -factors[d])
     words = [f"{d} by a factor of up to {formatting.in_short(factors[d])}" for d in order]
@@ -201,11 +194,11 @@ def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) ->
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.abs(values / np.where(predicted == 0.0, np.nan, predicted) - 1.0)
         deviations = np.where(np.isnan(relative), np.nan, np.abs(values - predicted) / errors)
-    if (farthest := _largest(relative)) < ROUNDING:
+    if (farthest := np.fmax.reduce(relative, axis=None)) < ROUNDING:
         yield f"It equals its prediction{left_out}, except for rounding."
     elif math.isfinite(farthest):
         text = f"It differs from its prediction{left_out} by at most {100.0 * farthest:.2g} %"
-        if math.isfinite(largest := _largest(deviations)):
+        if math.isfinite(largest := np.fmax.reduce(deviations, axis=None)):
             text += f" and {largest:.1f} of its errors"
         if far := int((deviations > ERRORS_ALLOWED).sum()):
             text += f", at {formatting.counted(far, 'point')} by more than {ERRORS_ALLOWED:g} of them"

@@ -79,8 +79,7 @@ def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
 
 def is_known(values: NDArray[Any]) -> NDArray[np.bool_]:
     """Return where values of any type are not missing: NaN and NaT differ from themselves."""
-    known: NDArray[np.bool_] = np.equal(values, values)
-    return known
+    return np.asarray(np.equal(values, values))
 
 
 def headlines(dataset: xr.Dataset) -> list[str]:

@@ -214,16 +214,14 @@ def run_with_progress(
     from linksweep.sweep.interrupt import RunInterruptedError
     from linksweep.sweep.running.beside import Beside
     from linksweep.sweep.running.progress import TerminalProgress
-    from linksweep.sweep.running.run import run_labelled
+    from linksweep.sweep.running.run import run_study
     from linksweep.sweep.stores.location import short_name
 
     shown = TerminalProgress(study, not how.watching.quiet, how.watching.events)
     with group.a_signal_ends_the_command(), _logged(how.watching), shown as progress:
         try:
             rest = how.break_lock, how.accept_code, fresh, how.max_failures
-            dataset, failures = run_labelled(
-                study, store, how.resources, progress, retry, *rest, beside=Beside(**beside)
-            )
+            dataset, failures = run_study(study, store, how.resources, progress, retry, *rest, beside=Beside(**beside))
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             group.end_stopped(stop.signal)

@@ -1,7 +1,6 @@
 """The labelled dataset of a study, from what blocks left, and covariances of points that share random numbers."""
 
 import json
-import math
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -39,21 +38,9 @@ class Variable:
     attrs: dict[str, Any] = field(default_factory=dict)
     encoding: dict[str, Any] = field(default_factory=dict)
 
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """The type of the values."""
-        dtype: np.dtype[Any] = self.values.dtype
-        return dtype
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The length along each dimension."""
-        return tuple(self.values.shape)
-
-    @property
-    def size(self) -> int:
-        """The number of values."""
-        return math.prod(self.shape)
+    def __getattr__(self, name: str) -> Any:
+        """Return what the values know: dtype, shape, size."""
+        return getattr(self.values, name)
 
     def copy(self, data: NDArray[Any]) -> "Variable":
         """Return an array with other values."""

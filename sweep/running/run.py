@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import choose_executor, of_study
@@ -34,7 +34,7 @@ from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, reco
 from linksweep.sweep.studies.study import Study
 
 if TYPE_CHECKING:
-    import xarray as xr
+    pass
 
 
 # What follows why a run was ended.
@@ -270,13 +270,7 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     return asked.accumulator.plan, session.survey
 
 
-def run_study(*study: Any, **how: Any) -> "tuple[xr.Dataset, dict[str, str]]":
-    """Return what `run_labelled` does, with the dataset that xarray has of it."""
-    dataset, failures = run_labelled(*study, **how)
-    return dataset.to_xarray(), failures
-
-
-def run_labelled(
+def run_study(
     study: Study,
     store: Where,
     resources: Resources = ANY_RESOURCES,

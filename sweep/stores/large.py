@@ -6,6 +6,7 @@ which no row refers is of a point that was not finished, or was computed again.
 """
 
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -120,6 +121,11 @@ class Stored:
     chunks: NDArray[np.void]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+
+    @property
+    def size(self) -> int:
+        """The number of values."""
+        return math.prod(self.shape)
 
     @property
     def nbytes(self) -> int:

@@ -63,8 +63,8 @@ CODE = "code"
 ORIGIN = "written_by"
 """The attribute of a store that tells who wrote it, as JSON."""
 
+# The attributes that are others in each run, though all else is the same.
 OF_ONE_RUN = ("finished", "command")
-"""The attributes that are others in each run, though all else is the same."""
 
 RESCUED = "rescued_of"
 """The attribute of a store of results alone: of which store they are that was lost while a run wrote to it."""
@@ -80,15 +80,11 @@ RUNNING = "(running)"
 of a result has brackets.
 """
 
-TIMES: Mapping[str, Any] = {
-    "units": "nanoseconds since 1970-01-01",
-    "calendar": "proleptic_gregorian",
-    FILL: MISSING_INT,
-}
-"""What a file says of times, which it has as integers."""
+# What a file says of times, which it has as integers.
+TIMES = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian", FILL: MISSING_INT}
 
+# What a file says that it has in place of a missing float, NaN, as xarray writes it for Zarr 3.
 MISSING_FLOAT = base64.b64encode(np.float64("nan").tobytes()).decode()
-"""What a file says that it has in place of a missing float, as xarray writes it for Zarr 3: NaN."""
 
 MARKS = (b"linksweep_format", b"study_meaning", b"study_digest")
 """Words by which a document of a store can be recognised even if it is damaged."""

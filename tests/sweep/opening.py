@@ -14,8 +14,9 @@ from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import generators
 from linksweep.sweep.planning.work_queue import Tuning
+from linksweep.sweep.running import run as running
 from linksweep.sweep.running.merge import MERGED, merge
-from linksweep.sweep.running.run import Silent, plan_study, run_study
+from linksweep.sweep.running.run import Silent, plan_study
 from linksweep.sweep.running.scaling import measure_scaling
 from linksweep.sweep.running.status import status_report
 from linksweep.sweep.running.writer import create_store, find_store, open_store
@@ -33,6 +34,12 @@ from linksweep.sweep.table_writer import Column, Table
 SERIAL = Resources(pool="serial")
 OFTEN = {"flush_every_s": -1.0, "most_blocks": 1}
 """A run that writes its ledger after every block."""
+
+
+def run_study(*study, **how):
+    """Run a study; return its dataset, as xarray has it, and its failures."""
+    dataset, failures = running.run_study(*study, **how)
+    return dataset.to_xarray(), failures
 
 
 def run(document, store, tuning=None, **options):

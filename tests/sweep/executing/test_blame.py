@@ -9,9 +9,8 @@ from linksweep.sweep.executing import dask_driver
 from linksweep.sweep.executing.clusters import own_cluster
 from linksweep.sweep.executing.dask_driver import DaskDriver, run_on_worker
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.run import Silent, run_study
 from linksweep.sweep.studies.reader import study_from_dict
-from tests.sweep.opening import existing_store
+from tests.sweep.opening import Silent, existing_store, run_study
 from tests.tiers import slow
 
 

@@ -32,9 +32,9 @@ def started_to_write(store: Path, process):
 def reference(tmp_path_factory):
     """The study that all tests here run, and its results in the serial reference."""
     from linksweep.sweep.executing.pools import NO_LIMITS, Resources
-    from linksweep.sweep.running.run import run_study
     from linksweep.sweep.studies.reader import load_study
     from tests.conftest import LINK_STUDY
+    from tests.sweep.opening import run_study
 
     path = tmp_path_factory.mktemp("reference")
     (path / "small.toml").write_text(LINK_STUDY)

@@ -9,9 +9,9 @@ import xarray as xr
 
 from linksweep.sweep.executing import executor, worker
 from linksweep.sweep.executing.pools import ANY_RESOURCES, POOLS, Limits, Resources
-from linksweep.sweep.running.run import Silent, run_study
 from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.reader import study_from_dict
+from tests.sweep.opening import Silent, run_study
 from tests.sweep.outside import wait_until
 from tests.tiers import slow
 

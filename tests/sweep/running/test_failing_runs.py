@@ -15,9 +15,9 @@ from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.point_status import count_status
 from linksweep.sweep.running import progress
 from linksweep.sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError
-from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_of_function
+from tests.sweep.opening import run_study
 from tests.tiers import slow
 
 FUNCTIONS = """

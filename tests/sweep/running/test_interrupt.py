@@ -15,9 +15,9 @@ import xarray as xr
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.interrupt import LOST_S, RunInterruptedError, watched
 from linksweep.sweep.planning.work_queue import Tuning
-from linksweep.sweep.running.run import run_study
 from linksweep.sweep.stores.store import Store
 from linksweep.sweep.studies.reader import study_from_dict
+from tests.sweep.opening import run_study
 from tests.sweep.outside import wait_until
 from tests.tiers import PATIENCE_S, slow
 

@@ -8,10 +8,10 @@ from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.work_queue import Tuning
-from linksweep.sweep.running.run import Silent, run_study
 from linksweep.sweep.running.status import status_report
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_from_dict
+from tests.sweep.opening import Silent, run_study
 
 SERIAL = Resources(pool="serial")
 

@@ -14,9 +14,9 @@ import linksweep
 from linksweep import SweepError, load_study
 from linksweep.sweep.cli.group import main
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.run import run_study
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie, unused
 from tests.core.tie.made import MAS, Objects, gaia, gaia_table, noise, parse_unknowns, spin_block, stars
+from tests.sweep.opening import run_study
 
 X, Y, Z = range(3)
 
