@@ -235,7 +235,8 @@ class Ledger:
             raise SweepError(CHANGED, str(self._location))
         if "failures" in self._new_documents:
             self._documents["failures"] = {"failures": _recorded(self.failures)}
-        revision, before = self.manifest.revision + 1, set(self.files)
+        retyped = {path_of(file) for part in self.parts for file in part.files}
+        revision, before = self.manifest.revision + 1, {*self.files, *retyped}
         parts = self._with_new(revision)
         documents: Any = {k: file for k, file in self.manifest.documents.items() if k in self._documents}
         for kind in self._new_documents:

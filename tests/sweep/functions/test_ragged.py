@@ -14,7 +14,7 @@ import linksweep
 from linksweep import Output, SweepError, experiment
 from linksweep.sweep.report.page import report_page
 from linksweep.sweep.result import Result
-from tests.sweep.opening import Folder, merge
+from tests.sweep.opening import Folder, check, merge
 from tests.tiers import examples
 
 KINDS = {
@@ -106,6 +106,7 @@ def test_tables_pages_and_laws_know_the_lengths(tmp_path):
     store = tmp_path / "s.zarr"
     linksweep.run(walk, store, axes={"k": [1, 2], "n": [3]}, pool="serial")
     ds = linksweep.run(walk, store, axes={"k": [1, 2], "n": [3, 5]}, pool="serial")
+    assert check(store).remarks == []  # no file is left of rows that were shorter
     assert (ds.number.attrs["ragged"], ds.sizes["step"]) == ("step", 5)
     result = Result(ds)
     assert "<svg" in report_page([("walk", ds)])
