@@ -18,6 +18,7 @@ from linksweep.sweep.contract import Experiment, Output, Parameter, Point, Sweep
 from linksweep.sweep.tables.file import TableFile
 from linksweep.sweep.tables.options import declared, parameter
 from linksweep.sweep.tie import setup
+from linksweep.sweep.tie.forecast import released
 from linksweep.sweep.tie.link import FIELD_OF, Link, solve_link, spectrum
 from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, Options, Plan
 from linksweep.sweep.tie.setup import DECLARED, Setup
@@ -235,11 +236,8 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     notes = [] if solved is None else [*solved.notes]
     if solved is not None and solved.noise is not None:
         problem = solved.noise.added_to(problem, noises(problem, whole.jitter, ("reference", *whole.missions)))
-    if (release := point["release"]) != TABLE:
-        named = None if point["from_release"] == TABLE else point["from_release"]
-        old = forecast.release_of(problem.satellite.epoch, release, named)
-        problem, further = forecast.released(problem, old, release, point["epoch"] is None)
-        notes += further
+    problem, _, further = released(problem, point["release"], point["from_release"], point["epoch"] is None)
+    notes += further
     if point["n_new"]:
         problem = _with_chosen(problem, point)
     if not len(problem.rows):
@@ -303,8 +301,7 @@ def _with_chosen(problem: Problem, point: Mapping[str, Any]) -> Problem:
     planned = forecast.with_new_rows(problem, [epoch], point["new_error"] * MAS, apparent)
     if number == n_sources:
         return planned
-    blocks = tuple(name.strip() for name in point["goal"].split(",") if name.strip())
-    goal = forecast.Goal(problem.unknowns, blocks, "A")
+    goal = forecast.Goal(problem.unknowns, tuple(setup.listed(point["goal"])), "A")
     chosen, _ = forecast.choose(source_sums(problem), source_sums(planned), number, goal)
     old = len(problem.rows)
     rows = np.concatenate([np.arange(old), old + np.sort(np.array(chosen, dtype=np.int64))])

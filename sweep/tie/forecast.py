@@ -14,7 +14,7 @@ from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import inverted
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tie.options import FORECAST, TABLE, Options, Plan
-from linksweep.sweep.tie.setup import Setup, set_up
+from linksweep.sweep.tie.setup import Setup, listed, set_up
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -57,8 +57,7 @@ def forecast(
     """
     plan = Plan.named(FORECAST, options, Options)
     asked = Options.named(FORECAST, {"unknowns": unknowns, **options}, Plan)
-    goal = tuple(name for part in plan.goal.split(",") if (name := part.strip()))
-    release = None if plan.release == TABLE else plan.release
+    goal = tuple(listed(plan.goal))
     add = _epochs(plan)
     if ESTIMATE in asked.jitter:
         raise SweepError("a forecast uses no measured values: sweep tie --jitter estimate says how large a jitter is")
@@ -67,36 +66,41 @@ def forecast(
     goals = core.Goal(problem.unknowns, goal, plan.criterion)
     try:
         _ = goals.parts  # raises for an unknown block
-        future, old, notes = problem, "", list(setup.notes)
-        if release is not None:
-            old = core.release_of(
-                problem.satellite.epoch, release, None if plan.from_release == TABLE else plan.from_release
-            )
-            future, further = core.released(problem, old, release, asked.epoch is None)
-            notes = [*further, *notes]
-        variables, coordinates = _planned(setup, future, release, add, plan.error * MAS, plan.number, goals)
+        future, old, further = released(problem, plan.release, plan.from_release, asked.epoch is None)
+        variables, coordinates = _planned(setup, future, plan.release, add, plan.error * MAS, plan.number, goals)
     except ValueError as problem_found:
         raise SweepError(str(problem_found)) from problem_found
     attributes = {
         "result": "forecast",
         "epoch_of_forecast": future.epoch,
-        "release": release or "",
+        "release": plan.release if old else "",
         "from_release": old,
         "new_error_mas": plan.error,
         "goal": ", ".join(goal or problem.unknowns.names),
         "criterion": plan.criterion,
         **setup.attributes(),
-        "notes": notes,
+        "notes": [*further, *setup.notes],
     }
     import xarray as xr
 
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
+def released(
+    problem: Problem, release: str, from_release: str, epoch_moves: bool
+) -> tuple[Problem, str, Sequence[str]]:
+    """Return a problem with the errors of a release, the release that they were of, and notes; "table" leaves them."""
+    if release == TABLE:
+        return problem, "", ()
+    old = core.release_of(problem.satellite.epoch, release, None if from_release == TABLE else from_release)
+    future, notes = core.released(problem, old, release, epoch_moves)
+    return future, old, notes
+
+
 def _epochs(plan: Plan) -> list[float]:
     """Return the epochs of new positions; raises SweepError for what is no list of years, and for none to choose."""
     try:
-        epochs = [float(year) for year in plan.add.split(",") if year.strip()]
+        epochs = [float(year) for year in listed(plan.add)]
     except ValueError:
         raise SweepError(f"add = {plan.add!r}: must be a list of Julian years") from None
     for epoch in epochs:
@@ -108,7 +112,7 @@ def _epochs(plan: Plan) -> list[float]:
 
 
 def _planned(
-    setup: Setup, future: Problem, release: str | None, add: list[float], error: float, number: int, goal: core.Goal
+    setup: Setup, future: Problem, release: str, add: list[float], error: float, number: int, goal: core.Goal
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the variables and coordinates of the dataset; ``error`` (rad) is that of the new positions."""
     base = source_sums(future)
@@ -116,7 +120,7 @@ def _planned(
     sources, normals = core.choose(base, planned, number, goal)
     unknowns, total = setup.problem.unknowns, base.normal.sum(axis=0)
     stages = {"now": source_sums(setup.problem).normal.sum(axis=0)}
-    stages |= {} if release is None else {release: total}
+    stages |= {} if release == TABLE else {release: total}
     stages |= {"all observed": planned.normal.sum(axis=0)} if add else {}
     gain = np.array([goal.value(total + one) for one in planned.normal - base.normal])
     variables: dict[str, Any] = {

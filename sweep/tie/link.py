@@ -22,7 +22,7 @@ from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.tie import row_groups
 from linksweep.sweep.tie.epochs import described
 from linksweep.sweep.tie.options import SIGNS, TIE, Options
-from linksweep.sweep.tie.setup import Setup, parse_bins, set_up
+from linksweep.sweep.tie.setup import Setup, listed, parse_bins, set_up
 from linksweep.sweep.tie.tables import UNITS
 
 if TYPE_CHECKING:
@@ -338,7 +338,7 @@ def tie(
         ('reference-satellite', ['mas', 'mas', 'mas'])
     """
     asked = Options.named(TIE, {"unknowns": unknowns, **options})
-    how = asked.clip, [name.strip() for name in asked.errors.split(",")], asked.resamples, asked.seed
+    how = asked.clip, listed(asked.errors), asked.resamples, asked.seed
     on = resources or Resources(
         workers, None, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits
     )

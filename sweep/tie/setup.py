@@ -78,7 +78,7 @@ def table_options(options: Options) -> dict[str, TableOptions]:
         epochs = {name: DECLARED["epoch"].parse(number(year)) for name, year in options.mission_epochs}
     except ValueError as error:
         raise SweepError(str(error)) from error
-    marked = {name: _listed_in(getattr(options, name)) for name in MARKS}
+    marked = {name: listed(getattr(options, name)) for name in MARKS}
     for what, tables, known in (("mission_epochs", epochs, missions), *((n, marked[n], names) for n in MARKS)):
         if unknown := [table for table in tables if table not in known]:
             raise SweepError(
@@ -104,7 +104,8 @@ def table_options(options: Options) -> dict[str, TableOptions]:
     }
 
 
-def _listed_in(text: str) -> list[str]:
+def listed(text: str) -> list[str]:
+    """Return the names in a text, which commas divide."""
     return [name for part in text.split(",") if (name := part.strip())]
 
 
@@ -601,7 +602,7 @@ def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknow
 
     A note is added if these are not both.  Raises ValueError for unknowns that do not exist.
     """
-    missions, named = list(dict(options.missions)), _listed_in(options.unknowns)
+    missions, named = list(dict(options.missions)), listed(options.unknowns)
     of_missions = [name for name in named if name.partition(":")[0] in missions]
     names = [name for name in named if name not in of_missions]
     if not names:
