@@ -239,7 +239,7 @@ def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio:
         else:
             for part in [*_by_kind(problem, tables), *_by_epoch(problem, tables)]:
                 causes += _causes(problem, part, ratio)
-            causes = causes or list(_two(problem, tables))
+            causes = causes or list(_two(problem, tables, ratio))
     said = likely(causes, 30.0 / max(1, int(np.sum(problem.rows.present))))
     return f"{alone}{said}" if said == UNEXPLAINED else said
 
@@ -304,13 +304,15 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
             yield Cause(f"epochs of {part.words} {all_equal if len(epochs) == 1 else single}", along, 1)
 
 
-def _two(problem: Problem, tables: Sequence[str]) -> Iterator[Cause]:
+def _two(problem: Problem, tables: Sequence[str], ratio: float) -> Iterator[Cause]:
     """Yield two mistakes: those whose corrections help most, each with one after whose correction all is well."""
     trials = [
-        (_ratio(trial), words.format(part.words), trial)
+        (left, words.format(part.words), trial)
         for part in _wholes(problem, tables)
         for words, hides, change in _corrections(problem, part.table)
-        if not hides and (trial := _applied(problem, part, change)) is not None
+        if not hides
+        and (trial := _applied(problem, part, change)) is not None
+        and (left := _ratio(trial)) < 0.9 * ratio
     ]
     for left, words, trial in sorted(trials, key=lambda one: one[0])[:TWICE]:
         for part in _wholes(trial, tables):
