@@ -39,10 +39,8 @@ class Shown:
 
     def look(self) -> None:
         """Look at the store."""
-        before = self.watched.status
         self.watched.look()
-        if self.watched.status is not before:
-            self.tiles = self.watched.tiles(MOST_TILES, MOST_TILES)
+        self.tiles = self.watched.tiles(MOST_TILES, MOST_TILES)
 
     def draw(self) -> bool:
         """Draw its results if they are new and it is time; return whether they were."""
@@ -69,9 +67,9 @@ class Page:
         """Look at nothing yet."""
         self._stores, self._interval = list(map(Shown, stores)), interval
         self._lock, self._next, self._state = threading.Lock(), 0.0, ""
-        self._template, scripts = template("watch.html.j2"), list(map(template_file, ("page.js", "watch.js")))
+        page, scripts = template("watch.html.j2"), list(map(template_file, ("page.js", "watch.js")))
         about = {"style": "\n".join(map(template_file, ("page.css", "watch.css"))), "interval": 1000 * interval}
-        self._whole = self._template.render(stores=self._stores, scripts=scripts, **about)
+        self._whole, self._macros = page.render(stores=self._stores, scripts=scripts, **about), page.module
         self.token = secrets.token_urlsafe(24)
         self._policy = f"{policy(scripts)}; connect-src 'self'; frame-ancestors 'none'"
 
@@ -101,8 +99,7 @@ class Page:
             return self._state
 
     def _parts(self, *names: str) -> dict[str, str]:
-        of = {name: getattr(self._template.module, name) for name in names}
-        return {f"{name}-{i}": str(of[name](one)) for i, one in enumerate(self._stores) for name in names}
+        return {f"{n}-{i}": str(getattr(self._macros, n)(one)) for i, one in enumerate(self._stores) for n in names}
 
 
 class _Handler(WSGIRequestHandler):

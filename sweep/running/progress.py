@@ -209,8 +209,7 @@ class TerminalProgress(_Watch):
             for line in said.printed.splitlines():
                 RECORD.info("%s: printed: %s", place, line)
         failed = sum(point.index in taken.failed for point in taken.ended)
-        ended = {"done": len(taken.ended) - failed, "failed": failed, "realisations": taken.done.realisations}
-        self._write("points", **ended)
+        self._write("points", done=len(taken.ended) - failed, failed=failed, realisations=taken.done.realisations)
         for point in taken.ended if taken.failed or SENTENCES.isEnabledFor(logging.DEBUG) else ():
             place = describe(self._study, point.parameters)
             if (failure := taken.failed.get(point.index)) is None:

@@ -3,9 +3,10 @@
 Nothing is written, nothing that the store names is run, and what has not changed is not read again.
 """
 
+import itertools
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.contract.block import ledger_key
+from linksweep.sweep.contract.block import Block, ledger_key
 from linksweep.sweep.formatting import counted, in_words, per_second
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.parts import share_of
@@ -56,19 +57,23 @@ class _Points:
         self.noun = "points" if study.experiment.deterministic else "realisations"
         self.wanted, cost = np.zeros(len(self.grid)), np.ones(len(self.grid))
         self.wanted[indices] = math.inf if self.is_adaptive else study.sampling.n_cat * study.sampling.n_sim
-        for index, own in (share or {}).items():
-            if own is not None:
-                self.wanted[index] = sum(block.realisations for block in own)
         with suppress(SweepError):  # the record has no cost
             if not plan.costs_nothing_special:
                 cost[self.grid.indices()] = [plan.cost(parameters) for _, parameters in self.grid.parameters()]
         whole = {one: plan.size(one).cost for one in set(cost.tolist())}
         self.cost = np.where(self.wanted > 0.0, [whole[one] for one in cost.tolist()], 0.0)
-        ends = {ledger_key(b"", block) for one in whole for block in plan.blocks(one)}
-        self._ends = _mixed(np.frombuffer(b"".join(ends), "<u8").reshape(-1, 2))
-        starts = np.frombuffer(b"".join(self.grid.digests(indices)), "<u8")[::2]
+        starts = _numbers(self.grid.digests(indices))[:, 0]
         order = np.argsort(starts)
         self._starts, self._indices = starts[order], indices[order]
+        own: dict[int, Sequence[Block]] = {i: blocks for i, blocks in (share or {}).items() if blocks is not None}
+        more = self.find(_numbers(map(bytes.fromhex, study.counts))[:, 0])
+        for point in self.grid.points(more[more >= 0]):
+            own[point.index] = plan.blocks(cost[point.index], plan.parts_of(point))
+        for index, blocks in own.items() if not self.is_adaptive else ():
+            self.wanted[index] = sum(block.realisations for block in blocks)
+        shapes = {plan.block_shape(one): one for one in whole}  # points of one shape have the same blocks
+        common = itertools.chain(*map(plan.blocks, shapes.values()), *own.values())
+        self._ends = _mixed(_numbers({ledger_key(b"", block) for block in common}))
 
     def find(self, starts: NDArray[np.uint64]) -> NDArray[np.intp]:
         """Return the indices of points by the first 8 bytes of their digests, -1 for those of no point."""
@@ -80,6 +85,11 @@ class _Points:
         index = self.find(keys[:, 0])
         good = (index >= 0) & (self.is_adaptive | np.isin(_mixed(keys[:, 2:]), self._ends))
         return np.array([index[good], (keys[good, 3] & np.uint64(2**32 - 1)) * (keys[good, 3] >> np.uint64(32))])
+
+
+def _numbers(digests: Iterable[bytes]) -> NDArray[np.uint64]:
+    """Return digests, or what else has 16 bytes, as two numbers each."""
+    return np.frombuffer(b"".join(digests), "<u8").reshape(-1, 2)
 
 
 def _mixed(ends: NDArray[np.uint64]) -> NDArray[np.uint64]:
@@ -184,7 +194,7 @@ class Watched:
         share = np.minimum(realisations / np.maximum(points.wanted, 1.0), 1.0)
         if points.is_adaptive and not is_new(opened.root):
             share[opened.dataset()["status"].values.reshape(-1) == DONE] = 1.0
-        failed = points.find(np.frombuffer(b"".join(self._failed), "<u8")[::2])
+        failed = points.find(_numbers(self._failed)[:, 0])
         status = np.select([points.wanted == 0.0, share == 1.0], [EXCLUDED, DONE], MISSING)
         status[failed[failed >= 0]], share[failed[failed >= 0]] = FAILED, 0.0
         self.status, self.share = points.grid.with_repeats(status), points.grid.with_repeats(share)

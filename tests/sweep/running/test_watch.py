@@ -15,7 +15,18 @@ from hypothesis import settings as examples_of
 from hypothesis import strategies as st
 
 from linksweep.sweep.running import watch
-from tests.sweep.opening import OFTEN, Folder, Silent, files_of, locked, parts_of, run, status_report
+from tests.sweep.opening import (
+    OFTEN,
+    Folder,
+    Silent,
+    files_of,
+    locked,
+    make_grid,
+    parts_of,
+    run,
+    status_report,
+    study_from_dict,
+)
 from tests.tiers import PATIENCE_S, examples
 
 CODE = """
@@ -59,9 +70,12 @@ def code(tmp_path_factory):
     excluded=st.booleans(),
     table=st.booleans(),
     precision=st.booleans(),
+    refined=st.integers(0, 2000),
 )
-def test_the_points_are_those_of_the_status(code, tmp_path_factory, xs, sims, tasks, excluded, table, precision):
-    """Of runs that are extended and stopped anywhere, with failures, exclusions and repeated rows."""
+def test_the_points_are_those_of_the_status(
+    code, tmp_path_factory, xs, sims, tasks, excluded, table, precision, refined
+):
+    """Of runs that are extended, refined at a point and stopped anywhere; with failures, exclusions, repeated rows."""
     store = tmp_path_factory.mktemp("any") / "s.zarr"
     document = {"title": "f", "experiment": code, "axes": {"x": xs, "y": [0, 1]}}
     if table:
@@ -70,6 +84,9 @@ def test_the_points_are_those_of_the_status(code, tmp_path_factory, xs, sims, ta
         document["exclude"] = [{"x": xs[-1], "y": 1}]
     for n_sim in sims:
         sampling = {"n_sim": n_sim, "seed": 1} | ({"precision": 0.5, "max_n_sim": 4096} if precision else {})
+        if refined and not precision:
+            grid = make_grid(study_from_dict(document | {"sampling": sampling}))
+            document["counts"] = {grid.digests(grid.indices())[-1].hex(): refined}
         with suppress(KeyboardInterrupt):
             run(document | {"sampling": sampling}, store, OFTEN, progress=Stopping(tasks))
         watched, report = look(store), status_report(store)

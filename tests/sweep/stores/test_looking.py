@@ -31,6 +31,7 @@ ARGUMENTS = {  # by command: what a user would type about a store, several times
     "params": [["STORE"], ["STORE", "--schema"]],
     "plan": [["STORE"], ["STORE/study.toml"]],
     "plot": [["STORE"], ["STORE", "--kind", "sky"], ["STORE", "--kind", "accuracy"], ["STORE", "--kind", "map"]],
+    "refine": [["STORE", "--until", "error < 0.1"], ["STORE/study.toml", "--until", "error < 0.1"]],
     "report": [["STORE"]],
     "reproduce": [["STORE", "--at", "metal=tin,coins=1"]],
     "run": [["STORE"], ["STORE/study.toml"], RETRY],
