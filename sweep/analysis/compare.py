@@ -121,9 +121,8 @@ def _values(dataset: xr.Dataset, name: str, fixed: Mapping[str, int]) -> Iterato
     """Yield index and number of every point at which some axes are fixed."""
     part = dataset.isel(fixed)
     dims, error = part["status"].dims, quantity.standard_error(part, name)
-    arrays = [part["status"], part[name], *([] if error is None else [error])]
-    columns = [array.transpose(*dims).values.reshape(-1).tolist() for array in arrays]
-    columns += [[0.0] * len(columns[0])] if error is None else []
+    error = part[name].copy(data=np.zeros(part[name].shape)) if error is None else error
+    columns = (one.transpose(*dims).values.reshape(-1).tolist() for one in (part["status"], part[name], error))
     for place, status, value, sigma in zip(quantity.places_along(part, dims), *columns, strict=True):
         index = {**fixed, **place}
         where = quantity.place_at(dataset, index)

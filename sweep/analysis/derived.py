@@ -5,20 +5,16 @@ are for reading), the one-sigma error of NAME is NAME_error, ``conclusion`` is i
 sentences as JSON.
 """
 
-from __future__ import annotations  # names of xarray, which is imported only where it computes
-
 import json
 from collections.abc import Hashable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.formatting import described, prefixed, rounded, units_of, with_error
 from linksweep.sweep.table_writer import Column, Table
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 
 def derived(

@@ -6,17 +6,16 @@ two points a value or a crossing is interpolated: linearly in the logarithm of t
 in that of the axis if all its values are above 0 and its unit is not logarithmic already, as magnitudes are.
 """
 
-from __future__ import annotations  # names of xarray, which is imported only where it computes
-
 import math
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.analysis import fits, quantity
@@ -27,9 +26,6 @@ from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, uni
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 LEVELLING_POINTS = 4  # the fewest for the levelling law, which has three parameters
 DEVIATION_ALLOWED = 3.0  # an exponent may deviate from the expected one by this many of its errors
@@ -115,7 +111,7 @@ class Lines:
         units = {line.unit for line in self.lines}
         return units.pop() if len(units) == 1 else ""
 
-    def thresholds(self, limit: Limit) -> dict[str, float]:
+    def thresholds(self, limit: "Limit") -> dict[str, float]:
         """Return the number of a limit in each unit of the lines, without those of another kind.
 
         Raises SweepError where all are of another kind.
@@ -226,8 +222,6 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
         spread = errors[number][used] if covariance is None else errors[number][np.ix_(used, used)]
         made.append(Line(index, unit, x[used], value[number, used], spread, status[number, used], samples))
     along = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(others)}
-    import xarray as xr
-
     grid = xr.Dataset(
         coords=along | {d: dataset[d].variable for d in others}, attrs={"title": str(dataset.attrs.get("title", ""))}
     )
