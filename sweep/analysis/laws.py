@@ -545,7 +545,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
         16.066
     """
     limit = parse_limit(limit) if isinstance(limit, str) else limit
-    made = lines(dataset, limit.variable, over, covariance)
+    made = lines(dataset, limit.variable, over, covariance, least=1)
     thresholds = made.thresholds(limit)
     rows = [_cross(line, limit, thresholds.get(line.unit, np.nan), made.over_unit) for line in made.lines]
     for row in rows:

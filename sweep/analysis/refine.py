@@ -24,7 +24,7 @@ from linksweep.sweep.planning.refined import REFINED, Round, point_at, refined, 
 from linksweep.sweep.running.writer import find_store, open_store
 from linksweep.sweep.stores.location import Where, locked
 from linksweep.sweep.stores.store import OpenStore
-from linksweep.sweep.studies.study import Study
+from linksweep.sweep.studies.study import Study, is_number
 
 SURE = 3.0  # errors by which a value must be beyond a limit for its side to be decided
 SHARE = 0.2  # of the realisations of the full grid are spent at most, unless the user says otherwise
@@ -41,24 +41,27 @@ in the end.  What is not said is None.
 """
 
 
-def limit_of(goal: Goal, study: Study) -> laws.Limit:
-    """Return the condition of a goal; raises SweepError for one that is none for the study."""
+def read(goal: Goal, study: Study) -> tuple[laws.Limit, str]:
+    """Return the condition of a goal and the axis; raises SweepError for a goal that is none for the study."""
     find, until, within, along = (goal[name] for name in ("find", "until", "within", "along"))
     if (find is None) == (until is None):
         raise SweepError("name one of find (--find), a condition, and until (--until), like 'error < 0.002'")
     limit, outputs = laws.parse_limit(find or until), [output.name for output in study.experiment.outputs]
     variable, is_known = limit.variable if find else goal["variable"], not study.experiment.undeclared
+    axes = [name for name in study.axes if study.dimensions.get(name) == (name,)]
+    numeric = [name for name in axes if sum(map(is_number, study.axes[name])) > 1]
+    over = along or (numeric[0] if len(numeric) == 1 else "")
     wrong = {
         f"within = {within}: find needs a number above 0, in the unit of the axis": find and within is None,
         f"within = {within}: must be above 0 in the unit of the axis": within is not None and not 0 < within < math.inf,
         f"variable = {goal['variable']}: does not go with find": find and goal["variable"] is not None,
         f"{until}: write 'error < 0.002'": until and (limit.variable + limit.sign != "error<" or limit.number <= 0),
-        f"{along} is no axis{suggest(str(along), list(study.axes))}": along not in (None, *study.axes),
+        f"along = {along}: axes of several numbers are {', '.join(numeric) or 'not there'}": over not in numeric,
         f"no output {variable}{suggest(str(variable), outputs)}": is_known and variable not in (None, *outputs),
     }
     if sentences := [sentence for sentence, is_so in wrong.items() if is_so]:
         raise SweepError(sentences)
-    return limit
+    return limit, over
 
 
 @dataclass(frozen=True)
@@ -84,7 +87,9 @@ class Refinement:
         what = "realisation" if "n_sim_done" in self.dataset else "point"
         took = f"{counted(len(self.rounds), 'round')}, {counted(self.spent, what)}"
         said = [f"{took}: {100.0 * self.spent / self.full:.2g} % of the {self.full:,} of a full grid that is as fine."]
-        yet = {True: "", False: f", not yet to {wanted:g}"}
+        why = " (the axis has whole numbers)" if self.dataset[self.along].dtype.kind == "i" else ""
+        why = why or (" (--max-realisations allows more)" if what == "realisation" else "")
+        yet = {True: "", False: f", not yet to {wanted:g}{why}"}
         said += [f"Known{at} to {known:.2g}{yet[known <= wanted * ROUNDING]}." for at, known in self.known.items()]
         if quantity.shares_random_numbers(self.dataset, [self.along]):
             said.append("Besides there is the Monte-Carlo error, which points with common random numbers share.")
@@ -109,7 +114,7 @@ def at_crossings(line: laws.Line, met: NDArray[np.bool_], level: float, within: 
             apart = abs(y - y[end]) > SURE * np.hypot(errors, errors[end])
             beside = [*np.flatnonzero(apart[:end])[-1:], *(end + 1 + np.flatnonzero(apart[end + 1 :])[:1])]
             slope = min((abs((y[j] - y[end]) / (x[j] - x[end])) for j in beside), default=0.0)
-            near.append((2.0 * errors[end] / slope if slope > 0.0 else math.inf, end))
+            near.append((2.0 * errors[end] / slope if slope > 0.0 else x[-1] - x[0], end))
         known, end = min(near, default=(float(x[i + 1] - x[i]), i))
         is_enough = known <= within
         yield known, [] if near or is_enough else [i], {end: (known / within) ** 2} if near and not is_enough else {}
@@ -136,7 +141,7 @@ def refinements(study: Study, store: Where, goal: Goal, run: Callable[[Study], x
 
     Raises SweepError for a goal that does not suit the study or its results, and whatever ``run`` raises.
     """
-    limit_of(goal, study)
+    read(goal, study)
     rounds = rounds_of(opened.attributes if (opened := find_store(store, study)) else {})
     while True:
         now = refined(study, rounds)
@@ -152,11 +157,9 @@ def refinements(study: Study, store: Where, goal: Goal, run: Callable[[Study], x
 
 def looked_at(own: Study, now: Study, rounds: Sequence[Round], goal: Goal, dataset: xr.Dataset) -> Refinement:
     """Return what the results of a study say that has grown by some rounds, and which round is to be next."""
-    limit, is_find, most = limit_of(goal, own), goal["find"] is not None, goal["most"]
+    (limit, over), is_find, most = read(goal, own), goal["find"] is not None, goal["most"]
     variable = limit.variable if is_find else goal["variable"] or quantity.main_quantity(dataset)
-    over = quantity.require_axis(dataset, variable, goal["along"])
-    if now.dimensions.get(over) != (over,):
-        raise SweepError(f"{over} is no axis of its own, along which there could be points in between")
+    quantity.require_quantity(dataset, variable)
     axis = sorted(value for value in own.axes[over] if value is not None)
     finest = goal["within"] or FINEST * (axis[-1] - axis[0])
     made, common = laws.lines_of(dataset, variable, over), quantity.shares_random_numbers(dataset, [over])

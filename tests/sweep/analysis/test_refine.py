@@ -37,6 +37,10 @@ def crossings(ds, condition, **more):
     return linksweep.find(ds, condition, over="x", **more)
 
 
+def bits(ds):
+    return ds.drop_vars("wall_time", errors="ignore")
+
+
 def rounds(ds):
     return json.loads(ds.attrs.get("refined", "[]"))
 
@@ -80,11 +84,11 @@ def test_every_line_gets_points_at_its_own_crossing_and_further_runs_leave_no_ga
     new = ~np.isin(ds.x.values, ELEVEN["x"])
     assert (ds.status.values[new] == 1).sum(axis=1).tolist() == [1] * new.sum()  # on one line each
     again = linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.01, **goal)
-    assert again.equals(ds)
+    assert bits(again).equals(bits(ds))
     finer = linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.001, **goal)
     assert rounds(finer)[: len(rounds(ds))] == rounds(ds)
     linksweep.run(decay, "s.zarr", axes=ELEVEN | rates, pool="serial")
-    assert linksweep.open("s.zarr").equals(finer)
+    assert bits(linksweep.open("s.zarr")).equals(bits(finer))
     linksweep.run(decay, "s.zarr", axes=ELEVEN | {"rate": [4.0]}, pool="serial")
     whole = linksweep.open("s.zarr")
     assert whole.attrs["complete"] == 1
@@ -150,9 +154,8 @@ def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no
         pool="serial",
     )
     assert abs(float(crossings(lavish, "y_mean > 0")["first"]) - 0.4321) < 0.006
-    assert linksweep.run(noisy, "n.zarr", axes=ELEVEN, sampling=sampling, pool="serial").equals(
-        lavish.sel(x=ELEVEN["x"])
-    )
+    mine = linksweep.run(noisy, "n.zarr", axes=ELEVEN, sampling=sampling, pool="serial")
+    assert bits(mine).equals(bits(lavish.sel(x=ELEVEN["x"])))
 
 
 @pytest.mark.slow
