@@ -14,7 +14,7 @@ import linksweep
 from linksweep import Output, SweepError, experiment
 from linksweep.sweep.report.page import report_page
 from linksweep.sweep.result import Result
-from tests.sweep.opening import Folder, check, merge
+from tests.sweep.opening import OFTEN, Folder, check, merge, run
 from tests.tiers import examples
 
 KINDS = {
@@ -175,3 +175,40 @@ def test_a_coordinate_along_a_ragged_dimension_is_another_output(tmp_path):
 def test_points_that_are_computed_again_are_as_long(tmp_path):
     ds = linksweep.run(walk, tmp_path / "s", axes={"k": [1, 2], "n": [3, 5]}, pool="serial", verify=4)
     assert ds.attrs["failures"] == "{}"
+
+
+GROWS = """
+from linksweep import Output, experiment
+
+@experiment(outputs=[Output("path", dims="step", ragged=True), Output("words", dims="step")])
+def grows(n: int):
+    return {"path": list(range(n)) if n % 2 else [0.5] * n, "words": ["w"] * n}
+"""
+
+
+@pytest.mark.slow
+def test_a_run_that_was_killed_at_any_instant_goes_on(tmp_path, monkeypatch):
+    (tmp_path / "grows.py").write_text(GROWS)
+    study = {"title": "", "experiment": f"{tmp_path / 'grows.py'}:grows", "axes": {"n": [1, 2, 4, 3, 9, 5]}}
+    wanted = run(study, tmp_path / "whole", OFTEN).drop_vars("wall_time")
+    put, left = Folder.put, [0]
+
+    def counted(place, *arguments):
+        left[0] -= 1
+        if left[0] < 0:
+            raise SystemExit("killed")
+        put(place, *arguments)
+
+    monkeypatch.setattr(Folder, "put", counted)
+    for number in range(10**9):
+        store, killed = tmp_path / f"{number}", 0
+        for left[0] in (number, number // 2, 10**9):
+            try:
+                found = run(study, store, OFTEN).drop_vars("wall_time")
+                break
+            except SystemExit:
+                killed += 1
+        xr.testing.assert_identical(found.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+        assert check(store).remarks == []
+        if not killed:
+            return
