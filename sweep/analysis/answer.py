@@ -149,7 +149,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
         return
     status, values = part["status"].values, np.where(known, values, np.nan)
     if not np.isin(status, [Status.MISSING, Status.FAILED]).any():
-        yield from _what_changes_it(axes, values)
+        yield from _what_changes_it(axes, values, unit)
     for words in quantity.unknown_parts(part, variable):
         sentence = words.removeprefix(f"{variable}: ")
         yield f"{sentence[0].upper()}{sentence[1:]}."
@@ -178,14 +178,16 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> s
     return f"It is between {number[0]} ({least}) and {number[1]} ({largest}), over {points}."
 
 
-def _what_changes_it(axes: list[str], values: Array) -> Iterator[str]:
-    """Yield by what factor a quantity above 0 changes at most along each axis, all else being equal."""
-    if not np.nanmin(values) > 0.0:
-        return
-    factors = {d: np.nanmax(np.fmax.reduce(values, axis) / np.fmin.reduce(values, axis)) for axis, d in enumerate(axes)}
-    factors.pop(POINT, None)  # points differ in several parameters at once
-    order = sorted((d for d in factors if factors[d] >= VISIBLE_FACTOR), key=lambda d: -factors[d])
-    words = [f"{d} by a factor of up to {formatting.in_short(factors[d])}" for d in order]
+def _what_changes_it(axes: list[str], values: Array, unit: str) -> Iterator[str]:
+    """Yield by what a quantity changes at most along each axis, all else being equal: a factor where it is above 0."""
+    is_factor, span = np.nanmin(values) > 0.0, np.nanmax(values) - np.nanmin(values)
+    change = np.divide if is_factor else np.subtract
+    changes = {d: np.nanmax(change(np.fmax.reduce(values, i), np.fmin.reduce(values, i))) for i, d in enumerate(axes)}
+    changes.pop(POINT, None)  # points differ in several parameters at once
+    least = VISIBLE_FACTOR if is_factor else (VISIBLE_FACTOR - 1.0) * span
+    order = sorted((d for d in changes if changes[d] >= least and span > 0.0), key=lambda d: -changes[d])
+    by, unit = ("a factor of up to ", "") if is_factor else ("up to ", unit)
+    words = [f"{d} by {by}{formatting.in_short(float(changes[d]), 0.0, unit)}" for d in order]
     if words:
         yield f"What changes it: {', '.join(words)}{', all else being equal' if values.ndim > 1 else ''}."
 

@@ -353,8 +353,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
         else:
             module = importlib.import_module(place)
         if not hasattr(module, attribute):
-            functions = [name for name, value in vars(module).items() if callable(value) and not name.startswith("_")]
-            hint = suggest(attribute, functions)
+            hint = suggest(attribute, [name for name in vars(module) if not name.startswith("_")])
             raise SweepError(f"{shown(reference)}: the module has no attribute {shown(attribute)}{hint}")
         return getattr(module, attribute)
     except SweepError as error:

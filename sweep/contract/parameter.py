@@ -224,10 +224,10 @@ class Parameter:
         raise self._refused(raw)
 
     def _refused(self, raw: object, more: str = "") -> ValueError:
-        if isinstance(raw, str) and self.kind in ("float", "int"):
-            more = "; several are 1,2,3, and a range of them is 1:2:0.5"
-            if re.fullmatch(r"[^:]+:[^:]+", raw):
-                more = f"; a range of them has a step, as {raw}:0.5, or a number of values, as {raw}:log5"
+        between = re.fullmatch(r"([^:]+):([^:]+)|([\d.]+) ?[-;] ?([\d.]+)", raw) if isinstance(raw, str) else None
+        if between and self.kind in ("float", "int"):
+            ends = ":".join(filter(None, between.groups()))
+            more = f"; several are 1,2,3; a range has a step, as {ends}:0.5, or a number of values, as {ends}:log5"
         return ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}{more or bound_in_words(raw)}")
 
     def _known(self) -> tuple[Any, ...]:

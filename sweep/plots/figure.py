@@ -73,22 +73,22 @@ def draw_figure(
     raise problems[0]
 
 
-def all_figures(result: Result, titled: bool = True) -> dict[str, Figure]:
+def all_figures(result: Result) -> dict[str, Figure]:
     """Return all figures that a result other than that of a study can have, by kind."""
     figures = {}
     for name in KINDS[result.kind]:
         with suppress(SweepError):  # says what the dataset lacks
-            figures[name] = _titled(result, name, titled)
+            figures[name] = _titled(result, name)
     return figures
 
 
-def _titled(result: Result, kind: str, titled: bool = True) -> Figure:
+def _titled(result: Result, kind: str) -> Figure:
     """Return a figure with its title, and with what it shows as its label, for the caption."""
     one = KINDS[result.kind][kind]
     figure: Figure = one.load()(result.dataset)
     title = "\n".join(filter(None, [result.title, result.subtitle]))
     figure.set_label(": ".join(filter(None, [one.caption, title.replace("\n", "; ")])))
-    style.complete(figure, title if titled else "")
+    style.complete(figure, title)
     return figure
 
 
@@ -128,8 +128,7 @@ def _as_its_study_says(dataset: xr.Dataset) -> tuple[xr.Dataset, str | None, lis
     form = style.form_of(dataset)
     along = {n: dataset[n].values.tolist() for n in map(str, dataset.coords) if dataset[n].ndim == 1}
     part = quantity.select(dataset, {n: value for n, value in form.at.items() if value in along.get(n, ())})
-    variables = [form.variable] if form.variable in dataset else []
-    return part, form.kind, variables, [name for name in form.over if name in along]
+    return part, form.kind, [n for n in [form.variable] if n in dataset], [n for n in form.over if n in along]
 
 
 def _where_known(dataset: xr.Dataset, variable: str) -> xr.Dataset:

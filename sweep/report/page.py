@@ -537,7 +537,7 @@ def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
     return {
         "store": store,
         "title": result.title,
-        "head": [_result_in_words(result.dataset)],
+        "head": [_result_in_words(result.dataset)] if "estimate" in result.dataset else [],
         "answers": answers,
         "pictures": link_pictures(result, number),
         "explorer": {"quantities": []},
@@ -549,15 +549,12 @@ def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
     }
 
 
-def _result_in_words(dataset: xr.Dataset) -> str:
-    """Return the unknowns of a link with the first kind of their errors, or the errors of a forecast at its end."""
-    errors = dataset["errors"][0] if "estimate" in dataset else dataset["error"][-1]
-    columns = (dataset["unknown"], dataset.get("estimate", errors), errors * ("estimate" in dataset), dataset["unit"])
+def _result_in_words(link: xr.Dataset) -> str:
+    """Return the unknowns of a link with the first kind of their errors."""
+    columns = link["unknown"], link["estimate"], link["errors"][0], link["unit"]
     rows = zip(*(one.values.tolist() for one in columns), strict=True)
     texts = first_of([f"{name} = {with_unit(*row)}" for name, *row in rows], 6)
-    if "estimate" in dataset:
-        return with_micro_signs(f"{texts} ({errors['error_kind'].item()} errors)")
-    return with_micro_signs(f"Errors with {errors['stage'].item()}: {texts.replace(' = ', ' ')}")
+    return with_micro_signs(f"{texts} ({link['error_kind'][0].item()} errors)")
 
 
 # What sections have in common

@@ -49,9 +49,7 @@ def find_study(name_or_path: str) -> Path:
         hint = suggest(name_or_path, [*built_in, *files])
         raise SweepError(f"no study {shown(name_or_path)}: neither a file nor a built-in study{hint}")
     if os.path.isdir(name_or_path):
-        raise SweepError(
-            "is a folder, not a study; in a store, `sweep run --retry STORE` tries failed points again", name_or_path
-        )
+        raise SweepError("is a folder, not a study; for a store there is `sweep run --retry STORE`", name_or_path)
     return built_in.get(name_or_path, Path(name_or_path))
 
 

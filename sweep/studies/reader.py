@@ -2,6 +2,7 @@
 
 import csv
 import hashlib
+import inspect
 import json
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -190,10 +191,8 @@ class _Reader:
         if points or "points" not in self.document:  # else the table is wrong: what it has is not known
             for name in (one.name for one in experiment.parameters if one.required):
                 if name not in {**axes, **fixed}:
-                    sentence = (
-                        f"{name} has no default: set it here (--set {name}=VALUE) or in axes (--axis {name}=VALUES)"
-                    )
-                    problems.add(("fixed", name), sentence)
+                    words = f"{name} has no default: set it here (--set {name}=VALUE) or in axes (--axis)"
+                    problems.add(("fixed", name), words)
         experiment = self._with_labels(experiment, axes, fixed)
         published = None if form.published is None else _read_published(form.published, values, axes)
         changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
@@ -207,9 +206,12 @@ class _Reader:
         checked = _read_form({"title": "", **statements}, problems, context)
         problems.report()
         assert isinstance(checked, Form), "what is wrong has been reported"
+        # the docstring of a function, unless a terminal or a figure would take some of it for something else
+        call = getattr(experiment, "call", None) if form.title == experiment.name else None
+        summary = ((inspect.isfunction(call) and inspect.getdoc(call)) or "").partition("\n")[0].rstrip(".")
         return Study(
             name=self.path.stem,
-            title=form.title,
+            title=summary if summary.isprintable() and summary and "$" not in summary else form.title,
             question=form.question or "",
             experiment_reference=absolute_reference(form.experiment, self.folder),
             experiment=experiment.keeping_samples() if checked.sampling.keep_samples else experiment,
