@@ -24,6 +24,7 @@ from linksweep.sweep import formatting
 from linksweep.sweep.analysis import fits, laws, quantity
 from linksweep.sweep.contract import Array, SweepError, shown, suggest
 from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.planning.refined import REFINED
 from linksweep.sweep.plots import GridFigure, style
 from linksweep.sweep.studies.study import POINT
 
@@ -325,6 +326,9 @@ def _draw_series(
     axes: Axes, x: Array, one: xr.Dataset, variable: str, name: str, mark: dict[str, Any], offset: float, joined: bool
 ) -> None:
     """Draw one series; only its markers, with their error bars, are moved aside."""
+    if REFINED in one.attrs and one["status"].shape == x.shape:  # other series have points in between
+        there = np.flatnonzero(one["status"].values != Status.EXCLUDED)
+        x, one = x[there], one.isel({one["status"].dims[0]: there})
     colour, few, is_line = mark["color"], len(x) <= FEW_POINTS, joined and len(x) > MOST_MARKERS
     y, error = one[variable].values.astype(float), quantity.error_bar(one, variable)
     sigma = None if error is None or not (few or is_line) else error.values
