@@ -566,12 +566,13 @@ def _add_lengths(values: dict[str, Value], coordinates: Mapping[str, Coordinate]
     """Add the length of each value that has a ragged dimension, as another one; return what is wrong with that."""
     problems = []
     for name, value in list(values.items()):
-        if along := [k for k, dim in enumerate(value.dims or ()) if coordinates[dim].ragged]:
-            if len(along) > 1 or name + LENGTH in values:
-                why = f"there is another {name + LENGTH!r}" if len(along) == 1 else "has several ragged dimensions"
-                problems.append(f"{name!r} has no name for its length: {why}")
-            meaning = f"number of values of {name}"
-            values[name + LENGTH] = Value("int", np.array(value.array.shape[along[0]]), meaning=meaning, dims=())
+        lengths = [n for dim, n in zip(value.dims or (), value.array.shape, strict=True) if coordinates[dim].ragged]
+        if len(lengths) > 1:
+            problems.append(f"{name!r} has several ragged dimensions, and may have one")
+        elif lengths and name + LENGTH in values:
+            problems.append(f"{name!r} is ragged, and {name + LENGTH!r} is the name of its length; take another")
+        elif lengths:
+            values[name + LENGTH] = Value("int", np.array(lengths[0]), (), meaning=f"number of values of {name}")
     return problems
 
 

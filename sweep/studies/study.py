@@ -754,10 +754,8 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
     if not experiment.deterministic:
         judged = experiment.errors_of_headline()
         needed: dict[str, Any] = {"n_cat": experiment.outer_draw, "precision": judged, "max_n_sim": judged}
-        needed |= {
-            "keep_samples": experiment.samples or experiment.draws_alone,
-            "common_random_numbers": experiment.shared and not experiment.draws_alone,
-        }
+        alone, shared = experiment.draws_alone, experiment.shared
+        needed |= {"keep_samples": experiment.samples or alone, "common_random_numbers": shared and not alone}
         lines += ["", "[sampling]"]
         for key, field_ in Sampling.model_fields.items():
             if needed.get(key, True):

@@ -150,7 +150,7 @@ def grows(n: int):
         ((), [2, 3], "declare Output('a', ragged=True), Output('b', dims=('b_dim_0', 'b_dim_1'), ragged='b_dim_1')"),
         ([Output("a", ragged=True)], [2, 3], "declare Output('b', dims=('b_dim_0', 'b_dim_1'), ragged='b_dim_1')"),
         ([Output("b", ragged=True)], [2], "'b' has the dimensions (b_dim_0, b_dim_1): declare which of them is ragged"),
-        ([Output("a", ragged=True)], [4], "'a' has no name for its length: there is another 'a_length'"),
+        ([Output("a", ragged=True)], [4], "'a' is ragged, and 'a_length' is the name of its length; take another"),
         ([Output("a", dims="p", ragged=True), Output("b", dims=("q", "p"))], [0, 2], ""),
         ([Output("a", dims="p", ragged=True), Output("b", dims=("p", "q"), ragged="q")], [2], "several ragged"),
         ([Output("b", dims=("q", "p"), ragged="q")], [0], "'a' has no values"),
