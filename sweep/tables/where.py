@@ -58,7 +58,7 @@ def conditions(texts: Iterable[str], tables: Collection[str], common: Sequence[s
         table, colon, condition = text.partition(":")
         named = bool(colon) and table.strip() in tables
         for one in [table.strip()] if named else common:
-            new = condition if named else text
+            new = (condition if named else text).strip()
             by_table[one] = f"({by_table[one]}) & ({new})" if one in by_table else new
     return by_table
 
