@@ -183,7 +183,8 @@ class Columns:
     def require(self, quantity: str, hint: str = "") -> bool:
         """Return whether the table has the column of a quantity, and record a problem if it does not."""
         if not self.has(quantity) and quantity not in self.columns:  # a column of the map has been reported
-            self.problems.append(f"no column {quantity!r}{suggest(quantity, self.names)}{hint}")
+            alike = [name for name in self.names if name.endswith("_error") == quantity.endswith("_error")]
+            self.problems.append(f"no column {quantity!r}{suggest(quantity, alike)}{hint}")
         return self.has(quantity)
 
     def label(self, quantity: str) -> str:
