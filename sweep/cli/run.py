@@ -80,13 +80,6 @@ def resources(
     """Return what to run on; raises click.UsageError for options that contradict each other."""
     from linksweep.sweep.executing.pools import Resources
 
-    if scheduler is not None and cluster is not None:
-        raise click.UsageError("--scheduler and --cluster are two places; name one")
-    is_local = workers is not None or pool is not None or memory_limit is not None
-    if is_local and (scheduler or cluster):
-        elsewhere = "--scheduler" if scheduler else "--cluster"
-        local = "--workers, --pool and --memory-limit"
-        raise click.UsageError(f"{local} are for local workers; they do not go with {elsewhere}")
     if workers is not None and pool is not None and not POOLS[pool].has_workers:
         raise click.UsageError(f"--pool {pool} has no workers")
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None

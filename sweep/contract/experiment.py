@@ -294,7 +294,7 @@ class Experiment:
         """Return the dimension along which an output has another length at each point, ``NAME_length``, by its name."""
         return {}
 
-    def large(self) -> dict[str, str]:
+    def large(self) -> dict[str, np.dtype[Any]]:
         """Return the types of the outputs that are large arrays, of which rows have only references to their chunks."""
         return {}
 

@@ -75,9 +75,8 @@ def dask_workers(reference: str, resources: Resources, say: Say) -> Iterator[tup
     Raises SweepError where none answers, for anything wrong in the file, and for workers that would compute other
     numbers than this process.
     """
-    with ExitStack() as stack:
+    with without_logs(), ExitStack() as stack:
         if (client := resources.client) is not None:
-            stack.enter_context(without_logs())
             words = f"the Dask scheduler at {client.scheduler_info()['address']}"
         elif (address := resources.scheduler) is not None:
             words = f"the Dask scheduler at {address}"
@@ -96,8 +95,7 @@ def dask_workers(reference: str, resources: Resources, say: Say) -> Iterator[tup
             )
             client = stack.enter_context(_client_of(local, "--dashboard"))
         driver = DaskDriver(client, words, reference, resources.limits, say)
-        if resources.client is not None:
-            stack.callback(driver.cancel)
+        stack.callback(driver.cancel)
         driver.prepare()
         yield Place(f"on {words}", dashboard=_link(client)), driver
 

@@ -11,10 +11,21 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.contract import Outcome, SweepError
+from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.pools import DEFAULT_POOL, NO_LIMITS, POOLS, Limits, Resources, available_cores
-from linksweep.sweep.executing.task import AnyJob, Batch, Call, Executor, Opened, Place, RefusedError, Say, TaskResult
+from linksweep.sweep.executing.task import (
+    AnyJob,
+    Batch,
+    Call,
+    Executor,
+    Keep,
+    Opened,
+    Place,
+    RefusedError,
+    Say,
+    TaskResult,
+)
 from linksweep.sweep.executing.worker import compute
 from linksweep.sweep.planning.plan import Work
 from linksweep.sweep.studies.study import Study
@@ -49,10 +60,7 @@ def choose_executor(study: Study, cost: float, resources: Resources, say: Say) -
 
 
 def _opened(reference: str, resources: Resources, say: Say) -> Opened:
-    if (
-        any(one is not None for one in (resources.scheduler, resources.cluster, resources.client))
-        or resources.dashboard
-    ):
+    if (resources.scheduler, resources.cluster, resources.client, resources.dashboard) != (None, None, None, False):
         from linksweep.sweep.executing.clusters import dask_workers
 
         return dask_workers(reference, resources, say)
@@ -61,9 +69,7 @@ def _opened(reference: str, resources: Resources, say: Say) -> Opened:
     return opened
 
 
-def of_study(
-    study: Study, execute: Executor, is_missing: Callable[[int], bool], keep: Callable[[Outcome], Outcome]
-) -> Run:
+def of_study(study: Study, execute: Executor, is_missing: Callable[[int], bool], keep: Keep) -> Run:
     """Return an executor of the work of a study, as long as its points are missing, that lets workers ``keep`` what is
     large; it raises RefusedError where a
     worker refuses its results.

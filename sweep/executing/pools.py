@@ -80,11 +80,12 @@ class Resources:
     client: "Client | None" = None
 
     def __post_init__(self) -> None:
-        """Raise SweepError for a pool or a number of workers that cannot be, for a dashboard where there can be
-        none, and for a client that cannot be used, or not with the rest.
+        """Raise SweepError for a pool, a number of workers, a dashboard or a client that cannot be, and for several
+        places to run on.
         """
         is_number = self.workers is None or (type(self.workers) is int and 1 <= self.workers <= MOST_WORKERS)
-        if is_number and self.pool in (None, *POOLS) and not self.dashboard and self.client is None:
+        elsewhere = [name for name in ("client", "scheduler", "cluster") if getattr(self, name) is not None]
+        if is_number and self.pool in (None, *POOLS) and not self.dashboard and not elsewhere:
             return
         # Imported here, since it imports NumPy, and the help of a command needs only the names of pools.
         from linksweep.sweep.contract import SweepError, shown, suggest
@@ -93,22 +94,21 @@ class Resources:
             raise SweepError(f"workers = {shown(self.workers)}: must be an integer from 1 to {MOST_WORKERS}")
         if self.pool not in (None, *POOLS):
             raise SweepError(f"no pool {shown(self.pool)}{suggest(str(self.pool), list(POOLS))}")
-        if self.client is not None:
+        here = {"workers": self.workers, "pool": self.pool, "memory": self.limits.memory, "dashboard": self.dashboard}
+        local = [name for name, value in here.items() if value not in (None, False)]
+        if elsewhere and (local or len(elsewhere) > 1):
+            raise SweepError(f"{', '.join([*local, *elsewhere])}: these are of different places to run on; name one")
+        if self.dashboard and self.pool not in (None, DEFAULT_POOL):
+            raise SweepError("a dashboard is for local worker processes")
+        if self.dashboard and find_spec("bokeh") is None:
+            raise SweepError("a dashboard needs bokeh: `pip install 'linksweep[report]'`")
+        if (one := self.client) is not None:
             from distributed import Client
 
-            others = ("workers", "pool", "scheduler", "cluster", "dashboard")
-            if named := [name for name in others if getattr(self, name) not in (None, False)]:
-                raise SweepError(f"client and {', '.join(named)} are different places to run on; give one of them")
-            one = self.client
             if not isinstance(one, Client) or one.asynchronous or one.status != "running":
                 state = f", which is {one.status}" if isinstance(one, Client) else ""
                 wanted = "a distributed.Client that is connected, without asynchronous=True"
                 raise SweepError(f"client = {shown(one)}{state}: must be {wanted}")
-            return
-        if self.scheduler is not None or self.cluster is not None or self.pool not in (None, DEFAULT_POOL):
-            raise SweepError("a dashboard is for local worker processes; a scheduler and a cluster have their own")
-        if find_spec("bokeh") is None:
-            raise SweepError("a dashboard needs bokeh: `pip install 'linksweep[report]'`")
 
     @property
     def none_requested(self) -> bool:

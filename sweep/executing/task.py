@@ -21,6 +21,9 @@ from linksweep.sweep.studies.study import Study
 # Characters that are kept of what an experiment says when it fails.
 MAX_MESSAGE, MAX_TRACEBACK = 1_000, 20_000
 
+# Writes what is large of outcomes, by row, elsewhere.
+Keep = Callable[[dict[int, Outcome]], dict[int, Outcome]]
+
 
 @dataclass(frozen=True)
 class PointBlock:
@@ -41,8 +44,8 @@ class Task:
     ``enough_s`` seconds, if that is more than `sweep.executing.worker.ENOUGH_S`, a worker returns what it has.
     ``time_limit_s`` is for a block of one point; with it the process must be one that may be ended.  A
     ``repeatable`` experiment is to return the same results whenever it is called.  With ``caught`` false what it
-    raises is raised, and what it prints is printed.  ``keep`` takes each outcome, to write what is large, before it is
-    sent.
+    raises is raised, and what it prints is printed.  ``keep`` takes all outcomes, to write what is large, before they
+    are sent.
     """
 
     experiment_reference: str
@@ -54,7 +57,7 @@ class Task:
     enough_s: float = 0.0
     repeatable: bool = False
     caught: bool = True
-    keep: Callable[[Outcome], Outcome] | None = None
+    keep: Keep = dict
 
     def seed_of(self, unit: PointBlock) -> int:
         """Return where the global generators of a process start for a unit: apart from its own generators."""
@@ -135,7 +138,7 @@ class Batch:
     study: Study
     works: list[Work]
     is_missing: Callable[[int], bool] = lambda _: True
-    keep: Callable[[Outcome], Outcome] | None = None
+    keep: Keep = dict
 
     def __len__(self) -> int:
         return sum(len(work.points) for work in self.works)

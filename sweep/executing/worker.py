@@ -107,8 +107,7 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     for result in _run_units(task, deadlines):
         result.cold = caller not in _called and float(result.seconds[0]) < IMPORTS_S
         _called.add(caller)
-        if task.keep is not None:
-            result.outcomes = {row: task.keep(outcome) for row, outcome in result.outcomes.items()}
+        result.outcomes = task.keep(result.outcomes)
         yield result
         if any(failure.kind == "time limit" for failure in result.failures.values()):
             return

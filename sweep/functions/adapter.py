@@ -530,7 +530,7 @@ class FunctionExperiment(Experiment):
         coordinates = () if self.layout is None else self.layout.coordinates
         return {coordinate.name: (coordinate.array(), coordinate.unit) for coordinate in coordinates}
 
-    def large(self) -> dict[str, str]:
+    def large(self) -> dict[str, np.dtype[Any]]:
         """Return the types of large results."""
         return {} if self.layout is None or self.rng else self.layout.large
 

@@ -83,10 +83,10 @@ class Layout:
         return np.dtype([(field.name, *chunks.get(field.name, (DTYPES[field.type], s))) for field, s in shapes])
 
     @cached_property
-    def large(self) -> dict[str, str]:
+    def large(self) -> dict[str, np.dtype[Any]]:
         """The types of results that are large arrays of numbers, as long at every point: rows refer to their chunks."""
         some = (field for field in self.fields if field.type in NUMBERS and field.name not in self.ragged)
-        return {field.name: DTYPES[field.type] for field in some if is_large(self.shape(field))}
+        return {field.name: np.dtype(DTYPES[field.type]) for field in some if is_large(self.shape(field))}
 
     @cached_property
     def ragged(self) -> dict[str, str]:

@@ -31,26 +31,31 @@ if TYPE_CHECKING:
 
 @dataclass
 class Variable:
-    """An array with the names of its dimensions and what is to be said about it; a large one is `Stored`."""
+    """An array with the names of its dimensions and what is to be said about it; a large one is `Stored`, and
+    its values are read each time.
+    """
 
     dims: tuple[str, ...]
-    values: Any
+    data: NDArray[Any] | Stored
     attrs: dict[str, Any] = field(default_factory=dict)
     encoding: dict[str, Any] = field(default_factory=dict)
 
     def __getattr__(self, name: str) -> Any:
-        """Return what the values know: dtype, shape, size."""
-        return getattr(self.values, name)
+        """Return what the data know: dtype, shape, size."""
+        return getattr(self.data, name)
+
+    @property
+    def values(self) -> NDArray[Any]:
+        """The values in memory."""
+        return np.asarray(self.data)
 
     def copy(self, data: NDArray[Any]) -> "Variable":
         """Return an array with other values."""
-        return replace(self, values=data, attrs=dict(self.attrs))
+        return replace(self, data=data, attrs=dict(self.attrs))
 
     def transpose(self, *dims: str) -> "Variable":
         """Return the array with its dimensions in another order."""
-        return replace(
-            self, dims=dims, values=np.asarray(self.values).transpose([self.dims.index(dim) for dim in dims])
-        )
+        return replace(self, dims=dims, data=self.values.transpose([self.dims.index(dim) for dim in dims]))
 
 
 @dataclass
@@ -93,11 +98,9 @@ class Labelled:
         """Return the part at an index along some dimensions, which these then lack, or at a slice."""
 
         def part(one: Variable) -> Variable:
-            if place.keys().isdisjoint(one.dims):
-                return one
             index = tuple(place.get(dim, slice(None)) for dim in one.dims)
             dims = tuple(dim for dim, at in zip(one.dims, index, strict=True) if isinstance(at, slice))
-            return replace(one, dims=dims, values=np.asarray(one.values[index]))
+            return replace(one, dims=dims, data=np.asarray(one.data[index])) if {*place} & {*one.dims} else one
 
         data_vars, coords = ({n: part(one) for n, one in some.items()} for some in (self.data_vars, self.coords))
         return Labelled(data_vars, coords, self.attrs)
@@ -109,8 +112,8 @@ class Labelled:
         dask_arrays_only_where_imported()
 
         def plain(one: Variable) -> tuple[Any, ...]:
-            values = one.values.to_xarray() if isinstance(one.values, Stored) else one.values
-            return one.dims, values, one.attrs, one.encoding
+            data = one.data.to_xarray() if isinstance(one.data, Stored) else one.data
+            return one.dims, data, one.attrs, one.encoding
 
         data_vars, coords = ({n: plain(one) for n, one in part.items()} for part in (self.data_vars, self.coords))
         return xr.Dataset(data_vars, coords, self.attrs)
@@ -143,10 +146,9 @@ def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labell
             places = np.indices(shape)[output.dims.index(ragged[output.name])]
             within = places < results[output.name + LENGTH].reshape(-1, *[1] * len(shape))
         if output.name in large:
-            chunks = np.zeros((len(done), *accumulator.reducer.dtype[output.name].shape), dtype=REFERENCE)
-            chunks[done] = results.get(output.name, chunks[done])
-            chunks, kind = chunks.reshape(*grid.shape, -1), np.dtype(large[output.name])
-            values: Any = Stored(location, chunks, (*grid.shape, *shape), kind)
+            chunks = np.where(done[:, None], grid.with_repeats(accumulator.total)[output.name], np.zeros(1, REFERENCE))
+            chunks = chunks.reshape(*grid.shape, -1)
+            values: Any = Stored(location, chunks, (*grid.shape, *shape), large[output.name])
         else:
             values = typed_array(results.get(output.name), done, shape, within)
         variables[output.name] = _variable(grid, values, output)
@@ -230,9 +232,7 @@ def masked(dataset: Labelled) -> Labelled:
     """
     dataset = finished(dataset)
     gaps = {name: variable for name, variable in dataset.data_vars.items() if FILL in variable.encoding}
-    return dataset.assign(
-        {name: variable.copy(data=with_gaps(np.asarray(variable.values))) for name, variable in gaps.items()}
-    )
+    return dataset.assign({name: variable.copy(data=with_gaps(variable.values)) for name, variable in gaps.items()})
 
 
 def assemble_samples(plan: Plan, status: NDArray[np.int8], samples: Callable[[bytes], Array]) -> dict[str, Variable]:

@@ -270,7 +270,7 @@ class Writer:
     def _as_rows(self, result: TaskResult) -> tuple[TaskResult, Rows]:
         """Return the rows of results that are like those before, in order, and a result in which the others fail."""
         failures = dict(result.failures)
-        outcomes = {row: self.store.kept(one) for row, one in result.outcomes.items() if row not in failures}
+        outcomes = self.store.kept({row: one for row, one in result.outcomes.items() if row not in failures})
         experiment, fields, refused = self.plan.grid.study.experiment.learned(outcomes)
         if experiment is not self.plan.grid.study.experiment:
             self._learn(experiment)
@@ -331,7 +331,7 @@ class Writer:
             self.flush()
         dataset = self.assembled(final)
         tuning = self._tuning
-        size = sum(one.values.nbytes for one in dataset.variables.values())
+        size = sum(one.nbytes for one in dataset.variables.values())
         self._long_write = size > tuning.long_write_bytes or dataset["status"].size > tuning.long_write_points
         with nullcontext() if self._long_write else self._held(), self._lock:
             if not self.store.has(dataset):

@@ -66,12 +66,16 @@ def references(rows: Rows) -> set[bytes]:
     return {one for name in names for one in rows[name].reshape(-1).tolist()} - {bytes(REFERENCE.itemsize)}
 
 
-def written(outcome: Outcome, location: Location) -> Outcome:
-    """Return an outcome with references in place of its large arrays, which are in the store then; raises OSError."""
-    if not (large := getattr(outcome.layout, "large", ())):
-        return outcome
-    pairs = zip(outcome.layout.fields, outcome.row, strict=True)
-    return outcome._replace(row=tuple(_put(value, location) if f.name in large else value for f, value in pairs))
+def written(outcomes: Mapping[int, Outcome], location: Location) -> dict[int, Outcome]:
+    """Return outcomes with references in place of their large arrays, which are in the store then; raises OSError."""
+
+    def small(one: Outcome) -> Outcome:
+        if not (large := getattr(one.layout, "large", ())):
+            return one
+        pairs = zip(one.layout.fields, one.row, strict=True)
+        return one._replace(row=tuple(_put(value, location) if f.name in large else value for f, value in pairs))
+
+    return {row: small(one) for row, one in outcomes.items()}
 
 
 def _put(array: NDArray[Any], location: Location) -> NDArray[np.void]:
@@ -100,15 +104,15 @@ class ToStore:
     place: str
     store_id: str
 
-    def __call__(self, outcome: Outcome) -> Outcome:
-        """Return an outcome as `written`; as it is where the store is not seen, or cannot be written."""
-        if getattr(outcome.layout, "large", ()):
+    def __call__(self, outcomes: dict[int, Outcome]) -> dict[int, Outcome]:
+        """Return outcomes as `written`; as they are where the store is not seen, or cannot be written."""
+        if any(getattr(one.layout, "large", ()) for one in outcomes.values()):
             # Each time: the store may be moved, and must not be begun anew at its old place.
             with suppress(SweepError, OSError, ValueError, LookupError, TypeError):
                 location = located(self.place)
                 if json.loads(location.get(ROOT) or b"")["attributes"][STORE] == self.store_id:
-                    return written(outcome, location)
-        return outcome
+                    return written(outcomes, location)
+        return outcomes
 
 
 @dataclass
@@ -132,18 +136,19 @@ class Stored:
         """The bytes of references, which are all that is in memory."""
         return self.chunks.nbytes
 
-    def places(self) -> Iterator[tuple[tuple[int, ...], tuple[int, ...], bytes]]:
-        """Yield the place of each chunk, that of the same chunk of the first point, and its reference."""
+    def files(self, array: str, names: Mapping[str, str]) -> Iterator[tuple[str, str, bytes]]:
+        """Yield the name of each chunk, that of the same chunk of the first point, and its reference."""
         axes = self.chunks.ndim - 1
         inner = list(np.ndindex(chunk_grid(self.shape[axes:])))
         for point in np.ndindex(self.chunks.shape[:-1]):
             for place, chunk in zip(inner, self.chunks[point].tolist(), strict=True):
-                yield (*point, *place), (*(0 for _ in point), *place), chunk
+                own, first = (chunk_name(array, names, (*p, *place)) for p in (point, (0,) * axes))
+                yield own, first, chunk
 
     @cached_property
     def array(self) -> "zarr.Array[Any]":
         """The array of Zarr, whose chunks are read from the store."""
-        chunks = {chunk_name(ARRAY, CHUNK_NAMES[0], place): chunk for place, _, chunk in self.places() if any(chunk)}
+        chunks = {file: chunk for file, _, chunk in self.files(ARRAY, CHUNK_NAMES[0]) if any(chunk)}
         dims = [f"dim_{k}" for k in range(len(self.shape))]
         how = {"dtype": self.dtype, "fill_value": missing(self.dtype), "dimension_names": dims}
         return new_array(_Files(self.location, chunks), ARRAY, self.shape, **how)

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from linksweep.sweep.contract import Array, Rows, SweepError
 from linksweep.sweep.contract.block import KEY_BYTES, BlockRows
-from linksweep.sweep.contract.large import REFERENCE
 from linksweep.sweep.contract.reducer import converted
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import MANIFEST, File, Manifest, Part, noting
@@ -265,17 +264,15 @@ class Ledger:
         """Remove the files that did not count any more at the last flush, and chunks to which no row refers: at the end
         of a run, since workers write them before their rows come.
         """
-        self._delete_old()
-        if any(self.dtype[name].base == REFERENCE for name in self.dtype.names or ()):
-            with writing(self._location):
-                there = {key for key in self._location.keys(f"{FOLDER}/") if FILE.fullmatch(key)}
-                for key in there - {*map(file_of, self.chunks)}:
-                    self._location.delete(key)
+        with writing(self._location):
+            self._delete_old()
+            there = self._location.keys(f"{FOLDER}/") if self.chunks else ()
+            for key in {key for key in there if FILE.fullmatch(key)} - {*map(file_of, self.chunks)}:
+                self._location.delete(key)
 
     def _delete_old(self) -> None:
-        with writing(self._location):
-            for key in self._old - set(self.files):
-                self._location.delete(key)
+        for key in self._old - set(self.files):
+            self._location.delete(key)
         self._old = set()
 
     def mend(self, damaged: Iterable[str]) -> None:

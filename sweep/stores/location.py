@@ -104,10 +104,9 @@ class Folder:
         """Give files other names; a file system without links, or with no more for a file, copies them."""
         for key, old in names.items():
             self.delete(key)
-            path = self._at(key)
-            path.parent.mkdir(parents=True, exist_ok=True)
+            self._at(key).parent.mkdir(parents=True, exist_ok=True)
             try:
-                os.link(self._at(old), path)
+                os.link(self._at(old), self._at(key))
             except OSError:
                 self._write(key, self._at(old).read_bytes(), durable=False)
 
@@ -335,13 +334,8 @@ class Bucket:
 
     def copy_all(self, names: Mapping[str, str]) -> None:
         """Copy objects to other names, some at a time."""
-
-        def copy(new: str, old: str) -> None:
-            with self._request():
-                self.objects.copy(old, new)
-
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            list(pool.map(copy, names.keys(), names.values()))
+        with ThreadPoolExecutor(AT_ONCE) as pool, self._request():
+            list(pool.map(self.objects.copy, names.values(), names.keys()))
 
     def create(self, key: str, content: bytes) -> bool:
         """Write an object unless there is one: a put that the server refuses in that case."""

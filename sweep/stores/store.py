@@ -37,7 +37,6 @@ from linksweep.sweep.stores.large import (
     FOLDER,
     Stored,
     ToStore,
-    chunk_name,
     file_of,
     missing,
     new_array,
@@ -197,13 +196,12 @@ class Store(OpenStore):
     @property
     def keep(self) -> ToStore:
         """What writes large arrays into this store from other processes, and leaves them where it cannot."""
-        place = self.location
-        return ToStore(str(place.path) if isinstance(place, Folder) else str(place), self.attributes[STORE])
+        return ToStore(str(getattr(self.location, "path", self.location)), self.attributes[STORE])
 
-    def kept(self, outcome: Outcome) -> Outcome:
-        """Return an outcome whose large arrays are in the store; raises SweepError where they cannot be."""
+    def kept(self, outcomes: Mapping[int, Outcome]) -> dict[int, Outcome]:
+        """Return outcomes whose large arrays are in the store; raises SweepError where they cannot be."""
         with writing(self.location):
-            return written(outcome, self.location)
+            return written(outcomes, self.location)
 
     def adopt(self, source: Location, rows: Rows) -> None:
         """Copy the chunks of rows of another store; raises SweepError as `large.read`."""
@@ -551,7 +549,7 @@ def encode(
     large: dict[str, bytes] = {}
     labels = sorted(name for name in dataset.coords if name not in dataset.sizes)
     for name, variable in dataset.variables.items():
-        values, attributes, how = variable.values, dict(variable.attrs), dict[str, Any]()
+        values, attributes, how = variable.data, dict(variable.attrs), dict[str, Any]()
         along = [label for label in labels if set(dataset[label].dims) <= set(variable.dims)]
         if along and name not in dataset.coords:
             attributes["coordinates"] = " ".join(along)
@@ -571,14 +569,11 @@ def encode(
             continue
         # The first point is written as a missing one: all others that are missing have the same chunks.
         array[(0,) * (values.chunks.ndim - 1)] = missing(values.dtype)
-        chunks = [(place, files.get(chunk_name(name, chunk_names, first)), c) for place, first, c in values.places()]
-        for place, empty, chunk in chunks:
-            file = chunk_name(name, chunk_names, place)
-            files[file] = empty
-            if any(chunk):
-                large[file] = chunk
-                del files[file]
-    contents = {key: bytes(buffer.to_bytes()) for key, buffer in files.items()}
+        empty = dict(files)
+        for file, first, chunk in values.files(name, chunk_names):
+            files[file] = empty[first]
+            large |= {file: chunk} if any(chunk) else {}
+    contents = {key: bytes(buffer.to_bytes()) for key, buffer in files.items() if key not in large}
     contents.pop(ROOT)  # of arrays alone
     documents = {str(name): json.loads(contents.pop(f"{name}/zarr.json")) for name in dataset.variables}
     return dict(dataset.attrs), documents, contents, large

@@ -308,7 +308,7 @@ def test_bad_study_path(here, study, phrase):
         (("--workers", "0"), "Invalid value for '--workers': 0 is not in the range 1<=x<=4096"),
         (("--pool", "gpu"), "Invalid value for '--pool': 'gpu' is not one of 'processes', 'threads', 'serial'"),
         (("--pool", "serial", "--workers", "2"), "--pool serial has no workers"),
-        (("--scheduler", "tcp://127.0.0.1:1", "--workers", "2"), "they do not go with --scheduler"),
+        (("--scheduler", "tcp://127.0.0.1:1", "--workers", "2"), "workers, scheduler: these are of different places"),
         (("--retry", "--fresh"), "--retry and --fresh contradict each other"),
         (("--retry", "--set", "seed=8"), "--retry computes points of a store as it is"),
         (("--retry",), "is a file, not a Zarr store"),

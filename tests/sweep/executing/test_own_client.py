@@ -72,10 +72,11 @@ def test_a_client_of_a_scheduler_elsewhere_is_as_its_address(link_study, tmp_pat
 @pytest.mark.parametrize(
     ("others", "says"),
     [
-        ({"workers": 2}, "client and workers are different places"),
-        ({"pool": "serial", "scheduler": "tcp://a:1"}, "client and pool, scheduler are different places"),
-        ({"cluster": "a.toml"}, "client and cluster are different places"),
-        ({"dashboard": True}, "client and dashboard are different places"),
+        ({"workers": 2}, "workers, client: these are of different places"),
+        ({"pool": "serial", "scheduler": "tcp://a:1"}, "pool, client, scheduler: these are of different places"),
+        ({"cluster": "a.toml"}, "client, cluster: these are of different places"),
+        ({"dashboard": True}, "dashboard, client: these are of different places"),
+        ({"client": None, "workers": 2, "scheduler": "tcp://a:1"}, "workers, scheduler: these are of different places"),
         (
             {"client": "tcp://127.0.0.1:8786"},
             "client = 'tcp://127.0.0.1:8786': must be a distributed.Client that is connected",

@@ -168,3 +168,12 @@ def test_workers_of_a_scheduler_write_them_where_they_see_the_store(hides, tmp_p
     wanted = [np.random.default_rng(a).normal(size=(1100, 500)) for a in (1, 2, 3)]
     np.testing.assert_array_equal(ds["image"].values, wanted)
     np.testing.assert_array_equal(xr.open_zarr(folder / "s.zarr")["image"].values, wanted)
+
+
+def test_the_command_prints_and_draws_what_there_is(tmp_path, sweep_here):
+    (tmp_path / "pictures.py").write_text("import numpy as np\ndef picture(a: float):\n    return np.full((9, 40), a)\n")
+    code, out, err = sweep_here("run", "pictures.py:picture", "--axis", "a=1,2", "-o", "s.zarr", cwd=tmp_path)
+    assert code == 0, err
+    assert "picture: values at each point, 9 along" in out
+    code, _, err = sweep_here("plot", "s.zarr", "-o", "s.png", cwd=tmp_path)
+    assert code == 0, err

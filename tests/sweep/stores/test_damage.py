@@ -344,6 +344,8 @@ def test_whatever_happens_to_its_files_is_named_and_mended(history, trials, swee
                 check(store)
             continue
         report = check(store)
+        if any(key.startswith("blocks/rows") for key in differing):  # then nobody knows to which chunks they refer
+            differing -= {key for key in used if key.startswith("blocks/large")}
         if "zarr.json" not in differing:
             assert named(report) == differing & used, trial
         elif changed.get("zarr.json") not in [writing["zarr.json"] for writing in writings]:
