@@ -226,11 +226,11 @@ def with_chosen_component(dataset: xr.Dataset) -> xr.Dataset:
 
 def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     """Return a value of an axis as a legend names it."""
-    if isinstance(value, str) and value:
+    if isinstance(value, str) and value not in ("", "none"):
         symbols = json.loads(dataset[axis].attrs.get("symbols", "{}"))
         is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))
         return symbols.get(value) or (symbol(value) if is_name else value)
-    if value == "" or value != value:  # noqa: PLR0124 (missing: the parameter has no effect there)
+    if value in ("", "none") or value != value:  # noqa: PLR0124 (missing: the parameter has no effect there)
         return f"no {symbol(axis, dataset[axis].attrs)}"
     unit = formatting.written(formatting.units_of(dataset[axis].attrs))
     return f"{symbol(axis, dataset[axis].attrs)} = {formatting.plain(value)} {unit}".rstrip()

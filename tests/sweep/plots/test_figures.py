@@ -311,3 +311,15 @@ def test_values_of_an_axis_have_a_ramp_of_colours_and_stand_at_the_ends_of_lines
     assert [line.get_ydata()[0] for line in lines] == pytest.approx([np.sin(0.1 * p) + p for p in phases])
     assert len(set(blue)) == 4
     assert bool(axes.containers) == (points == 5)  # markers, with their errors
+
+
+def chosen(x: float, clip: str, gamma: float | None = None, mode: str | None = None):
+    return x * (gamma or 1.0) + len(clip + (mode or ""))
+
+
+def test_what_a_panel_lacks_is_named(tmp_path):
+    axes = {"x": [1.0, 2.0, 3.0], "clip": ["none", "hard"], "gamma": [0.5, 2.0], "mode": ["a", "b"]}
+    when = {"gamma": {"clip": ["none"]}, "mode": {"clip": ["hard"]}}
+    figure = linksweep.plot(linksweep.run(chosen, tmp_path / "s.zarr", axes=axes, when=when, pool="serial"))
+    shown = ", ".join([*(axes.get_title() for axes in axes_of(figure)), *texts(figure.legends[0])])
+    assert {"no clip", "hard", r"no $\gamma$", r"$\gamma$ = 2", "no mode", "a"} <= set(shown.split(", "))
