@@ -30,10 +30,10 @@ class Impatient(Silent):
 
 @pytest.fixture
 def stopped(coins, tmp_path):
-    """A store of 6 points x 4 blocks after 14 blocks: three points and a half."""
+    """A store of 5 points x 4 blocks after 18 blocks, one of each point by turns: three points and most of two."""
     study = study_from_dict(coins | {"exclude": [{"metal": "tin", "coins": 5}]})
     with pytest.raises(RunInterruptedError):
-        run_study(study, tmp_path / "s.zarr", SERIAL, Impatient(14), tuning=Tuning(most_blocks=1))
+        run_study(study, tmp_path / "s.zarr", SERIAL, Impatient(18), tuning=Tuning(most_blocks=1))
     return tmp_path / "s.zarr"
 
 
@@ -51,9 +51,8 @@ def test_each_axis_counts_points_and_realisations(stopped):
             assert segment["points"] == dataset.sizes[other] - segment["excluded"]
             assert segment["realisations_done"] == int(part["n_sim_done"].sum())
             assert segment["realisations"] == 20_000 * segment["points"]
-    tin = report["axes"]["metal"][1]
-    assert 0 < tin["realisations_done"] < 20_000  # a point that is done in part counts in part
-    assert tin["done"] == 0
+    done, both = (sum(row[key] for row in report["axes"]["metal"]) for key in ("done", "realisations_done"))
+    assert 20_000 * done < both < 20_000 * 5  # a point that is done in part counts in part
 
 
 def test_all_failed_points_are_counted_and_a_terminal_says_why(sweep, tmp_path):
