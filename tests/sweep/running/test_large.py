@@ -171,7 +171,8 @@ def test_workers_of_a_scheduler_write_them_where_they_see_the_store(hides, tmp_p
 
 
 def test_the_command_prints_and_draws_what_there_is(tmp_path, sweep_here):
-    (tmp_path / "pictures.py").write_text("import numpy as np\ndef picture(a: float):\n    return np.full((9, 40), a)\n")
+    code = "import numpy as np\ndef picture(a: float):\n    return np.full((9, 40), a)\n"
+    (tmp_path / "pictures.py").write_text(code)
     code, out, err = sweep_here("run", "pictures.py:picture", "--axis", "a=1,2", "-o", "s.zarr", cwd=tmp_path)
     assert code == 0, err
     assert "picture: values at each point, 9 along" in out
