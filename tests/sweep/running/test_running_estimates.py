@@ -102,7 +102,7 @@ def test_values_so_far_are_those_of_the_first_realisations(tmp_path, precision):
                 {} if precision is None else {"precision": 0.999, "max_n_sim": int(n)}
             )
             alone = linksweep.run(f, tmp_path / f"{x}.zarr", axes={"x": [float(x)]}, sampling=fewer, pool="serial")
-            for name in alone.data_vars.keys() - {"status", "n_sim_done"}:
+            for name in alone.data_vars.keys() - {"status", "n_sim_done", "wall_time"}:
                 np.testing.assert_array_equal(ds[name].sel(x=x), alone[name].sel(x=x), name)
 
 
@@ -195,4 +195,5 @@ def test_memory_bounds_how_many_points_keep_their_realisations(tmp_path, monkeyp
     monkeypatch.setattr(work_queue, "MOST_KEPT", 8 * 2048 * 2)
     ds = stopped(f, tmp_path / "s.zarr", 0.4, **study)
     assert ds.attrs["running"] <= 2
-    assert linksweep.run(f, tmp_path / "s.zarr", pool="serial", **study).equals(whole)
+    again = linksweep.run(f, tmp_path / "s.zarr", pool="serial", **study)
+    assert again.drop_vars("wall_time").equals(whole.drop_vars("wall_time"))
