@@ -35,7 +35,7 @@ def test_a_function_is_evaluated_once_and_its_results_are_stored_to_the_last_bit
         }
 
     ds = run(odd, tmp_path / "s.zarr", axes={"k": range(4)})
-    assert calls == [0, 0, 1, 2, 3]  # the first point is computed twice
+    assert sorted(calls) == [0, 0, 1, 2, 3]  # the first point is computed twice
     stored = xr.open_zarr(tmp_path / "s.zarr").load()
     for found in (ds, linksweep.open(tmp_path / "s.zarr"), stored):
         for k in range(4):
