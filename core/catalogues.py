@@ -207,7 +207,8 @@ class CatalogueKind:
             return self.problem(point)
         except (ValueError, SweepError) as error:
             where = getattr(error, "where", "")
-            return f"{error} ({where})" if where else str(error)
+            said = "; ".join(getattr(error, "problems", [str(error)]))
+            return f"{said} ({where})" if where else said
 
 
 def _sky(point: Point) -> Sky:

@@ -50,7 +50,8 @@ def test_labels_are_coordinates_along_points_and_change_no_number(tmp_path, form
     assert not {"star", "hd"} & set(plain.coords)
 
 
-def test_an_index_that_only_counts_is_no_label():
+def test_an_index_that_only_counts_is_no_label(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     ds = run(None, pd.DataFrame({"x": [3.0, 4.0]}))
     assert set(ds.coords) == {POINT, "x"}
     assert run(None, pd.DataFrame({"x": [3.0, 4.0]}, index=[7, 8])).index.values.tolist() == [7, 8]
