@@ -15,6 +15,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -39,6 +40,9 @@ NO_LEAK_WARNING = "ignore:resource_tracker"
 them would warn the user.
 """
 
+MODULES = ("run", "submit", "look", "watch", "tables")
+"""The modules of commands, as the help lists them; each is imported if none before it has the one that is asked for."""
+
 SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Compare", "Store care", "Your own")}
 """The commands as the help lists them."""
 
@@ -59,7 +63,18 @@ class _Group(click.Group):
     a signal into exit code 128 plus its number.
     """
 
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        for module in MODULES:
+            if cmd_name not in self.commands:
+                import_module(f"{__package__}.{module}")
+        return super().get_command(ctx, cmd_name)
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        self.get_command(ctx, "")
+        return super().list_commands(ctx)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        self.list_commands(ctx)
         for title, commands in SECTIONS.items():
             with formatter.section(title):
                 formatter.write_dl(list(commands.items()), col_spacing=max(2, 12 - max(map(len, commands))))
