@@ -503,11 +503,16 @@ def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
     label = next((n for n in labels if n.removesuffix("_unit") in dataset.coords), "")
     declared = {error for name in names for error in errors_beside(dataset, name)}
     for name in names:
-        unit, values = units_of(dataset[name].attrs), dataset[name].values
+        unit = units_of(dataset[name].attrs)
         by_component = "," in unit
-        if values.dtype.kind != "f" or name in declared or (by_component and (not label or "(" in unit)):
+        if (
+            not unit
+            or dataset[name].dtype.kind != "f"
+            or name in declared
+            or (by_component and (not label or "(" in unit))
+        ):
             continue  # a unit with brackets is that of products of two components
-        chosen = prefixed(values, str(dataset[label].item()) if by_component else unit)
+        chosen = prefixed(dataset[name].values, str(dataset[label].item()) if by_component else unit)
         if by_component:
             chosen = label_unit.setdefault(label, chosen)
         beside = [name, *errors_beside(dataset, name), *(f"{name}_{suffix}" for suffix in BESIDE)]

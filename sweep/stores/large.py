@@ -8,7 +8,7 @@ which no row refers is of a point that was not finished, or was computed again.
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -151,7 +151,7 @@ class Stored:
         chunks = {file: chunk for file, _, chunk in self.files(ARRAY, CHUNK_NAMES[0]) if any(chunk)}
         dims = [f"dim_{k}" for k in range(len(self.shape))]
         how = {"dtype": self.dtype, "fill_value": missing(self.dtype), "dimension_names": dims}
-        return new_array(_Files(self.location, chunks), ARRAY, self.shape, **how)
+        return new_array(Files(lambda key: read(self.location, chunks[key])), ARRAY, self.shape, **how)
 
     def __getitem__(self, index: Any) -> Any:
         return self.array[index]
@@ -167,17 +167,17 @@ class Stored:
         return dataset[ARRAY].variable
 
 
-class _Files(dict[str, Any]):
-    """Files in memory, but for chunks, which are read from the store."""
+class Files(dict[str, Any]):
+    """Files in memory, but for those that ``read`` returns as they are used; it raises KeyError for others."""
 
-    def __init__(self, location: Location, chunks: Mapping[str, bytes]) -> None:
+    def __init__(self, read: Callable[[str], bytes]) -> None:
         super().__init__()
-        self._location, self._chunks = location, chunks
+        self._read = read
 
     def __missing__(self, key: str) -> Any:
         from zarr.buffer import cpu
 
-        return cpu.Buffer.from_bytes(read(self._location, self._chunks[key]))
+        return cpu.Buffer.from_bytes(self._read(key))
 
 
 def read(location: Location, reference: bytes) -> bytes:

@@ -29,12 +29,14 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Outcome, Rows, SweepError, suggest
 from linksweep.sweep.contract.block import DIGEST_BYTES
+from linksweep.sweep.contract.large import is_large
 from linksweep.sweep.contract.reducer import EXACT_INT, LENGTH, MISSING_INT, lost_integers
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
 from linksweep.sweep.stores.large import (
     CHUNK_NAMES,
     FOLDER,
+    Files,
     Stored,
     ToStore,
     file_of,
@@ -110,15 +112,15 @@ class OpenStore:
         return attributes
 
     def dataset(self, running: bool = False) -> "xr.Dataset":
-        """Return the labelled dataset, in memory, as it was written at one time, whatever a run does meanwhile; with
-        ``running`` it has the arrays `RUNNING`.
+        """Return the labelled dataset as it was written at one time, whatever a run does meanwhile; with ``running`` it
+        has the arrays `RUNNING`.  Large arrays of floats are read as they are used, all else is in memory.
 
         Raises SweepError if there is none yet or if it is damaged.
         """
         for _ in range(ATTEMPTS):
             try:
                 with reading(self.location):
-                    dataset = decode(self.root, self.location.get_all(chunk_checksums(self.root)))
+                    dataset = decode(self.root, self.location)
                 # These are the very chunks that the root document means.
                 break
             except ValueError as error:
@@ -579,8 +581,8 @@ def encode(
     return dict(dataset.attrs), documents, contents, large
 
 
-def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr.Dataset":
-    """Return the dataset of a root document and the contents of `chunk_keys`, in memory.
+def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
+    """Return the dataset of a root document, in memory but for large arrays of floats.
 
     Raises ValueError that names a file which is missing or not what the root document means.
     """
@@ -589,20 +591,22 @@ def decode(root: Mapping[str, Any], contents: Mapping[str, bytes | None]) -> "xr
     from zarr.storage import MemoryStore
 
     dask_arrays_only_where_imported()
-    expected = chunk_checksums(root).items()
-    problems = {key: integrity.problem_of(contents[key], checksum) for key, checksum in expected}
+    later = _large_chunks(root, location)
+    large = {key.partition("/")[0] for key in later}
+    expected = {key: checksum for key, checksum in chunk_checksums(root).items() if key not in later}
+    contents = location.get_all(expected)
+    problems = {key: integrity.problem_of(contents[key], checksum) for key, checksum in expected.items()}
     if damaged := {key: problem for key, problem in problems.items() if problem}:
         raise ValueError("; ".join(f"{key}: {problem}" for key, problem in damaged.items()))
-    files: dict[str, Any] = {
-        key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None
-    }
+    files = Files(lambda key: read(location, later[key]))
+    files |= {key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None}
     files[ROOT] = cpu.Buffer.from_bytes(json.dumps(root).encode())
     try:
         with warnings.catch_warnings():
             # Zarr-python#3709: consolidated metadata is not in the v3 specification yet.
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
-            dataset: xr.Dataset = opened.load()
+            dataset: xr.Dataset = opened.assign({name: opened[name].load() for name in opened if name not in large})
             gaps = [n for n, d in arrays_of(root).items() if d["data_type"] == "int64" and dataset[n].dtype.kind == "f"]
             if any((np.abs(dataset[name].values) >= EXACT_INT).any() for name in gaps):
                 # Xarray has rounded them.
@@ -621,6 +625,18 @@ def with_gaps(whole: NDArray[np.int64]) -> NDArray[Any]:
     missing = whole == MISSING_INT
     floats = np.where(missing, np.nan, whole)
     return np.where(missing, np.nan, whole.astype(object)) if (np.abs(floats) >= EXACT_INT).any() else floats
+
+
+def _large_chunks(root: Mapping[str, Any], location: Location) -> dict[str, bytes]:
+    """Return the references of chunks of large arrays by their files.  Integers are not among them: xarray rounds
+    some.
+    """
+    documents = arrays_of(root)
+    axes = len(documents.get("status", {}).get("shape", ()))
+    names = {n for n, d in documents.items() if d.get("data_type") == "float64" and is_large(d["shape"][axes:])}
+    there = set(location.keys(f"{FOLDER}/")) if names else set()
+    chunks = {k: bytes.fromhex(c) for k, c in chunk_checksums(root).items() if k.partition("/")[0] in names}
+    return {key: chunk for key, chunk in chunks.items() if file_of(chunk) in there}
 
 
 def chunk_checksums(root: Mapping[str, Any]) -> dict[str, str]:

@@ -178,3 +178,15 @@ def test_the_command_prints_and_draws_what_there_is(tmp_path, sweep_here):
     assert "picture: values at each point, 9 along" in out
     code, _, err = sweep_here("plot", "s.zarr", "-o", "s.png", cwd=tmp_path)
     assert code == 0, err
+
+
+def test_a_store_is_opened_without_its_large_arrays_and_a_lost_one_is_named(tmp_path):
+    picture, store = image_of((9, 9), False), tmp_path / "s.zarr"
+    linksweep.run(picture, store, axes={"a": [1, 2], "b": [0, 2]}, pool="serial", max_failures="100%")
+    check(linksweep.open(store), picture)
+    opened = linksweep.open(store)
+    for file in (store / "blocks").glob("large.*"):
+        file.unlink()
+    np.testing.assert_array_equal(opened["level"].sel(b=0), [1 / 3, 2 / 3])
+    with pytest.raises(SweepError, match=r"large\.[0-9a-f]{32} cannot be read"):
+        opened["image"].sel(a=1, b=0).load()
