@@ -243,7 +243,7 @@ class Watched:
     def tiles(self, most: int, across: int) -> list[list[Tile]]:
         """Return about ``most`` tiles, in rows of at most ``across`` along the last dimension.
 
-        A single row goes on in the next line.
+        A single row goes on in the next line; rows of excluded points are left out.
         """
         if self._points is None or not self.status.size:
             return []
@@ -261,7 +261,8 @@ class Watched:
         sums = np.add.reduceat(np.add.reduceat(layers, down, axis=1), along, axis=2).reshape(len(layers), -1)
         tiles = [_tile(place, *of) for place, of in zip(self._places, sums.T.tolist(), strict=True)]
         length = min(len(along), across)
-        return [tiles[start : start + length] for start in range(0, len(tiles), length)]
+        rows_of_tiles = (tiles[start : start + length] for start in range(0, len(tiles), length))
+        return [row for row in rows_of_tiles if any(tile.state != "excluded" for tile in row)]
 
 
 def _tile(place: str, failed: float, missing: float, done: float, excluded: float, share: float) -> Tile:

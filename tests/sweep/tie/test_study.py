@@ -254,7 +254,9 @@ ABOUT_OUTPUT = {
 def test_studies_and_forecasts_have_every_option_of_a_link_under_its_name():
     options = {parameter.name for parameter in main.get_command(None, "tie").params} - ABOUT_OUTPUT - {"more_epochs"}
     assert options <= {parameter.name for parameter in tie.parameters}
-    assert options - {"clip", "accept_misfit"} <= {parameter.name for parameter in main.get_command(None, "forecast").params}
+    assert options - {"clip", "accept_misfit"} <= {
+        parameter.name for parameter in main.get_command(None, "forecast").params
+    }
 
 
 @pytest.mark.parametrize(
