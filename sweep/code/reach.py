@@ -58,8 +58,8 @@ MAKING = ("__init__", "__new__", "__post_init__", "__init_subclass__", "__set_na
 TWINS = ((list, tuple), (deque, tuple), (set, frozenset), (dict, MappingProxyType))
 CHANGING = {name for one, fixed in TWINS for name in dir(one) if not hasattr(fixed, name)} - {"copy"}
 
-# Functions of Python that may name anything of their module.
-BY_NAME = ("globals", "eval", "exec")
+# With which code may name anything of its module.
+BY_NAME = ("globals", "eval", "exec", "sys.modules")
 
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 IMPORTS = (ast.Import, ast.ImportFrom)
@@ -329,7 +329,7 @@ class Reach:
             self._keep(f"module {name}", "".join(map(unparsed, acts)) + self._names(acts, vars(module)))
 
     def _whole(self, module: ModuleType) -> None:
-        for name in [name for name in vars(module) if not name.startswith("__")]:
+        for name in [name for name in vars(module) if not name.startswith("__") or name == "__getattr__"]:
             self._refer(*self._attribute(module, name))
 
     def _function(self, function: FunctionType) -> None:
@@ -393,7 +393,8 @@ class Reach:
         scope = ChainMap(imported, cells, dict(names))
         for chain in sorted({chain for node in nodes for chain in _chains(node)}):
             name, *path = chain.split(".")
-            if name in BY_NAME and name not in scope and names.get("__name__") in sys.modules:
+            by_name = chain in BY_NAME and (name not in scope or scope[name] is sys)
+            if by_name and names.get("__name__") in sys.modules:
                 self._follow(self._whole, sys.modules[names["__name__"]])
             if name not in scope or name not in wanted:
                 continue

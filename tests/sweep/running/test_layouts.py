@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import linksweep
+from linksweep.sweep.code.reach import PREFIX
 from tests.sweep.layouts import ENDS, LINKS, Layout
 from tests.tiers import examples, slow
 
@@ -46,8 +47,8 @@ def run(folder: Path, axis: str, script: bool) -> tuple[int, str]:
 
 def run_here(folder: Path, axis: str) -> tuple[int, str]:
     """Sweep ``f`` over an axis in this process; return 1 and the message if that is refused."""
-    for name in [name for name in sys.modules if name.partition(".")[0] == "pkg"]:
-        del sys.modules[name]
+    for name in [name for name in sys.modules if name.partition(".")[0] == "pkg" or name.startswith(PREFIX)]:
+        del sys.modules[name]  # as in a new process; a session keeps a file that has not changed with what it imported
     importlib.invalidate_caches()
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder / "lib")
@@ -137,11 +138,15 @@ def test_attributes_count_as_they_are_when_the_run_starts(tmp_path, monkeypatch,
     assert named in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["getattr(m, 'K')", slow("eval('K')"), slow("globals()['K']")])
+@pytest.mark.parametrize(
+    "name", ["getattr(m, 'K')", *map(slow, ["eval('K')", "globals()['K']", "getattr(sys.modules[__name__], 'K')"])]
+)
 def test_where_code_may_name_anything_the_module_counts_as_a_whole(tmp_path, sweep, name):
     for constant, expected in (("3", 0), ("4", 2)):
         (tmp_path / "m.py").write_text(f"K = {constant}\n")
-        (tmp_path / "main.py").write_text(f"from m import *\nimport m\ndef f(x: float):\n    return x + {name}")
+        (tmp_path / "main.py").write_text(
+            f"import sys\nfrom m import *\nimport m\ndef f(x: float):\n    return x + {name}"
+        )
         code, _, err = sweep("run", "main.py:f", "--axis", "x=1", "-o", "s.zarr", "--pool", "serial", cwd=tmp_path)
         assert code == expected, err
     assert "K (" in err
