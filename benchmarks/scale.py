@@ -30,11 +30,11 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
             (folder / "run.toml").write_text(toml(points))
             run = watch([*SWEEP, "run", "run.toml", "--workers", "2", "--quiet", "-o", f"{points}.zarr"], folder)
             files = [path for path in (folder / f"{points}.zarr").rglob("*") if path.is_file()]
-            middle = [memory for when, memory in run.own_bytes if 0.4 < when / run.seconds < 0.6]
+            _, middle = min(run.own_bytes, key=lambda sample: abs(sample[0] / run.seconds - 0.5))
             peaks.append(max(memory for _, memory in run.own_bytes))
             report += [
                 Measured(f"run of {points:,} points, whole process", [run.seconds], "s"),
-                Measured("  client and scheduler, half-way", [memory / 1e6 for memory in middle], "MB"),
+                Measured("  client and scheduler, half-way", [middle / 1e6], "MB"),
                 Measured("  client and scheduler, peak", [peaks[-1] / 1e6], "MB"),
                 Measured("  largest process, peak", [run.peak_bytes / 1e6], "MB"),
                 Measured("  files in the store", [len(files)]),

@@ -126,7 +126,7 @@ TOYS = [
             "catalogue",
             "core/catalogues.py",
             RING,
-            '            return f"{error} ({where})" if where else str(error)\n',
+            '            return f"{said} ({where})" if where else said\n',
             '"file": File(),',
             "ring",
         ),

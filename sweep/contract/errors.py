@@ -29,7 +29,8 @@ class SweepError(Exception):
 
     def __str__(self) -> str:
         """Return a line for each problem, behind the file or command that it is about."""
-        return "\n".join(f"{self.where}: {problem}" if self.where else problem for problem in self.problems)
+        where = f"{harmless(self.where)}: " if self.where else ""
+        return "\n".join(f"{where}{problem}" for problem in self.problems)
 
 
 class _Short(reprlib.Repr):

@@ -93,7 +93,8 @@ def test_a_message_that_no_file_can_hold_is_escaped_and_bounded(store, tmp_path)
     assert len(said) < 10_020
     code, out, err = shell("", "status", store)
     assert (code, err) == (0, "")
-    assert "".join(said.split()) in "".join(out.split())  # in lines of the width of a terminal
+    assert "ValueError: \\udc80 xxx" in " ".join(out.split())  # cut: --json has all of it
+    assert len(out) < 2_000
     code, out, err = shell("", "status", store, "--json")
     assert json.loads(out)["failures"]["place=2"] == said
     run = ("run", store.parent / "study.toml", "-o", tmp_path / "s.zarr", "--log", tmp_path / "run.log")

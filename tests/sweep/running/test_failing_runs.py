@@ -127,7 +127,10 @@ def test_a_run_whose_first_points_all_fail_alike_stops_and_goes_on_where_it_stop
 
 @pytest.mark.slow
 def test_points_under_way_are_not_waited_for(folder, sweep):
-    (folder / "f.py").write_text("import time\n\ndef f(x: int):\n    return 1 // 0 if x < 30 else time.sleep(3600.0)\n")
+    # every fourth value comes first
+    (folder / "f.py").write_text(
+        "import time\n\ndef f(x: int):\n    return 1 // 0 if x % 4 == 0 else time.sleep(3600.0)\n"
+    )
     code, _, err = sweep("run", "f.py:f", "--axis", "x=0:99:1", "--workers", "2")
     assert code == 1
     assert "stopped: the first 20 points all failed for the same reason: " in err

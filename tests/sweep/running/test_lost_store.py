@@ -106,4 +106,4 @@ def test_what_was_kept_is_not_taken_for_a_store_to_go_on_with(started, tmp_path,
     assert "holds results of a store that was lost" in err
     code, out, err = sweep("show", "s.zarr.rescued", cwd=tmp_path)
     assert code == 0, err
-    assert "16" in out
+    assert " done\n" in out
