@@ -267,3 +267,14 @@ def test_a_signal_ends_it_and_leaves_nothing(tmp_path, start_sweep, number):
     assert process.wait(PATIENCE_S) == (0 if number == signal.SIGINT else 128 + number)
     assert "Traceback" not in process.stderr.read()
     assert os.listdir(tmp_path) == []
+
+
+def test_a_store_in_a_bucket_is_watched(tmp_path, bucket, sweep):
+    (tmp_path / "g.py").write_text("def g(x: int):\n    return 1 / (x - 2)\n")
+    assert (
+        sweep("run", "g.py:g", "--axis", "x=1:5:1", "-o", f"{bucket}/s.zarr", "--pool", "serial", cwd=tmp_path)[0] == 1
+    )
+    code, out, err = sweep("watch", f"{bucket}/s.zarr", cwd=tmp_path)
+    assert (code, err) == (0, "")
+    assert "4 of 5 points done, 1 failed" in out
+    assert "ZeroDivisionError" in out
