@@ -226,7 +226,8 @@ def refine(
 def open(  # noqa: A001 (linksweep.open, as xarray and zarr have theirs)
     store: Where, *, running: bool = False
 ) -> xr.Dataset:
-    """Return the results in a store, in memory.  During a run all of them are from the same write of the dataset.
+    """Return the results in a store, in memory but for large arrays of floats, which are read as they are used.  During
+    a run all of them are from the same write of the dataset.
 
     Results of `sweep tie -o` and `sweep forecast -o` can be read too.
 
@@ -337,8 +338,9 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], o
         return study_of_function(reference or study, **options)  # type: ignore[arg-type]
     if not isinstance(study, (str, Path, Mapping, Study)):
         raise SweepError(f"{shown(study)} is neither a function nor a study")
-    loaded = study if isinstance(study, Study) else live_study(study) if isinstance(study, Mapping) else None
-    loaded = load_study(str(study)) if loaded is None else loaded
+    if isinstance(study, Mapping):
+        study = live_study(study)
+    loaded = study if isinstance(study, Study) else load_study(str(study))
     if refused := [name for name, value in options.items() if value is not None]:
         how = 'load_study("NAME", axes=["x=1,2"], settings=["n_sim=50"]) changes them'
         raise SweepError(f"{', '.join(refused)}: allowed only for a function; a study has its own; {how}")

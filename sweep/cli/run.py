@@ -433,6 +433,7 @@ def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> N
 
 def _print_status(report: Mapping[str, Any], store: str) -> None:
     """Print for people how far a run is."""
+    from linksweep.sweep.planning.point_status import progress_in_words
     from linksweep.sweep.running.failures import reasons_of
     from linksweep.sweep.running.status import axis_table
 
@@ -441,12 +442,11 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     total = points["done"] + points["failed"] + (0 if part and report["complete"] else points["missing"])
     unfinished = total - points["done"] - points["failed"]
     state = f"running, {report['running']}" if report["running"] else "stopped" if unfinished else "finished"
-    failed = f", {points['failed']:,} failed" if points["failed"] else ""
     group.print_styled(report["title"], bold=True)
     rows: list[dict[str, Any]] = next(iter(report["axes"].values()), [])
     done, wanted = (sum(row[key] for row in rows) for key in ("realisations_done", "realisations"))
     share = f", {100 * done // wanted} % of the realisations" if unfinished and "realisations_done" in report else ""
-    group.print_wrapped(f"{state}: {points['done']:,} of {counted(total, 'point')}{part} done{failed}{share}")
+    group.print_wrapped(f"{state}: {progress_in_words(points['done'], points['failed'], total, part)}{share}")
     for key in ("note", "lost_parts"):
         if key in report:
             group.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from linksweep.sweep.formatting import counted
+
 
 class Status(IntEnum):
     """Where the computation of a point stands.  Stores have running points as missing ones: see `with_running`."""
@@ -31,6 +33,16 @@ def count_status(status: Any) -> dict[Status, int]:
     """
     counts = {code: int(np.count_nonzero(np.asarray(status) == code)) for code in Status}
     return {code: n for code, n in counts.items() if n or code != Status.RUNNING}
+
+
+def progress_in_words(done: int, failed: int, points: int, part: str = "") -> str:
+    """Return how many points, of a ``part`` or of all, are done and how many failed.
+
+    Examples:
+        >>> progress_in_words(2, 0, 3), progress_in_words(1, 1, 2, " of part 1/3")
+        ('2 of 3 points done', '1 of 2 points of part 1/3 done, 1 failed')
+    """
+    return f"{done:,} of {counted(points, 'point')}{part} done{f', {failed:,} failed' if failed else ''}"
 
 
 def unfinished_in_words(counts: Mapping[Status, int]) -> str:

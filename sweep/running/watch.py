@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.contract.block import Block, ledger_key
-from linksweep.sweep.formatting import counted, in_words, per_second
+from linksweep.sweep.formatting import in_words, per_second
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.parts import share_of
 from linksweep.sweep.planning.plan import Plan
-from linksweep.sweep.planning.point_status import Status, count_status
+from linksweep.sweep.planning.point_status import Status, count_status, progress_in_words
 from linksweep.sweep.running.failures import Reasons
 from linksweep.sweep.stores import integrity, ledger
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT
@@ -216,10 +216,7 @@ class Watched:
     def progress(self) -> str:
         """How many points are done and failed, in words; '' where no store is."""
         missing, done, failed, _ = count_status(self.status).values()
-        words = (
-            f"{done:,} of {counted(missing + done + failed, 'point')} done{f', {failed:,} failed' if failed else ''}"
-        )
-        return words if self.status.size else ""
+        return progress_in_words(done, failed, missing + done + failed) if self.status.size else ""
 
     @property
     def bar(self) -> dict[str, float]:

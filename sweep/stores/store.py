@@ -606,7 +606,7 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
             # Zarr-python#3709: consolidated metadata is not in the v3 specification yet.
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
-            dataset: xr.Dataset = opened.assign({name: opened[name].load() for name in opened if name not in large})
+            dataset: xr.Dataset = opened.drop_vars(large).load().assign({name: opened[name] for name in large})
             gaps = [n for n, d in arrays_of(root).items() if d["data_type"] == "int64" and dataset[n].dtype.kind == "f"]
             if any((np.abs(dataset[name].values) >= EXACT_INT).any() for name in gaps):
                 # Xarray has rounded them.

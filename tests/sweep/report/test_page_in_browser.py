@@ -49,6 +49,17 @@ def chromium(tmp_path_factory):
     driver.quit()
 
 
+def empty_page(chromium, width, theme):
+    """Show nothing, at a width and in a theme, and forget what was logged before."""
+    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
+    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    scheme = [{"name": "prefers-color-scheme", "value": theme}]
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": scheme})
+    chromium.get("about:blank")
+    for log in ("browser", "performance"):
+        chromium.get_log(log)
+
+
 @pytest.fixture
 def show(chromium, tmp_path, sweep_here):
     """A function that opens the page about stores at a width and in a theme, and waits until all is drawn."""
@@ -57,13 +68,7 @@ def show(chromium, tmp_path, sweep_here):
         path = tmp_path / "page.html"
         code, _, err = sweep_here("report", *stores, "-o", path)
         assert code == 0, err
-        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
-        chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-        scheme = [{"name": "prefers-color-scheme", "value": theme}]
-        chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": scheme})
-        chromium.get("about:blank")
-        for log in ("browser", "performance"):
-            chromium.get_log(log)  # what was before this page
+        empty_page(chromium, width, theme)
         chromium.get(path.as_uri())
         wait_for_turn(chromium, 1)
         return chromium

@@ -17,7 +17,7 @@ import pytest
 
 from tests.sweep.opening import files_of
 from tests.sweep.report.test_page import evil_store
-from tests.sweep.report.test_page_in_browser import chromium, complaints, requests
+from tests.sweep.report.test_page_in_browser import chromium, complaints, empty_page, requests
 from tests.sweep.report.test_page_in_browser import pytestmark as in_browser
 from tests.tiers import PATIENCE_S
 
@@ -149,13 +149,7 @@ def test_the_server_answers_on_loopback_alone(beside, tmp_path):
 @in_browser[1]
 @pytest.mark.parametrize(("width", "theme"), [(1400, "light"), (390, "dark")])
 def test_the_page_changes_beside_a_run(chromium, beside, evil_store, start_sweep, tmp_path, width, theme):
-    size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
-    chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
-    scheme = [{"name": "prefers-color-scheme", "value": theme}]
-    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": scheme})
-    chromium.get("about:blank")
-    for log in ("browser", "performance"):
-        chromium.get_log(log)
+    empty_page(chromium, width, theme)
     (tmp_path / "f.py").write_text(SLOW)
     address, process = beside("s.zarr", evil_store)
     chromium.get(address)
