@@ -31,14 +31,14 @@ from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.union import united
 from linksweep.sweep.running.code import records_of
 from linksweep.sweep.running.reproduce import study_of
-from linksweep.sweep.running.writer import BLOCK, Writer, create_store, differences, find_store, open_store
+from linksweep.sweep.running.writer import BLOCK, Writer, attributes_of, differences, find_store, open_store
 from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
 from linksweep.sweep.stores.ledger import Ledger, Record
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
 from linksweep.sweep.stores.store import CODE, OpenStore, Store, is_new
 from linksweep.sweep.studies.part import LOST, PART, Part, in_ranges
-from linksweep.sweep.studies.record import RECORD, provenance, recorded, recorded_study
+from linksweep.sweep.studies.record import RECORD, recorded_study
 from linksweep.sweep.studies.study import Study
 
 # The attribute of a store made of others: JSON of where their results come from.
@@ -95,8 +95,8 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     _require_same_bits(sources, experiment.reducer.dtype)
     plan = Plan(Grid(study))
     with locked(place):
-        made = {**provenance(study), **told, RECORD: recorded(study, plan.costs())}
-        store = open_store(find_store(place, study) or create_store(place, study, made), study)
+        found = find_store(place, study) or stores.create_store(place, attributes_of(plan) | told)
+        store = open_store(found, study)
         store.keep_copy()
         store.clear_failures([*store.failures])
         failed = _failures(sources)

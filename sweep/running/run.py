@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import choose_executor, of_study
@@ -18,24 +18,11 @@ from linksweep.sweep.running.beside import ALL, Beside, again_where, with_stored
 from linksweep.sweep.running.code import check_code, record_code
 from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
 from linksweep.sweep.running.results import Labelled, masked
-from linksweep.sweep.running.writer import (
-    Taken,
-    Writer,
-    check_points,
-    create_store,
-    find_store,
-    identity,
-    open_store,
-    replace_store,
-)
+from linksweep.sweep.running.writer import Taken, Writer, attributes_of, check_points, find_store, open_store
 from linksweep.sweep.stores.location import Where, locked, writing
-from linksweep.sweep.stores.store import BLOCKS, Store
-from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded
+from linksweep.sweep.stores.store import BLOCKS, Store, create_store, replace_store
+from linksweep.sweep.studies.record import as_recorded
 from linksweep.sweep.studies.study import Study
-
-if TYPE_CHECKING:
-    pass
-
 
 # What follows why a run was ended.
 GOES_ON = (
@@ -118,7 +105,7 @@ class Session:
         """
         study, store = grid.study, None
         whole, wanted, again = study, None, frozenset[bytes]()
-        found = replace_store(where, study, provenance(study)) if fresh else find_store(where, study, beside.keep)
+        found = replace_store(where, attributes_of(Plan(grid))) if fresh else find_store(where, study, beside.keep)
         if retry and found is None:
             raise SweepError("no store is there whose failed points could be computed again", str(where))
         if found is not None:
@@ -138,7 +125,6 @@ class Session:
         plan = Plan(grid) if whole is grid.study else Plan(Grid(whole, grid.warnings))
         session = cls(plan, where, store, wanted, again)
         if store is not None and whole is not study:
-            store.meaning = identity(whole)
             session._asked = study
             is_stored = store.attributes.get("study_digest") == whole.digest() and "points" in store.attributes
             is_stored &= store.attributes.get(BLOCKS) == len(store.rows)
@@ -233,11 +219,10 @@ class Session:
 
     def _begun(self, progress: "Progress") -> Store:
         """Return the store, a new one if need be, which is found whole and says which code continues it."""
-        study, plan = self.study, self.accumulator.plan
-        store = self.store
+        study, store = self.study, self.store
         if store is None:
-            attributes = provenance(study) | {RECORD: recorded(study, plan.costs())}
-            store = self.store = open_store(create_store(self._where, study, attributes), study)
+            made = create_store(self._where, attributes_of(self.accumulator.plan))
+            store = self.store = open_store(made, study)
             store.keep_copy()
         store.verify()
         record_code(store, study, progress.say)

@@ -85,7 +85,7 @@ def open_store(opened: OpenStore, study: Study) -> Store:
     """Return the open store of a study; raises SweepError where files of its ledger are damaged, or where it has rows
     of another version of the experiment.
     """
-    store = Store(opened, identity(study))
+    store = Store(opened)
     hold(store, study)
     return store
 
@@ -95,16 +95,6 @@ def hold(store: Store, study: Study) -> None:
     if not study.experiment.undeclared:
         width = study.experiment.samples_width if study.keeps_samples else 0
         store.hold(study.experiment.reducer.dtype, width)
-
-
-def create_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore:
-    """Make the store of a study at a free place, in one step, in which nothing is done yet."""
-    return stores.create_store(where, {**attributes, **identity(study)})
-
-
-def replace_store(where: Where, study: Study, attributes: Mapping[str, Any]) -> OpenStore | None:
-    """Begin the store that is there anew, as `linksweep.sweep.stores.store.replace_store`, for a study."""
-    return stores.replace_store(where, {**attributes, **identity(study)})
 
 
 def check_points(opened: OpenStore, study: Study) -> None:
@@ -118,6 +108,12 @@ def check_points(opened: OpenStore, study: Study) -> None:
             ],
             str(opened.location),
         )
+
+
+def attributes_of(plan: Plan) -> dict[str, Any]:
+    """Return the attributes of a store that say what its numbers mean, how they were made, and of which experiment."""
+    study = plan.grid.study
+    return provenance(study) | identity(study) | {RECORD: recorded(study, plan.costs())}
 
 
 def identity(study: Study) -> dict[str, Any]:
@@ -209,8 +205,7 @@ class Writer:
         self.pending = Pending(plan, accumulator, tuning)
         self._held, self._tuning = held, tuning
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
-        record = {RECORD: recorded(plan.grid.study, plan.costs())}
-        self._provenance = provenance(plan.grid.study) | record | kept | dict(further)
+        self._provenance = attributes_of(plan) | kept | dict(further)
         self._begun = self._flushed = self._written = time.monotonic()
         self._writing = 0.0
         self._long_write = False
@@ -379,15 +374,15 @@ class Writer:
         """Raise SweepError, with what is known already, if files of the store have gone since they were written; the
         results so far are then written beside it.
         """
-        of, study = self.store.location, self.plan.grid.study
+        of = self.store.location
         if not (lost := self.store.lost()):
             return
         if self._rescued is None:
             attributes = self._attributes() | {RESCUED: str(of)}
             with self._held(), self._lock:
-                beside = Store(create_store(free_beside(of), study, attributes), identity(study))
+                beside = Store(stores.create_store(free_beside(of), attributes))
                 # Of arrays that were only in the lost files nothing is left.
-                left = assemble(self.plan, self.accumulator, of).drop_vars(study.experiment.large())
+                left = assemble(self.plan, self.accumulator, of).drop_vars(self.plan.grid.study.experiment.large())
                 beside.write(replace(left, attrs=attributes))
             self._rescued = str(beside.location)
         more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""

@@ -153,13 +153,9 @@ class OpenStore:
 class Store(OpenStore):
     """The open store of one study: what is done, appending to it, and writing the dataset."""
 
-    def __init__(self, opened: OpenStore, meaning: Mapping[str, Any]) -> None:
-        """Open the ledger; raises SweepError where files of it are damaged.
-
-        ``meaning`` are the attributes that say what the numbers of the study mean: what is written has them.
-        """
+    def __init__(self, opened: OpenStore) -> None:
+        """Open the ledger; raises SweepError where files of it are damaged."""
         super().__init__(opened.location, opened.root)
-        self.meaning = dict(meaning)
         self._ledger = self.ledger()
         self.failures, self.rows = self._ledger.failures, self._ledger.rows
         self.read, self.samples, self.append = self._ledger.read, self._ledger.samples, self._ledger.append
@@ -223,7 +219,7 @@ class Store(OpenStore):
         attributes, documents, chunks, large = encode(dataset, CHUNK_NAMES[generation % 2])
         checksums = {key: integrity.checksum(content) for key, content in chunks.items()}
         checksums |= {key: chunk.hex() for key, chunk in large.items()}
-        attributes |= self.meaning | {
+        attributes |= {
             FORMAT_OF: FORMAT,
             ORIGIN: origin(self.location),
             **({CODE: self.attributes[CODE]} if CODE in self.attributes else {}),
@@ -264,8 +260,8 @@ class Store(OpenStore):
         """Return whether this dataset, but for when and by which command, is what was written last of these rows, and
         every file of it is whole: then there is nothing to write.
         """
-        wanted = {**dataset.attrs, **self.meaning, ORIGIN: origin(self.location)}
-        wanted[LEDGER_THEN] = self._ledger.manifest.model_dump_json()
+        then = self._ledger.manifest.model_dump_json()
+        wanted = {**dataset.attrs, ORIGIN: origin(self.location), LEDGER_THEN: then}
         same = all(self.attributes.get(name) == value for name, value in wanted.items() if name not in OF_ONE_RUN)
         if not same or arrays_of(self.root).keys() != dataset.variables.keys():
             return False

@@ -19,13 +19,13 @@ from linksweep.sweep.running.merge import MERGED, merge
 from linksweep.sweep.running.run import Silent, plan_study
 from linksweep.sweep.running.scaling import measure_scaling
 from linksweep.sweep.running.status import status_report
-from linksweep.sweep.running.writer import create_store, find_store, open_store
+from linksweep.sweep.running.writer import attributes_of, find_store, identity, open_store
 from linksweep.sweep.stores import ledger, location
 from linksweep.sweep.stores.integrity import sealed, unsealed
 from linksweep.sweep.stores.large import file_of
 from linksweep.sweep.stores.ledger import path_of
 from linksweep.sweep.stores.location import Folder, Holder, holder, located, locked, short_name, store_named
-from linksweep.sweep.stores.store import OpenStore, Store, check, chunk_checksums, open_dataset, repair
+from linksweep.sweep.stores.store import OpenStore, Store, check, chunk_checksums, create_store, open_dataset, repair
 from linksweep.sweep.studies.reader import load_study, study_from_dict
 from linksweep.sweep.studies.record import provenance
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
@@ -68,9 +68,14 @@ def create_or_resume(where, study, attributes=None):
     """Return the store of a study, or of a document of one, made if there is none."""
     study = study_from_dict(study) if isinstance(study, dict) else study
     attributes = provenance(study) if attributes is None else attributes
-    store = open_store(find_store(where, study) or create_store(where, study, attributes), study)
+    store = open_store(find_store(where, study) or create_store(where, {**attributes, **identity(study)}), study)
     store.keep_copy()
     return store
+
+
+def write(store, dataset):
+    """Replace the dataset of an open store, whose numbers mean what they did."""
+    store.write(dataset.assign_attrs({name: store.attributes[name] for name in ("study_meaning", "study_axes")}))
 
 
 def parts_of(store, column="rows"):

@@ -15,7 +15,7 @@ import linksweep
 from linksweep import SweepError
 from tests.sweep import opening
 from tests.sweep.coins import experiment
-from tests.sweep.opening import create_or_resume, existing_store, files_of, run
+from tests.sweep.opening import create_or_resume, existing_store, files_of, run, write
 from tests.tiers import slow
 
 
@@ -217,7 +217,7 @@ def test_a_reader_sees_one_writing_or_another(path, coins, reader, turns, pause)
     enough readings have come between them.
     """
     store = create_or_resume(path, coins)
-    store.write(turn(0).assign_attrs(pause=pause))
+    write(store, turn(0).assign_attrs(pause=pause))
     command = [sys.executable, "-W", "ignore", "-c", READ, str(path), reader]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "reading\n"
@@ -228,11 +228,11 @@ def test_a_reader_sees_one_writing_or_another(path, coins, reader, turns, pause)
     while number < turns or len(lines) <= 10 or len(set(lines)) <= 5:
         assert process.poll() is None
         number += 1
-        store.write(turn(number).assign_attrs(pause=pause))
+        write(store, turn(number).assign_attrs(pause=pause))
         time.sleep(pause)
         if number > turns and number % 20 == 0:
             pause = max(2.0 * pause, 0.01)
-    store.write(turn(number + 1, last=True).assign_attrs(pause=pause))
+    write(store, turn(number + 1, last=True).assign_attrs(pause=pause))
     listening.join()
     process.communicate()
     found = json.loads(lines[-1])
@@ -245,10 +245,10 @@ def test_who_opened_a_writing_reads_on_until_the_next_but_one(path, coins):
     """A plain reader that is slow: opened lazily, its values fetched after the next writing, of whatever size."""
     store = create_or_resume(path, coins)
     shapes = [(2, 3), (5, 3), (5, 700), (1, 1), (4, 4), (4, 4)]
-    store.write(turn(0, shape=shapes[0]))
+    write(store, turn(0, shape=shapes[0]))
     for number, shape in enumerate(shapes[1:], 1):
         slowly = xr.open_zarr(path)
-        store.write(turn(number, shape=shape))
+        write(store, turn(number, shape=shape))
         xr.testing.assert_identical(slowly.load().drop_attrs(), turn(number - 1, shape=shapes[number - 1]).drop_attrs())
         xr.testing.assert_identical(opening.open_dataset(path).drop_attrs(), turn(number, shape=shape).drop_attrs())
     files = [file for file in files_of(path) if "blocks" not in file]
@@ -257,24 +257,24 @@ def test_who_opened_a_writing_reads_on_until_the_next_but_one(path, coins):
 
 def test_an_array_that_is_no_longer_there_leaves_no_files(path, coins):
     store = create_or_resume(path, coins)
-    store.write(turn(1))
+    write(store, turn(1))
     (path / "mine").mkdir()
     (path / "mine" / "notes.txt").write_text("a file of the user's")
-    store.write(turn(2).drop_vars("again"))
+    write(store, turn(2).drop_vars("again"))
     assert not (path / "again" / "zarr.json").exists()
-    create_or_resume(path, coins).write(turn(3).drop_vars("again"))
+    write(create_or_resume(path, coins), turn(3).drop_vars("again"))
     assert not [p for p in (path / "again").rglob("*") if p.is_file()]
     assert (path / "mine" / "notes.txt").exists()
 
 
 def test_a_store_that_changes_all_the_time_is_not_read_for_ever(path, coins, monkeypatch):
     store = create_or_resume(path, coins)
-    store.write(turn(0))
+    write(store, turn(0))
     get_all = opening.Folder.get_all
 
     def write_and_read(location, keys):
         for _ in range(2):  # the second takes the place of the writing that the reader has found
-            store.write(turn(store.attributes["generation"]))
+            write(store, turn(store.attributes["generation"]))
         return get_all(location, keys)
 
     monkeypatch.setattr(opening.Folder, "get_all", write_and_read)
