@@ -344,7 +344,7 @@ def plan(
     sweep plan grid --set n_cat=100
     """
     from linksweep.sweep.running.failures import failed_before
-    from linksweep.sweep.running.status import plan_report
+    from linksweep.sweep.running.run import plan_report
 
     report = plan_report(*asked.load(), workers, accept_code)
     if as_json:
@@ -438,9 +438,8 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     from linksweep.sweep.running.status import axis_table
 
     points, made, part = report["points"], report["provenance"], f" of part {report['part']}" if report["part"] else ""
-    # Those that are missing in a finished part are of others.
-    total = points["done"] + points["failed"] + (0 if part and report["complete"] else points["missing"])
-    unfinished = total - points["done"] - points["failed"]
+    unfinished = points["missing"]
+    total = points["done"] + points["failed"] + unfinished
     state = f"running, {report['running']}" if report["running"] else "stopped" if unfinished else "finished"
     group.print_styled(report["title"], bold=True)
     rows: list[dict[str, Any]] = next(iter(report["axes"].values()), [])

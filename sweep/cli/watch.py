@@ -16,7 +16,7 @@ from linksweep.sweep.formatting import counted, harmless
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from linksweep.sweep.running.watch import Tile, Watched
+    from linksweep.sweep.running.status import Tile, Watched
     from linksweep.sweep.stores.location import Location
 
 MOST_ROWS = 12
@@ -68,7 +68,7 @@ def _in_the_terminal(stores: "Iterable[Location]", interval: float) -> None:
     from rich.console import Console, Group
     from rich.live import Live
 
-    from linksweep.sweep.running.watch import Watched, pause
+    from linksweep.sweep.running.status import Watched, pause
 
     seen, console = [Watched(store) for store in stores], Console(file=getattr(sys.stdout, "unescaped", sys.stdout))
     with Live(console=console, auto_refresh=False) if console.is_terminal else nullcontext() as live:

@@ -12,7 +12,7 @@ from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 from linksweep.sweep.analysis.quantity import with_running
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.report.page import Picture, drawn, policy, template, template_file
-from linksweep.sweep.running.watch import SHARE, Tile, Watched, pause
+from linksweep.sweep.running.status import SHARE, Tile, Watched, pause
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.store import is_new
 

@@ -4,10 +4,15 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from linksweep.sweep.contract import SweepError, shown
 from linksweep.sweep.executing.task import Failure
 from linksweep.sweep.formatting import counted, harmless
-from linksweep.sweep.planning.grid import GridPoint, describe
+from linksweep.sweep.planning.grid import Grid, GridPoint, describe
+from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.studies.study import Study
 
 # Most reasons of failed points that are named.
@@ -193,6 +198,16 @@ def reasons_of(failures: Mapping[str, str]) -> Reasons:
     for place, message in failures.items():
         reasons.add(place, message)
     return reasons
+
+
+def failures_by_place(
+    grid: Grid, status: NDArray[np.int8], records: Mapping[bytes, Record], most: int | None = None
+) -> dict[str, str]:
+    """Return the points that failed by a ``status`` that is indexed like the grid, or the first of them, by their place
+    on the axes, and why, from the ``records`` of a store.
+    """
+    failed = np.flatnonzero(status == Status.FAILED)[:most]
+    return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
 
 
 def failed_points(failures: Mapping[str, str]) -> str:

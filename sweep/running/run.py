@@ -1,18 +1,22 @@
 """Runs a study in a session: its grid, its store and its pending work, opened once, computed and published."""
 
+import math
+import time
 from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
+
+import numpy as np
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import choose_executor, of_study
-from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources
+from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources, available_cores
 from linksweep.sweep.executing.task import Executor, RefusedError, TaskResult
 from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, make_grid
-from linksweep.sweep.planning.plan import Plan, Survey, Work
+from linksweep.sweep.planning.plan import TARGET, Plan, Survey, Work
 from linksweep.sweep.planning.work_queue import TUNED, Tuning
 from linksweep.sweep.running.beside import ALL, Beside, again_where, with_stored
 from linksweep.sweep.running.code import check_code, record_code
@@ -253,6 +257,52 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     session = Session.open(make_grid(study), store, accept_code=accept_code)
     asked = session if session._asked is None else session._part()
     return asked.accumulator.plan, session.survey
+
+
+def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:
+    """Return what a run would do; the time is the least that computing takes with so many ``workers`` (one per core by
+    default), from a short timing of random numbers on this machine.
+    """
+    plan, survey = plan_study(study, store, accept_code)
+    grid = plan.grid
+    floats = len(grid) * sum(study.experiment.size_of(output) for output in study.experiment.outputs)
+    samples = study.experiment.samples_width * survey.total.realisations if study.keeps_samples else 0
+    result_mb = 8e-6 * (floats + samples)
+    ledger_mb = 1e-6 * study.experiment.reducer.dtype.itemsize * survey.total.blocks + 8e-6 * samples
+    tasks = math.ceil(survey.pending.cost / TARGET) if study.experiment.cost_unit else None  # else time is not known
+    most = survey.pending.blocks if tasks is None else tasks
+    cores = max(1, min(workers or available_cores(), available_cores(), most))
+    realisations = {"realisations": survey.total.realisations, "realisations_pending": survey.pending.realisations}
+    seconds = {}
+    if study.experiment.cost_unit:
+        seconds["seconds"] = round(survey.pending.cost / (_normals_per_second() * cores), 1)
+    return {
+        "title": study.title,
+        "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
+        "points": survey.total.points,
+        "points_done": survey.total.points - survey.pending.points - survey.failed,
+        "points_failed": survey.failed,
+        **({} if study.experiment.deterministic else realisations),
+        "blocks_pending": survey.pending.blocks,
+        "tasks_about": tasks,
+        "result_mb": round(result_mb, 3),
+        "ledger_mb": round(ledger_mb, 3),
+        "memory_mb": round(result_mb + ledger_mb, 3),
+        **seconds,
+        "cores": cores,
+        "store": str(store),
+        "warnings": list(grid.warnings),
+    }
+
+
+def _normals_per_second() -> float:
+    """Time a quarter of a million normals: what a realisation costs is nearly all random numbers."""
+    rng = np.random.Generator(np.random.SFC64(0))
+    buffer = np.empty(65536)
+    begun = time.perf_counter()
+    for _ in range(4):
+        rng.standard_normal(out=buffer)
+    return 4 * buffer.size / (time.perf_counter() - begun)
 
 
 def run_study(

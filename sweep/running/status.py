@@ -1,47 +1,142 @@
-"""Reports what a store holds and what a plan would do, as plain mappings for people and scripts."""
+"""How far a store is: its points by state, what failed and where it comes from, reported once or watched.
+
+Nothing is written, nothing that the store names is run, and what has not changed is not read again.
+"""
 
 import json
 import math
 import time
-from collections.abc import Mapping, Sequence
-from itertools import groupby
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from itertools import chain, groupby
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep import table_writer
 from linksweep.sweep.contract import Named, SweepError
-from linksweep.sweep.executing.pools import available_cores
-from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.grid import Grid
-from linksweep.sweep.planning.plan import TARGET, Plan
-from linksweep.sweep.planning.point_status import Status, count_status
+from linksweep.sweep.contract.block import Block, ledger_key
+from linksweep.sweep.formatting import in_words, per_second
+from linksweep.sweep.planning.grid import Grid, describe
+from linksweep.sweep.planning.parts import share_of
+from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.point_status import Status, count_status, progress_in_words
 from linksweep.sweep.planning.refined import rounds_of
-from linksweep.sweep.running.run import plan_study
-from linksweep.sweep.running.writer import failures_by_place
+from linksweep.sweep.running.failures import Reasons, failures_by_place
+from linksweep.sweep.stores import integrity, ledger
+from linksweep.sweep.stores.integrity import MANIFEST, ROOT
+from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Location, Where, holder, located, reading
-from linksweep.sweep.stores.store import BLOCKS, UNFINISHED, OpenStore, is_new
-from linksweep.sweep.studies.part import LOST, Part, in_ranges
+from linksweep.sweep.stores.store import UNFINISHED, OpenStore, find_root, is_new, manifest_of
+from linksweep.sweep.studies.part import LOST, PART, Part, in_ranges
 from linksweep.sweep.studies.record import recorded_study
-from linksweep.sweep.studies.study import Study
 
-# What points of a finished part may be: others finish those that are missing.
-FINISHED = (Status.DONE, Status.EXCLUDED, Status.MISSING)
+# Attributes of a store without which its points are others.
+ASKED = (integrity.STORE, "study_document", "study_digest", PART)
+
+# Attributes of a store that its status shows. Not ``finished``, which is the time of the last writing.
+PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git_commit")
 
 # Most lines for one axis in a text.
 MOST_LINES = 15
 
-# Attributes of a store that its status shows. Not ``finished``, which is the time of the last writing.
-PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git_commit")
+# Fewest tiles along the last dimension, where there are more points than tiles.
+FEWEST_ACROSS = 40
+
+# The most of a core that looking takes in the long run, and the longest time between looks for that reason.
+SHARE, LONGEST_S = 0.008, 20.0
+
+MISSING, DONE, FAILED, EXCLUDED, _ = map(int, Status)
+
+
+class Progress(NamedTuple):
+    """How far each point is, indexed like the grid: its ``status``, its ``realisations``, and which ``share`` of those
+    that are wanted these are, 0 where it failed.
+    """
+
+    status: NDArray[np.int8]
+    realisations: NDArray[np.int64]
+    share: NDArray[np.float64]
+
+
+class _Points:
+    """The points of a study, and what each of them needs; arrays are by the index in the grid.
+
+    ``wanted`` are the realisations of a point, infinite where a precision decides; ``cost`` is that of all of them.
+    The speed of a run is that of what ``noun`` says.
+    """
+
+    def __init__(self, attributes: Mapping[str, Any], where: str) -> None:
+        self.study = study = recorded_study(attributes, where)
+        self.grid = Grid(study)
+        plan, share = Plan(self.grid), share_of(Plan(self.grid))
+        indices = self.grid.indices() if share is None else np.array(list(share), dtype=np.intp)
+        self.is_adaptive = study.sampling.precision is not None
+        self.noun = "points" if study.experiment.deterministic else "realisations"
+        self.wanted, cost = np.zeros(len(self.grid)), np.ones(len(self.grid))
+        self.wanted[indices] = math.inf if self.is_adaptive else study.sampling.n_cat * study.sampling.n_sim
+        with suppress(SweepError):  # the record has no cost
+            if not plan.costs_nothing_special:
+                cost[self.grid.indices()] = [plan.cost(parameters) for _, parameters in self.grid.parameters()]
+        whole = {one: plan.size(one).cost for one in set(cost.tolist())}
+        self.cost = np.where(self.wanted > 0.0, [whole[one] for one in cost.tolist()], 0.0)
+        starts = _numbers(self.grid.digests(indices))[:, 0]
+        order = np.argsort(starts)
+        self._starts, self._indices = starts[order], indices[order]
+        own: dict[int, Sequence[Block]] = {i: blocks for i, blocks in (share or {}).items() if blocks is not None}
+        more = self.find(_numbers(map(bytes.fromhex, study.counts))[:, 0])
+        for point in self.grid.points(more[more >= 0]):
+            own[point.index] = plan.blocks(cost[point.index], plan.parts_of(point))
+        for index, blocks in own.items() if not self.is_adaptive else ():
+            self.wanted[index] = sum(block.realisations for block in blocks)
+        shapes = {plan.block_shape(one): one for one in whole}  # points of one shape have the same blocks
+        common = chain(*map(plan.blocks, shapes.values()), *own.values())
+        self._ends = _mixed(_numbers({ledger_key(b"", block) for block in common}))
+
+    def find(self, starts: NDArray[np.uint64]) -> NDArray[np.intp]:
+        """Return the indices of points by the first 8 bytes of their digests, -1 for those of no point."""
+        at = np.minimum(np.searchsorted(self._starts, starts), len(self._starts) - 1)
+        return np.where(self._starts[at] == starts, self._indices[at], -1)
+
+    def progress(self, opened: OpenStore, blocks: NDArray[Any], failed: Iterable[bytes]) -> Progress:
+        """Return how far the points are from the `blocks` in the ledger of a store and the digests of those that
+        ``failed``.  With a precision only the experiment can say which are done: those of the last writing.
+        """
+        realisations = np.bincount(*blocks.astype(np.int64), len(self.grid)).astype(np.int64)
+        share = np.minimum(realisations / np.maximum(self.wanted, 1.0), 1.0)
+        if self.is_adaptive and not is_new(opened.root):
+            dataset = opened.dataset().transpose(*self.grid.dimensions, ...)
+            share[dataset["status"].values.reshape(-1) == DONE] = 1.0
+        at = self.find(_numbers(failed)[:, 0])
+        status = np.select([self.wanted == 0.0, share == 1.0], [EXCLUDED, DONE], MISSING).astype(np.int8)
+        status[at[at >= 0]], share[at[at >= 0]] = FAILED, 0.0
+        return Progress(*map(self.grid.with_repeats, (status, realisations, share)))
+
+    def blocks(self, keys: NDArray[np.uint64]) -> NDArray[Any]:
+        """Return the point and the realisations of each block of this study with one of these keys, (2, blocks)."""
+        index = self.find(keys[:, 0])
+        good = (index >= 0) & (self.is_adaptive | np.isin(_mixed(keys[:, 2:]), self._ends))
+        return np.array([index[good], (keys[good, 3] & np.uint64(2**32 - 1)) * (keys[good, 3] >> np.uint64(32))])
+
+
+def _numbers(digests: Iterable[bytes]) -> NDArray[np.uint64]:
+    """Return digests, or what else has 16 bytes, as two numbers each."""
+    return np.frombuffer(b"".join(digests), "<u8").reshape(-1, 2)
+
+
+def _mixed(ends: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return one number for each end of a key, (keys, 2): group, part, catalogues and realisations."""
+    return np.asarray(ends[:, 0] * np.uint64(0x9E3779B97F4A7C15) ^ ends[:, 1])
 
 
 def status_report(store: Where) -> dict[str, Any]:
     """Return the progress and provenance of a store, as its ledger has it, which is newer than its dataset.
 
     Nothing that the store names is imported: what an experiment declares, the store has recorded.  With a precision
-    only the experiment can say what is left: the progress is that of the last writing, and a ``note`` says so.  Where
-    there are only parts of a store, it says which of them are lost.  Raises SweepError if there is neither.
+    only the experiment can say what is left: the points that are done are those of the last writing, and a ``note``
+    says so.  Where there are only parts of a store, it says which of them are lost.  Raises SweepError if there is
+    neither.
     """
     location = located(store)
     with reading(location):
@@ -50,29 +145,15 @@ def status_report(store: Where) -> dict[str, Any]:
         return _of_parts(location, parts)
     opened = OpenStore(location)
     attributes, ledger = opened.attributes, opened.ledger()
-    study = recorded_study(attributes, str(opened.location))
-    grid = Grid(study)
-    dataset = None if is_new(opened.root) else opened.dataset().transpose(*grid.dimensions, ...)
-    whole = bool(attributes.get("complete")) and attributes.get(BLOCKS) == len(ledger.rows)
-    note: dict[str, str] = {} if dataset is not None else {"note": UNFINISHED}
-    if dataset is not None and (whole or study.sampling.precision is not None):  # which takes less time
-        status = dataset["status"].values
-        realisations = dataset["n_sim_done"].values if "n_sim_done" in dataset else (status == Status.DONE).astype(int)
-        failures = {record["place"]: record["message"] for record in ledger.failures.values()}
-        if not whole:
-            note = {"note": "as of the last writing: only the experiment can say how many realisations are needed"}
-    elif study.sampling.precision is not None:
-        raise SweepError(UNFINISHED, str(opened.location))
-    else:
-        try:
-            accumulator = Accumulator(Plan(grid), ledger.rows, ledger.read(), ledger.failures, only=())
-        except (KeyError, TypeError, ValueError) as error:
-            reason = f"the record of its experiment does not fit its points ({error})"
-            raise SweepError(reason, str(opened.location)) from error
-        whole = study.part is not None and not accumulator.survey.pending.blocks
-        status = grid.with_repeats(accumulator.status).reshape(grid.shape)
-        realisations = grid.with_repeats(accumulator.realisations).reshape(grid.shape)
-        failures = failures_by_place(grid, accumulator.status, ledger.failures)
+    points = _Points(attributes, str(location))
+    study, grid = points.study, points.grid
+    blocks = points.blocks(_numbers(ledger.rows.keys_of_rows()))
+    far = points.progress(opened, blocks, ledger.failures)
+    status, realisations = far.status.reshape(grid.shape), far.realisations.reshape(grid.shape)
+    complete = bool(np.isin(status, (DONE, EXCLUDED)).all())
+    note = {"note": UNFINISHED} if is_new(opened.root) else {}
+    if points.is_adaptive and not note and not complete:
+        note = {"note": "as of the last writing: only the experiment can say how many realisations are needed"}
     axes = {
         dimension: [dict(zip(grid.dimensions[dimension], map(_plain, row), strict=True)) for row in rows]
         for dimension, rows in grid.rows.items()
@@ -83,8 +164,8 @@ def status_report(store: Where) -> dict[str, Any]:
         "title": attributes["title"],
         "part": None if study.part is None else str(study.part),
         **note,
-        "complete": bool(np.isin(status, FINISHED if whole else FINISHED[:2]).all()),
-        "running": None if (runs := holder(opened.location)) is None else str(runs),
+        "complete": complete,
+        "running": None if (runs := holder(location)) is None else str(runs),
         "last_written": attributes.get("finished"),
         "points": {code.word: n for code, n in count_status(status).items()},
         "blocks": len(ledger.rows),
@@ -93,11 +174,15 @@ def status_report(store: Where) -> dict[str, Any]:
         "units": {name: study.experiment.parameter(name).unit for name in study.axes},
         **({"lost_parts": attributes[LOST]} if LOST in attributes else {}),
         "rounds": [str(one) for one in rounds_of(attributes)],
-        "failures": failures,
+        "failures": failures_by_place(grid, far.status, ledger.failures),
         "command": attributes.get("command"),
         "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")}
         | {"versions": json.loads(attributes.get("versions", "{}"))},
     }
+
+
+def _plain(value: Any) -> Any:
+    return value.name if isinstance(value, Named) else value
 
 
 def _parts_beside(store: Location) -> list[Part]:
@@ -121,56 +206,6 @@ def _of_parts(store: Location, parts: Sequence[Part]) -> dict[str, Any]:
         states["lost"] = sorted({*range(1, total + 1)}.difference(*states.values()))
         report["parts"][total] = {state: in_ranges(numbers) for state, numbers in states.items() if numbers}
     return report
-
-
-def _plain(value: Any) -> Any:
-    return value.name if isinstance(value, Named) else value
-
-
-def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:
-    """Return what a run would do; the time is the least that computing takes with so many ``workers`` (one per core by
-    default), from a short timing of random numbers on this machine.
-    """
-    plan, survey = plan_study(study, store, accept_code)
-    grid = plan.grid
-    floats = len(grid) * sum(study.experiment.size_of(output) for output in study.experiment.outputs)
-    samples = study.experiment.samples_width * survey.total.realisations if study.keeps_samples else 0
-    result_mb = 8e-6 * (floats + samples)
-    ledger_mb = 1e-6 * study.experiment.reducer.dtype.itemsize * survey.total.blocks + 8e-6 * samples
-    tasks = math.ceil(survey.pending.cost / TARGET) if study.experiment.cost_unit else None  # else time is not known
-    most = survey.pending.blocks if tasks is None else tasks
-    cores = max(1, min(workers or available_cores(), available_cores(), most))
-    realisations = {"realisations": survey.total.realisations, "realisations_pending": survey.pending.realisations}
-    seconds = {}
-    if study.experiment.cost_unit:
-        seconds["seconds"] = round(survey.pending.cost / (_normals_per_second() * cores), 1)
-    return {
-        "title": study.title,
-        "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
-        "points": survey.total.points,
-        "points_done": survey.total.points - survey.pending.points - survey.failed,
-        "points_failed": survey.failed,
-        **({} if study.experiment.deterministic else realisations),
-        "blocks_pending": survey.pending.blocks,
-        "tasks_about": tasks,
-        "result_mb": round(result_mb, 3),
-        "ledger_mb": round(ledger_mb, 3),
-        "memory_mb": round(result_mb + ledger_mb, 3),
-        **seconds,
-        "cores": cores,
-        "store": str(store),
-        "warnings": list(grid.warnings),
-    }
-
-
-def _normals_per_second() -> float:
-    """Time a quarter of a million normals: what a realisation costs is nearly all random numbers."""
-    rng = np.random.Generator(np.random.SFC64(0))
-    buffer = np.empty(65536)
-    begun = time.perf_counter()
-    for _ in range(4):
-        rng.standard_normal(out=buffer)
-    return 4 * buffer.size / (time.perf_counter() - begun)
 
 
 # How far a study is at each value along a dimension: ``at`` has the values by axis, the others are counts.
@@ -236,3 +271,177 @@ def axis_table(dimension: AxisRows, units: Mapping[str, str]) -> table_writer.Ta
     return table_writer.Table(
         [table_writer.Column(heading, cells, left=heading == name) for heading, cells in columns.items() if any(cells)]
     )
+
+
+class Tile(NamedTuple):
+    """Some neighbouring points: their ``state``, which share of their realisations is done, and all that in words."""
+
+    state: str
+    share: float
+    words: str
+
+
+class Watched:
+    """A store that is watched, whether it is there or not.
+
+    ``state`` is "waiting" (for the store), "running", "finished", "stopped" (nobody runs it), "gone" or "unreadable",
+    and ``words`` say more; ``opened`` is the store as it was last read.  ``reasons`` say how many points failed for
+    each reason, the most frequent first, with the record of one of them.  ``status`` and ``share``, which of their
+    realisations is done, are those of all points in C order.
+    """
+
+    def __init__(self, where: Where) -> None:
+        """Look at nothing yet."""
+        self.location = located(where)
+        self.state, self.words, self.title = "", "", self.location.name
+        self.opened: OpenStore | None = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self._files: tuple[bytes | None, bytes | None] = (None, None)
+        self._points: _Points | None = None
+        self._asked: tuple[Any, ...] = ()
+        self._parts: dict[str, NDArray[Any]] = {}
+        self._failed: dict[bytes, Record] = {}
+        self.reasons: list[tuple[int, Record]] = []
+        self._places: list[str] = []
+        self._first = self._last = (0.0, 0.0, 0)  # when so much cost was left, and so many points or realisations done
+        self.status, self.share = np.zeros(0, dtype=np.int8), np.zeros(0)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing will change unless somebody begins another run."""
+        return self.state in ("finished", "stopped", "gone") or (self.state == "unreadable" and self.opened is None)
+
+    def look(self) -> None:
+        """Read what has changed."""
+        try:
+            with reading(self.location):
+                self._read()
+            if self._points is None:
+                self.state, self.words = ("waiting", "no store yet") if self.opened is None else ("gone", "removed")
+            elif (runs := holder(self.location)) is not None:
+                self.state, self.words = "running", str(runs)
+            elif (self.status == MISSING).any():
+                self.state, self.words = "stopped", "nobody runs it"
+            else:
+                self.state, self.words = "finished", ""
+        except SweepError as error:
+            self.state, self.words = "unreadable", "; ".join(error.problems)
+
+    def _read(self) -> None:
+        root = self.location.get(ROOT)
+        if root is None and find_root(self.location) is None:
+            self._forget()
+            return
+        try:
+            opened, points = self._open(root)
+            manifest = self.location.get(MANIFEST)  # after the root, which is never ahead of it
+            if (root, manifest) != self._files:
+                self._take(opened, points, manifest)
+                self._files = root, manifest
+        except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, RuntimeError) as error:
+            if holder(self.location) is None:  # else its run has replaced a file meanwhile
+                raise SweepError(
+                    f"its ledger cannot be read ({error}); `sweep check` says more", str(self.location)
+                ) from error
+
+    def _open(self, root: bytes | None) -> tuple[OpenStore, _Points]:
+        """Return the store and its points, as they were if the root is as it was."""
+        if self.opened is None or self._points is None or root != self._files[0]:
+            self.opened = OpenStore(self.location)
+            attributes = self.opened.attributes
+            asked = tuple(map(attributes.get, ASKED))
+            if self._points is None or asked != self._asked:
+                self._forget()
+                self._points, self._asked = _Points(attributes, str(self.location)), asked
+                self.title = str(attributes.get("title", self.title))
+        return self.opened, self._points
+
+    def _take(self, opened: OpenStore, points: _Points, content: bytes | None) -> None:
+        manifest = integrity.newest(content, manifest_of(opened.root))
+        self._keep(ledger.read_failures(self.location, manifest))
+        new = [part for part in manifest.parts if part.rows.name not in self._parts]
+        keys = zip(new, ledger.read_keys(self.location, new), strict=True)
+        known = self._parts | {part.rows.name: points.blocks(one) for part, one in keys}
+        self._parts = {part.rows.name: known[part.rows.name] for part in manifest.parts}
+        blocks = np.hstack([np.zeros((2, 0), dtype=np.int64), *self._parts.values()])
+        self.status, realisations, self.share = points.progress(opened, blocks, self._failed)
+        left = float((points.cost * (1.0 - self.share))[self.status == MISSING].sum())
+        ended = int(np.isin(self.status, (DONE, FAILED)).sum() if points.noun == "points" else realisations.sum())
+        self._last = time.monotonic(), left, ended
+        if not self._first[0] or ended < self._first[2]:
+            self._first = self._last
+
+    def _keep(self, failed: dict[bytes, Record]) -> None:
+        if failed != self._failed:
+            reasons, by_place = Reasons(), {record["place"]: record for record in failed.values()}
+            for record in failed.values():
+                reasons.add(record["place"], record["message"])
+            self.reasons = [(points, by_place[reasons.first[kind][0]]) for kind, points in reasons.most()]
+        self._failed = failed
+
+    @property
+    def progress(self) -> str:
+        """How many points are done and failed, in words; '' where no store is."""
+        missing, done, failed, _ = count_status(self.status).values()
+        return progress_in_words(done, failed, missing + done + failed) if self.status.size else ""
+
+    @property
+    def bar(self) -> dict[str, float]:
+        """How many points are done, running (the share of them that is done), failed and waiting."""
+        missing, done, failed, _ = count_status(self.status).values()
+        begun = float(self.share[self.status == MISSING].sum())
+        return {"done": done, "running": begun, "failed": failed, "waiting": missing - begun}
+
+    @property
+    def speed(self) -> str:
+        """The speed and the time left of a run, '' while they are not known."""
+        (then, before, first), (now, after, last) = self._first, self._last
+        if self.state != "running" or now <= then or self._points is None:
+            return ""
+        speed = per_second(last - first, now - then, self._points.noun)
+        left = after * (now - then) / (before - after) - (time.monotonic() - now) if before > after else 0.0
+        if self._points.is_adaptive or left <= 0.0:
+            return speed
+        return f"{100 * (1 - after / self._points.cost.sum()):.0f} % of the work, {speed}, about {in_words(left)} left"
+
+    def tiles(self, most: int, across: int) -> list[list[Tile]]:
+        """Return about ``most`` tiles, in rows of at most ``across`` along the last dimension.
+
+        A single row goes on in the next line; rows of excluded points are left out.
+        """
+        if self._points is None or not self.status.size:
+            return []
+        grid = self._points.grid
+        columns = grid.shape[-1] if grid.shape else 1
+        rows = len(grid) // columns
+        wide = math.ceil(columns / min(most if rows == 1 else across, max(FEWEST_ACROSS, most // rows)))
+        high = math.ceil(rows / max(1, most // math.ceil(columns / wide)))
+        down, along = np.arange(0, rows, high), np.arange(0, columns, wide)
+        if len(self._places) != len(down) * len(along):
+            first = (down[:, None] * columns + along).reshape(-1)
+            self._places = [describe(grid.study, point.parameters) for point in grid.points(first)]
+        states = np.array([FAILED, MISSING, DONE, EXCLUDED])[:, None]
+        layers = np.vstack([self.status == states, self.share]).reshape(-1, rows, columns)
+        sums = np.add.reduceat(np.add.reduceat(layers, down, axis=1), along, axis=2).reshape(len(layers), -1)
+        tiles = [_tile(place, *of) for place, of in zip(self._places, sums.T.tolist(), strict=True)]
+        length = min(len(along), across)
+        rows_of_tiles = (tiles[start : start + length] for start in range(0, len(tiles), length))
+        return [row for row in rows_of_tiles if any(tile.state != "excluded" for tile in row)]
+
+
+def _tile(place: str, failed: float, missing: float, done: float, excluded: float, share: float) -> Tile:
+    """Return a tile of so many points; ``share`` is the sum of theirs."""
+    counts = {"failed": failed, "missing": missing, "done": done, "excluded": excluded}
+    state, share = next(word for word, n in counts.items() if n), share / max(missing + done, 1.0)
+    state = ("running" if share else "waiting") if state == "missing" else state
+    words = f"{state}, {100.0 * share:.0f} %" if state == "running" else state
+    if (points := sum(counts.values())) > 1:
+        words = f"{points:,.0f} points: {', '.join(f'{n:,.0f} {word}' for word, n in counts.items() if n)}"
+    return Tile(state, share, f"{place}: {words}" if points == 1 else f"from {place}, {words}")
+
+
+def pause(interval: float, took: float) -> float:
+    """Return for how many seconds to wait after a look that took so many of a core."""
+    return max(interval, min(took / SHARE, LONGEST_S))

@@ -12,7 +12,6 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Experiment, Named, Rows, SweepError
 from linksweep.sweep.contract.block import Block, ledger_key
@@ -20,16 +19,16 @@ from linksweep.sweep.contract.reducer import lost_integers
 from linksweep.sweep.executing.task import Failure, TaskResult, failure_of
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe
+from linksweep.sweep.planning.grid import AT_ONCE, GridPoint, describe
 from linksweep.sweep.planning.plan import Plan, PlanSize, Work
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.planning.refined import REFINED
 from linksweep.sweep.planning.union import UNITED
 from linksweep.sweep.planning.work_queue import TUNED, Pending, Tuning
 from linksweep.sweep.running.code import records_of
+from linksweep.sweep.running.failures import failures_by_place
 from linksweep.sweep.running.results import Labelled, assemble, assemble_samples, code_variable, covariances, masked
 from linksweep.sweep.stores import store as stores
-from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.store import RESCUED, OpenStore, Store, free_beside
 from linksweep.sweep.studies.part import PART
@@ -435,16 +434,6 @@ class Writer:
         place = describe(self.plan.grid.study, point.parameters)
         where = {} if block is None else {BLOCK: f"{block.group} {block.part}"}
         self.store.fail(point.digest, {"place": place, **vars(failure), **where, "host": host(), "when": now()})
-
-
-def failures_by_place(
-    grid: Grid, status: NDArray[np.int8], records: Mapping[bytes, Record], most: int | None = None
-) -> dict[str, str]:
-    """Return the points that failed by a ``status`` that is indexed like the grid, or the first of them, by their place
-    on the axes, and why, from the ``records`` of a store.
-    """
-    failed = np.flatnonzero(status == Status.FAILED)[:most]
-    return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
 
 
 def size_of(works: Sequence[Work], points: int) -> PlanSize:

@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import settings as examples_of
 from hypothesis import strategies as st
 
-from linksweep.sweep.running import watch
+from linksweep.sweep.running import status as watch
 from tests.sweep.opening import (
     OFTEN,
     Folder,
