@@ -103,7 +103,8 @@ class _Points:
         """Return how far the points are from the `blocks` in the ledger of a store and the digests of those that
         ``failed``.  With a precision only the experiment can say which are done: those of the last writing.
         """
-        realisations = np.bincount(*blocks.astype(np.int64), len(self.grid)).astype(np.int64)
+        index, numbers = blocks.astype(np.int64)
+        realisations = np.bincount(index, numbers, len(self.grid)).astype(np.int64)
         share = np.minimum(realisations / np.maximum(self.wanted, 1.0), 1.0)
         if self.is_adaptive and not is_new(opened.root):
             dataset = opened.dataset().transpose(*self.grid.dimensions, ...)
@@ -111,7 +112,8 @@ class _Points:
         at = self.find(_numbers(failed)[:, 0])
         status = np.select([self.wanted == 0.0, share == 1.0], [EXCLUDED, DONE], MISSING).astype(np.int8)
         status[at[at >= 0]], share[at[at >= 0]] = FAILED, 0.0
-        return Progress(*map(self.grid.with_repeats, (status, realisations, share)))
+        everywhere = self.grid.with_repeats
+        return Progress(everywhere(status), everywhere(realisations), everywhere(share))
 
     def blocks(self, keys: NDArray[np.uint64]) -> NDArray[Any]:
         """Return the point and the realisations of each block of this study with one of these keys, (2, blocks)."""
@@ -147,7 +149,7 @@ def status_report(store: Where) -> dict[str, Any]:
     attributes, ledger = opened.attributes, opened.ledger()
     points = _Points(attributes, str(location))
     study, grid = points.study, points.grid
-    blocks = points.blocks(_numbers(ledger.rows.keys_of_rows()))
+    blocks = points.blocks(_numbers(ledger.rows.keys_of_rows()).reshape(-1, 4))
     far = points.progress(opened, blocks, ledger.failures)
     status, realisations = far.status.reshape(grid.shape), far.realisations.reshape(grid.shape)
     complete = bool(np.isin(status, (DONE, EXCLUDED)).all())
