@@ -227,7 +227,8 @@ class Parameter:
         between = re.fullmatch(r"([^:]+):([^:]+)|([\d.]+) ?[-;] ?([\d.]+)", raw) if isinstance(raw, str) else None
         if between and self.kind in ("float", "int"):
             ends = ":".join(filter(None, between.groups()))
-            more = f"; several are 1,2,3; a range has a step, as {ends}:0.5, or a number of values, as {ends}:log5"
+            number = "" if self.kind == "int" else f", or a number of values, as {ends}:log5"
+            more = f"; several are 1,2,3; a range has a step, as {ends}:{1 if self.kind == 'int' else 0.5}{number}"
         return ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}{more or bound_in_words(raw)}")
 
     def _known(self) -> tuple[Any, ...]:

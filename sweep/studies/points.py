@@ -5,6 +5,7 @@ table [points] of a study, which is a file, a design, columns, or a table in Pyt
 import datetime
 import json
 import math
+import re
 import sys
 import warnings
 from collections import Counter
@@ -416,11 +417,24 @@ def labels_of(cells: Sequence[Any]) -> list[Any]:
 
 
 def _in_file(form: PointsForm, values: Values) -> tuple[Columns, dict[str, str]]:
-    table = read_table(values.folder / str(form.file))
+    path = values.folder / str(form.file)
+    table = read_table(path)
     columns, units = columns_of({name: table[name] for name in table.colnames})
     kinds = {parameter.name: parameter.kind for parameter in values.experiment.parameters}
     columns = {name: _read_cells(cells, kinds.get(name, "any")) for name, cells in columns.items()}
+    kinds |= dict.fromkeys(columns.keys() - kinds.keys(), "any")  # labels
+    doubtful = [
+        name for name, kind in kinds.items() if kind in ("any", "str") and not _are_texts(columns.get(name, []))
+    ]
+    written, _ = columns_of(read_table(path, texts=doubtful)) if doubtful else ({}, {})
+    for name in doubtful:  # 0071 is a name, and not the number 71
+        if kinds[name] == "str" or any(re.fullmatch(r"0\d+", str(cell)) for cell in written[name]):
+            columns[name] = written[name]
     return columns, units
+
+
+def _are_texts(cells: Sequence[Any]) -> bool:
+    return all(isinstance(cell, str | None) for cell in cells)
 
 
 def _read_cells(cells: list[Any], kind: str) -> list[Any]:

@@ -8,7 +8,7 @@ import io
 import lzma
 import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
@@ -58,19 +58,20 @@ _WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years":
 _BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
 
 
-def read_table(path: Path, repeated: bool = False) -> Any:
+def read_table(path: Path, repeated: bool = False, texts: Collection[str] = ()) -> Any:
     """Return the table in a file as an astropy Table, its columns with units where the file gives them.
 
     Missing values are masked, or NaN.  The format follows from the content, not from the name.  RAdeg and DEdeg (deg)
-    are added to a table with the columns RAh, RAm, RAs and DE-, DEd, DEm, DEs of CDS.  With
-    ``repeated`` text may have several columns of a name, of which the first one counts, as Gaia's epoch astrometry in
-    CSV has.  Raises SweepError that names the file, and the row where there is one, for what cannot be read.
+    are added to a table with the columns RAh, RAm, RAs and DE-, DEd, DEm, DEs of CDS.  With ``repeated`` text may have
+    several columns of a name, of which the first one counts, as Gaia's epoch astrometry in CSV has.  Columns of
+    delimited text that ``texts`` names are texts, also where they could be numbers.  Raises SweepError that names the
+    file, and the row where there is one, for what cannot be read.
     """
     try:
         content = path.read_bytes()
         with warnings.catch_warnings():  # about units and headers that do not matter for the columns that are used
             warnings.simplefilter("ignore")
-            table = _read(path, content, repeated)
+            table = _read(path, content, repeated, texts)
             _add_degrees(table)
         return table
     except OSError as error:
@@ -102,7 +103,7 @@ def _by_astropy(form: str, source: Any, **options: Any) -> Any:
         return Table.read(source, format=form, **options)
 
 
-def _read(path: Path, content: bytes, repeated: bool) -> Any:
+def _read(path: Path, content: bytes, repeated: bool, texts: Collection[str]) -> Any:
     packed = next((unpack for mark, unpack in _PACKED.items() if content.startswith(mark)), None)
     if packed is not None:
         try:
@@ -121,10 +122,10 @@ def _read(path: Path, content: bytes, repeated: bool) -> Any:
         return _votable(content)
     if start.startswith(b"# %ecsv"):
         return _ecsv(content)
-    return _text(path, content, repeated)
+    return _text(path, content, repeated, texts)
 
 
-def _text(path: Path, content: bytes, repeated: bool) -> Any:
+def _text(path: Path, content: bytes, repeated: bool, texts: Collection[str]) -> Any:
     if b"\0" in content[:4096]:
         raise SweepError("is neither a table format that is known nor text")
     try:
@@ -143,7 +144,7 @@ def _text(path: Path, content: bytes, repeated: bool) -> Any:
         return _cds(path, text, readme)
     if _HIP2.match(text):
         return _hipparcos(text)
-    return _delimited(text, repeated)
+    return _delimited(text, repeated, texts)
 
 
 def _require_one(tables: Sequence[str]) -> None:
@@ -230,7 +231,7 @@ def _hipparcos(text: str) -> Any:
 # ---- delimited text (CSV, TSV as VizieR sends it, `;` or blanks): names and units above, then rows with gaps
 
 
-def _delimited(text: str, repeated: bool) -> Any:
+def _delimited(text: str, repeated: bool, texts: Collection[str]) -> Any:
     """Return the table in delimited text; missing values are masked.
 
     Lines that begin with # are comments; the names of the columns stand in the first other line, or in the last comment
@@ -242,14 +243,20 @@ def _delimited(text: str, repeated: bool) -> Any:
         names = [f"{name} {k}" if name in names[:k] else name for k, name in enumerate(names)]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise SweepError(f"two columns are called {', '.join(map(repr, twice))}")
-    table = _rows(content[start:], names, delimiter)
+    table = _rows(content[start:], names, delimiter, texts=texts)
     for name, unit in zip(names, units, strict=True):
         if unit:
             table[name].unit = _unit(unit)
     return table
 
 
-def _rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequence[Any] | None = None) -> Any:
+def _rows(
+    body: bytes,
+    names: Sequence[str],
+    delimiter: str,
+    dtypes: Sequence[Any] | None = None,
+    texts: Collection[str] = (),
+) -> Any:
     """Return rows of text as an astropy Table with these columns, of the given types or of types that fit the text.
 
     Raises SweepError for a row with more or fewer columns, or with what is not of its type.
@@ -261,7 +268,7 @@ def _rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequence[An
     first = _fields(body[:4096].split(b"\n")[0].decode(), delimiter)
     decimal_commas = delimiter in (";", "\t") and any(re.fullmatch(r"[+-]?\d+,\d+", field) for field in first)
     _check_widths(body, len(names), delimiter)
-    nullable = {k: _nullable(np.dtype(dtype)) for k, dtype in enumerate(dtypes)} if dtypes else None
+    known = dict(enumerate(dtypes)) if dtypes else {k: np.str_ for k, name in enumerate(names) if name in texts}
     try:
         frame = pd.read_csv(
             io.BytesIO(body),
@@ -275,7 +282,7 @@ def _rows(body: bytes, names: Sequence[str], delimiter: str, dtypes: Sequence[An
             float_precision="round_trip",
             decimal="," if decimal_commas else ".",
             low_memory=False,
-            dtype=nullable,
+            dtype={k: _nullable(np.dtype(dtype)) for k, dtype in known.items()},
             dtype_backend="numpy_nullable",  # integers beside gaps keep all digits, such as those of Gaia's source_id
         )
     except pd.errors.EmptyDataError:

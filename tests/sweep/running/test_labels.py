@@ -50,6 +50,21 @@ def test_labels_are_coordinates_along_points_and_change_no_number(tmp_path, form
     assert not {"star", "hd"} & set(plain.coords)
 
 
+def test_a_name_of_digits_in_a_file_stays_what_is_written(tmp_path):
+    def of_text(name: str, x: float = 1.0):
+        return {"name_back": name}
+
+    def of_any(name, x: float = 1.0):
+        return {"name_back": str(name)}
+
+    (tmp_path / "t.csv").write_text("name,x,hip,field\n0071,1,7,007\n12,2,8,\n")
+    for k, function in enumerate((of_text, of_any)):
+        ds = run(tmp_path / f"{k}.zarr", str(tmp_path / "t.csv"), ["hip", "field"], function)
+        assert ds.name.values.tolist() == ds.name_back.values.tolist() == ["0071", "12"]
+        assert ds.hip.values.tolist() == [7, 8]
+        assert ds.field.values.tolist() == ["007", ""]
+
+
 def test_an_index_that_only_counts_is_no_label(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     ds = run(None, pd.DataFrame({"x": [3.0, 4.0]}))
