@@ -179,13 +179,7 @@ assert link.unit.values[-1] == "mas"
     ),
     Toy(
         *("kind of plot", "sweep/plots/dots.py", DOTS),
-        [
-            (
-                "sweep/plots/__init__.py",
-                '"scatter": Kind("grid:SCATTER"),',
-                '\n    "dots": Kind("dots:DOTS"),',
-            )
-        ],
+        [("sweep/plots/__init__.py", '"scatter": Kind("grid:SCATTER"),', '\n    "dots": Kind("dots:DOTS"),')],
         RUN
         + """
 assert len(linksweep.plot(ds, "dots").axes[0].lines) == 1

@@ -65,27 +65,17 @@ ONLY_IN = {
             "linksweep.sweep.result",
             "linksweep.sweep.search",
             "linksweep.sweep.tie",
-        ),
+        )
     },
     "erfa": {"linksweep.core.tie.astrometry"},
     "pygaia": {"linksweep.core.missions"},
 }
 # The platform knows nothing of astrometry; of the core, the experiment and what it is made of know the contract.
 KNOWS_THE_CORE = {
-    *(
-        "linksweep.sweep.plots.sky",
-        "linksweep.sweep.plots.tie",
-        "linksweep.sweep.search",
-        "linksweep.sweep.tie",
-    ),
+    *("linksweep.sweep.plots.sky", "linksweep.sweep.plots.tie", "linksweep.sweep.search", "linksweep.sweep.tie")
 }
 KNOWS_THE_CONTRACT = {
-    *(
-        "linksweep.core.parameters",
-        "linksweep.core.scenario",
-        "linksweep.core.checks",
-        "linksweep.core.experiment",
-    ),
+    *("linksweep.core.parameters", "linksweep.core.scenario", "linksweep.core.checks", "linksweep.core.experiment"),
     *("linksweep.core.missions", "linksweep.core.catalogues", "linksweep.core.errors"),
 }
 # The search is a command beside the platform.

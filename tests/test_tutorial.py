@@ -43,7 +43,7 @@ def run(folder, *arguments):
 def test_every_file_and_figure_is_there(folder):
     path, _, _ = folder
     assert {p.name for p in (path / "results").glob("*.zarr")} == {
-        *("demo.zarr", "first.zarr", "precise.zarr", "mission.zarr", "pi.zarr", "elsewhere.zarr"),
+        *("demo.zarr", "first.zarr", "precise.zarr", "mission.zarr", "pi.zarr", "elsewhere.zarr")
     }
     assert all(
         (path / name).stat().st_size > 10_000

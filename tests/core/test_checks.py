@@ -9,17 +9,7 @@ from click.testing import CliRunner
 
 import linksweep
 from linksweep import SweepError
-from tests.core.points import (
-    MISSIONS,
-    Function,
-    Named,
-    evaluated,
-    link,
-    main,
-    mission_from_table,
-    point,
-    table_file,
-)
+from tests.core.points import MISSIONS, Function, Named, evaluated, link, main, mission_from_table, point, table_file
 
 
 def gaia_table(folder, magnitudes=True, errors=True, **changes):

@@ -5,14 +5,7 @@ import pytest
 from scipy import stats
 
 from tests.core import points
-from tests.core.points import (
-    LinkError,
-    design_of,
-    link,
-    neglected,
-    scenario,
-    set_up,
-)
+from tests.core.points import LinkError, design_of, link, neglected, scenario, set_up
 from tests.core.reference import design_matrix, solve
 
 

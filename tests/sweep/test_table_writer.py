@@ -12,11 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import linksweep
-from linksweep.sweep.formatting import (
-    described,
-    prefixed,
-    short_meaning,
-)
+from linksweep.sweep.formatting import described, prefixed, short_meaning
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.table_writer import Column, Table
 from tests.tiers import slow

@@ -87,8 +87,7 @@ def test_the_catalogue_error_adds_in_quadrature():
 
 
 @pytest.mark.parametrize(
-    ("code", "reason"),
-    [(MISSING, "not done yet"), (FAILED, "failed"), (EXCLUDED, "excluded by the study")],
+    ("code", "reason"), [(MISSING, "not done yet"), (FAILED, "failed"), (EXCLUDED, "excluded by the study")]
 )
 def test_a_point_that_is_not_done_is_incomplete_and_not_left_out(code, reason):
     status = np.full((2, len(N)), DONE, np.int8)

@@ -8,11 +8,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import SweepError, experiment, sensitivity
-from linksweep.sweep.analysis.sensitivity import (
-    first_order,
-    indices_of_grid,
-    saltelli_indices,
-)
+from linksweep.sweep.analysis.sensitivity import first_order, indices_of_grid, saltelli_indices
 from linksweep.sweep.studies.points import DESIGNS
 from tests.tiers import slow
 

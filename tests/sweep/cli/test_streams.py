@@ -61,9 +61,7 @@ def test_a_run_whose_table_cannot_be_printed_is_kept(link_study, tmp_path):
 
 @pytest.mark.parametrize("redirection", [*map(slow, [">&-", "2>&-", ">&- 2>&-", "2>/dev/full"]), "<&- >&- 2>&-"])
 @pytest.mark.parametrize(
-    "arguments",
-    [("list",), *map(slow, (("show", "STORE"), ("status", "STORE", "--json")))],
-    ids=" ".join,
+    "arguments", [("list",), *map(slow, (("show", "STORE"), ("status", "STORE", "--json")))], ids=" ".join
 )
 def test_streams_that_nobody_reads_are_no_problem(store, arguments, redirection):
     arguments = [store if word == "STORE" else word for word in arguments]

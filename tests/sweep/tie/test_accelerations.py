@@ -204,13 +204,7 @@ def test_the_mean_motions_of_dr3_are_those_of_its_polynomials(tmp_path):
     link = linksweep.tie(path, reference, "orientation,spin")
     np.testing.assert_allclose(link.estimate, 0.0, atol=1e-4)
     assert any("averages, as in DR3" in note for note in link.attrs["notes"])
-    own = linksweep.tie(
-        path,
-        reference,
-        "orientation,spin",
-        accelerations="at-epoch",
-        accept_misfit=True,
-    )
+    own = linksweep.tie(path, reference, "orientation,spin", accelerations="at-epoch", accept_misfit=True)
     assert np.abs(own.estimate).max() > 0.01
 
 

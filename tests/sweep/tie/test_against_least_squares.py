@@ -15,16 +15,7 @@ from scipy.linalg import block_diag
 
 import linksweep
 from linksweep import SweepError
-from tests.core.tie.made import (
-    MAS,
-    Objects,
-    gaia,
-    joined,
-    noise,
-    parse_unknowns,
-    seen_by_satellite,
-    stars,
-)
+from tests.core.tie.made import MAS, Objects, gaia, joined, noise, parse_unknowns, seen_by_satellite, stars
 from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
@@ -111,11 +102,7 @@ def least_squares(tables, difference, weights, factor, epoch=2016.0):
         m, b = np.concatenate(m), np.concatenate(b)
         b = b[:, np.any(b != 0.0, axis=0)]  # no row depends on its parallax
         d = block_diag(*v) + m @ own_cov[s] @ m.T
-        g = {
-            "covariance": np.linalg.inv(d),
-            "variance": np.diag(1.0 / np.diag(d)),
-            "equal": np.eye(len(d)),
-        }[weights]
+        g = {"covariance": np.linalg.inv(d), "variance": np.diag(1.0 / np.diag(d)), "equal": np.eye(len(d))}[weights]
         w = g - g @ b @ np.linalg.pinv(b.T @ g @ b) @ b.T @ g if b.size else g
         parts.append((np.concatenate(a), np.concatenate(y), d, w, len(d) - b.shape[1]))
     a, y, d, plain, count = zip(*parts, strict=True)

@@ -23,10 +23,7 @@ def quasars(path, n=3000, group=700, **changes):
     ra, dec = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-1.0, 1.0, n))
     x, y, z = SPIN
     motion = np.array(
-        [
-            -(-np.sin(dec) * (np.cos(ra) * x + np.sin(ra) * y) + np.cos(dec) * z),
-            -(np.sin(ra) * x - np.cos(ra) * y),
-        ]
+        [-(-np.sin(dec) * (np.cos(ra) * x + np.sin(ra) * y) + np.cos(dec) * z), -(np.sin(ra) * x - np.cos(ra) * y)]
     )
     motion += rng.normal(0.0, 0.3, (2, n)) + 50.0 * (rng.random(n) < 0.01)
     columns = {"source_id": np.arange(n), "ra": np.degrees(ra), "dec": np.degrees(dec), "ref_epoch": np.full(n, 2016.0)}

@@ -311,26 +311,15 @@ CASES = {
     "jitter": ({"jitter": "estimate"}, {"jitter": "estimate"}),
     "jitter of a kind": ({"jitter": "five-parameter=0.3:0.1"}, {"jitter": {"five-parameter": (0.3, 0.1)}}),
     "without_cos_dec": ({"without_cos_dec": "reference"}, {"without_cos_dec": "reference"}),
-    "units": (
-        {"units": {"reference:pmra": "arcsec/yr"}},
-        {"units": {"reference:pmra": "arcsec/yr"}},
-    ),
+    "units": ({"units": {"reference:pmra": "arcsec/yr"}}, {"units": {"reference:pmra": "arcsec/yr"}}),
     "where": ({"where": "phot_g_mean_mag < 10"}, {"where": "phot_g_mean_mag < 10"}),
     "where there": (
         {"where": "phot_g_mean_mag < 14; reference: phot_g_mean_mag < 10"},
         {"where": ["phot_g_mean_mag < 14", "reference: phot_g_mean_mag < 10"]},
     ),
     "missions": (
-        {
-            "missions": {"hip": "hip.ecsv"},
-            "mission_epochs": {"hip": "1991.25"},
-            "columns": {"hip:parallax": "plx"},
-        },
-        {
-            "missions": {"hip": "hip.ecsv"},
-            "mission_epochs": {"hip": 1991.25},
-            "columns": {"hip:parallax": "plx"},
-        },
+        {"missions": {"hip": "hip.ecsv"}, "mission_epochs": {"hip": "1991.25"}, "columns": {"hip:parallax": "plx"}},
+        {"missions": {"hip": "hip.ecsv"}, "mission_epochs": {"hip": 1991.25}, "columns": {"hip:parallax": "plx"}},
     ),
     "known_spin_table": ({"known_spin_table": "spin.ecsv"}, {"known_spin": "spin.ecsv"}),
 }
