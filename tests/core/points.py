@@ -9,7 +9,7 @@ from linksweep.core import experiment
 from linksweep.core.catalogues import Catalogue, NestedDraw, OwnErrors
 from linksweep.core.errors import CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import link
-from linksweep.core.fields import Field, Systematics, ZonalErrors, parse_pattern, pattern_field, rms
+from linksweep.core.fields import Field, ZonalErrors, parse_pattern, pattern_field, rms
 from linksweep.core.fixed_design import fixed_designs, neglected
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, exact_differences, transposed_product, triad
 from linksweep.core.link import LinkError

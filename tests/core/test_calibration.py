@@ -5,7 +5,6 @@ import pytest
 
 from tests.core.points import (
     CALIBRATED,
-    MAS,
     MISSIONS,
     calibration,
     curve_of,
@@ -20,7 +19,6 @@ from tests.core.points import (
     scenario,
     spin_variance,
 )
-from tests.core.reference import design_matrix, solve
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
@@ -33,24 +31,12 @@ def test_the_closed_form_is_that_of_the_link(weighting):
     assert variance[1, 0] == pytest.approx(np.mean(predicted[3:]), rel=1e-9)
 
 
-def test_radio_stars_with_both_errors_and_a21_give_the_same_closed_form():
-    """Two errors an object and large proper motions: what the closed form leaves out is below 1e-5."""
-    stars, skies = drawn(8, catalogue="radio-stars", n_obj=100), draw_skies("radio-stars", 1, seed=8)
-    np.testing.assert_array_equal(skies.v_mag[0], stars.v_mag)
-    satellite = scenario(point(model="amex")).satellite_errors.standard_errors(stars)
-    design = design_matrix(stars.ra, stars.dec, stars.pmra, stars.pmdec)
-    solution = solve(design, np.zeros((4, 100)), np.hypot(satellite, 0.5 * stars.own.sigma).T)
-    variance = spin_variance(skies, MISSIONS["amex"].curve_pm_mas_yr, reference_error_scale=0.5)
-    assert variance[-1, 0] == pytest.approx(np.mean((solution.formal_error[3:] / MAS) ** 2), rel=2e-5)
-
-
-def test_equal_errors_on_an_isotropic_sky_give_the_textbook_value():
-    """sigma sqrt(3/(2N)); 116 objects on 2000 skies: geometry adds about 1/N = 1 %, the average is good to 0.1 %."""
-    skies = draw_skies("galaxies", 2000, seed=9)
-    flat = curve_of("gaia", np.array([0.3, 0.0]))
-    for weighting in ("inverse-variance", "equal"):
-        sigma = np.sqrt(spin_variance(skies, flat, weighting).mean())
-        assert sigma == pytest.approx(0.3 * np.sqrt(1.5 / 116), rel=0.01)
+@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
+def test_equal_errors_on_an_isotropic_sky_give_the_textbook_value(weighting):
+    """sigma sqrt(3/(2N)); 116 objects on 500 skies: geometry adds about 1/N = 1 %, the average is good to 0.2 %."""
+    skies = draw_skies("galaxies", 500, seed=9)
+    sigma = np.sqrt(spin_variance(skies, curve_of("gaia", np.array([0.3, 0.0])), weighting).mean())
+    assert sigma == pytest.approx(0.3 * np.sqrt(1.5 / 116), rel=0.012)
 
 
 def test_a_fit_finds_the_constants_that_made_the_numbers():
@@ -61,17 +47,6 @@ def test_a_fit_finds_the_constants_that_made_the_numbers():
     found = fit("gaia", numbers.assign(sigma=sigma, rounding=1e-9), skies)
     np.testing.assert_allclose(found.constants, truth, rtol=1e-5)
     assert found.chi2 < 1e-6
-
-
-def test_equal_weights_cannot_give_the_radio_stars():
-    """Even without any satellite error they lie above the printed numbers, so no curve can save the hypothesis."""
-    numbers = published_numbers("amex")
-    stars = numbers[numbers["kind"] == "radio-stars"].reset_index()
-    skies = {"radio-stars": draw_skies("radio-stars", 500, seed=3)}
-    floor, error = published_model(stars, skies, curve_of("amex", np.zeros(4)), "equal")
-    excess = floor / stars["sigma"] - 1.0
-    assert np.all(excess > 5.0 * error)
-    assert excess[:10].min() > 0.3
 
 
 @pytest.mark.slow

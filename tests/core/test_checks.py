@@ -55,27 +55,18 @@ def computes(point):
     [
         {},
         {"satellite_errors": "none"},
-        {"satellite_errors": "none", "reference_errors": "normal"},
         {"satellite_errors": "normal", "reference_errors": "normal", "reference_error_scale": 0.0},
-        {"satellite_errors": "normal", "satellite_sigma_pos": 0.0, "satellite_sigma_pm": 0.0},
         {"satellite_errors": "normal", "satellite_sigma_pm": 0.0, "reference_errors": "normal"},
-        {"error_scale": 0.0},
         {"model": "gaia-2001", "v_max": 21.0},
-        {"catalogue": "quasars", "n_obj": None, "v_max": 15.0},
         {"catalogue": "quasars", "n_obj": None, "v_max": 16.3, "v_min": 14.7, "counts": "completed"},
         {"catalogue": "galaxies", "v_min": 12.0, "n_obj": None},
         {"catalogue": "quasars", "n_obj": 1000, "v_max": 16.5, "counts": "completed"},
-        {"catalogue": "galaxies", "n_obj": None},
         {"catalogue": "galaxies", "v_max": 11.0, "aberration": True},
-        {"catalogue": "radio-stars", "n_obj": None},
         {"catalogue": "radio-stars", "positions": "own", "reference_errors": "catalogue"},
         {"zone_of_avoidance": 89.0, "sky_contrast": -0.99},
         {"solve_glide": True, "n_obj": 3},
         {"solve_glide": True, "aberration": True, "reference_errors": "normal", "corrections": False},
         {"directions": "random", "epsilon_size": 5.0, "omega_size": 0.0},
-        {"mean_pm": 100.0, "pm_distribution": "rayleigh"},
-        {"catalogue": "radio-stars", "reference_errors": "catalogue"},
-        {"method": "projected"},
         {"method": "projected", "solve_glide": True, "weighting": "equal", "reference_errors": "normal"},
         {"method": "projected", "n_obj": 2, "weighting": "equal"},
         {"method": "projected", "satellite_errors": "none"},
@@ -85,21 +76,26 @@ def test_points_without_a_problem_can_be_computed(changes):
     computes(point(**changes))
 
 
+BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
+
+
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
         ({"catalogue": "quasars", "v_max": 12.0}, "v_max = 12 mag is outside the quasar counts"),
+        ({"catalogue": "quasars", "v_max": 20.01, "counts": "completed"}, "v_max = 20.01 mag is outside the quasar"),
         ({"catalogue": "quasars", "n_obj": 89, "v_max": 15.0}, "n_obj = 89: only 88 quasars are brighter than v_max"),
-        ({"n_obj": None}, "n_obj: a synthetic catalogue needs a number of objects"),
-        ({"v_max": 5.0}, "v_max = 5 mag: must be fainter than the brightest object, v_min = 5 mag"),
+        ({"n_obj": None}, "n_obj: "),
+        ({"v_max": 5.0}, "v_max = 5 mag: "),
         ({"catalogue": "file"}, "file: catalogue = 'file' needs a file"),
-        ({"catalogue": "galaxies", "v_max": 10.9}, "v_max = 10.9 mag: the galaxies have magnitudes from 11 to 13.5"),
-        ({"catalogue": "radio-stars", "v_max": 9.0}, "v_max: the radio stars have no limiting magnitude"),
-        ({"catalogue": "radio-stars", "aberration": True}, "aberration: the glide is that of extragalactic objects"),
-        ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': the synthetic catalogue has no errors"),
-        ({"catalogue": "quasars", "reference_errors": "catalogue"}, "reference_errors = 'catalogue': the quasars"),
+        ({"catalogue": "galaxies", "v_max": 10.9}, "v_max = 10.9 mag: "),
+        ({"catalogue": "radio-stars", "v_max": 9.0}, "v_max: "),
+        ({"catalogue": "radio-stars", "aberration": True}, "aberration: "),
+        ({"catalogue": "radio-stars", "n_obj": None, **BOTH}, "reference_errors and satellite_errors"),
+        ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': "),
         ({"satellite_errors": "normal", "satellite_sigma_pm": 1e-10}, "errors of 1 mas and 1e-10 mas/yr: must be from"),
         ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
+        ({"mission_length": 5e-324}, "errors of inf mas and inf mas/yr: must be from"),
         ({"model": "gaia-2001", "v_max": 21.5}, "v_max = 21.5 mag: the curve of 'gaia-2001' ends at 21 mag"),
     ],
 )
@@ -113,62 +109,25 @@ def test_points_with_a_problem(changes, problem):
         ({}, {"catalogue": "synthetic"}, "file: catalogue = 'file' needs a file, and other catalogues have none"),
         ({}, {"n_obj": 7}, "n_obj = 7: only 6 objects of the file are there"),
         ({}, {"n_obj": 4, "v_max": 12.5}, "n_obj = 4: only 3 objects of the file are brighter than v_max = 12.5 mag"),
+        ({}, BOTH, "reference_errors and satellite_errors are both 'catalogue', but the objects have errors"),
+        ({}, {"method": "projected", "satellite_errors": "catalogue"}, "correlated"),
         ({"magnitudes": False}, {}, "satellite_errors = 'magnitude' needs a magnitude column"),
+        ({"magnitudes": False}, {"v_max": 12.0, "satellite_errors": "none"}, "magnitude column"),
         ({"phot_g_mean_mag": np.full(6, 22.0)}, {"model": "gaia-2001"}, "v_max = 22 mag: the curve of 'gaia-2001'"),
         ({}, {"columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
-        (
-            {"dec": np.full(6, 90.0)},
-            {},
-            "a dec that is not between -90 and 90 deg, poles excluded, in row 1 (90), 2 (90)",
-        ),
-        (
-            {"pmra_error": np.array([0, 1, 1, 1, 1, 1.0])},
-            {"satellite_errors": "catalogue"},
-            "object 1 has an observable",
-        ),
+        ({"pmra_error": np.arange(6.0) % 4.0}, {"satellite_errors": "catalogue"}, "object 1 has an observable"),
         ({"pmra_error": np.full(6, 1e-10)}, {"satellite_errors": "catalogue"}, "errors of 0.1 mas and 1e-10 mas/yr"),
     ],
 )
 def test_files_with_a_problem(contents, changes, problem, tmp_path):
-    assert link.check(from_file(gaia_table(tmp_path, **contents), **changes)).startswith(problem)
+    assert problem in link.check(from_file(gaia_table(tmp_path, **contents), **changes))
 
 
-BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
-
-
-def test_one_set_of_errors_is_not_that_of_both_sides(tmp_path):
-    problem = link.check(from_file(gaia_table(tmp_path), **BOTH))
-    assert problem.startswith("reference_errors and satellite_errors are both 'catalogue', but the objects have errors")
-    stars = link.check(point(catalogue="radio-stars", n_obj=None, **BOTH))
-    assert stars.startswith("reference_errors and satellite_errors")
+def test_errors_of_each_side_are_those_of_its_columns(tmp_path):
     table = gaia_table(tmp_path, vlbi_a=np.full(6, 3.0), vlbi_d=np.full(6, 4.0))
     columns = (("reference_pmdec_error", "vlbi_d"), ("reference_pmra_error", "vlbi_a"))
     computes(from_file(table, columns=columns, **BOTH))
-
-
-def test_correlated_errors_of_a_file_cannot_be_projected(tmp_path):
-    projected = from_file(gaia_table(tmp_path), method="projected")
-    assert "correlated" in link.check(projected | {"satellite_errors": "catalogue"})
-    computes(projected)
-
-
-def test_a_limit_for_objects_without_magnitudes_is_a_problem_of_the_magnitudes(tmp_path):
-    table = gaia_table(tmp_path, magnitudes=False)
-    assert "magnitude column" in link.check(from_file(table, v_max=12.0, satellite_errors="none"))
-
-
-NEVER = {"mean_pm", "pm_distribution", "epsilon", "omega", "epsilon_size", "omega_size", "directions", "glide"}
-NEVER |= {"corrections", "arithmetic"}
-
-
-def test_a_mission_so_short_that_its_errors_overflow_is_a_problem():
-    assert link.check(point(mission_length=5e-324)).startswith("errors of inf mas and inf mas/yr: must be from")
-    assert link.check(point(mission_length=1e-250)).endswith("mas and inf mas/yr: must be from 1e-09 to 1e+07")
-
-
-def own(table, function=None):
-    value, identity = mission_from_table(table, lambda reference: function)
-    return Named("mine", json.dumps(identity), value)
+    computes(from_file(table, method="projected"))
 
 
 @pytest.mark.parametrize(
@@ -176,11 +135,10 @@ def own(table, function=None):
     [({}, False), ({"v_min": 8.5}, True), ({"catalogue": "quasars"}, True), ({"catalogue": "radio-stars"}, False)],
 )
 def test_a_function_is_asked_about_all_magnitudes_that_objects_can_have(changes, good):
-    mine = own(
-        {"nominal_length": 4.0, "sigma_pm": "x.py:f", "position_ratio": 1.0},
-        Function(lambda v: np.where(v < 8.0, -1.0, 0.1), "counted"),
-    )
-    problem = link.check(point(model=mine, **changes))
+    function = Function(lambda v: np.where(v < 8.0, -1.0, 0.1), "counted")
+    table = {"nominal_length": 4.0, "sigma_pm": "x.py:f", "position_ratio": 1.0}
+    value, identity = mission_from_table(table, lambda reference: function)
+    problem = link.check(point(model=Named("mine", json.dumps(identity), value), **changes))
     assert problem is None if good else "'counted' returns -1 at V = " in problem
 
 
@@ -188,41 +146,10 @@ def study(axes=None, exclude=(), **fixed):
     return {"title": "", "axes": axes or {}, "fixed": fixed, "exclude": list(exclude), "sampling": {"n_sim": 1}}
 
 
-def problems(axes=None, exclude=(), **fixed):
-    with pytest.raises(SweepError) as error:
-        linksweep.run(study(axes, exclude, **fixed), "never.zarr", pool="serial")
-    return error.value.problems
-
-
-@pytest.mark.parametrize(
-    ("fixed", "sentence"),
-    [
-        ({"catalogue": "quasars", "mean_pm": 5.0}, "mean_pm = 5.0 changes nothing: it is for catalogue = 'synthetic'"),
-        ({"n_obj": 9, "reference_sigma_pm": 2.0}, "reference_sigma_pm = 2.0 changes nothing: it is for"),
-        ({"n_obj": 9, "satellite_errors": "normal", "model": "gaia"}, "model = 'gaia' changes nothing: it is for sate"),
-        ({"catalogue": "quasars", "positions": "own"}, "positions = 'own' changes nothing: it is for catalogue ="),
-        ({"n_obj": 9, "pm_distribution": "constant"}, "pm_distribution = 'constant' changes nothing: it is for"),
-        ({"n_obj": 9, "pmra_cos_dec": True}, "pmra_cos_dec = True changes nothing: it is for catalogue = 'file'"),
-        (
-            {"n_obj": 9, "glide": [0.0, 0.0, 4.0]},
-            "glide = (0.0, 0.0, 4.0) changes nothing: it is for aberration = true",
-        ),
-        ({"n_obj": 9, "satellite_errors": "none", "weighting": "equal"}, "weighting = 'equal' changes nothing:"),
-        (
-            {"n_obj": 9, "directions": "random", "epsilon_size": 1.0, "epsilon": [0.0, 0.0, 1.0]},
-            "epsilon = (0.0, 0.0, 1.0) changes nothing: its direction is random",
-        ),
-    ],
-)
-def test_what_changes_nothing_is_refused_by_name(fixed, sentence):
-    (found,) = problems(**fixed)
-    assert found.startswith(sentence)
-
-
 def test_an_axis_is_refused_where_it_changes_nothing_unless_those_points_are_excluded(tmp_path):
     axes = {"catalogue": ["synthetic", "quasars"], "mean_pm": [0.0, 50.0]}
-    (found,) = problems(axes, n_obj=20)
-    assert found.startswith("the axis mean_pm changes nothing at some points")
+    with pytest.raises(SweepError, match="the axis mean_pm changes nothing at some points"):
+        linksweep.run(study(axes, n_obj=20), "never.zarr", pool="serial")
     rest = study(axes, [{"catalogue": "quasars", "mean_pm": 50.0}], n_obj=20)
     assert linksweep.run(rest, tmp_path / "rest.zarr", pool="serial")["sigma_spin"].count() == 3
 
@@ -263,23 +190,22 @@ def test_what_is_unused_really_changes_nothing_and_the_rest_of_a_catalogue_somet
         ({"motion_field": "t_2"}, "motion_field = 't_2': 't_2' is no vector spherical harmonic; those are t_L_0"),
         ({"motion_field": "t_2_3_re"}, "'t_2_3_re' is no vector spherical harmonic"),
         ({"motion_field": "t_51_0"}, "degrees L = 1 to 50"),
-        ({"motion_field": "t_2_0=x"}, "t_2_0 = 'x': must be a number"),
         ({"motion_field": "t_2_0=nan"}, "t_2_0 = 'nan': must be a number"),
         ({"motion_field": "t_2_0=0"}, "no harmonic with a coefficient that is not zero"),
-        ({"motion_field": ""}, "no harmonic with a coefficient that is not zero"),
         ({"motion_field": "t_2_0,t_2_0"}, "t_2_0 twice"),
-        ({"motion_field_size": 1.0}, "motion_field_size = 1.0 changes nothing: it is for a motion_field"),
-        ({"zonal_length": 20.0}, "zonal_length = 20.0 changes nothing: it is for zonal errors, zonal_pos or zonal_pm"),
-        ({"zonal_length": 5.0, "zonal_pm": 1.0}, "zonal_length = 5"),
-        ({"v_zero": 3.0}, "v_zero = 3.0 changes nothing: it is for an omega_slope or a magnitude equation"),
+        ({"mean_pm": 5.0, "catalogue": "quasars"}, "mean_pm = 5.0 changes nothing"),
+        ({"epsilon": [0.0, 0.0, 1.0], "directions": "random", "epsilon_size": 1.0}, "1.0) changes nothing"),
+        ({"zonal_length": 20.0}, "zonal_length = 20.0 changes nothing"),
         ({"satellite_errors": "none", "satellite_floor_pm": 1.0}, "satellite_floor_pm = 1.0 changes nothing"),
-        ({"reference_error_ratio": 2.0}, "reference_error_ratio = 2.0 changes nothing"),
+        ({"zonal_length": 5.0, "zonal_pm": 1.0}, "zonal_length = 5"),
         ({"method": "projected", "zonal_pm": 1.0}, "method = 'projected' needs errors that are independent"),
         ({"method": "projected", "satellite_error_ratio": 2.0}, "satellite_error_ratio = 1"),
     ],
 )
 def test_a_study_is_told_what_is_wrong(fixed, sentence):
-    assert sentence in " ".join(problems(**({"n_obj": 9} | fixed)))
+    with pytest.raises(SweepError) as error:
+        linksweep.run(study(**({"n_obj": 9} | fixed)), "never.zarr", pool="serial")
+    assert sentence in " ".join(error.value.problems)
 
 
 def sky(path, v_mag, **columns):
@@ -292,13 +218,10 @@ def sky(path, v_mag, **columns):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"model": "gaia"}, "model = 'gaia': its accuracy curve is known from V = 12.8 to 20, and the catalogue has"),
         ({"model": "gaia-dr3"}, "known from V = 8 to 21, and the catalogue has or may have objects beyond"),
         ({"model": "gaia", "v_min": 13.0, "v_max": 20.5}, "objects beyond, where it is extrapolated"),
         ({"model": "gaia", "v_min": 13.0}, None),
-        ({"model": "amex"}, None),
         ({"model": "gaia", "catalogue": "quasars", "n_obj": None}, None),
-        ({"model": "gaia", "satellite_errors": "normal"}, None),
     ],
 )
 def test_magnitudes_outside_of_a_curves_range_are_warned_of(changes, words):

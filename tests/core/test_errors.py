@@ -67,23 +67,6 @@ def test_a_floor_dilutes_the_correlations_of_an_object():
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("side", ["reference", "satellite"])
-def test_simulated_errors_are_normal_around_zero(side):
-    """Equal weights on a fixed sky, one realisation after the other: the errors of the link are sums of single ones."""
-    n_sim = 1000
-    other = "satellite" if side == "reference" else "reference"
-    here = point(n_obj=3, **FLAT) | {f"{other}_error_scale": 1e-6, f"{side}_sigma_pos": 5.0, f"{side}_sigma_pm": 0.3}
-    rng = np.random.default_rng(2)
-    blocks = [link.evaluate([here], 1, rng, np.random.default_rng(3)) for _ in range(n_sim)]
-    error = np.array([block["error"][0] for block in blocks]) / np.sqrt(blocks[0]["predicted_variance"])
-    assert np.all(np.abs(error.mean(axis=0)) < 4 / np.sqrt(n_sim))
-    assert np.all(np.abs(error.std(axis=0) - 1.0) < 4 / np.sqrt(2 * n_sim))
-    assert all(stats.kstest(component, "norm").pvalue > 1e-3 for component in error.T)
-    chi2 = np.array([block["chi2"][0] for block in blocks])
-    assert stats.kstest(chi2, stats.chi2(4 * 3 - 6).cdf).pvalue > 1e-3
-
-
 @pytest.mark.parametrize("reference_errors", ["none", "normal"])
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 def test_underestimated_errors_scatter_more_with_the_same_weights(weighting, reference_errors):
@@ -99,7 +82,7 @@ def test_underestimated_errors_scatter_more_with_the_same_weights(weighting, ref
 
 def test_one_side_underestimated_is_predicted():
     """The sandwich G Sigma G' with the true Sigma, and its Monte Carlo; chi2 over the squared ratio has its law."""
-    honest, n_sim = point(n_obj=60, **FLAT), 3000
+    honest, n_sim = point(n_obj=60, **FLAT), 1000
     found = evaluated(n_sim, honest | {"satellite_error_ratio": 3.0})
     ratio = found["predicted_variance"] / n_sim / evaluated(1, honest)["predicted_variance"]
     np.testing.assert_allclose(ratio, 5.0, rtol=1e-9)  # (9 + 1)/(1 + 1)
@@ -107,5 +90,5 @@ def test_one_side_underestimated_is_predicted():
     assert stats.chi2(n_sim).sf(squares).min() > 1e-4
     assert stats.chi2(n_sim).cdf(squares).min() > 1e-4
     half = point(n_obj=8, satellite_errors="normal", satellite_error_ratio=0.5)
-    chi2 = [link.evaluate([half], 1, np.random.default_rng(k), np.random.default_rng(7))["chi2"][0] for k in range(250)]
+    chi2 = [link.evaluate([half], 1, np.random.default_rng(k), np.random.default_rng(7))["chi2"][0] for k in range(100)]
     assert stats.kstest(np.array(chi2) / 0.25, stats.chi2(4 * 8 - 6).cdf).pvalue > 1e-3

@@ -74,14 +74,12 @@ def test_units_are_converted_and_those_that_are_not_there_are_the_usual_ones(wri
         assert f"column '{name}' is in {unit}, not convertible to {UNITS[name]}" in said
 
 
-@pytest.mark.parametrize("missing", [np.nan, np.inf, None])
-@pytest.mark.parametrize("suffix", [".ecsv", ".csv", ".vot"])
-def test_missing_values_are_named_by_their_rows(missing, suffix, write):
+@pytest.mark.parametrize(("missing", "words"), [(np.nan, "no pmra"), (np.inf, "an infinite pmra"), (None, "no pmra")])
+def test_missing_values_are_named_by_their_rows(missing, words, write):
     mask = np.array([False, True, False, True])
     column = MaskedColumn(PMRA, mask=mask) if missing is None else np.where(mask, missing, PMRA)
-    said = problem(write(GAIA | {"pmra": column}, suffix))
-    assert said.startswith(("no pmra in row 2, 4", "an infinite pmra in row 2, 4"))
-    assert is_the_four(read(write(GAIA | {"parallax": column}, suffix)))  # unused columns may be anything
+    assert problem(write(GAIA | {"pmra": column})).startswith(f"{words} in row 2, 4")
+    assert is_the_four(read(write(GAIA | {"parallax": column})))  # unused columns may be anything
 
 
 @pytest.mark.parametrize("name", ["v_mag", "phot_g_mean_mag", "vt_mag"])
@@ -114,11 +112,8 @@ def test_pmra_with_and_without_cos_dec(write):
     without = PMRA * np.cos(np.radians(DEC)) * MAS
     np.testing.assert_allclose(read(table, pmra_cos_dec=True).pmra, PMRA * MAS, rtol=1e-14)
     np.testing.assert_allclose(read(table, pmra_cos_dec=False).pmra, without, rtol=1e-14)
-    np.testing.assert_allclose(
-        read(write(GAIA), pmra_cos_dec=False).pmra, without, rtol=1e-14
-    )  # what is declared holds
-    for mark in ("source_id", "designation", "solution_id"):
-        assert is_the_four(read(write(ANONYMOUS | {mark: np.arange(4)})))
+    np.testing.assert_allclose(read(write(GAIA), pmra_cos_dec=False).pmra, without, rtol=1e-14)  # as declared
+    assert is_the_four(read(write(ANONYMOUS | {"designation": np.arange(4)})))
     renamed = {{"pmra": "pm_ra_cosdec"}.get(name, name): values for name, values in ANONYMOUS.items()}
     assert is_the_four(read(write(renamed), {"pmra": "pm_ra_cosdec"}))
 
@@ -159,11 +154,8 @@ def test_correlations_are_those_of_each_pair(write):
     ("columns", "sentence"),
     [
         ({"dec": [60.0, -30.0, 0.5, 90.0]}, "a dec that is not between -90 and 90 deg, poles excluded, in row 4 (90)"),
-        ({"dec": [60.0, -30.0, -200.0, 0.5]}, "a dec that is not between -90 and 90 deg"),
-        ({"ra": [-180.1, 0.0, 360.0, 10.0]}, "an ra that is not between -180 and 360 deg in row 1 (-180.1)"),
         ({"ra": [10.0, 360.5, -180.0, 400.0]}, "an ra that is not between -180 and 360 deg in row 2 (360.5), 4 (400)"),
         ({"ra": [80.0] * 4, "dec": [95.0] * 4}, "4 (95); are ra and dec swapped?"),
-        ({"dec": ["60", "-30", "0.5", "-80"]}, "column 'dec' is text that is no angle"),
     ],
 )
 def test_impossible_positions_are_named(columns, sentence, write):
@@ -194,7 +186,6 @@ def side(name, factor):
     ("columns", "reference", "satellite"),
     [
         (ERRORS, 1.0, 1.0),
-        (side("reference", 2.0) | side("satellite", 3.0), 2.0, 3.0),
         (side("reference", 2.0) | side("satellite", 3.0) | ERRORS, 2.0, 3.0),
         (side("reference", 2.0) | ERRORS, 2.0, 1.0),
         (side("satellite", 3.0) | ERRORS, 1.0, 3.0),

@@ -72,9 +72,7 @@ def sandwich(weighting, correlated):
     [
         ("reference", "catalogue", False),
         ("satellite", "catalogue", False),
-        ("satellite", "projected", False),
         ("reference", "projected", False),
-        ("reference", "catalogue", True),
         ("satellite", "catalogue", True),
     ],
 )
@@ -155,17 +153,8 @@ def test_a_glide_is_solved_for_with_motions_alone_and_refused_without(tmp_path):
     assert problem == "solve_glide: the proper motions have no errors on either side, so they are not measured"
 
 
-@pytest.mark.parametrize(
-    ("kind", "words"),
-    [
-        ("motions", "positions have no errors on either side while proper motions have"),
-        ("positions", "proper motions have no errors on either side while positions have"),
-    ],
-)
-def test_what_is_not_measured_is_said(kind, words, tmp_path):
-    (said,) = [
-        sentence for sentence in link.warn(point(tmp_path, kind, satellite_errors="none")) if "either side" in sentence
-    ]
-    assert said.startswith(words)
-    assert "is not determined (NaN)" in said
-    assert not any("either side" in sentence for sentence in link.warn(link.defaults() | {"n_obj": 20}))
+@pytest.mark.parametrize(("kind", "other"), [("motions", "positions"), ("positions", "proper motions")])
+def test_what_is_not_measured_is_said(kind, other, tmp_path):
+    said = [one for one in link.warn(point(tmp_path, kind, satellite_errors="none")) if "either side" in one]
+    assert [one.partition(" have no errors")[0] for one in said] == [other]
+    assert not any("either side" in one for one in link.warn(link.defaults() | {"n_obj": 20}))

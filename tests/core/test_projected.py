@@ -35,7 +35,9 @@ def setup_of(here):
 )
 def test_estimates_have_the_distribution_of_the_catalogue_method(changes):
     n_sim = 8000
-    catalogue, projected = (run(point(method=m, **changes), n_sim, seed) for seed, m in enumerate(link_methods()))
+    catalogue, projected = (
+        run(point(method=m, **changes), n_sim, seed) for seed, m in enumerate(("catalogue", "projected"))
+    )
     np.testing.assert_array_equal(catalogue["predicted_variance"], projected["predicted_variance"])
     a, b = catalogue["estimate"], projected["estimate"]
     sigma = np.sqrt(catalogue["predicted_variance"] / n_sim)
@@ -48,20 +50,6 @@ def test_estimates_have_the_distribution_of_the_catalogue_method(changes):
     variance = np.diag(covariances[0])
     mc_error = np.sqrt(2 * (np.outer(variance, variance) + covariances[0] ** 2) / n_sim)  # of normal errors, twice
     assert np.all(np.abs(covariances[0] - covariances[1]) < 4.5 * mc_error)
-
-
-def link_methods():
-    return link.parameter("method").choices
-
-
-def test_it_costs_nothing_more_for_many_objects():
-    """What is drawn is as much for 3 objects as for 20 000, and what the sums say is still right."""
-    sums = run(point(method="projected", n_obj=20_000), 100_000)
-    sigma = np.sqrt(sums["predicted_variance"] / 100_000)
-    rms = np.sqrt(np.diag(sums["error_products"]) / 100_000)
-    assert np.all(np.abs(rms / sigma - 1) < 4.5 / np.sqrt(2e5))
-    dof = 4 * 20_000 - 6
-    assert abs(sums["chi2"] / 100_000 - dof) < 4.5 * np.sqrt(2 * dof / 100_000)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from tests.core.points import (
     MICROARCSEC,
     Catalogue,
     Field,
-    Systematics,
     ZonalErrors,
     design_of,
     generators,
@@ -23,7 +22,6 @@ from tests.core.points import (
     pattern_field,
     point,
     results,
-    rms,
     run,
     scenario,
     set_up,
@@ -139,22 +137,6 @@ def plain_differences(catalogue, slope, equation, v_zero, field):
         satellite = np.array(equation) * (v_mag - v_zero) + along
         found.append([turning @ east - satellite[0], turning @ north - satellite[1]])
     return np.array(found).T
-
-
-def test_the_differences_are_those_of_a_plain_loop():
-    catalogue, slope, equation = sky(30), (0.1, -0.2, 0.3), (0.4, -0.5)
-    pattern = parse_pattern("t_2_0=0.3, s_3_2_im=-0.2")
-    field = pattern_field(pattern, catalogue.ra, catalogue.dec)
-    found = Systematics(slope, equation, 14.0, pattern).differences(catalogue.ra, catalogue.dec, catalogue.v_mag)
-    np.testing.assert_allclose(found, plain_differences(catalogue, slope, equation, 14.0, field), rtol=1e-12)
-
-
-def test_the_size_of_a_pattern_is_its_rms_over_the_sky():
-    catalogue = sky(100_000)
-    pattern = scenario(point(motion_field="t_2_0=2,s_3_1_im=-1", motion_field_size=0.25)).systematics.pattern
-    lengths = np.sum(pattern_field(pattern, catalogue.ra, catalogue.dec) ** 2, axis=0)
-    assert np.sqrt(lengths.mean()) / MAS == pytest.approx(0.25, rel=0.01)
-    assert rms(pattern) / MAS == pytest.approx(0.25, rel=1e-12)
 
 
 ALL_OF_THEM = {

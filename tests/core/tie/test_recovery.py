@@ -51,38 +51,33 @@ def apparent(values, epoch):
     return position(seen)
 
 
-def made(kind, years, n=30, pm=3000.0, parallax=60.0, seed=2):
+def made(used, years, unknowns, n=30):
     """Return a problem of exact data: a satellite in a turned, spinning frame, rows in the reference's."""
-    truth = stars(n, seed, pm=pm, parallax=parallax)
+    truth = stars(n, 2, pm=3000.0, parallax=60.0)
     satellite = replace(truth, values=seen_by_satellite(truth, EPSILON, OMEGA, zero_point=0.04 * MAS))
     epoch = truth.epoch[0] + years
     values = by_astropy(truth, epoch) if years else truth.values.copy()
-    used = {"five": slice(0, 5), "motion": slice(3, 5), "position": slice(0, 2), "single": slice(0, 2)}[kind]
-    if kind == "single":
+    single = used == slice(0, 2)
+    if single:
         values[:2] = apparent(values, epoch)
     errors = np.full((5, n), np.nan)
     errors[used] = 0.1 * MAS
     values[np.isnan(errors)] = np.nan
-    rows = Astrometry(values, errors, np.full(n, epoch), apparent=np.full(n, kind == "single"))
-    text = {"five": "orientation,spin,parallax", "motion": "spin", "position": "orientation", "single": "orientation"}
-    return Problem(satellite, rows, np.arange(n), parse_unknowns(text[kind]), float(truth.epoch[0]))
+    rows = Astrometry(values, errors, np.full(n, epoch), apparent=np.full(n, single))
+    return Problem(satellite, rows, np.arange(n), parse_unknowns(unknowns), float(truth.epoch[0]))
 
 
 def test_five_parameters_at_the_same_epoch():
-    problem = made("five", 0.0)
-    found = solve(source_sums(problem)).estimate / MAS
+    found = solve(source_sums(made(slice(0, 5), 0.0, "orientation,spin,parallax"))).estimate / MAS
     np.testing.assert_allclose(found[:3], EPSILON / MAS, atol=2e-4)
     np.testing.assert_allclose(found[3:6], OMEGA / MAS, atol=2e-6)
     assert found[6] == pytest.approx(0.04, abs=1e-5)
 
 
-@pytest.mark.parametrize("years", [-12.3, 0.0, 4.1, 8.9])
+@pytest.mark.parametrize("years", [-12.3, 8.9])
 def test_positions_of_single_epochs(years):
-    problem = made("single", years)
-    together = replace(problem, unknowns=parse_unknowns("orientation"))
-    shift = OMEGA * years
-    found = solve(source_sums(together)).estimate / MAS
-    np.testing.assert_allclose(found, (EPSILON + shift) / MAS, atol=0.05)
+    found = solve(source_sums(made(slice(0, 2), years, "orientation"))).estimate / MAS
+    np.testing.assert_allclose(found, (EPSILON + OMEGA * years) / MAS, atol=0.05)
 
 
 # ----- pieces

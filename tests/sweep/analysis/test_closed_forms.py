@@ -118,18 +118,6 @@ def test_a_power_law_through_points_without_errors_is_a_linear_regression(seed):
     assert linksweep.fit_power_law(results(x[:2], y[:2]), "width", "n")["exponent_error"].item() == 0.0  # no scatter
 
 
-@several
-@given(seeds)
-def test_the_order_of_points_changes_nothing(seed):
-    rng, x, y, _, covariance = drawn(seed)
-    ordered = results(x, y, covariance=covariance)
-    order = rng.permutation(len(x))
-    mixed = ordered.isel(n=order, n_other=order)
-    one, other = (linksweep.fit_power_law(dataset, "width", "n") for dataset in (ordered, mixed))
-    for name in ("exponent", "exponent_error", "amplitude_error", "chi2"):
-        assert other[name].item() == pytest.approx(one[name].item(), rel=1e-9)
-
-
 def level(x, plateau, size, rate):
     return np.sqrt(plateau**2 + size * np.exp(-rate * x))
 
@@ -192,7 +180,7 @@ def test_the_levelling_law_is_that_of_scipy_with_its_errors(seed, quality):
         assert found[f"{name}_error"].item() == pytest.approx(error, rel=0.02), name
 
 
-@several
+@settings(max_examples=examples(25))
 @given(seeds, st.floats(1.02, 1.9))
 def test_a_law_too_slow_for_the_fall_falls_by_less_everywhere(seed, times):
     """Its logarithm falls by at most rate/2 a unit, where the plateau does not count yet."""
@@ -336,14 +324,6 @@ def test_groups_explain_the_adjusted_share(seed, groups, n):
     assert spread["first"].values[0] == pytest.approx(share + 0.5 * chance, abs=1e-9)
     squares = spread["first_error"].values[0] ** 2 - found["first_error"].values[0] ** 2
     assert squares == pytest.approx((0.5 * chance) ** 2, rel=1e-6, abs=1e-12)
-
-
-def test_what_only_the_shortest_waves_explain_is_in_the_error():
-    n = 400
-    place = (np.random.default_rng(3).permutation(n) + 0.5) / n
-    found = linksweep.sensitivity(table({"x": place}, np.cos(np.pi * 8 * place)))
-    assert found["first"].item() == pytest.approx(1.0, abs=1e-9)
-    assert found["first_error"].item() == pytest.approx(1.0, abs=0.05)
 
 
 @several

@@ -3,7 +3,6 @@
 import csv
 import json
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from tests.conftest import COINS
 from tests.sweep.analysis.made import DONE, EXCLUDED, FAILED, MISSING, N, grid
 
 compare = verdicts.compare
-ROOT = Path(__file__).parents[3]
 
 
 def claim(**keys):
@@ -26,54 +24,41 @@ def only(dataset):
     return comparison
 
 
-VALUES = {  # value, error, published -> verdict
-    "within rounding": (0.604, 0.0, "0.60", "reproduced"),
-    "at the edge of rounding": (0.605, 0.0, "0.60", "reproduced"),  # 0.605 - 0.6 > 0.005 in binary
-    "beyond rounding": (0.606, 0.0, "0.60", "NOT reproduced"),
-    "fewer digits allow more": (0.606, 0.0, "0.6", "reproduced"),
-    "within three errors more": (0.6349, 0.01, "0.60", "reproduced"),
-    "beyond three errors more": (0.6351, 0.01, "0.60", "NOT reproduced"),
-    "below": (0.5649, 0.01, "0.60", "NOT reproduced"),
-    "negative": (-0.604, 0.0, "-0.60", "reproduced"),
-    "not a number": (np.nan, 0.0, "0.60", "NOT reproduced"),
+WIDE = {"tolerance": 0.07, "tolerance_reason": "curves by eye"}
+VALUES = {  # value, error, published, tolerance -> verdict
+    "within rounding": (0.604, 0.0, "0.60", {}, "reproduced"),
+    "at the edge of rounding": (0.605, 0.0, "0.60", {}, "reproduced"),  # 0.605 - 0.6 > 0.005 in binary
+    "beyond rounding": (0.606, 0.0, "0.60", {}, "NOT reproduced"),
+    "fewer digits allow more": (0.606, 0.0, "0.6", {}, "reproduced"),
+    "within three errors more": (0.6349, 0.01, "0.60", {}, "reproduced"),
+    "beyond three errors more": (0.6351, 0.01, "0.60", {}, "NOT reproduced"),
+    "below": (0.5649, 0.01, "0.60", {}, "NOT reproduced"),
+    "negative": (-0.604, 0.0, "-0.60", {}, "reproduced"),
+    "not a number": (np.nan, 0.0, "0.60", {}, "NOT reproduced"),
+    "a tolerance comes on top": (0.64, 0.0, "0.60", WIDE, "within tolerance"),  # allowed are 0.005, and 0.042 more
+    "on both sides": (0.56, 0.0, "0.60", WIDE, "within tolerance"),
+    "beyond the tolerance": (0.648, 0.0, "0.60", WIDE, "NOT reproduced"),
+    "without need of it": (0.604, 0.0, "0.60", WIDE, "reproduced"),
 }
 
 
 @pytest.mark.parametrize("case", VALUES)
 def test_verdict(case):
-    value, error, text, verdict = VALUES[case]
-    comparison = only(grid(value, error, published={(1, 2): text}))
+    value, error, text, printed, verdict = VALUES[case]
+    comparison = only(grid(value, error, published={(1, 2): text}, printed=printed))
     assert comparison.verdict == verdict
-    assert (comparison.study, comparison.what, comparison.source, comparison.unit) == (
-        *("made-up", "width", "A paper"),
-        "mas",
-    )
+    assert ("7 %: curves by eye" in comparison.reason) == (verdict == "within tolerance")
+    named = comparison.study, comparison.what, comparison.source, comparison.unit
+    assert named == ("made-up", "width", "A paper", "mas")
     assert comparison.where == {"model": "new", "n": 50.0}
     assert comparison.published == float(text)
     assert comparison.allowance == pytest.approx(0.5 * 10.0 ** -len(text.partition(".")[2]) + 3 * error)
     assert comparison.difference == pytest.approx(value - float(text), nan_ok=True)
 
 
-@pytest.mark.parametrize(
-    ("value", "verdict"),
-    [(0.604, "reproduced"), (0.64, "within tolerance"), (0.648, "NOT reproduced"), (0.56, "within tolerance")],
-)
-def test_a_tolerance_comes_on_top_of_the_allowance_and_gives_its_reason(value, verdict):
-    dataset = grid(
-        value, None, published={(0, 0): "0.60"}, printed={"tolerance": 0.07, "tolerance_reason": "curves by eye"}
-    )
-    comparison = only(dataset)
-    assert comparison.verdict == verdict  # allowed are 0.005, and 0.042 more
-    assert comparison.reason == ("7 %: curves by eye" if verdict == "within tolerance" else "")
-
-
-@pytest.mark.parametrize(
-    ("value", "verdict"), [(28.0, "reproduced"), (28.4, "NOT reproduced"), (29.0, "NOT reproduced")]
-)
+@pytest.mark.parametrize(("value", "verdict"), [(28.0, "reproduced"), (28.4, "NOT reproduced")])
 def test_a_count_must_be_equal_whatever_the_tolerance(value, verdict):
-    comparison = only(
-        grid(value, None, published={(0, 0): "28"}, printed={"tolerance": 0.5, "tolerance_reason": "none"})
-    )
+    comparison = only(grid(value, None, published={(0, 0): "28"}, printed=WIDE))
     assert (comparison.verdict, comparison.allowance) == (verdict, 0.0)
 
 
@@ -147,7 +132,6 @@ def test_a_component_of_a_result():
     ("keys", "reason"),
     [
         ({"slope": LAW | {"over": "m"}}, "m is not an axis of this store"),
-        ({"slope": LAW, "where": {"model": "newest"}}, "model = newest is not in the grid, which has old, new"),
         ({"slope": LAW, "where": {"colour": "red"}}, "'colour' is not an axis; known are model, n"),
         ({"slope": LAW | {"variable": "depth"}}, "depth is not a result of this store"),
     ],
@@ -271,15 +255,10 @@ def coin_study(tmp_path):
     ("claim", "phrases"),
     [
         ("", ["claim.0 (line 12)", "exactly one of slope, ratio and value"]),
-        (f"{PLACE}\nnote = 3", ["claim.0.note", "unknown key"]),
         ('slope = { variable = "share", ower = "coins" }', ["claim.0.slope.ower (line 16)", "did you mean 'over'?"]),
-        ('value = { variable = "shares" }', ["'shares'", "did you mean 'share'?"]),
         ('slope = { variable = "share", over = "metal" }', ["'metal'", "numbers"]),
         ('slope = { variable = "share", over = "coins" }\nwhere = { coins = 5 }', ["'coins' cannot vary"]),
-        ('value = { variable = "share", at = { coins = 6 } }', ["coins", "6 is not on the axis, which has 1, 5, 20"]),
         ('ratio = { variable = "share", of = { coins = 5 }, to = { coins = 5 } }', ["claim.0.ratio", "'of' and 'to'"]),
-        (f"{PLACE}\nwhere = {{ coins = 1 }}", ["coins", "is given by 'where' too"]),
-        (f"{PLACE}\ntolerance = 0.1", ["claim.0", "tolerance_reason"]),
         (PLACE.replace("share", "share', component = 'x").replace('"', "'"), ["component"]),
     ],
 )
@@ -318,9 +297,7 @@ def test_the_command_tells_by_its_exit_code(sweep, coin_study, tmp_path):
     ("arguments", "phrase"),
     [
         (("compare",), "name stores, or give --all"),
-        (("compare", "s.zarr", "--all"), "name stores, or give --all"),
         (("compare", "s.zarr", "--workers", "2"), "go with --all"),
-        (("compare", "none.zarr"), "no store there"),
         (("compare", "s.zarr"), "neither published numbers nor claims"),
     ],
 )
@@ -341,13 +318,6 @@ def test_the_whole_paper_from_one_command_runs_what_is_missing(sweep, tmp_path, 
     coin_study.write_text(coin_study.read_text().replace("seed = 7", "seed = 8"))
     code, _, err = sweep(*arguments)
     assert (code, "a different study" in err) == (2, True)
-
-
-def test_the_claims_of_the_document_are_valid(tmp_path):
-    document = (ROOT / "docs" / "compare.md").read_text()
-    (tmp_path / "study.toml").write_text(document.partition("```toml normal.toml\n")[2].partition("```")[0])
-    kinds = [type(c.quantity()).__name__ for c in linksweep.load_study(str(tmp_path / "study.toml")).claims]
-    assert kinds == ["Slope", "Ratio", "Reading"]
 
 
 def test_a_ratio_along_zipped_axes():

@@ -117,11 +117,11 @@ def test_a_grid_of_three_parameters_of_the_borehole_function(tmp_path):
 
 
 def test_saltelli_designs_of_both_functions(borehole_indices, tmp_path):
-    design = {"design": "saltelli", "n": 512, "seed": 4}
+    design = {"design": "saltelli", "n": 256, "seed": 4}
     found = sensitivity(run(ishigami, tmp_path / "i.zarr", points=design | {"ranges": BOX}))
     assert agrees(found, "first", ALONE)[0]
     assert agrees(found, "total", TOTAL)[0]
-    assert float(found.total_error.max()) < 0.08
+    assert float(found.total_error.max()) < 0.12
     assert "Monte-Carlo" not in found.attrs["notes"]  # the function draws no random numbers
     [axes] = linksweep.plot(found).axes
     low, high = axes.get_xlim()
@@ -138,7 +138,7 @@ def test_saltelli_designs_of_both_functions(borehole_indices, tmp_path):
 
 @pytest.mark.parametrize("design", ["sobol", *map(slow, ("halton", "latin-hypercube", "random"))])
 def test_first_order_indices_of_any_points(design, borehole_indices, tmp_path):
-    points = {"design": design, "n": 1024, "seed": 2}
+    points = {"design": design, "n": 512, "seed": 2}
     found = sensitivity(run(ishigami, tmp_path / "i.zarr", points=points | {"ranges": BOX}))
     assert agrees(found, "first", ALONE)[0], agrees(found, "first", ALONE)
     assert "total" not in found
@@ -198,20 +198,23 @@ def test_what_has_no_indices_says_why(tmp_path):
     def f(a: float, b: float = 1.0):
         if a > 0.9:
             raise ValueError("no")
-        return {"y": a * b, "text": "t"}
+        return {"y": a * b, "text": "t", "flat": 7.3}
 
     points = {"design": "sobol", "n": 32, "ranges": {"a": [0, 1], "b": [0, 1]}}
     with pytest.raises(SweepError, match="incomplete"):
         sensitivity(run(f, tmp_path / "s.zarr", points=points))
-    good = run(f, tmp_path / "g.zarr", points=points | {"ranges": {"a": [0, 0.5], "b": [0, 1]}})
-    with pytest.raises(SweepError, match="text has no numbers to draw or to fit"):
-        sensitivity(good, "text")
-    with pytest.raises(SweepError, match="8 points are too few for indices: at least 18"):
-        sensitivity(good.isel(point=slice(8)))
-    pytest.importorskip("SALib")
-    few = run(f, tmp_path / "q.zarr", points={"design": "saltelli", "n": 32, "ranges": {"a": [0, 0.5], "b": [0, 1]}})
-    with pytest.raises(SweepError, match="indices of a saltelli design need all of its points"):
-        sensitivity(few.isel(point=slice(8)))
+    points["ranges"]["a"] = [0, 0.5]
+    good = run(f, tmp_path / "g.zarr", points=points)
+    flat = sensitivity(good, "flat")
+    assert "flat does not vary" in flat.attrs["notes"]
+    assert np.isnan(flat["first"]).all()
+    for dataset, name, words in (
+        (good, "text", "text has no numbers to draw or to fit"),
+        (good.isel(point=slice(8)), "y", "8 points are too few for indices: at least 18"),
+        (run(f, tmp_path / "q.zarr", points=points | {"design": "saltelli"}).isel(point=slice(8)), "y", "all of its"),
+    ):
+        with pytest.raises(SweepError, match=words):
+            sensitivity(dataset, name)
     excluding = {"experiment": f, "axes": {"a": [0.1, 0.2], "b": [1.0, 2.0, 3.0]}, "exclude": [{"a": 0.1, "b": 1.0}]}
     ds = run(excluding, tmp_path / "e.zarr")
     with pytest.raises(SweepError, match=r"the study excludes points.*--at AXIS=VALUE"):
@@ -225,7 +228,7 @@ def test_the_command_prints_writes_and_draws(tmp_path, sweep):
     code, out, err = sweep("sensitivity", "s.zarr", cwd=tmp_path)
     assert code == 0, err
     assert "by analysis of variance of the grid, from 16 points" in out
-    for name in ("s.png", "s.svg", "i.zarr"):
+    for name in ("s.png", "i.zarr"):
         code, out, err = sweep("sensitivity", "s.zarr", "--json", "-o", name, cwd=tmp_path)
         assert code == 0, err
         assert (tmp_path / name).exists()
@@ -296,19 +299,3 @@ def test_errors_of_noisy_grids_cover_the_truth():
         assert 0.88 < covered(first[:, k], first_error[:, k], expected[0][k]) <= 1.0
         assert 0.88 < covered(total[:, k], total_error[:, k], expected[2][k]) <= 1.0
         assert np.mean(total[:, k]) == pytest.approx(expected[2][k], abs=0.01)  # no bias of the noise
-
-
-@pytest.mark.parametrize(
-    ("design", "said"), [(None, True), slow("sobol", True), slow("saltelli", True), slow("morris", False)]
-)
-def test_a_result_that_does_not_vary_is_said_to(design, said, tmp_path):
-    run = {"axes": {"x": [0.0, 1.0, 2.0], "y": [0.0, 1.0]}}
-    if design:
-        run = {"points": {"design": design, "n": 32, "ranges": {"x": [0.0, 1.0], "y": [0.0, 1.0]}}}
-    found = sensitivity(linksweep.run(flat, tmp_path / "flat.zarr", pool="serial", **run))
-    assert ("flat does not vary" in found.attrs["notes"]) == said
-    assert np.isnan(next(iter(found.data_vars.values()))).all() == said  # effects of morris are known to be 0
-
-
-def flat(x: float, y: float):
-    return 7.3
