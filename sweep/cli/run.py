@@ -442,9 +442,9 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     total = points["done"] + points["failed"] + unfinished
     state = f"running, {report['running']}" if report["running"] else "stopped" if unfinished else "finished"
     group.print_styled(report["title"], bold=True)
-    rows: list[dict[str, Any]] = next(iter(report["axes"].values()), [])
-    done, wanted = (sum(row[key] for row in rows) for key in ("realisations_done", "realisations"))
-    share = f", {100 * done // wanted} % of the realisations" if unfinished and "realisations_done" in report else ""
+    share = ""
+    if unfinished and "realisations" in report:
+        share = f", {100 * report['realisations_done'] // report['realisations']} % of the realisations"
     group.print_wrapped(f"{state}: {progress_in_words(points['done'], points['failed'], total, part)}{share}")
     for key in ("note", "lost_parts"):
         if key in report:

@@ -156,12 +156,16 @@ def status_report(store: Where) -> dict[str, Any]:
     note = {"note": UNFINISHED} if is_new(opened.root) else {}
     if points.is_adaptive and not note and not complete:
         note = {"note": "as of the last writing: only the experiment can say how many realisations are needed"}
-    axes = {
-        dimension: [dict(zip(grid.dimensions[dimension], map(_plain, row), strict=True)) for row in rows]
-        for dimension, rows in grid.rows.items()
+    excluded, done, random = status == EXCLUDED, status == DONE, "n_sim" in attributes
+    least = attributes["n_sim"] * attributes["n_cat"] if random else 1
+    counts = {
+        "points": ~excluded,
+        "done": done,
+        "failed": status == FAILED,
+        "excluded": excluded,
+        "realisations_done": np.where(excluded, 0, realisations),
+        "realisations": np.where(excluded, 0, np.where(done, realisations, np.maximum(realisations, least))),
     }
-    random = "n_sim" in attributes
-    wanted = int(attributes["n_sim"]) * int(attributes["n_cat"]) if random else 1
     return {
         "title": attributes["title"],
         "part": None if study.part is None else str(study.part),
@@ -171,8 +175,8 @@ def status_report(store: Where) -> dict[str, Any]:
         "last_written": attributes.get("finished"),
         "points": {code.word: n for code, n in count_status(status).items()},
         "blocks": len(ledger.rows),
-        **({"realisations_done": int(realisations.sum())} if random else {}),
-        "axes": by_axis(axes, status, realisations, wanted),
+        **{name: int(counts[name].sum()) for name in ("realisations_done", "realisations") if random},
+        "axes": _by_axis(grid, counts),
         "units": {name: study.experiment.parameter(name).unit for name in study.axes},
         **({"lost_parts": attributes[LOST]} if LOST in attributes else {}),
         "rounds": [str(one) for one in rounds_of(attributes)],
@@ -181,10 +185,6 @@ def status_report(store: Where) -> dict[str, Any]:
         "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")}
         | {"versions": json.loads(attributes.get("versions", "{}"))},
     }
-
-
-def _plain(value: Any) -> Any:
-    return value.name if isinstance(value, Named) else value
 
 
 def _parts_beside(store: Location) -> list[Part]:
@@ -214,33 +214,16 @@ def _of_parts(store: Location, parts: Sequence[Part]) -> dict[str, Any]:
 AxisRows = list[dict[str, Any]]
 
 
-def by_axis(
-    axes: Mapping[str, Sequence[Mapping[str, Any]]],
-    status: NDArray[np.int8],
-    realisations: NDArray[np.int64],
-    wanted: int,
-) -> dict[str, AxisRows]:
-    """Return how far a study is at each value along each dimension: points done, failed and excluded, realisations.
-
-    ``axes`` has the values along each dimension, by axis; ``status`` and ``realisations`` done are shaped as the grid,
-    and ``wanted`` are the realisations of a point that is not done.
-    """
-    excluded, done = status == Status.EXCLUDED, status == Status.DONE
-    of_point = np.where(done, realisations, np.maximum(realisations, wanted))
-    counts = {
-        "points": ~excluded,
-        "done": done,
-        "failed": status == Status.FAILED,
-        "excluded": excluded,
-        "realisations_done": np.where(excluded, 0, realisations),
-        "realisations": np.where(excluded, 0, of_point),
-    }
-    rows = {}
-    for number, (dimension, places) in enumerate(axes.items()):
-        others = tuple(d for d in range(status.ndim) if d != number)
+def _by_axis(grid: Grid, counts: Mapping[str, NDArray[Any]]) -> dict[str, AxisRows]:
+    """Return counts of points, each shaped as the grid, at each value along each dimension."""
+    by_axis = {}
+    for number, (dimension, axes) in enumerate(grid.dimensions.items()):
+        others = tuple(d for d in range(len(grid.shape)) if d != number)
         sums = {name: count.sum(axis=others).tolist() for name, count in counts.items()}
-        rows[dimension] = [{"at": at} | {name: sums[name][i] for name in counts} for i, at in enumerate(places)]
-    return rows
+        values = ([one.name if isinstance(one, Named) else one for one in row] for row in grid.rows[dimension])
+        places = (dict(zip(axes, row, strict=True)) for row in values)
+        by_axis[dimension] = [{"at": at} | {n: sums[n][i] for n in counts} for i, at in enumerate(places)]
+    return by_axis
 
 
 def folded(rows: AxisRows, most: int = MOST_LINES) -> list[AxisRows]:

@@ -55,6 +55,17 @@ def test_each_axis_counts_points_and_realisations(stopped):
     assert 20_000 * done < both < 20_000 * 5  # a point that is done in part counts in part
 
 
+def test_a_single_point_that_was_stopped(coins, tmp_path, sweep):
+    study = study_from_dict(coins | {"axes": {}, "fixed": {"metal": "tin"}})
+    with pytest.raises(RunInterruptedError):
+        run_study(study, tmp_path / "s.zarr", SERIAL, Impatient(2), tuning=Tuning(most_blocks=1))
+    code, out, _ = sweep("status", tmp_path / "s.zarr")
+    assert (code, "0 of 1 point done" in out) == (0, True)
+    done, wanted = (status_report(tmp_path / "s.zarr")[key] for key in ("realisations_done", "realisations"))
+    assert f"{100 * done // wanted} % of the realisations" in out
+    assert 0 < done < wanted == 20_000
+
+
 def test_all_failed_points_are_counted_and_a_terminal_says_why(sweep, tmp_path):
     (tmp_path / "f.py").write_text(
         "def f(a: int):\n    if a > 1:\n        raise ValueError('even' if a % 2 == 0 else 'odd')\n    return a\n"
