@@ -172,7 +172,7 @@ def _safe(value: Any) -> Any:
         return "" if is_missing(value) else value
     with suppress(ValueError):
         float(value)
-        return value
+        return harmless(value)  # a number may have controls around it, as '0\r'
     return ("'" if value.lstrip().startswith(FORMULA) else "") + harmless(value)
 
 

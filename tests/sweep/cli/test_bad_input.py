@@ -78,26 +78,11 @@ PUBLISHED = f'[published]\nfile = "{CSV}"\nsource = "A paper"'
 
 STUDIES = {
     "unknown key": (f"colour = 3\n{GOOD}", "colour (line 1): unknown key; known are axes, claim, conclusion,"),
-    "unknown key in sampling": (sampling("nsim = 3"), "sampling.nsim (line 11): unknown key; did you mean 'n_sim'?"),
-    "missing title": (edited('title = "A good study"\n', ""), "title: is required"),
     "unknown parameter": (fixed("altitude = 3"), "fixed.altitude (line 9): unknown parameter 'altitude'"),
-    "misspelt axis": (edited("v_max =", "vmax ="), "axes.vmax (line 4): unknown parameter 'vmax'"),
-    "key with a line feed": (fixed(r'"a\nb" = 1'), "fixed.'a\\nb' (line 7): unknown parameter 'a\\nb'"),
     "string for number": (fixed('error_scale = "two"'), "fixed.error_scale (line 9): error_scale = 'two': must be"),
-    "number for string": (edited('"quasars"', "5"), "catalogue = 5: must be one of 'synthetic', 'quasars'"),
-    "misspelt choice": (edited('"quasars"', '"quasar"'), "catalogue = 'quasar': must be"),
     "control character in the title": (edited("A good study", r"A \u001b[2J study"), "title (line 1): 'A \\x1b[2J"),
-    "direction of text": (after(PUBLISHED.replace("A paper", r"A \u202e paper")), "published.source (line 16): 'A"),
-    "list for section": (edited('[fixed]\ncatalogue = "quasars"\n', "") + "[[fixed]]", "valid dictionary"),
-    "vector for number": (fixed("error_scale = [1, 1, 1]"), "error_scale = [1, 1, 1]: must be a finite number"),
-    "negative sigma": (fixed("satellite_sigma_pos = -1.0"), "satellite_sigma_pos = -1.0: must be"),
     "nan": (fixed("error_scale = nan"), "fixed.error_scale (line 9): error_scale = nan: must be a finite number"),
-    "huge": (fixed("error_scale = 1e305"), "error_scale = 1e+305: must be a finite number"),
     "integer too long to read": (fixed(f"error_scale = {'9' * 5000}"), "not valid TOML: Exceeds the limit"),
-    "too many objects": (axis("[20, 400]", "n_obj"), "n_obj = 400: only 315 quasars are brighter than v_max = 16"),
-    "brighter than the brightest": (axis("[12.0]"), "v_max = 12 mag is outside the quasar counts: the brightest"),
-    "v_max below v_min": (edited('"quasars"', '"synthetic"\nv_min = 16.5'), "v_max = 16 mag: must be fainter than"),
-    "vector too short": (fixed("omega = [1.0, 1.0]"), "omega = [1.0, 1.0]: must be a list of three finite numbers"),
     "vector as axis": (axis("[1]\nomega = [[1, 1, 1]]"), "axes.omega (line 5): a vector cannot be an axis"),
     "empty axis": (axis("[]"), "axes.v_max (line 4): an axis needs at least one value"),
     "scalar axis": (
@@ -105,11 +90,8 @@ STUDIES = {
         "axes.v_max (line 4): 16.0 is a single value: fix it, or write a list, { start, stop, step } or",
     ),
     "duplicate value": (axis("[16.0, 17, 16, 17.0]"), "axes.v_max (line 4): duplicate values 16.0, 17.0"),
-    "axis and fixed": (fixed("v_max = 16.0"), "fixed.v_max (line 9): is an axis too; leave out one of the two"),
     "zero step": (axis("{ start = 14, stop = 16, step = 0 }"), "step = 0: does not lead from start = 14 to stop ="),
     "1e9 values": (axis("{ start = 14, stop = 16, step = 2e-9 }"), "make about 1e+09 values; at most 1000000"),
-    "log with zero": (axis('{ start = 0, stop = 16, num = 3, spacing = "log" }'), "log spacing needs numbers above 0"),
-    "a million bad values": (axis("{ start = 21, stop = 30, num = 1000000 }"), "other reasons; the rest of the"),
     "too many points": (
         axis("{ start = 14, stop = 16, num = 1000000 }").replace("[20, 50]", "{ start = 2, stop = 21, step = 1 }"),
         "the grid",
@@ -118,43 +100,23 @@ STUDIES = {
         axis("[16.0, 17.0, 16.0]").replace("[20, 50]", "[20, 50, 20]") + '[grid]\nzip = [["v_max", "n_obj"]]',
         "axes.v_max",
     ),
-    "zip of unequal lengths": (axis("[16.0]") + '[grid]\nzip = [["v_max", "n_obj"]]', "grid.zip.0 (line 14):"),
-    "zip of an unknown axis": (after('[grid]\nzip = [["v_max", "n_ob"]]'), "'n_ob' is not an axis; did you mean"),
-    "zipped twice": (after('[grid]\nzip = [["v_max", "n_obj"], ["n_obj", "v_max"]]'), "is zipped twice"),
     "everything excluded": (after("[[exclude]]\nv_max = { above = 1 }"), "every point of the grid is excluded"),
     "empty exclusion": (after("[[exclude]]"), "exclude.0 (line 14): dictionary should have at least 1 item"),
     "unknown condition": (after("[[exclude]]\nv_max = { over = 1 }"), "exclude.0.v_max (line 15): unknown"),
-    "unordered condition": (after("[[exclude]]\nmodel = { above = 1 }"), "model has no order: use equal or in"),
-    "condition not a number": (
-        after('[[exclude]]\nv_max = { above = "a" }'),
-        "exclude.0.v_max (line 15): above = 'a': must be",
-    ),
-    "condition on what has no value": (
-        axis("", "n_obj").replace("n_obj = ", "") + "[[exclude]]\nn_obj = { above = 30 }",
-        "exclude.0.n_",
-    ),
     "zero n_sim": (sampling("n_sim = 0"), "sampling.n_sim (line 11)"),
-    "fractional n_sim": (sampling("n_sim = 10.0"), "sampling.n_sim (line 11): input should be a valid integer,"),
-    "negative seed": (edited("seed = 7", "seed = -1"), "sampling.seed (line 12): input should be greater than or"),
     "syntax": (edited("[sampling]", "[sampling"), "study.toml: not valid TOML"),
-    "duplicate key": (sampling("n_sim = 10\nn_sim = 20"), "not valid TOML"),
     "brackets without end": (fixed(f"omega = {'[' * 10_000}"), "not valid TOML: nested too deeply"),
     "deep keys": (fixed(f"error_scale{'.a' * 90} = 1"), "error_scale = {'a': {'a': {'a': {...}}}}: must be"),
-    "deeper keys": (fixed(f"error_scale{' . a' * 200_000} = 1"), "not valid TOML: nested too deeply"),
     "many unknown keys": (fixed("\n".join(f"k{i} = {i}" for i in range(5_000))), "... and perhaps more problems"),
     "experiment without a colon": (f'experiment = "core"\n{GOOD}', "experiment (line 1): 'core': write"),
-    "unknown module": (f'experiment = "no_such:x"\n{GOOD}', "'no_such:x': cannot be imported:"),
     "unknown attribute": (f'experiment = "math:taux"\n{GOOD}', "'math:taux': the module has no attribute 'taux'"),
     "not an experiment": (f'experiment = "math:tau"\n{GOOD}', "has a float, not an Experiment or a function, at"),
-    "experiment file missing": (f'experiment = "no.py:x"\n{GOOD}', "experiment (line 1): there is no file"),
     "published file missing": (after(PUBLISHED), "published.file (line 15): 'published/table.csv' cannot be read:"),
-    "published file a directory": (after(PUBLISHED.replace(CSV, ".")), "published.file (line 15): '.' cannot be"),
     "published file a device": (after(PUBLISHED.replace(CSV, "/dev/zero")), "'/dev/zero' is larger than 1,000,000"),
 }
-LARGE = ("a million bad values", "too many points")
 
 
-@pytest.mark.parametrize("case", [pytest.param(c, marks=pytest.mark.slow) if c in LARGE else c for c in STUDIES])
+@pytest.mark.parametrize("case", [slow(case) if case == "too many points" else case for case in STUDIES])
 def test_bad_study(here, case):
     text, phrase = STUDIES[case]
     (here / "study.toml").write_text(text, encoding="utf-8")
@@ -163,34 +125,13 @@ def test_bad_study(here, case):
         assert "study" in said.splitlines()[0]
 
 
-def test_five_problems_are_reported_in_one_message(here):
-    text = """\
-title = 5
-colour = "red"
-
-[axes]
-v_mx = [16.0]
-n_obj = []
-
-[fixed]
-error_scale = -1.0
-
-[sampling]
-n_sim = 0
-"""
-    (here / "study.toml").write_text(text)
-    said = check_refused(
-        here,
-        ("run", "study.toml"),
-        "error: study.toml: 6 problems\n",
-        "  - title (line 1): input should be a valid string, not 5\n",
-        "  - colour (line 2): unknown key",
-        "  - axes.v_mx (line 5): unknown parameter 'v_mx'; did you mean 'v_max'?\n",
-        "  - axes.n_obj (line 6): an axis needs at least one value\n",
-        "  - fixed.error_scale (line 9): error_scale = -1.0: must be a finite number >= 0",
-        "  - sampling.n_sim (line 12): input should be greater than or equal to 1, not 0\n",
-    )
-    assert len(said.splitlines()) == 7
+def test_all_problems_are_reported_in_one_message(here):
+    text = 'title = 5\ncolour = "red"\n[axes]\nv_mx = [16.0]\nn_obj = []\n[fixed]\nerror_scale = -1.0\n'
+    (here / "study.toml").write_text(f"{text}[sampling]\nn_sim = 0\n")
+    places = ["title (line 1)", "colour (line 2)", "axes.v_mx (line 4)", "axes.n_obj (line 5)"]
+    places += ["fixed.error_scale (line 7)", "sampling.n_sim (line 9)"]
+    said = check_refused(here, ("run", "study.toml"), "error: study.toml: 6 problems\n")
+    assert [line.partition(":")[0].removeprefix("  - ") for line in said.splitlines()[1:]] == places
 
 
 @pytest.mark.parametrize(
@@ -199,13 +140,10 @@ n_sim = 0
         (b"v_max,sigma\n", "'published/table.csv' holds no rows"),
         (b"v_max,colour,sigma_spin\n16,red,1\n", "columns ['colour'] are neither parameters nor outputs"),
         (b"# c\nv_max,sigma_spin\n16,0.5\n17\n", "line 4: does not have 2 cells as the header has"),
-        (b"v_max,sigma_spin\n16,0.5 mas\n", "line 2: sigma_spin = '0.5 mas': must be a number or empty"),
-        (b"v_max,sigma_spin\nnan,0.5\n", "line 2: v_max = nan: must be a finite number"),
-        (b"model,v_max,sigma_spin\nhipparcos,16,0.5\n", "line 2: model = 'hipparcos': must be one of"),
         (b"v_max,sigma_spin\n16," + b"1" * 200_000, "is not a CSV table: field larger than field limit"),
         (b"v_max\n\xff\n", "not UTF-8 text: byte 0xff in line 2"),
     ],
-    ids=range(8),
+    ids=range(5),
 )
 def test_bad_published_table(here, content, phrase):
     (here / "study.toml").write_text(after(PUBLISHED))
@@ -242,11 +180,10 @@ def test_a_package_that_is_not_installed(here):
     (here / "own" / "inner" / "__init__.py").touch()
     (here / "own" / "inner" / "part.py").write_text("from ..other import unit\ndef f(x: float): return x\n")
     (here / "own" / "other.py").write_text("unit = 1.0\n")
-    for reference in ("own/inner/part.py:f",):
-        command = [sys.executable, "-P", "-m", "linksweep", "run", reference, "--axis", "x=1"]  # as the command is
-        done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stdout) == (2, "")
-        assert "name a function of a package by its module, and put the package's folder in PYTHONPATH" in done.stderr
+    command = [sys.executable, "-P", "-m", "linksweep", "run", "own/inner/part.py:f", "--axis", "x=1"]  # as the command
+    done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "put the package's folder in PYTHONPATH" in done.stderr
 
 
 def test_a_check_that_raises_is_a_reason(here):
@@ -278,7 +215,6 @@ def test_study_file_too_large(here):
     ("study", "phrase"),
     [
         ("quasar", "no study 'quasar': neither a file nor a built-in study; did you mean 'quasars'?"),
-        ("", "no study ''"),
         ("a" * 300, "no study 'aaa"),
         ("/dev/zero", "/dev/zero: is larger than 1,000,000 bytes"),
         ("/dev/null", "/dev/null: title: is required"),
@@ -294,17 +230,10 @@ def test_bad_study_path(here, study, phrase):
     [
         (("--set", "n_sim"), "--set 'n_sim': must be written KEY=VALUE"),
         (("--axis", "v_max"), "--axis 'v_max': must be written NAME=SPEC"),
-        (("--set", "altitude=5"), "fixed.altitude (--set altitude=5): unknown parameter 'altitude'"),
         (("--set", "n_sim=-5"), "sampling.n_sim (--set n_sim=-5): input should be greater than or equal to 1, not -5"),
         (("--set", "n_sim=5\nseed = 9"), "input should be a valid integer"),
-        (("--set", f"error_scale={'9' * 5000}"), "fixed.error_scale"),
-        (("--set", f"omega={'[' * 5000}"), "omega = '[[["),
         (("--set", "weighting=equl"), "weighting = 'equl': must be one of 'inverse-variance', 'equal'; did you mean"),
         (("--axis", "v_max=14:16:"), "axes.v_max (--axis v_max=14:16:): step = '': must be a finite number"),
-        (("--axis", "v_max=14:1e305:1"), "stop = 1e+305: must be a finite number, below 1e+300 in size"),
-        (("--axis", "v_max=0:16:log5"), "log spacing needs numbers above 0, not 0 and 16"),
-        (("--axis", "model=amex,amex"), "axes.model (--axis model=amex,amex): duplicate values 'amex'"),
-        (("--axis", "modle=amex"), "axes.modle (--axis modle=amex): unknown parameter 'modle'; did you mean 'model'?"),
         (("--workers", "0"), "Invalid value for '--workers': 0 is not in the range 1<=x<=4096"),
         (("--pool", "gpu"), "Invalid value for '--pool': 'gpu' is not one of 'processes', 'threads', 'serial'"),
         (("--pool", "serial", "--workers", "2"), "--pool serial has no workers"),
@@ -319,13 +248,6 @@ def test_bad_option(here, options, phrase):
     check_refused(here, ("run", "study.toml", *options), phrase)
 
 
-@pytest.mark.parametrize(
-    ("options", "phrase"), [(["--repair", "--json"], "without --repair"), (["--break-lock"], "goes")]
-)
-def test_a_check_and_a_repair_are_told_apart(here, options, phrase):
-    check_refused(here, ("check", "study.toml", *options), phrase)
-
-
 def test_problems_of_options_and_study_come_together(here):
     (here / "study.toml").write_text(fixed("error_scale = -1"))
     options = ("--set", "seed", "--axis", "model=x")
@@ -333,16 +255,12 @@ def test_problems_of_options_and_study_come_together(here):
 
 
 @pytest.mark.parametrize(
-    "address", ["tcp://127.0.0.1:1", "tcp://127.0.0.1:99999999", "tcp://no-such-host.invalid:8786"]
+    ("address", "words"),
+    [("tcp://127.0.0.1:1", "no Dask"), ("host", "host"), slow("tcp://127.0.0.1:99999999", "no Dask")],
 )
-def test_bad_scheduler(here, monkeypatch, address):
+def test_bad_scheduler(here, monkeypatch, address, words):
     monkeypatch.setattr("linksweep.sweep.executing.clusters.CONNECT_TIMEOUT_S", 1)
-    check_refused(here, ("run", "study.toml", "--scheduler", address), "no Dask scheduler", repr(address))
-
-
-@pytest.mark.parametrize("address", ["host", slow("nonsense://x:1")])
-def test_malformed_scheduler_address(here, address):
-    check_refused(here, ("run", "study.toml", "--scheduler", address), repr(address))
+    check_refused(here, ("run", "study.toml", "--scheduler", address), words, repr(address))
 
 
 NOT_A_STORE = "is not a store of linksweep (foreign or half-made)"
@@ -382,35 +300,13 @@ def test_places_where_no_store_is_or_can_be(here, monkeypatch):
     check_refused(here, ("run", "study.toml", "-o", "closed/s.zarr"), "closed is not a directory that can be written")
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("finished")
-    (folder / "study.toml").write_text(GOOD)
-    assert run_sweep("run", folder / "study.toml", "-o", folder / "s.zarr", "--pool", "serial")[0] == 0
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("options", "phrases"),
-    [
-        (("--set", "error_scale=2.0"), ("fixed.error_scale: 1.0 in the store, 2.0 in the study",)),
-        (
-            ("--set", "seed=8", "--set", "catalogue=synthetic"),
-            ("seed: 7 in the store, 8 in the study", "catalogue: 'quasars' in the store, 'synthetic' in the study"),
-        ),
-    ],
-)
-def test_store_of_another_study(here, finished, options, phrases):
-    shutil.copytree(finished, here, dirs_exist_ok=True)
-    expected = ("s.zarr: ", "holds results of a different study", "give another store with -o", *phrases)
+def test_store_of_another_study(here):
+    assert run_sweep("run", "study.toml", "-o", "s.zarr", "--pool", "serial")[0] == 0
+    expected = ("s.zarr: ", "holds results of a different study", "give another store with -o")
+    changed = "seed: 7 in the store, 8 in the study", "catalogue: 'quasars' in the store, 'synthetic' in the study"
     for command in ("run", "plan"):
-        check_refused(here, (command, "study.toml", "-o", "s.zarr", *options), *expected)
-
-
-def attributes(store, change):
-    metadata = json.loads((store / "zarr.json").read_text())
-    change(metadata)
-    (store / "zarr.json").write_text(json.dumps(metadata))
+        options = ("--set", "seed=8", "--set", "catalogue=synthetic")
+        check_refused(here, (command, "study.toml", "-o", "s.zarr", *options), *expected, *changed)
 
 
 DECAY = "def decay(years: float, half_life: float, rng):\n    return {'left': rng.random() ** years, 'lost': years}\n"
@@ -430,34 +326,25 @@ def decayed(tmp_path_factory):
     [
         (("run", "quasars", "--set", "n_sims=4"), "'n_sim'"),
         (("run", "quasars", "--axis", "n_sim=4,5"), "--set n_sim="),
-        (("run", "quasars", "--axis", "v_max=14:16"), "14:16:0.5"),
         (("run", "quasars.toml"), "'quasars'"),
         (("run", "decay"), "'decay.py'"),
         (("show", "decay"), "'decay.zarr'"),
         (("plot", "decay.zarr", "--kind", "heatmap"), "'map'"),
-        (("run", "decay.py", "decay", "--axis", "years=1,2"), "FILE.py:NAME"),
         (("run", "decay.py:decay", "--axis", "years", "1,2"), "--axis NAME=1,2,3"),
-        (("run", "decay.py:decay", "--years", "1,2"), "--axis NAME=1,2,3"),
         (("run", "decay.py:decay", "years=1,2"), "--axis NAME=1,2,3"),
         (("run", "decay.py:decay", "--axis", "years=1,2", "--set", "half_life=2", "--seed", "4"), "--set NAME=VALUE"),
-        (("run", "decay.py:decai", "--axis", "years=1,2"), "'decay'"),
         (("run", "decay.py:decay", "--axis", "years=1,2"), "--set half_life=VALUE"),
         (("run", "decay.py:decay", "--axis", "years=1-2", "--set", "half_life=2"), "1:2:0.5"),
-        (("run", "decay.py:decay", "--axis", "years=1;2", "--set", "half_life=2"), "1,2,3"),
         (("run", "decay.zarr"), "sweep run --retry"),
-        (("plot", "done.zarr", "--variable", "left"), "'left_mean'"),
         (("show", "done.zarr", "--at", "year=1"), "'years'"),
         (("fit", "done.zarr"), "--over"),
-        (("plot", "done.zarr", "--over", "time"), "there are years, half_life"),
         (("plot", "done.zarr", "--at", "years=3"), "1.0, 2.0"),
-        (("plot", "done.zarr", "-o", "picture"), ".png"),
         (("find", "done.zarr"), "--where"),
         (("plot", "done.zarr", "--logy"), "'--log'"),
         (
             ("run", "decay.py:decay", "--axis", "years=1,2", "--axis", "years=3", "--set", "half_life=2"),
             "leave out one",
         ),
-        (("run", "decays.py:decay", "--axis", "years=1,2"), "there is no file"),
     ],
 )
 def test_a_typical_mistake_gets_a_hint_that_solves_it(sweep_here, tmp_path, monkeypatch, decayed, arguments, hint):

@@ -9,7 +9,7 @@ import click
 import pytest
 
 import linksweep
-from tests.conftest import COINS, main, run_sweep
+from tests.conftest import main, run_sweep
 from tests.tiers import slow
 
 PRINTING = ["list", "params", "plan quasars", "show quasars --at model=gaia", "status quasars", "compare quasars"]
@@ -28,7 +28,6 @@ def test_every_command_has_help_with_an_example(sweep, command):
     assert code == 0
     assert f"sweep {command}" in out.replace("Usage: sweep", "")
     assert max(map(len, out.splitlines())) <= 80
-    assert "..." not in out.replace("STORE...", "").replace("FILE...", "").replace("GALAXIES...", "")
 
 
 def test_help_imports_nothing_heavy():
@@ -37,16 +36,6 @@ def test_help_imports_nothing_heavy():
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert "click" in loaded
     assert not {"numpy", "xarray", "zarr", "dask", "distributed", "pydantic", "rich", "matplotlib"} & set(loaded)
-
-
-def test_params_tell_unit_default_and_meaning(sweep):
-    code, out, _ = sweep("params", "--json")
-    by_name = {p["name"]: p for p in json.loads(out)}
-    assert code == 0
-    assert by_name["v_max"]["unit"] == "mag"
-    assert by_name["weighting"]["default"] == "inverse-variance"
-    code, out, _ = sweep("params", COINS)
-    assert "mean chance of heads; a finite number >= 0.2 and <= 0.8" in out
 
 
 def test_plan_writes_nothing(sweep, tmp_path):
@@ -60,10 +49,8 @@ def test_plan_writes_nothing(sweep, tmp_path):
 
 def test_the_help_has_every_command_in_one_section_with_a_whole_sentence(sweep):
     code, out, _ = sweep("--help")
-    assert code == 0
     listed = [line.split()[0] for line in out.partition("\nRun:\n")[2].splitlines() if line.startswith("  ")]
-    assert sorted(listed) == sorted(main.list_commands(None))
-    assert "  run         Run a study into a store" in out.partition("\nRun:\n")[2].partition("\nLook:\n")[0]
+    assert (code, sorted(listed)) == (0, sorted(main.list_commands(None)))
     assert "..." not in out.partition("Run:")[2]
     assert max(map(len, out.splitlines())) <= 80
 
@@ -81,7 +68,6 @@ def test_what_is_printed_fits_80_columns(sweep, tmp_path, monkeypatch, commands)
         lines = [line.rstrip() for line in printed.splitlines()]
         assert max(map(len, lines)) <= 80, (line, max(lines, key=len))
         assert not [line for line in lines if line.endswith("...")], line
-    assert "15,533 quasars to V = 20 tie GAIA's spin" in sweep("list")[1]
     assert json.loads(sweep("list", "--json")[1])["quasars"]["question"].endswith("?")
 
 
@@ -98,8 +84,8 @@ def test_one_thing_has_one_name_in_all_commands():
 
 
 @pytest.mark.parametrize("command", ["show", "compare"])
-def test_two_formats_are_refused(sweep, store_of, command):
-    code, out, err = sweep(command, store_of("quasars"), "--json", "--format", "csv")
+def test_two_formats_are_refused(coin_store, command):
+    code, out, err = run_sweep(command, coin_store, "--json", "--format", "csv")
     assert (code, out) == (2, "")
     assert "--json and --format csv are two formats; name one" in err
 
@@ -130,13 +116,6 @@ def test_a_part_that_the_study_excludes_is_refused(part_excluded, command, at, p
     assert not list(tmp_path.iterdir())
 
 
-def test_excluded_points_are_a_status_in_tables_for_programs_and_no_figure(part_excluded):
-    code, out, _ = run_sweep("show", part_excluded, "--at", "a=2,b=2", "--format", "csv")
-    assert (code, out.splitlines()) == (0, ["law,wall_time [s],status", ",,excluded"])
-    with pytest.raises(linksweep.SweepError, match="every point is excluded by the study"):
-        linksweep.plot(linksweep.open(part_excluded).sel(b=3.0))
-
-
 def half(a: int, b: int = 1):
     if a == 2:
         raise ValueError("two is bad")
@@ -157,7 +136,7 @@ def wave(a: int, kind: str, b: float = 1.0):
     return float(a) if kind == "sin" else -b
 
 
-@pytest.mark.parametrize("each", [1, 2], ids=["alone", "crossed"])
+@pytest.mark.parametrize("each", [1, slow(2)], ids=["alone", "crossed"])
 def test_all_points_of_a_table_that_have_a_value_are_shown(each, tmp_path):
     store, picture = tmp_path / "wave.zarr", tmp_path / "p.svg"
     points = {"a": [1, 2, 3, 4], "kind": ["sin", "cos", "sin", "sin"]}

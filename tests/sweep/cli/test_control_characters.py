@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.conftest import run_sweep
@@ -39,17 +39,12 @@ STUDY = {
     "axes": {"x": [1.0, 2.0, 3.0], "kind": ["a" + MARK, "@b"]},
 }
 LOOKS = [  # at a store s.zarr and its study
-    *(["show", "s.zarr", "--format", form] for form in ("text", "csv", "ecsv", "json")),
-    *(["status", "s.zarr"], ["status", "s.zarr", "--json"], ["check", "s.zarr"], ["compare", "s.zarr"]),
-    *(["fit", "s.zarr", "--over", "x"], ["find", "s.zarr", "--where", "number > 1.5", "--over", "x"]),
-    *(
-        ["plot", "s.zarr", "-o", "s.png"],
-        ["sensitivity", "s.zarr"],
-        ["report", "s.zarr"],
-        ["check", "--repair", "s.zarr"],
-    ),
+    *(["show", "s.zarr", "--format", form] for form in ("text", "csv", "ecsv")),
+    *(["status", "s.zarr"], ["check", "s.zarr"], ["compare", "s.zarr"], ["fit", "s.zarr", "--over", "x"]),
+    *(["plot", "s.zarr", "-o", "s.png"], ["sensitivity", "s.zarr"], ["report", "s.zarr"]),
     *(["plan", "study.toml"], ["params", "study.toml"], ["merge", "s.zarr", "s.zarr", "-o", "m.zarr"]),
     *(["reproduce", "s.zarr", "--at", "x=1,kind=@b"], ["run", "--retry", "s.zarr"], ["show", "no" + MARK]),
+    *(["show", "s.zarr", "--json"], ["status", "s.zarr", "--json"], ["find", "s.zarr", "--where", "number > 1.5"]),
 ]
 
 
@@ -118,20 +113,6 @@ def _read(descriptor):
         return b""
 
 
-@pytest.mark.slow
-def test_a_script_gets_no_control_characters_either(store, folder):
-    script = (
-        "import linksweep\nfrom marked import marked\nlinksweep.run(marked, axes={'x': [1.0, 2.0]}, pool='serial')\n"
-    )
-    script += f"ds = linksweep.open('s.zarr')\nprint(linksweep.answer(ds.assign_attrs(question='why' + {MARK!r})))\n"
-    (folder / "script.py").write_text(script + f"linksweep.open('no' + {MARK!r})\n")
-    done = subprocess.run([sys.executable, "script.py"], cwd=folder, capture_output=True, text=True, check=False)
-    assert "fails" in done.stderr
-    assert "SweepError" in done.stderr
-    assert "why" in done.stdout
-    assert not found(done.stdout + "".join(line for line in done.stderr.splitlines(True) if "  File" not in line))
-
-
 def texts_in(value, path=()):
     """Yield where the texts in a document are; texts that are JSON are documents themselves."""
     if isinstance(value, str):
@@ -154,8 +135,7 @@ def with_mark(value, path):
     key, *rest = path
     if key is None:
         return json.dumps(with_mark(json.loads(value), rest))
-    items = value if isinstance(value, list) else dict(value)
-    items = list(items) if isinstance(items, list) else items
+    items = value.copy()
     items[key] = with_mark(value[key], rest)
     return items
 
@@ -174,7 +154,7 @@ def test_commands_escape_every_text_of_a_store(store, folder, sweep, file):
         for path in places:
             changed = document | {"attributes": with_mark(document["attributes"], path)}
             (store / file).write_bytes(sealed(changed, file))
-            for look in LOOKS[:1] + LOOKS[4:5] + LOOKS[6:8] + LOOKS[9:10]:
+            for look in LOOKS[:1] + LOOKS[3:7]:
                 _, out, err = sweep(*look, cwd=folder)
                 assert "Traceback" not in err, (path, look, err)
                 assert not found(out + err), (path, look)
@@ -188,6 +168,7 @@ def test_harmless_text_is_what_it_was_but_for_controls(text):
     assert json.loads(f'"{harmless(json.dumps(text, ensure_ascii=False)[1:-1])}"') == text
 
 
+@example("0\r", 0.0)
 @given(st.text(), st.floats(allow_nan=False))
 def test_no_cell_of_csv_is_a_formula(text, number):
     table = Table([Column("a", [""]), Column("b", [text]), Column("c", [number])])

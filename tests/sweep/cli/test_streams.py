@@ -52,13 +52,6 @@ def test_a_full_device_is_one_sentence(store, arguments, unbuffered):
     assert shell(">/dev/full", *arguments, unbuffered=unbuffered) == (2, "", SAID)
 
 
-@pytest.mark.slow
-def test_a_run_whose_table_cannot_be_printed_is_kept(link_study, tmp_path):
-    run = ("run", link_study, "--set", "n_sim=10", "--set", "n_cat=1", "-o", tmp_path / "s.zarr", "--quiet")
-    assert shell(">/dev/full", *run) == (2, "", SAID)
-    assert linksweep.open(tmp_path / "s.zarr").attrs["complete"] == 1
-
-
 @pytest.mark.parametrize("redirection", [*map(slow, [">&-", "2>&-", ">&- 2>&-", "2>/dev/full"]), "<&- >&- 2>&-"])
 @pytest.mark.parametrize(
     "arguments", [("list",), *map(slow, (("show", "STORE"), ("status", "STORE", "--json")))], ids=" ".join
@@ -72,10 +65,13 @@ def test_streams_that_nobody_reads_are_no_problem(store, arguments, redirection)
 
 
 @pytest.mark.slow
-def test_a_run_with_closed_streams_writes_into_no_file_of_its_store(link_study, tmp_path):
-    run = ("run", link_study, "--set", "n_sim=10", "--set", "n_cat=1", "-o", tmp_path / "s.zarr")
-    assert shell("<&- >&- 2>&-", *run) == (0, "", "")
-    assert shell("", "check", tmp_path / "s.zarr")[0] == 0
+def test_a_run_whose_streams_are_closed_or_full_is_kept(link_study, tmp_path):
+    run = ("run", link_study, "--set", "n_sim=10", "--set", "n_cat=1", "--quiet", "-o")
+    assert shell(">/dev/full", *run, tmp_path / "full.zarr") == (2, "", SAID)
+    assert shell("<&- >&- 2>&-", *run, tmp_path / "s.zarr") == (0, "", "")
+    for name in ("full.zarr", "s.zarr"):
+        assert linksweep.open(tmp_path / name).attrs["complete"] == 1
+        assert shell("", "check", tmp_path / name)[0] == 0
 
 
 def test_a_wrong_option_keeps_its_exit_code_without_standard_error():

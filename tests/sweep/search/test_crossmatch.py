@@ -9,7 +9,7 @@ from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.core.frames import ARCSEC, DEGREE, MAS, MICROARCSEC, galactic
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, MICROARCSEC
 from linksweep.sweep.search.crossmatch import (
     GalaxyCatalogue,
     Matches,
@@ -83,26 +83,13 @@ def test_pairs_across_ra_zero_and_the_poles():
     np.testing.assert_allclose(np.sort(found[2]) / ARCSEC, [0.36, 0.72, 0.72], atol=1e-6)
 
 
-def test_nearest_match_is_that_of_astropy():
-    """One catalogue without doubt: every star has at most one galaxy and the other way round."""
-    rng = np.random.default_rng(3)
-    stars = sky(rng, 3000)
-    galaxies = near(rng, stars.take(np.arange(0, 3000, 3)), 0.5)
-    matches = cross_match(stars, no_supplement(stars), [catalogue(galaxies, 3.0)])
-    index, separation, _ = coordinates(galaxies).match_to_catalog_sky(coordinates(stars))
-    inside = separation < 3.0 * u.arcsec
-    assert dict(zip(matches["entry"].tolist(), matches["star"].tolist(), strict=True)) == {
-        int(g): int(index[g]) for g in np.flatnonzero(inside)
-    }
-
-
 def test_positions_at_another_epoch_are_those_of_astropy():
     rng = np.random.default_rng(4)
     n = 500
-    where = sky(rng, n)
+    where = sky(rng, n, 0.1)
     pmra, pmdec = rng.normal(0, 300, (2, n))
     pmra[0], pmdec[0] = 801.551, 10362.394  # Barnard's star
-    here = at_epoch(where, pmra * MAS, pmdec * MAS, 0 * pmra, 0 * pmra, np.full(n, 8.75))
+    here = at_epoch(where, pmra * MAS, pmdec * MAS, np.full(n, 3.0 * MAS), 0 * pmra, np.full(n, 8.75))
     coords = SkyCoord(
         where.ra * u.rad,
         where.dec * u.rad,
@@ -114,6 +101,8 @@ def test_positions_at_another_epoch_are_those_of_astropy():
     )
     moved = coords.apply_space_motion(Time(2000.0, format="jyear", scale="tdb"))
     assert coordinates(here).separation(moved).uas.max() < 1.0
+    np.testing.assert_allclose(here.ra_error / MAS, np.hypot(100.0, 3.0 * 8.75))
+    np.testing.assert_allclose(here.dec_error / MAS, 100.0)
 
 
 def greedy(first, second):
@@ -197,37 +186,24 @@ def test_of_two_stars_the_closer_one_is_taken_and_the_other_galaxy_gets_what_is_
     assert matches.reasons["rival"].all()
 
 
-def labels_of(*catalogues, merge_radius=None):
-    trees = [sky_tree(c.positions) for c in catalogues]
-    labels, identifiers = merge_galaxies(catalogues, trees, merge_radius)
-    return [label.tolist() for label in labels], identifiers.tolist()
-
-
-def test_entries_close_together_are_one_galaxy_and_share_the_identifier():
-    first = catalogue(positions([10.0, 50.0], [0.0, 0.0]), 3.0)
-    second = catalogue(positions([50.0 + 4.0 / 3600.0, 90.0], [0.0, 0.0]), 2.0, [7, 8])
-    labels, identifiers = labels_of(first, second)  # within 3" + 2"
-    assert labels == [[0, 1], [1, 2]]
-    assert identifiers == [0, 7, 8]
-    labels, _ = labels_of(first, second, merge_radius=3.9 * ARCSEC)
-    assert labels[0][1] != labels[1][0]
-
-
-def test_an_identifier_decides_before_the_position():
-    first = catalogue(positions([10.0, 10.001], [0.0, 0.0]), 3.0, [5, 6])
-    second = catalogue(positions([10.001, 70.0], [0.0, 0.0]), 3.0, [5, 6])
-    labels, identifiers = labels_of(first, second)
-    assert labels == [[0, 1], [0, 1]]
-    assert identifiers == [5, 6]
-
-
-def test_an_entry_without_identifier_links_the_third_catalogue_too():
-    nameless = catalogue(positions([10.0], [0.0]), 1.0)
-    sharp = catalogue(positions([10.0 + 1.5 / 3600.0], [0.0]), 1.0)
-    named = catalogue(positions([10.0 + 3.0 / 3600.0], [0.0]), 1.0, [9])
-    labels, identifiers = labels_of(nameless, sharp, named)
-    assert labels == [[0], [0], [0]]
-    assert identifiers == [9]
+@pytest.mark.parametrize(
+    ("catalogues", "merge", "labels", "identifiers"),
+    [
+        # an identifier decides before the position
+        ([([10.0, 10.001], 3.0, [5, 6]), ([10.001, 70.0], 3.0, [5, 6])], None, [[0, 1], [0, 1]], [5, 6]),
+        ([([10.0], 3.0, [5]), ([10.0], 3.0, [6])], None, [[0], [1]], [5, 6]),
+        # entries within 3" + 2" are one galaxy and share the identifier, unless a smaller radius is named
+        ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], None, [[0, 1], [1, 2]], [0, 7, 8]),
+        ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], 3.9, [[0, 1], [2, 3]], [0, 0, 7, 8]),
+        # one without identifier links the third catalogue too
+        ([([10.0], 1.0, [0]), ([10.0 + 1.5 / 3600], 1.0, [0]), ([10.0 + 3 / 3600], 1.0, [9])], None, [[0]] * 3, [9]),
+    ],
+)
+def test_entries_of_several_catalogues_are_one_galaxy(catalogues, merge, labels, identifiers):
+    listed = [catalogue(positions(ra, np.zeros(len(ra))), radius, names) for ra, radius, names in catalogues]
+    trees = [sky_tree(one.positions) for one in listed]
+    found, names = merge_galaxies(listed, trees, None if merge is None else merge * ARCSEC)
+    assert ([label.tolist() for label in found], names.tolist()) == (labels, identifiers)
 
 
 def test_offsets_are_galaxy_minus_star_in_units_of_the_combined_error():
@@ -291,24 +267,3 @@ def test_local_chance_pairs_follow_the_crowding():
     np.testing.assert_allclose(chance.uniform, 4e8 * np.sin(15.0 * ARCSEC) ** 2)
     assert abs(chance.local - 10.0 * chance.uniform) < 5.0 * chance.local_error
     assert abs(chance.pairs - chance.local) < 4.0 * np.sqrt(chance.local)
-
-
-def test_galactic_coordinates_are_those_of_astropy():
-    where = sky(np.random.default_rng(9), 200)
-    expected = coordinates(where).galactic
-    longitude, latitude = galactic(where.ra, where.dec)
-    found = SkyCoord(longitude * u.rad, latitude * u.rad, frame="galactic")
-    assert found.separation(expected).arcsec.max() < 0.1  # astropy's pole is that of FK5; 1997 values agree to 0.04"
-
-
-def test_different_identifiers_are_never_merged():
-    labels, _ = labels_of(*(catalogue(positions([10.0], [0.0]), 3.0, [name]) for name in (5, 6)))
-    assert labels == [[0], [1]]
-
-
-def test_errors_grow_with_time_and_stay_without_proper_motion():
-    where = positions([10.0], [60.0], 0.1)
-    pm, pm_error = np.array([5.0 * MAS]), np.array([3.0 * MAS])
-    later = at_epoch(where, pm, pm, pm_error, 0 * pm_error, np.array([-20.0]))
-    np.testing.assert_allclose(later.ra_error / MAS, np.hypot(100.0, 60.0))
-    np.testing.assert_allclose(later.dec_error / MAS, 100.0)

@@ -10,9 +10,9 @@ from astropy.io import ascii as text_tables
 from astropy.table import MaskedColumn, Table
 from click.testing import CliRunner
 
-from linksweep import SweepError
+import linksweep
 from linksweep.sweep.cli import main
-from linksweep.sweep.search.outputs import LETTERS, galaxy_table, sky_map, write
+from linksweep.sweep.search.outputs import LETTERS, galaxy_table, sky_map
 from tests.documents import commands
 
 ARCSEC = 1.0 / 3600.0
@@ -74,6 +74,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_command_of_the_document_runs(folder):
     star_table().write("tycho2.fits")
     Table.read("extra.ecsv").write("tycho2_suppl1.fits")
@@ -125,23 +126,17 @@ def test_the_search_from_files_to_files(folder):
 
 def test_json_is_the_summary(folder):
     report = json.loads(run(*WITH_SUPPLEMENT, "--json").stdout)
-    assert {name: row["n"] for name, row in report["classes"].items()} == {
-        "certain": 2,
-        "uncertain": 1,
-        "supplement": 1,
-        "all": 4,
+    numbers = {name: row["n"] for name, row in report["classes"].items()}
+    assert numbers == {"certain": 2, "uncertain": 1, "supplement": 1, "all": 4}
+    certain, wide = report["classes"]["certain"], report["catalogues"]["wide"]
+    assert certain["ra_error_mas"] == {
+        "mean": pytest.approx(120.0),
+        "scatter": pytest.approx(np.std([100, 140], ddof=1)),
     }
-    certain = report["classes"]["certain"]
-    assert certain["ra_error_mas"]["mean"] == pytest.approx(120.0)
-    assert certain["ra_error_mas"]["scatter"] == pytest.approx(np.std([100, 140], ddof=1))
     assert certain["pm_error_mas_yr"] == {"ra": pytest.approx(6.0), "dec": pytest.approx(6.5)}
     assert certain["magnitude"]["mean"] == pytest.approx(12.5)
-    assert report["catalogues"]["wide"]["matches"] == 4
-    assert report["catalogues"]["sharp"]["matches"] == 1
-    assert report["catalogues"]["wide"]["chance_pairs_uniform"] == pytest.approx(
-        5 * 4 * np.sin(np.radians(2.5 * ARCSEC)) ** 2
-    )
-    assert report["galaxies"] == 4
+    assert (wide["matches"], report["catalogues"]["sharp"]["matches"], report["galaxies"]) == (4, 1, 4)
+    assert wide["chance_pairs_uniform"] == pytest.approx(5 * 4 * np.sin(np.radians(2.5 * ARCSEC)) ** 2)
     assert report["notes"] == ["extra has no proper motions: its positions were taken as they are"]
 
 
@@ -200,41 +195,27 @@ def test_the_map_shows_every_class_with_longitude_to_the_left():
 
 
 def test_without_numbers_for_the_table_nothing_is_written(folder):
-    star_table(TYC1=None).write("stars.fits", overwrite=True)
-    assert "no column 'TYC1'" in run(*ARGUMENTS, "--table", "t.dat").output
-    star_table(TYC1=None, TYC2=None, TYC3=None).write("stars.fits", overwrite=True)
-    result = run(*ARGUMENTS, "--table", "t.dat")
-    assert result.exit_code == 2
-    assert "stars.fits: the 46-byte table needs columns TYC1, TYC2 and TYC3, or TYC with strings" in result.output
-    star_table().write("stars.fits", overwrite=True)
     wide, _ = galaxy_tables()
     wide.remove_column("PGC")
-    wide.write("wide.csv", overwrite=True)
-    result = run(*ARGUMENTS, "--table", "t.dat")
-    assert result.exit_code == 2
-    assert "TYC 1-13-1 has no PGC number" in result.output
-    assert not (folder / "results").exists()
-    assert not (folder / "t.dat").exists()
+    for stars, galaxies, message in (
+        (star_table(TYC1=None), None, "no column 'TYC1'"),
+        (star_table(TYC1=None, TYC2=None, TYC3=None), None, "needs columns TYC1, TYC2 and TYC3, or TYC with strings"),
+        (star_table(), wide, "TYC 1-13-1 has no PGC number"),
+    ):
+        stars.write("stars.fits", overwrite=True)
+        if galaxies is not None:
+            galaxies.write("wide.csv", overwrite=True)
+        result = run(*ARGUMENTS, "--table", "t.dat")
+        assert (result.exit_code, message in result.output) == (2, True), result.output
+        assert not (folder / "results").exists()
+        assert not (folder / "t.dat").exists()
 
 
 def test_the_ecsv_is_the_catalogue_of_a_study(folder):
     assert run(*WITH_SUPPLEMENT, "-o", "galaxies.ecsv").exit_code == 0
-    (folder / "study.toml").write_text(
-        """
-        title = "The galaxies that were found"
-        [fixed]
-        catalogue = "file"
-        file = "galaxies.ecsv"
-        model = "amex"
-        [sampling]
-        n_sim = 10
-        n_cat = 1
-        seed = 1
-        """
-    )
-    result = CliRunner().invoke(main, ["run", "study.toml", "--pool", "serial", "--json"])
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["rows"][0]["n_obj"] == 4
+    fixed = {"catalogue": "file", "file": "galaxies.ecsv", "model": "amex"}
+    study = {"title": "Found galaxies", "fixed": fixed, "sampling": {"n_sim": 10, "n_cat": 1, "seed": 1}}
+    assert linksweep.run(study, "s.zarr", pool="serial")["n_obj"] == 4
 
 
 def test_an_existing_file_is_kept_without_overwrite(folder):
@@ -246,22 +227,12 @@ def test_an_existing_file_is_kept_without_overwrite(folder):
     assert len(read_matches(folder / "out.ecsv")) == 3
 
 
-def test_a_file_that_comes_up_during_the_search_is_kept(folder):
-    (folder / "x.dat").write_text("theirs")
-    with pytest.raises(SweepError, match="exists; --overwrite replaces it"):
-        write(folder / "x.dat", b"ours", overwrite=False)
-    assert (folder / "x.dat").read_text() == "theirs"
-    assert not list(folder.glob(".*"))
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["-o", "wide.csv"], "wide.csv is one of the tables that are read"),
         (["-o", "m.txt"], "m.txt must end in .ecsv"),
-        (["--figure", "m.gif"], "m.gif must end in .png or .svg or .pdf"),
         (["-o", "m.ecsv", "--table", "m.ecsv"], "m.ecsv is named for two outputs"),
-        (["--table", "."], ". is a directory"),
         (["--table", "wide.csv/t.dat"], "is not a directory that can be written"),
     ],
 )
@@ -272,41 +243,23 @@ def test_bad_outputs_are_refused_before_the_search(folder, arguments, message):
 
 
 BAD_STARS = {
-    "no ra": ({"ra": None}, "no column 'ra'"),
-    "misspelt": ({"dec": None, "decl": [0.0] * 4}, "no column 'dec'; did you mean 'decl'?"),
-    "NaN": ({"ra": [np.nan, 100.0, np.nan, 1.0]}, "no ra in row 1, 3"),
     "masked": ({"dec": MaskedColumn([1.0] * 4, mask=[0, 0, 1, 0])}, "no dec in row 3"),
-    "infinite": ({"ra": [1.0, np.inf, 1.0, 1.0]}, "an infinite ra in row 2"),
-    "ra range": ({"ra": [-0.1, 1.0, 1.0, 360.1]}, "an ra outside 0..360 deg in row 1 (-0.1), 4 (360.1)"),
     "dec range": ({"dec": [0.0, 90.1, 0.0, 0.0]}, "a dec outside -90..90 deg in row 2 (90.1)"),
-    "text": (
-        {"ra": ["00 01 02"] * 3 + ["x"]},
-        "column 'ra' is text that is no angle like 12 34 56.7 or 12:34:56.7 in row 4 ('x')",
-    ),
-    "vectors": ({"ra": [[1.0, 2.0]] * 4}, "column 'ra' does not hold numbers"),
     "no error": ({"ra_error": None}, "give its error in arcsec with --error"),
     "zero error": ({"ra_error": [0.0, 1.0, 1.0, 1.0]}, "a ra_error that is not above 0 in row 1 (0)"),
-    "missing error": ({"dec_error": [1.0, np.nan, 1.0, 1.0]}, "no dec_error in row 2"),
-    "half a motion": ({"pmdec": None}, "no column 'pmdec'"),
     "missing motion": (
         {"pmdec": [np.nan] * 4},
         "no proper motion (--missing-pm zero takes it as zero) in row 1, 2, 3, 4",
     ),
-    "infinite motion": ({"pmra": [np.inf, 0.0, 0.0, 0.0]}, "an infinite pmra in row 1"),
-    "negative pm error": ({"pmra_error": [-1.0, 1.0, 1.0, 1.0]}, "a negative pmra_error in row 1 (-1)"),
-    "missing pm error": ({"pmra_error": [np.nan, 1.0, 1.0, 1.0]}, "no pmra_error in row 1"),
     "no epoch": ({"ref_epoch": None}, "proper motions need the epoch of the positions"),
     "epoch": ({"ref_epoch": [24.0] * 4}, "an epoch (column 'ref_epoch') that is no Julian year, MJD or JD from 1700"),
     "missing epoch": ({"ref_epoch": [2000.0, np.nan, 2000.0, 2000.0]}, "no epoch (column 'ref_epoch') in row 2"),
     "TYC range": ({"TYC3": [1, 4, 1, 0]}, "a TYC3 outside 1..3 in row 2, 4"),
-    "TYC fraction": ({"TYC1": [1.5, 2.0, 3.0, 4.0]}, "a TYC1 that is no integer in row 1"),
-    "TYC missing": ({"TYC1": MaskedColumn([1, 2, 3, 4], mask=[0, 1, 0, 0])}, "no TYC1 in row 2"),
     "TYC twice": ({"TYC1": [1] * 4, "TYC2": [13] * 4, "TYC3": [1, 2, 1, 3]}, "the Tycho identifier of an earlier row"),
     "TYC text": (
         {"TYC1": None, "TYC2": None, "TYC3": None, "TYC": ["1-13-1", "1-13", "TYC 1-14-1", ""]},
         "a TYC that is no Tycho identifier like '1-13-1' in row 2, 4",
     ),
-    "source_id": ({"source_id": [1.5, 2.0, 3.0, 4.0]}, "a source_id that is no integer in row 1"),
 }
 
 
@@ -323,9 +276,7 @@ def test_every_bad_star_table_is_a_clear_error(folder, case):
 
 BAD_GALAXIES = {
     "no rows": (Table({"ra": [], "dec": []}, dtype=[float, float]), "has no rows"),
-    "no error": (Table({"ra": [1.0], "dec": [2.0]}), None),
     "PGC negative": (Table({"ra": [100.0], "dec": [2.0], "PGC": [-1]}), "a negative PGC number in row 1 (-1)"),
-    "PGC text": (Table({"ra": [1.0], "dec": [2.0], "PGC": ["N224"]}), "column 'PGC' does not hold numbers: row 1 has"),
     "missing": (Table({"ra": [1.0] * 9, "dec": [np.nan] * 8 + [2.0]}), "no dec in row 1, 2, 3, 4, 5 and 3 more"),
 }
 
@@ -334,14 +285,9 @@ BAD_GALAXIES = {
 def test_every_bad_galaxy_table_is_a_clear_error(folder, case):
     table, message = BAD_GALAXIES[case]
     table.write("bad.ecsv")
-    if message is None:
-        result = run("stars.fits", "bad.ecsv")
-        assert "no column 'ra_error'" in result.output
-    else:
-        result = run("stars.fits", "bad.ecsv", "--error", "1")
-        assert message in result.output
+    result = run("stars.fits", "bad.ecsv", "--error", "1")
     assert result.exit_code == 2
-    assert "bad.ecsv" in result.output
+    assert f"bad.ecsv: {message}" in result.output
 
 
 def test_problems_of_all_tables_come_at_once(folder):
@@ -364,17 +310,9 @@ def test_a_star_in_both_star_tables_is_refused(folder):
     [
         (["--radius", "wied=3"], "radius: no table 'wied'; did you mean 'wide'?"),
         (["--radius", "0"], "radius = 0: must be a finite number > 0 and <= 3600 [arcsec]"),
-        (["--radius", "nan"], "radius = nan: must be a finite number"),
         (["--radius", "wide=3", "--radius", "wide=4"], "radius: wide, wide: one is named twice"),
-        (["--radius", "stars=3"], "radius: no table 'stars'"),
-        (["--error", "wide=x"], "error = 'x': must be a finite number"),
         (["--ref-epoch", "3000"], "ref_epoch = 3000: must be a finite number > 1700"),
-        (["--epoch", "2448349"], "epoch = 2448349: must be a finite number >= 1700 and <= 2300"),
-        (["--k-sigma", "nan"], "k_sigma = nan: must be a finite number"),
-        (["--second-epoch-error", "nan"], "second_epoch_error = nan"),
         (["--column", "ra"], "columns = 'ra': must be [NAME:]KEY=COLUMN"),
-        (["--column", "rs=RAmdeg"], "columns: rs is no quantity"),
-        (["--column", "wied:ra=RA"], "columns: no table 'wied'"),
         (["--column", "ra=RAmdeg"], "columns: no column 'RAmdeg' for ra"),
         (["sub/wide.fits"], "two tables are called 'wide'"),
         (["--k-sigma", "-1"], "k_sigma = -1: must be a finite number > 0"),
@@ -396,22 +334,8 @@ def test_a_radius_that_pairs_everything_is_bad_input(folder):
     assert "chance pairs of 200000 and 200000 objects, more than 2e+06; take a smaller one" in result.output
 
 
-@pytest.mark.parametrize("text", ["ra=parsecs", "stars:ra=mas / yr", "rq=deg", "none:ra=deg", "ra"])
-def test_units_on_the_command_line_are_checked(text, folder):
-    result = run(*ARGUMENTS, "--unit", text)
-    assert result.exit_code == 2
-    assert result.output.startswith("error: ")
-
-
 def table_of(rows):
     return galaxy_table(pd.DataFrame(rows, columns=["TYC1", "TYC2", "TYC3", "PGC", "ra", "dec", "class"]))
-
-
-def test_the_byte_positions_of_the_table():
-    rows = [(1, 13, 1, 7, 0.5, -89.12345678, "certain"), (9537, 12121, 3, 65866, 359.999999999, 4.25, "supplement")]
-    text = table_of(rows)
-    #                   1234567890123456789012345678901234567890123456
-    assert text == ("   1    13 1     7   0.50000000 -89.12345678 G\n9537 12121 3 65866   0.00000000   4.25000000 S\n")
 
 
 def test_the_table_is_read_back_as_it_was_written(tmp_path):
@@ -425,12 +349,3 @@ def test_the_table_is_read_back_as_it_was_written(tmp_path):
     letters = [LETTERS[name] for name in classes]
     for name, values in zip(back.colnames, (*whole, ra, dec, letters), strict=True):
         np.testing.assert_array_equal(back[name], values)
-
-
-def test_a_galaxy_without_pgc_number_or_with_a_long_one_does_not_fit():
-    with pytest.raises(SweepError) as error:
-        table_of([(1, 13, 1, 0, 0.0, 0.0, "certain"), (1, 14, 1, 100_000, 0.0, 0.0, "certain")])
-    assert error.value.problems == [
-        "TYC 1-13-1 has no PGC number",
-        "TYC 1-14-1: PGC = 100000 does not fit bytes 14-18, at most 99999",
-    ]

@@ -18,9 +18,7 @@ from linksweep.sweep.tables.reader import read_table
 
 VIZIER = """\
 #
-#   VizieR Astronomical Server vizier.cds.unistra.fr
 #Table	I_311_hip2:
-#---Details of Columns:
 #	HIP	(I6)	Hipparcos identifier
 HIP	RAJ2000	DEJ2000	RArad	e_RArad	Name
  	"h:m:s"	"d:m:s"	rad	mas	
@@ -30,8 +28,6 @@ HIP	RAJ2000	DEJ2000	RArad	e_RArad	Name
 
 """
 HIP2 = """\
-I/311               Hipparcos, the New Reduction       (van Leeuwen, 2007)
-================================================================================
 File Summary:
 --------------------------------------------------------------------------------
  FileName   Lrecl  Records    Explanations
@@ -45,14 +41,9 @@ Byte-by-byte Description of file: hip2.dat
    Bytes Format Units    Label   Explanations
 --------------------------------------------------------------------------------
    1-  6  I6    ---      HIP     Hipparcos identifier
-   8- 10  I3    ---      Sn      [0,159] Solution type new reduction (1)
-      12  I1    ---      So      [0,5] Solution type old reduction (2)
-      14  I1    ---      Nc      Number of components
   16- 28 F13.10 rad      RArad   Right Ascension in ICRS, Ep=1991.25
   30- 42 F13.10 rad      DErad   Declination in ICRS, Ep=1991.25
-  44- 50  F7.2  mas      Plx     Parallax
   52- 59  F8.2  mas/yr   pmRA    Proper motion in Right Ascension
-  61- 68  F8.2  mas/yr   pmDE    Proper motion in Declination
 --------------------------------------------------------------------------------
 """
 HIP2_ROWS = """\
@@ -74,16 +65,13 @@ def written(folder: Path, name: str, content: str | bytes) -> Path:
     ("text", "names"),
     [
         ("# made by hand\n# on a Monday\nra,dec,id\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
-        ("ra;dec;id\n10.5;20;1\n200;-3;2\n", ["ra", "dec", "id"]),
         ("ra;dec;id\n10,5;20;1\n200,0;-3;2\n", ["ra", "dec", "id"]),  # a spreadsheet with decimal commas
         ("ra\tdec\tid\r\n10.5\t20\t1\r\n200\t-3\t2\r\n", ["ra", "dec", "id"]),
         ("\ufeffra, dec, id\n10.5, 20, 1\n200, -3, 2\n", ["ra", "dec", "id"]),
-        ("# ra dec id\n 10.5  20  1\n200.0  -3  2\n", ["ra", "dec", "id"]),
         ("ra dec id\n10.5 20 1\n# a comment\n200 -3 2", ["ra", "dec", "id"]),
         ("ra,dec,id\ndegrees,deg,\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
         ("ra [deg],dec (deg),id\n10.5,20,1\n200,-3,2\n", ["ra [deg]", "dec (deg)", "id"]),
         ("#ra;dec;id\n#(deg);(deg);\n10.5;20;1\n200;-3;2\n", ["ra", "dec", "id"]),  # as psrcat writes it
-        ('"ra","dec","id"\n"10.5","20","1"\n"200","-3","2"\n', ["ra", "dec", "id"]),
     ],
 )
 def test_delimited_text(text, names, tmp_path):
@@ -128,13 +116,6 @@ def test_hipparcos_2_with_its_readme(tmp_path):
         )
     with pytest.raises(SweepError, match="a table of CDS needs its ReadMe"):
         read_table(written(tmp_path, "tyc2.dat", HIP2_ROWS))
-
-
-def test_hours_minutes_and_seconds_in_columns_of_their_own(tmp_path):
-    text = "RAh,RAm,RAs,DE-,DEd,DEm,DEs\n12,34,56.7,-,0,30,36\n0,0,1.5,+,45,0,0\n"
-    table = read_table(written(tmp_path, "t.csv", text))
-    np.testing.assert_allclose(table["RAdeg"], Angle(["12h34m56.7s", "0h0m1.5s"]).deg, rtol=1e-14)
-    np.testing.assert_allclose(table["DEdeg"], [-0.51, 45.0], rtol=1e-14)
 
 
 def test_large_identifiers_beside_gaps_keep_their_digits(tmp_path):
@@ -182,17 +163,12 @@ def test_parquet_with_gaps(tmp_path):
         ("10,20\n30,40\n", "its first line, '10,20', is not one of column names"),
         ("ra,dec,ra\n1,2,3\n", "two columns are called 'ra'"),
         ("ra,dec\n1,2\n3\n", "row 2 has 1 columns, not 2"),
-        ("ra,dec\n1,2,3\n", "row 1 has 3 columns, not 2"),
-        ('ra,dec\n1,"2,5"\n1,2,3\n', "row 2 has 3 columns, not 2"),
         ("ra dec name\n1 2 NGC 1\n", "row 1 has 4 columns, not 3"),
         (b"\x00\x01\x02\x03" * 10, "neither a table format that is known nor text"),
         (b"\x1f\x8b\x08\x00bad", "is compressed, but incomplete"),
         ("<!DOCTYPE html><html><body>404</body></html>", "is a web page"),
         ("<VOTABLE version='1.3'><RESOURCE/></VOTABLE>", "has no table in it"),
-        ("<VOTABLE", "cannot be read as a VOTable"),
         (b"PAR1nonsense", "cannot be read as Parquet"),
-        (b"SIMPLE  =                    T", "cannot be read as fits"),
-        ("# %ECSV 1.0\n# ---\n# nonsense\nra\n1\n", "cannot be read as ascii.ecsv"),
     ],
 )
 def test_what_is_no_table_is_a_sentence(content, problem, tmp_path):
@@ -202,7 +178,7 @@ def test_what_is_no_table_is_a_sentence(content, problem, tmp_path):
     assert error.value.where == str(path)
 
 
-def test_two_tables_in_one_votable(tmp_path):
+def test_two_tables_in_one_file(tmp_path):
     one = io.BytesIO()
     Table({"ra": [1.0]}).write(one, format="votable")
     text = one.getvalue().decode()
@@ -210,17 +186,11 @@ def test_two_tables_in_one_votable(tmp_path):
     named = body.replace("<TABLE", '<TABLE name="second"', 1)
     with pytest.raises(SweepError, match=r"has 2 tables in it: table \(1\), second \(2\); leave one"):
         read_table(written(tmp_path, "t.vot", text.replace(body, body + named)))
-
-
-def test_two_tables_in_one_fits_file(tmp_path):
-    units = [
-        fits.PrimaryHDU(),
-        *(fits.BinTableHDU(Table({"ra": [x]}), name=name) for x, name in ((1.0, "A"), (2.0, "B"))),
-    ]
-    fits.HDUList(units).writeto(tmp_path / "two.fits")
+    first, second = (fits.BinTableHDU(Table({"ra": [x]}), name=name) for x, name in ((1.0, "A"), (2.0, "B")))
+    fits.HDUList([fits.PrimaryHDU(), first, second]).writeto(tmp_path / "two.fits")
     with pytest.raises(SweepError, match=r"has 2 tables in it: A \(1\), B \(2\); leave one"):
         read_table(tmp_path / "two.fits")
-    fits.HDUList([units[0], fits.ImageHDU(np.zeros((2, 2))), units[2]]).writeto(tmp_path / "one.fits")
+    fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(np.zeros((2, 2))), second]).writeto(tmp_path / "one.fits")
     assert read_table(tmp_path / "one.fits")["ra"].tolist() == [2.0]
 
 
@@ -262,13 +232,9 @@ def test_degrees_marked_as_such_are_not_hours_and_hours_are_no_declination():
     ("name", "values"),
     [
         ("ra_h", [0.5, 23.9]),
-        ("RAh", [0.0, 12.0]),
         ("ra", [0.0, 24.0]),
-        ("ra", [-11.0, 11.0]),
         ("alpha", [0.1, 6.2]),
-        ("ra", [10.0]),
         ("ra_s", [100.0, 300.0]),
-        ("RAs", [1.0, 59.0]),
     ],
 )
 def test_a_right_ascension_that_may_be_in_hours_is_asked_about(name, values):
@@ -310,11 +276,6 @@ def test_a_unit_that_contradicts_the_file_or_is_none():
         read("ra", [1.0], "deg", stated="hourangle")
     with pytest.raises(SweepError, match="units: ra in 'hurz', which is no unit"):
         read("ra", [100.0], stated="hurz")
-
-
-def test_a_csv_of_the_gaia_archive_has_no_units_and_is_in_degrees():
-    marks = {"source_id": [10**17, 10**17 + 1], "ref_epoch": [2016.0, 2016.0]}
-    np.testing.assert_array_equal(read("ra", [10.5, 11.25], **marks), [10.5, 11.25])
 
 
 def test_what_a_table_is_said_to_include_holds_for_units_of_time_too():
