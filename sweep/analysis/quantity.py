@@ -18,9 +18,10 @@ from linksweep.sweep.contract.reducer import LENGTH
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, prefixed, units_of
 from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 from linksweep.sweep.stores.store import RUNNING, finished
+from linksweep.sweep.studies.form import Claim
 from linksweep.sweep.studies.part import LOST
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
-from linksweep.sweep.studies.study import POINT, POINT_TABLE, Claim
+from linksweep.sweep.studies.study import POINT, POINT_TABLE
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -43,8 +43,8 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     from linksweep.sweep.code.load import load_experiment
     from linksweep.sweep.contract import shown
     from linksweep.sweep.stores.location import Folder
+    from linksweep.sweep.studies.new import new_study
     from linksweep.sweep.studies.reader import GOOD_NAME
-    from linksweep.sweep.studies.study import new_study
 
     if not GOOD_NAME.fullmatch(name):
         raise linksweep.SweepError(
@@ -78,7 +78,7 @@ def params(
     """
     from linksweep.sweep.code.load import load_experiment
     from linksweep.sweep.studies.document import built_in_studies
-    from linksweep.sweep.studies.study import study_schema
+    from linksweep.sweep.studies.new import study_schema
 
     is_study = experiment.endswith(".toml") or experiment in built_in_studies()
     declared = linksweep.load_study(experiment).experiment if is_study else load_experiment(experiment)

@@ -23,7 +23,8 @@ from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.stores.large import Stored
 from linksweep.sweep.stores.location import Location
 from linksweep.sweep.stores.store import FILL, RUNNING, dask_arrays_only_where_imported, finished, with_gaps
-from linksweep.sweep.studies.study import POINT, printed_rounding
+from linksweep.sweep.studies.form import printed_rounding
+from linksweep.sweep.studies.study import POINT
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -338,9 +339,7 @@ def _published(grid: Grid) -> dict[str, Variable]:
     if study.published is None:
         return {}
     outputs = {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
-    origin: dict[str, Any] = {"source": study.published.source}
-    if study.published.tolerance:
-        origin |= {"tolerance": study.published.tolerance, "tolerance_reason": study.published.tolerance_reason}
+    origin = study.published.about.model_dump(exclude={"file"}, exclude_none=True)
     variables: dict[str, Variable] = {}
     for column in study.published.rows[0]:
         if column in outputs:

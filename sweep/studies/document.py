@@ -13,7 +13,7 @@ from typing import Any
 
 from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.formatting import split_assignment
-from linksweep.sweep.studies.study import Sampling
+from linksweep.sweep.studies.form import Sampling
 
 MAX_FILE_BYTES = 1_000_000
 

@@ -28,7 +28,8 @@ from linksweep.sweep.contract.parameter import LABEL, name_problem
 from linksweep.sweep.contract.units import factor_between, is_quantity
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.document import Place, Problems
-from linksweep.sweep.studies.study import POINT, PointsForm, PointTable, Sampling, number_at
+from linksweep.sweep.studies.form import PointsForm, Sampling, number_at
+from linksweep.sweep.studies.study import POINT, PointTable
 from linksweep.sweep.tables.columns import rows_listed
 from linksweep.sweep.tables.file import table_file
 from linksweep.sweep.tables.reader import read_table
@@ -50,6 +51,8 @@ PLAIN_TYPES = (bool, int, float, str, type(None), Named)
 
 PLAIN = frozenset("biufU")
 """Kinds of arrays whose ``tolist`` returns Python's own numbers and texts."""
+
+NO_MARKS: Mapping[int, Any] = {}
 
 Columns = Mapping[str, list[Any]]
 
@@ -444,13 +447,14 @@ def _read_cells(cells: list[Any], kind: str) -> list[Any]:
     if kind not in ("float", "int", "bool") or not any(isinstance(cell, str) for cell in cells):
         return cells
     # of numbers with decimal commas too: the better of two readings
-    readings = [[_read_cell(cell, kind, marks) for cell in cells] for marks in ({}, str.maketrans(",.", ".,"))]
+    readings = [[read_cell(cell, kind, marks) for cell in cells] for marks in (NO_MARKS, str.maketrans(",.", ".,"))]
     best = min(readings, key=lambda reading: sum(isinstance(cell, str) for cell in reading))
     large = any(isinstance(cell, int) and not -(2**63) <= cell < 2**63 for cell in best)
     return best if large or any(isinstance(cell, str) for cell in best) else cells
 
 
-def _read_cell(cell: Any, kind: str, marks: Mapping[int, Any]) -> Any:
+def read_cell(cell: Any, kind: str, marks: Mapping[int, Any] = NO_MARKS) -> Any:
+    """Return what a cell with text is for a parameter that is no text, the cell itself where it is nothing else."""
     if not isinstance(cell, str) or "_" in cell:  # which Python allows between digits
         return cell
     if kind == "bool":

@@ -15,11 +15,20 @@ from pydantic import BaseModel, ValidationError
 from linksweep.sweep.code.load import Code, absolute_reference, keep
 from linksweep.sweep.contract import DefinitionError, Experiment, Function, Named, SweepError, Value, shown, suggest
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
-from linksweep.sweep.studies import study as sections
 from linksweep.sweep.studies.document import Options, Place, Problems, find_study, parsed, read_text, reference_in
+from linksweep.sweep.studies.form import DEFAULT_EXPERIMENT, Condition, Context, Form, PublishedForm, Sampling
 from linksweep.sweep.studies.part import PART, Part
-from linksweep.sweep.studies.points import Columns, Values, plain, plain_points, plain_value, plain_values, read_points
-from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Form, PointTable, Sampling, Study
+from linksweep.sweep.studies.points import (
+    Columns,
+    Values,
+    plain,
+    plain_points,
+    plain_value,
+    plain_values,
+    read_cell,
+    read_points,
+)
+from linksweep.sweep.studies.study import POINT, PointTable, Published, Study
 from linksweep.sweep.tables.file import TableFile
 
 ONCE = Sampling(n_sim=1)
@@ -199,9 +208,7 @@ class _Reader:
         # Claims about zipped axes need the groups before these are known to be right.
         groups = _read_form({"title": "", "grid": self.document.get("grid", {})}, Problems(self.where))
         zipped = groups.grid.zip if isinstance(groups, Form) else []
-        context = (
-            sections.Context(experiment, crossed, zipped, frozenset({*axes, *fixed}), changed) if is_whole else None
-        )
+        context = Context(experiment, crossed, zipped, frozenset({*axes, *fixed}), changed) if is_whole else None
         statements = {key: self.document[key] for key in STATEMENTS if key in self.document}
         checked = _read_form({"title": "", **statements}, problems, context)
         problems.report()
@@ -238,7 +245,7 @@ class _Reader:
         when: Mapping[str, Mapping[str, Sequence[Any]]],
         axes: dict[str, tuple[Value, ...] | None],
         fixed: dict[str, Value],
-    ) -> list[tuple[sections.Condition, ...]]:
+    ) -> list[tuple[Condition, ...]]:
         """Return the clauses that leave out values of parameters except ``when`` they have an effect, and otherwise in
         one point in which they are None; what is fixed, but not everywhere, becomes an axis of these two.
         """
@@ -259,10 +266,10 @@ class _Reader:
                     axes[name] = (fixed.pop(name),) if all(values & some for values, some in at) else (None,)
                 if (own := axes.get(name)) and None not in own and not is_everywhere:
                     axes[name] = (*own, None)
-        clauses: list[tuple[sections.Condition, ...]] = []
+        clauses: list[tuple[Condition, ...]] = []
         for name in (name for name in allowed if name in {**axes, **fixed}):
-            missing = sections.Condition(name, (None,))
-            effective = [sections.Condition(other, some) for other, some in allowed[name].items()]
+            missing = Condition(name, (None,))
+            effective = [Condition(other, some) for other, some in allowed[name].items()]
             absent = replace(missing, without=True)
             clauses += [(*effective, missing), *((replace(one, without=True), absent) for one in effective)]
         return clauses
@@ -407,7 +414,7 @@ class _Reader:
 
 
 def _read_form(
-    document: Mapping[str, Any], problems: Problems, context: sections.Context | None = None
+    document: Mapping[str, Any], problems: Problems, context: Context | None = None
 ) -> Form | set[str | int]:
     """Return a document with its sections checked; or its broken sections, if any, when what is wrong is reported."""
     try:
@@ -439,45 +446,32 @@ def _known_keys(where: Place) -> list[str]:
     return list(table.model_fields)
 
 
-def _read_published(form: sections.PublishedForm, values: Values, axes: Collection[str]) -> sections.Published | None:
+def _read_published(form: PublishedForm, values: Values, axes: Collection[str]) -> Published | None:
     """Return the published numbers that a study names, from a CSV file in its folder."""
     problems, file, where = values.problems, shown(form.file), ("published", "file")
-    try:
+    with problems.at(where, f"{file} "):
         text = read_text(values.folder / form.file)
         lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line and not line.startswith("#")]
         reader = csv.DictReader((line for _, line in lines), restkey="")
-        rows = [(lines[reader.line_num - 1][0], row) for row in reader]
-    except SweepError as error:
-        problems.add(where, f"{file} {'; '.join(error.problems)}")
-        return None
-    except csv.Error as error:
-        problems.add(where, f"{file} is not a CSV table: {error}")
-        return None
-    outputs = {output.name for output in values.experiment.outputs}
-    parameters = {parameter.name: parameter for parameter in values.experiment.parameters}
-    unknown = [column for column in reader.fieldnames or () if column not in outputs and column not in parameters]
-    if unknown or not rows:
-        wrong = f": columns {shown(unknown)} are neither parameters nor outputs" if rows else " holds no rows"
-        problems.add(where, f"{file}{wrong}")
-        return None
-    for number, row in rows:
-        with problems.at(where, f"{file}, line {number}: "):
-            if "" in row or None in row.values():
-                raise ValueError(f"does not have {len(reader.fieldnames or ())} cells as the header has")
-            for column, cell in row.items():
-                if column not in outputs or column in axes:
-                    parameters[column].parse(_read_cell(cell, parameters[column].kind))
-                elif cell and isinstance(_read_cell(cell, "float"), str):
-                    raise ValueError(f"{column} = {shown(cell)}: must be a number or empty")
-    tolerance, reason = form.tolerance or 0.0, form.tolerance_reason or ""
-    return sections.Published(form.source, tuple(row for _, row in rows), tolerance, reason)
-
-
-def _read_cell(cell: str, kind: str) -> Any:
-    """Return what a cell of a CSV table is for a parameter, the text itself where it is nothing else."""
-    if kind == "bool":
-        return {"True": True, "False": False}.get(cell, cell)
-    try:
-        return cell if kind == "str" else float(cell)
-    except ValueError:
-        return cell
+        try:
+            rows = [(lines[reader.line_num - 1][0], row) for row in reader]
+        except csv.Error as error:
+            raise ValueError(f"is not a CSV table: {error}") from error
+        outputs = {output.name for output in values.experiment.outputs}
+        parameters = {parameter.name: parameter for parameter in values.experiment.parameters}
+        if not rows:
+            raise ValueError("holds no rows")
+        if unknown := rows[0][1].keys() - {*outputs, *parameters, ""}:
+            raise ValueError(f"has columns {shown(sorted(unknown))}, which are neither parameters nor outputs")
+        for number, row in rows:
+            with problems.at(where, f"{file}, line {number}: "):
+                if "" in row or None in row.values():
+                    raise ValueError(f"does not have {len(reader.fieldnames or ())} cells as the header has")
+                for column, cell in row.items():
+                    if column not in outputs or column in axes:
+                        kind = parameters[column].kind
+                        parameters[column].parse(cell if kind == "str" else read_cell(cell, kind))
+                    elif cell and isinstance(read_cell(cell, "float"), str):
+                        raise ValueError(f"{column} = {shown(cell)}: must be a number or empty")
+        return Published(form, tuple(row for _, row in rows))
+    return None
