@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +19,7 @@ from click.shell_completion import CompletionItem
 
 import linksweep
 from linksweep.sweep.executing.pools import MOST_WORKERS
+from linksweep.sweep.studies import built_in_studies
 
 if TYPE_CHECKING:
     from linksweep.sweep.stores.location import Location
@@ -48,20 +48,9 @@ def arg(**more: Any) -> Any:
     return lambda name: click.Argument([name], **more)
 
 
-class _Choice(click.Choice[str]):
-    def convert(self, value: Any, param: Parameter | None, ctx: Context | None) -> str:
-        try:
-            return super().convert(value, param, ctx)
-        except click.BadParameter as error:
-            from linksweep.sweep.contract import nearest
-
-            said = error.message.rstrip(".") + (nearest(str(value), list(self.choices)) or ".")
-            raise click.BadParameter(said, ctx, param) from error
-
-
 def choice(help: str, choices: Iterable[str], *names: str, **more: Any) -> Any:  # noqa: A002
     """Declare an option with one of some words as its value."""
-    return opt(help, *names, type=_Choice(list(choices)), **more)
+    return opt(help, *names, type=click.Choice(list(choices)), **more)
 
 
 def output(help: str, **more: Any) -> Any:  # noqa: A002
@@ -142,14 +131,9 @@ def _named(text: Any) -> Any:
     return tuple(named) if isinstance(text, tuple) else named[0]
 
 
-def _built_in() -> dict[str, Path]:
-    files = sorted((resources.files("linksweep") / "sweeps").iterdir(), key=str)
-    return {file.name.removesuffix(".toml"): Path(str(file)) for file in files if file.name.endswith(".toml")}
-
-
 def _studies(_context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
     """Offer the built-in studies and the TOML files here; where neither fits, whatever file the shell knows."""
-    names = [*_built_in(), *sorted(path.name for path in Path().glob("*.toml"))]
+    names = [*built_in_studies(), *sorted(path.name for path in Path().glob("*.toml"))]
     fitting = [CompletionItem(name) for name in names if name.startswith(incomplete)]
     # A shell takes one kind or the other.
     return fitting or [CompletionItem(incomplete, type="file")]
@@ -166,7 +150,7 @@ def _keys(context: Context, _parameter: Parameter, incomplete: str, more: Sequen
     document: dict[str, Any] = {}
     with suppress(OSError, ValueError, RecursionError):
         # A shell has no place for an error.
-        path = _built_in().get(study, Path(study))
+        path = built_in_studies().get(study, Path(study))
         if path.stat().st_size < 100_000:
             # A shell waits for this at each press of a key.
             document = tomllib.loads(path.read_text(encoding="utf-8"))

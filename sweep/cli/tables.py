@@ -77,7 +77,7 @@ def params(
     sweep params --schema > study.schema.json
     """
     from linksweep.sweep.code.load import load_experiment
-    from linksweep.sweep.studies.document import built_in_studies
+    from linksweep.sweep.studies import built_in_studies
     from linksweep.sweep.studies.new import study_schema
 
     is_study = experiment.endswith(".toml") or experiment in built_in_studies()

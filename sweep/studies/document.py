@@ -7,12 +7,12 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.formatting import split_assignment
+from linksweep.sweep.studies import built_in_studies
 from linksweep.sweep.studies.form import Sampling
 
 MAX_FILE_BYTES = 1_000_000
@@ -28,11 +28,6 @@ REFERENCE = re.compile(r"(?P<place>[^:\n]+\.py|[A-Za-z_][\w.]*):[A-Za-z_]\w*")
 
 Place = tuple[str | int, ...]
 """Keys and indices that lead to a value of the document."""
-
-
-def built_in_studies() -> dict[str, Path]:
-    """Return the studies that ship with the package, by name."""
-    return {path.stem: path for path in sorted(Path(str(resources.files("linksweep") / "sweeps")).glob("*.toml"))}
 
 
 def reference_in(name_or_path: str) -> str | None:
@@ -158,13 +153,12 @@ class Options:
     exclude: Sequence[str] = ()
     by_place: dict[Place, str] = field(default_factory=dict)
 
-    @cached_property
+    @property
     def written(self) -> list[tuple[str, str]]:
         """All options, as pairs of a flag and its text."""
-        flags = {"--set": self.settings, "--axis": self.axes}
-        flags |= {"--points": [self.points] if self.points is not None else []}
-        flags |= {"--design": [self.design] if self.design is not None else [], "--range": self.ranges}
-        flags |= {"--exclude": self.exclude}
+        one_each = {"--points": self.points, "--design": self.design}
+        several = {"--set": self.settings, "--axis": self.axes, "--range": self.ranges, "--exclude": self.exclude}
+        flags = several | {flag: [text] for flag, text in one_each.items() if text is not None}
         return [(flag, text) for flag, texts in flags.items() for text in texts]
 
     def apply(

@@ -309,7 +309,7 @@ def test_bad_input_is_exit_code_2(sweep_here, coin_store, tmp_path, arguments, p
 
 
 def test_the_whole_paper_from_one_command_runs_what_is_missing(sweep, tmp_path, monkeypatch, coin_study):
-    monkeypatch.setattr("linksweep.sweep.studies.document.built_in_studies", lambda: {str(coin_study): coin_study})
+    monkeypatch.setattr("linksweep.sweep.studies.built_in_studies", lambda: {str(coin_study): coin_study})
     arguments = ("compare", "--all", "--results", tmp_path / "all", "--pool", "serial")
     for _ in range(2):
         code, out, err = sweep(*arguments)
