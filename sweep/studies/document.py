@@ -156,10 +156,9 @@ class Options:
     @property
     def written(self) -> list[tuple[str, str]]:
         """All options, as pairs of a flag and its text."""
-        one_each = {"--points": self.points, "--design": self.design}
-        several = {"--set": self.settings, "--axis": self.axes, "--range": self.ranges, "--exclude": self.exclude}
-        flags = several | {flag: [text] for flag, text in one_each.items() if text is not None}
-        return [(flag, text) for flag, texts in flags.items() for text in texts]
+        flags = {"--set": self.settings, "--axis": self.axes, "--points": [self.points], "--design": [self.design]}
+        flags |= {"--range": self.ranges, "--exclude": self.exclude}
+        return [(flag, text) for flag, texts in flags.items() for text in texts if text is not None]
 
     def apply(
         self, document: dict[str, Any], parameters: Collection[str], texts: Collection[str], problems: list[str]

@@ -449,7 +449,7 @@ def _known_keys(where: Place) -> list[str]:
 def _read_published(form: PublishedForm, values: Values, axes: Collection[str]) -> Published | None:
     """Return the published numbers that a study names, from a CSV file in its folder."""
     problems, file, where = values.problems, shown(form.file), ("published", "file")
-    with problems.at(where, f"{file}: "):
+    with problems.at(where, f"{file} "):
         text = read_text(values.folder / form.file)
         lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line and not line.startswith("#")]
         reader = csv.DictReader((line for _, line in lines), restkey="")
@@ -462,7 +462,7 @@ def _read_published(form: PublishedForm, values: Values, axes: Collection[str]) 
         if not rows:
             raise ValueError("holds no rows")
         if unknown := rows[0][1].keys() - {*outputs, *parameters, ""}:
-            raise ValueError(f"columns {shown(sorted(unknown))} are neither parameters nor outputs")
+            raise ValueError(f"has columns {shown(sorted(unknown))}, which are neither parameters nor outputs")
         for number, row in rows:
             with problems.at(where, f"{file}, line {number}: "):
                 if "" in row or None in row.values():

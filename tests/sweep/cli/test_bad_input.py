@@ -138,7 +138,7 @@ def test_all_problems_are_reported_in_one_message(here):
     ("content", "phrase"),
     [
         (b"v_max,sigma\n", "'published/table.csv' holds no rows"),
-        (b"v_max,colour,sigma_spin\n16,red,1\n", "columns ['colour'] are neither parameters nor outputs"),
+        (b"v_max,colour,sigma_spin\n16,red,1\n", "columns ['colour'], which are neither parameters nor outputs"),
         (b"# c\nv_max,sigma_spin\n16,0.5\n17\n", "line 4: does not have 2 cells as the header has"),
         (b"v_max,sigma_spin\n16," + b"1" * 200_000, "is not a CSV table: field larger than field limit"),
         (b"v_max\n\xff\n", "not UTF-8 text: byte 0xff in line 2"),
