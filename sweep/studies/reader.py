@@ -6,6 +6,7 @@ import inspect
 import json
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -163,7 +164,9 @@ def live_study(document: Mapping[str, Any]) -> Study:
     else:
         raise SweepError(f"{shown(function)} is neither a function nor an Experiment")
     written.setdefault("title", name)
-    digest = hashlib.sha256(json.dumps(written, sort_keys=True, default=repr).encode()).hexdigest()
+    digest = ""
+    with suppress(ValueError):  # of an integer that Python does not print, which is refused by name below
+        digest = hashlib.sha256(json.dumps(written, sort_keys=True, default=repr).encode()).hexdigest()
     return study_from_dict(written, f"{name}-{digest[:8]}", "", Code(afresh=isinstance(function, str)))
 
 

@@ -93,7 +93,7 @@ def reference(tmp_path_factory):
     (folder / "small.toml").write_text(LINK_STUDY)
     dataset = linksweep.run(folder / "small.toml", folder / "serial.zarr", pool="serial")
     assert dataset.attrs["complete"]
-    return xr.open_zarr(folder / "serial.zarr").load().drop_vars("wall_time").drop_attrs()
+    return xr.open_zarr(folder / "serial.zarr").load()
 
 
 @pytest.fixture(scope="session")

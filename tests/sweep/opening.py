@@ -2,6 +2,7 @@
 
 # ruff: noqa: F401 (tests import from here what they need from inside)
 import json
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +22,7 @@ from linksweep.sweep.running.scaling import measure_scaling
 from linksweep.sweep.running.status import status_report
 from linksweep.sweep.running.writer import attributes_of, find_store, identity, open_store
 from linksweep.sweep.stores import ledger, location
-from linksweep.sweep.stores.integrity import sealed, unsealed
+from linksweep.sweep.stores.integrity import MANIFEST, sealed, unsealed
 from linksweep.sweep.stores.large import file_of
 from linksweep.sweep.stores.ledger import path_of
 from linksweep.sweep.stores.location import Folder, Holder, holder, located, locked, short_name, store_named
@@ -50,11 +51,86 @@ def run(document, store, tuning=None, **options):
     return run_study(study_from_dict(document), store, SERIAL, **more, **options)[0]
 
 
-def same(dataset, wanted):
+def bare(results):
+    """Return results, of a dataset or of a store, without what may differ between runs of the same numbers."""
+    dataset = results if isinstance(results, xr.Dataset) else xr.open_zarr(results).load()
+    return dataset.drop_vars("wall_time").drop_attrs(deep=False)
+
+
+def same(one, other):
     """Refuse results that differ in a bit, or in what they say of a variable."""
-    xr.testing.assert_identical(
-        dataset.drop_vars("wall_time").drop_attrs(deep=False), wanted.drop_vars("wall_time").drop_attrs(deep=False)
-    )
+    xr.testing.assert_identical(bare(one), bare(other))
+
+
+class Sentences(Silent):
+    """Keeps what is said, how many blocks each task did, and what points printed."""
+
+    def __init__(self):
+        self.said, self.blocks, self.printed = [], [], []
+
+    def say(self, text):
+        self.said.append(text)
+
+    def advance(self, works, result, taken):
+        self.blocks.append(len(works))
+        self.printed.extend(result.said.values())
+
+
+class Stopping(Silent):
+    """A progress that ends a run, as Ctrl-C does, after some tasks."""
+
+    def __init__(self, tasks):
+        self.left = tasks
+
+    def advance(self, works, result, taken):
+        self.left -= 1
+        if self.left <= 0:
+            raise KeyboardInterrupt
+
+
+class Killed(BaseException):
+    """The end of a process before an operation on a file."""
+
+
+def dying(monkeypatch, kind=Folder):
+    """Let a process die before a change of a file of a store: ``left[0]`` says after how many others.  It leaves no
+    lock.
+    """
+    left = [10**9]
+
+    def counted(operation):
+        def counting(place, key, *arguments):
+            if not key.endswith(".lock"):
+                left[0] -= 1
+                if left[0] < 0:
+                    raise Killed
+            return operation(place, key, *arguments)
+
+        return counting
+
+    for name in ("put", "create", "swap", "delete"):
+        monkeypatch.setattr(kind, name, counted(getattr(kind, name)))
+    monkeypatch.setattr(kind, "put_all", lambda place, files: [place.put(*file) for file in files.items()])
+    copy_all = kind.copy_all
+    copy = counted(lambda place, new, old: copy_all(place, {new: old}))
+    monkeypatch.setattr(kind, "copy_all", lambda place, names: [copy(place, *name) for name in names.items()])
+    return left
+
+
+def until_done(left, steps, call, between=lambda: None):
+    """Call until it comes to its end, killed after ``steps`` changes, then after half as many; return the result, and
+    how often it was killed.
+    """
+    for killed, most in enumerate((steps, steps // 2)):
+        left[0] = most
+        try:
+            return call(), killed
+        except Killed:
+            left[0] = 10**9
+            between()
+        finally:
+            left[0] = 10**9
+    return call(), 2
 
 
 def existing_store(where, study):
@@ -110,3 +186,32 @@ def forge(store, change, file="zarr.json"):
     document = json.loads((Path(store) / file).read_text())
     change(document["attributes"])
     (Path(store) / file).write_bytes(sealed(document, file))
+
+
+IN_TEXT = None
+"""A step from a text into the document that it holds."""
+
+
+def places_in(document, at=()):
+    """Yield the way to every field of a document, also of documents in its texts; of lists to the first two items."""
+    if at and at != ("attributes", "checksum"):
+        yield at
+    if isinstance(document, str) and document[:1] in ("{", "["):
+        with suppress(ValueError, RecursionError):
+            yield from places_in(json.loads(document), (*at, IN_TEXT))
+    items = document.items() if isinstance(document, dict) else ()
+    items = enumerate(document[:2]) if isinstance(document, list) else items
+    for step, value in items:
+        yield from places_in(value, (*at, step))
+
+
+def replaced(document, at, value):
+    """Return a document with another value in a place, or one more field there."""
+    if not at:
+        return value
+    step, *rest = at
+    if step is IN_TEXT:
+        return json.dumps(replaced(json.loads(document), rest, value))
+    changed = document.copy()
+    changed[step] = replaced(document[step] if rest else None, rest, value)
+    return changed

@@ -5,10 +5,8 @@ import signal
 import socket
 import threading
 from contextlib import closing, suppress
-from urllib.request import urlopen
 
 import pytest
-import xarray as xr
 from distributed import LocalCluster
 
 from linksweep import SweepError
@@ -16,6 +14,7 @@ from linksweep.sweep.executing import clusters, pools
 from linksweep.sweep.executing.clusters import client_at, own_cluster
 from linksweep.sweep.executing.dask_driver import TaskPlugin
 from linksweep.sweep.executing.pools import Resources
+from tests.sweep.opening import same
 from tests.sweep.outside import command_of, workers_below
 from tests.tiers import slow
 
@@ -38,7 +37,7 @@ def test_a_study_runs_on_the_cluster_of_a_file(link_study, tmp_path, sweep, refe
     assert code == 0, err
     assert f"on the LocalCluster of {tmp_path / name}" in err
     assert "distributed" not in err
-    xr.testing.assert_identical(xr.open_zarr(tmp_path / "s.zarr").load().drop_vars("wall_time").drop_attrs(), reference)
+    same(tmp_path / "s.zarr", reference)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([name, "s.zarr", "small.toml"])
 
 
@@ -48,24 +47,16 @@ def test_a_study_runs_on_the_cluster_of_a_file(link_study, tmp_path, sweep, refe
         ("", "class = "),
         ("class = 1\nscale = 1\n", "class = 1: "),
         ('class = "LocalCluster"\nscale = 1\n', "class = 'LocalCluster': "),
-        ('class = "no_such_package.Cluster"\nscale = 1\n', "No module named 'no_such_package'"),
         ('class = "distributed.NoCluster"\nscale = 1\n', "has no attribute 'NoCluster'"),
         ('class = "distributed.Client"\nscale = 1\n', "is no class of a Dask cluster"),
-        ('class = "os.path.join"\nscale = 1\n', "is no class of a Dask cluster"),
         (LOCAL, "write either scale = WORKERS or adapt"),
-        (LOCAL + "scale = 1\nadapt = { maximum = 2 }\n", "write either scale = WORKERS or adapt"),
         (LOCAL + "scale = 0\n", "scale.n = 0: "),
-        (LOCAL + "scale = true\n", "scale = True: "),
-        (LOCAL + "scale = { jobs = -1 }\n", "scale.jobs = -1: "),
         slow(LOCAL + "scale = { dwarfs = 7 }\n", "unexpected keyword argument 'dwarfs'"),
         (LOCAL + "adapt = { minimum = 1 }\n", "adapt: must say a maximum"),
-        (LOCAL + "adapt = { maximum = 0 }\n", "maximum = 0"),
         (LOCAL + "adapt = { minimum = 3, maximum = 2 }\n", "minimum = 3 must be at most maximum = 2"),
-        (LOCAL + 'adapt = { maximum = "2" }\n', "maximum = 2"),
         (LOCAL + "adapt = { maximum = 2, pace = 3 }\n", "unknown key adapt.pace"),
         (LOCAL + "scale = 1\noptions = 3\n", "options = 3: "),
         (LOCAL + "scale = 1\nscales = 1\n", "unknown key scales"),
-        slow(LOCAL + "scale = 1\n[options]\nn_wrokers = 1\n", "unexpected keyword argument 'n_wrokers'"),
         slow(LOCAL + 'scale = 1\n[options]\nhost = "1.2.3.4"\n', "distributed.LocalCluster: "),
         ("scale = = 1\n", "not valid TOML"),
     ],
@@ -128,44 +119,20 @@ def test_an_interrupted_start_leaves_no_process_in_a_session():
     assert not [pid for pid in workers_below(os.getpid()) if "spawn_main" in command_of(pid)]
 
 
-@pytest.mark.slow
-def test_a_dashboard_of_local_workers_opens(tmp_path, start_sweep):
-    pytest.importorskip("bokeh")
-    (tmp_path / "f.py").write_text("import time\ndef f(x: float):\n    time.sleep(3600.0)\n    return x\n")
-    run = ("run", "f.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--workers", 1, "--dashboard")
-    process = start_sweep(*run, cwd=tmp_path)
-    address = next(line.split()[-1] for line in iter(process.stderr.readline, "") if "dashboard" in line)
-    with urlopen(address) as page:
-        assert page.status == 200
-    process.terminate()
-    process.communicate()
-
-
-@pytest.mark.parametrize("wished", [{"pool": "serial"}, {"pool": "threads"}, {"scheduler": "tcp://a:1"}])
-def test_a_dashboard_without_local_worker_processes_is_refused(wished):
-    with pytest.raises(SweepError, match=r"a dashboard is for local|dashboard, scheduler: these are of"):
-        Resources(**wished, dashboard=True)
-
-
-def test_one_without_bokeh_is_refused(monkeypatch):
+def test_a_dashboard_is_of_local_worker_processes_and_needs_bokeh(monkeypatch):
+    for wished in ({"pool": "serial"}, {"pool": "threads"}, {"scheduler": "tcp://a:1"}):
+        with pytest.raises(SweepError, match=r"a dashboard is for local|dashboard, scheduler: these are of"):
+            Resources(**wished, dashboard=True)
     monkeypatch.setattr(pools, "find_spec", lambda name: None)
     with pytest.raises(SweepError, match=r"`pip install 'linksweep\[report\]'`"):
         Resources(dashboard=True)
 
 
-def test_a_port_that_says_nothing(monkeypatch):
+@pytest.mark.parametrize("speaks", [False, True])
+def test_a_port_that_says_nothing_or_is_of_a_server_of_another_kind(monkeypatch, speaks):
     """Dask's own client would wait for ever."""
     monkeypatch.setattr(clusters, "CONNECT_TIMEOUT_S", 1)
-    with closing(socket.create_server(("127.0.0.1", 0))) as server:
-        address = "tcp://{}:{}".format(*server.getsockname())
-        with (
-            pytest.raises(SweepError, match=f"no Dask scheduler answers at '{address}' within 1 s$"),
-            client_at(address),
-        ):
-            pass
 
-
-def test_a_server_of_another_kind_that_speaks_first():
     def speak(server):
         with suppress(OSError), server.accept()[0] as connection:
             connection.sendall(b"SSH-2.0-OpenSSH_9.2p1 Debian-2\r\n" * 10)
@@ -173,7 +140,8 @@ def test_a_server_of_another_kind_that_speaks_first():
 
     with closing(socket.create_server(("127.0.0.1", 0))) as server:
         address = "tcp://{}:{}".format(*server.getsockname())
-        threading.Thread(target=speak, args=(server,), daemon=True).start()
+        if speaks:
+            threading.Thread(target=speak, args=(server,), daemon=True).start()
         with pytest.raises(SweepError, match=f"no Dask scheduler answers at '{address}'"), client_at(address):
             pass
 

@@ -24,15 +24,6 @@ SAID = {
 }
 
 
-def document(places):
-    return {
-        "title": "Deadly",
-        "experiment": DEADLY,
-        "axes": {"place": list(places)},
-        "sampling": {"n_sim": 600, "n_cat": 20, "seed": 5},
-    }
-
-
 def written(path, places):
     path.write_text(
         f'title = "Deadly"\nexperiment = "{DEADLY}"\naxes = {{ place = {list(places)} }}\n'
@@ -44,13 +35,7 @@ def written(path, places):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "resources",
-    [
-        ("--workers", "2"),
-        *(
-            pytest.param(p, marks=pytest.mark.slow)
-            for p in (("--pool", "threads", "--workers", "2"), ("--pool", "serial"))
-        ),
-    ],
+    [("--workers", "2"), ("--pool", "threads", "--workers", "2"), ("--pool", "serial")],
     ids=["processes", "threads", "serial"],
 )
 def test_exactly_the_deadly_points_fail(tmp_path, sweep, resources):
@@ -77,9 +62,6 @@ def test_exactly_the_deadly_points_fail(tmp_path, sweep, resources):
     ids=["serial", "processes"],
 )
 def test_a_crash_fails_its_point_alone(tmp_path, sweep, resources, places):
-    study = written(tmp_path / "deadly.toml", places)
-    code, _, err = sweep("run", study, "-o", tmp_path / "s.zarr", *resources)
+    code, _, err = sweep("run", written(tmp_path / "deadly.toml", places), "-o", tmp_path / "s.zarr", *resources)
     assert code == 1, err
-    assert xr.open_zarr(tmp_path / "s.zarr")["status"].values.tolist() == [
-        2 if place in FATES else 1 for place in places
-    ]
+    assert xr.open_zarr(tmp_path / "s.zarr")["status"].values.tolist() == [1 + (place in FATES) for place in places]

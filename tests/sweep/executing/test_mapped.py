@@ -5,27 +5,12 @@ import signal
 import time
 
 import pytest
-from distributed import Client, LocalCluster
-from distributed.comm import CommClosedError
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.clusters import own_cluster
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import Limits, Resources
 
 EXPERIMENT = "linksweep.core.experiment:link"
-ONE = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
-
-
-@pytest.fixture(scope="module")
-def cluster():
-    with own_cluster(LocalCluster, ONE) as cluster:
-        yield cluster
-
-
-def doubled(cluster, pieces=5):
-    with mapped(EXPERIMENT, Resources(scheduler=cluster.scheduler_address), print) as run:
-        return list(run(pow, [(2, n) for n in range(pieces)]))
 
 
 def slept(seconds):
@@ -35,15 +20,10 @@ def slept(seconds):
 
 @pytest.mark.parametrize("resources", [Resources(), Resources(pool="threads", workers=3)], ids=["here", "threads"])
 def test_results_come_in_the_order_of_the_pieces(resources):
-    seconds = [0.2, 0.0, 0.1, 0.0, 0.0]
+    seconds = [0.1, 0.0, 0.05, 0.0, 0.0]
     with mapped(EXPERIMENT, resources, print) as run:
         assert list(run(slept, [(one,) for one in seconds])) == seconds
         assert list(run(pow, [])) == []
-
-
-@pytest.mark.slow
-def test_what_a_piece_raises_is_raised_and_not_tried_again(cluster):
-    with mapped(EXPERIMENT, Resources(scheduler=cluster.scheduler_address), print) as run:
         with pytest.raises(ZeroDivisionError):
             list(run(divmod, [(1, 1), (1, 0)]))
         assert list(run(divmod, [(7, 2)])) == [(3, 1)]
@@ -81,11 +61,3 @@ def busy(seconds):
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         pass
-
-
-@pytest.mark.slow
-def test_a_worker_that_goes_while_it_is_asked_is_not_missed(cluster, monkeypatch):
-    """It answers with what Dask says of a connection that is closed."""
-    gone = {"tcp://127.0.0.1:9": CommClosedError("closed")}
-    monkeypatch.setattr(Client, "run", lambda *given, real=Client.run, **options: real(*given, **options) | gone)
-    assert doubled(cluster) == [1, 2, 4, 8, 16]

@@ -1,39 +1,23 @@
-"""Work is given out by the time that it takes, whatever the experiment says, and kept soon after it is finished."""
+"""Work is given out by the time that it takes, and kept soon; what is not the experiment's fault is tried again."""
 
 import os
 import signal
 from pathlib import Path
 
 import pytest
-import xarray as xr
+from distributed import KilledWorker, LocalCluster
 
-from linksweep.sweep.executing import executor, worker
+from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing import dask_driver, executor, worker
+from linksweep.sweep.executing.clusters import own_cluster
+from linksweep.sweep.executing.dask_driver import DaskDriver, run_on_worker
 from linksweep.sweep.executing.pools import ANY_RESOURCES, POOLS, Limits, Resources
-from linksweep.sweep.stores.store import OpenStore
-from linksweep.sweep.studies.reader import study_from_dict
-from tests.sweep.opening import Silent, run_study
+from tests.sweep import opening
+from tests.sweep.opening import SERIAL, Sentences, existing_store, run_study, same, study_from_dict
 from tests.sweep.outside import wait_until
 from tests.tiers import slow
 
 SLEEPERS = str(Path(__file__).parents[1] / "sleepers.py") + ":experiment"
-
-
-class Watcher(Silent):
-    """Keeps what is said, and how many blocks each task did."""
-
-    def __init__(self):
-        self.said, self.blocks = [], []
-
-    def say(self, text):
-        self.said.append(text)
-
-    def advance(self, works, result, taken):
-        self.blocks.append(len(works))
-
-
-def _finished(store):
-    """Return how many blocks the ledger holds."""
-    return len(OpenStore(store).ledger().rows) if (store / "zarr.json").exists() else 0
 
 
 @pytest.mark.parametrize("pool", [p if p == "threads" else slow(p) for p in POOLS])
@@ -46,18 +30,18 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
     store = tmp_path / "s.zarr"
     resources = ("--pool", pool) if not POOLS[pool].has_workers else ("--pool", pool, "--workers", 1)
     process = start_sweep("run", tmp_path / "study.toml", "-o", store, *resources, start_new_session=True)
-    wait_until(lambda: process.poll() is not None or _finished(store) == 3, "three blocks", 240)
+    wait_until(lambda: process.poll() is not None or opening.rows_on_disk(store) == 3, "three blocks", 240)
     assert process.poll() is None, process.communicate()[1]
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    assert _finished(store) == 3
+    assert opening.rows_on_disk(store) == 3
 
 
 @pytest.mark.parametrize(
     "resources",
     [
-        Resources(pool="serial"),
-        pytest.param(Resources(pool="serial", limits=Limits(time_s=600)), marks=pytest.mark.slow),
+        SERIAL,
+        slow(Resources(pool="serial", limits=Limits(time_s=600))),
         Resources(pool="threads", workers=2),
     ],
     ids=["serial", "guarded", "threads"],
@@ -65,19 +49,19 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
 def test_a_task_that_takes_too_long_hands_back_what_it_has(coins, tmp_path, monkeypatch, resources):
     """To the bits of one that does not."""
     study = study_from_dict(coins)
-    whole, _ = run_study(study, tmp_path / "whole.zarr", Resources(pool="serial"))
+    whole, _ = run_study(study, tmp_path / "whole.zarr", SERIAL)
     monkeypatch.setattr(worker, "ENOUGH_S", -1.0)
     monkeypatch.setattr("linksweep.sweep.executing.children.ENOUGH_S", -1.0)
-    watcher = Watcher()
+    watcher = Sentences()
     dataset, failures = run_study(study, tmp_path / "s.zarr", resources, watcher)
     assert not failures
     assert set(watcher.blocks) == {1}
-    xr.testing.assert_identical(dataset.drop_vars("wall_time").drop_attrs(), whole.drop_vars("wall_time").drop_attrs())
+    same(dataset, whole)
 
 
 def test_work_that_turns_out_long_moves_to_worker_processes(coins, tmp_path, monkeypatch):
     study = study_from_dict(coins)
-    watcher = Watcher()
+    watcher = Sentences()
     whole, _ = run_study(study, tmp_path / "whole.zarr", ANY_RESOURCES, watcher)
     assert watcher.said == []  # short work stays in this process
     monkeypatch.setattr(executor, "WORKERS_START_S", -1.0)
@@ -85,4 +69,96 @@ def test_work_that_turns_out_long_moves_to_worker_processes(coins, tmp_path, mon
     dataset, failures = run_study(study, tmp_path / "s.zarr", ANY_RESOURCES, watcher)
     assert not failures
     assert any("the rest runs on" in text and "local worker process" in text for text in watcher.said)
-    xr.testing.assert_identical(dataset.drop_vars("wall_time").drop_attrs(), whole.drop_vars("wall_time").drop_attrs())
+    same(dataset, whole)
+
+
+@pytest.fixture(scope="module")
+def dask():
+    """Workers of Dask that are threads of this process, where functions can be replaced."""
+    options = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "protocol": "tcp://"}
+    with own_cluster(LocalCluster, options) as cluster:
+        yield Resources(scheduler=cluster.scheduler_address)
+
+
+@pytest.fixture
+def study(coins):
+    return study_from_dict(coins)
+
+
+@pytest.fixture
+def whole(study, tmp_path):
+    """The results of a run that nothing disturbed."""
+    return run_study(study, tmp_path / "whole.zarr", SERIAL)[0]
+
+
+@pytest.fixture(autouse=True)
+def no_pauses(monkeypatch):
+    monkeypatch.setattr(dask_driver, "PAUSE_S", 1e-3)
+
+
+FAILURES_LEFT = {0: 0}
+
+
+def failing(*arguments, **options):
+    """Fail on a worker, beside the experiment, as Dask did under load; some times, and then no more."""
+    FAILURES_LEFT[0] -= 1
+    if FAILURES_LEFT[0] >= 0:
+        raise UnboundLocalError("cannot access local variable 'result'")
+    return run_on_worker(*arguments, **options)
+
+
+def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch, dask):
+    monkeypatch.setattr(dask_driver, "run_on_worker", failing)
+    monkeypatch.setitem(FAILURES_LEFT, 0, 4)
+    sentences = Sentences()
+    dataset, failures = run_study(study, tmp_path / "s.zarr", dask, sentences)
+    assert not failures
+    same(dataset, whole)
+    assert any("UnboundLocalError: cannot access local variable 'result'" in text for text in sentences.said)
+
+
+def test_one_that_stays_stops_the_run_and_blames_no_point(study, tmp_path, monkeypatch, dask):
+    monkeypatch.setattr(dask_driver, "run_on_worker", failing)
+    monkeypatch.setitem(FAILURES_LEFT, 0, 10**6)
+    with pytest.raises(SweepError, match=r"failed 6 times outside of the experiment, last with UnboundLocalError"):
+        run_study(study, tmp_path / "s.zarr", dask)
+    assert not existing_store(tmp_path / "s.zarr", study).failures
+
+
+@pytest.fixture
+def one_by_one(monkeypatch):
+    """Fetch each result by itself, as where several cannot be fetched together."""
+    monkeypatch.setattr(dask_driver, "MOST_FETCHED", 1)
+
+
+@pytest.mark.usefixtures("one_by_one")
+@pytest.mark.parametrize(
+    "fate", [UnboundLocalError("result"), slow(TimeoutError("of a stream")), slow(OSError("Too many open files"))]
+)
+def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monkeypatch, fate, dask):
+    fetch, calls = DaskDriver._result, []
+
+    def fetched(self, future):
+        calls.append(future)
+        if len(calls) <= 3:  # fewer than a task may fail
+            raise fate
+        return fetch(self, future)
+
+    monkeypatch.setattr(DaskDriver, "_result", fetched)
+    dataset, failures = run_study(study, tmp_path / "s.zarr", dask)
+    assert not failures
+    same(dataset, whole)
+
+
+@pytest.mark.usefixtures("one_by_one")
+@pytest.mark.slow
+def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch, dask):
+    def fetched(self, future):
+        raise KilledWorker("task", None, 0)
+
+    monkeypatch.setattr(DaskDriver, "_result", fetched)
+    sentences = Sentences()
+    with pytest.raises(SweepError, match="die whatever they do; no point is blamed"):
+        run_study(study, tmp_path / "s.zarr", dask, sentences)
+    assert any("a worker died" in text for text in sentences.said)
+    assert not existing_store(tmp_path / "s.zarr", study).failures

@@ -98,16 +98,17 @@ def test_what_a_point_changes_is_put_back_for_the_others(change, options, tmp_pa
             return "changed"
         return look()
 
-    before = os.getcwd(), dict(os.environ), sys.stderr
-    generators = random.getstate(), np.random.get_state()[1].tolist()  # noqa: NPY002
+    def outside():  # threads of Dask draw from the generators
+        generators = random.getstate(), np.random.get_state()[1].tolist()  # noqa: NPY002
+        return os.getcwd(), dict(os.environ), sys.stderr, generators if options.get("pool") != "threads" else ()
+
+    before = outside()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         ds = run(f, "s.zarr", axes={"x": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]}, **options)
     assert ds.status.values.tolist() == [1] * 6, ds.attrs["failures"]
     assert ds.f.values.tolist() == [expected, "changed", expected, expected, "changed", expected]
-    assert before == (os.getcwd(), dict(os.environ), sys.stderr)
-    if options.get("pool") != "threads":  # Dask draws from them
-        assert generators == (random.getstate(), np.random.get_state()[1].tolist())  # noqa: NPY002
+    assert before == outside()
     assert (tmp_path / "s.zarr").is_dir()
 
 

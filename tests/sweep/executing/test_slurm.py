@@ -1,14 +1,13 @@
 """A study on a real SLURM: through dask-jobqueue, and as a job array of parts."""
 
 import pytest
-import xarray as xr
 
-from tests.sweep.executing.test_faults import LONG, quiet, reference, results, started_to_write
+from tests.sweep.executing.test_faults import LONG, reference, start, to_its_end
+from tests.sweep.opening import same
 from tests.sweep.outside import wait_until
 from tests.sweep.slurm import Slurm, why_not
-from tests.tiers import PATIENCE_S
 
-__all__ = ["reference"]
+__all__ = ["reference", "start"]
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(why_not()), reason=why_not())]
 
@@ -47,28 +46,21 @@ def jobs(slurm):
 
 
 @pytest.mark.parametrize("size", ["scale = 2", "adapt = { minimum = 0, maximum = 2 }"])
-def test_a_study_runs_in_jobs(link_study, tmp_path, sweep, slurm, reference, size):
-    store = tmp_path / "s.zarr"
-    code, _, err = sweep("run", link_study, "-o", store, *LONG, "--cluster", cluster_file(tmp_path, size), cwd=tmp_path)
-    assert code == 0, err
-    assert "the SLURMCluster of" in err
-    assert quiet(err), err
-    xr.testing.assert_identical(results(store), reference)
+def test_a_study_runs_in_jobs(start, tmp_path, slurm, reference, size):
+    process = start("--cluster", cluster_file(tmp_path, size), waits=False)
+    assert "the SLURMCluster of" in to_its_end(process)
+    same(tmp_path / "s.zarr", reference)
     wait_until(lambda: not jobs(slurm), "the end of the jobs")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log", "s.zarr", "scratch", "slurm.toml", "small.toml"]
 
 
 @pytest.mark.parametrize("cancelled", [1, 2], ids=["one of two jobs", "all jobs"])
-def test_cancelled_jobs_cost_nothing_but_time(link_study, tmp_path, start_sweep, slurm, reference, cancelled):
-    store = tmp_path / "s.zarr"
-    process = start_sweep("run", link_study, "-o", store, *LONG, "--cluster", cluster_file(tmp_path, "scale = 2"))
-    started_to_write(store, process)
+def test_cancelled_jobs_cost_nothing_but_time(start, tmp_path, slurm, reference, cancelled):
+    process = start("--cluster", cluster_file(tmp_path, "scale = 2"))
     wait_until(lambda: len(jobs(slurm)) == 2, "two jobs")
     slurm.run("scancel", *jobs(slurm)[:cancelled])
-    _, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, err
-    assert quiet(err), err
-    xr.testing.assert_identical(results(store), reference)
+    to_its_end(process)
+    same(tmp_path / "s.zarr", reference)
 
 
 def test_a_job_array_computes_the_parts_and_merges_them(link_study, tmp_path, sweep, slurm, reference):
@@ -91,4 +83,4 @@ def test_a_job_array_computes_the_parts_and_merges_them(link_study, tmp_path, sw
     script.write_text(whole.replace("--array=1-4", "--array=3"))
     slurm.run("sh", str(script))
     assert "wrote" in ended()
-    xr.testing.assert_identical(results(store), reference)
+    same(store, reference)

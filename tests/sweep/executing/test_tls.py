@@ -4,10 +4,9 @@ from contextlib import closing
 
 import pytest
 import trustme
-import xarray as xr
 
+from tests.sweep.opening import same
 from tests.sweep.outside import Outside
-from tests.tiers import PATIENCE_S
 
 
 class Files:
@@ -40,51 +39,25 @@ def outside(tmp_path, files):
         yield outside
 
 
-@pytest.fixture
-def run(start_sweep):
-    """A function that runs `sweep` in a process of its own: one that hangs is ended, and no other test with it."""
-
-    def to_its_end(*arguments):
-        process = start_sweep(*arguments)
-        _, err = process.communicate(timeout=PATIENCE_S)
-        return process.returncode, err
-
-    return to_its_end
-
-
 @pytest.mark.slow
-def test_a_study_runs_over_tls(link_study, tmp_path, run, files, outside):
+def test_a_study_runs_over_tls(link_study, tmp_path, sweep, files, outside):
     study = ("run", link_study, "--set", "n_sim=50", "-o")
-    code, err = run(*study, tmp_path / "tls.zarr", "--scheduler", outside.address, *files.options())
+    code, _, err = sweep(*study, tmp_path / "tls.zarr", "--scheduler", outside.address, *files.options())
     assert code == 0, err
     assert f"the Dask scheduler at {outside.address}" in err
-    code, err = run(*study, tmp_path / "serial.zarr", "--pool", "serial")
+    code, _, err = sweep(*study, tmp_path / "serial.zarr", "--pool", "serial")
     assert code == 0, err
-    here, there = (
-        xr.open_zarr(tmp_path / f"{name}.zarr").load().drop_vars("wall_time").drop_attrs() for name in ("serial", "tls")
-    )
-    xr.testing.assert_identical(here, there)
-
-
-@pytest.mark.slow
-def test_dasks_own_configuration_is_enough(link_study, tmp_path, run, files, outside, monkeypatch):
-    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CA_FILE", files.ca)
-    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT", files.cert)
-    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY", files.key)
-    monkeypatch.setenv("DASK_DISTRIBUTED__COMM__REQUIRE_ENCRYPTION", "true")
-    study = ("run", link_study, "--set", "n_sim=50", "-o", tmp_path / "s.zarr")
-    code, err = run(*study, "--scheduler", outside.address)  # read when Dask is imported
-    assert code == 0, err
+    same(tmp_path / "serial.zarr", tmp_path / "tls.zarr")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("wrong", ["strangers", "none", "rubbish"])
-def test_wrong_certificates_are_refused_in_a_sentence(link_study, tmp_path, run, outside, wrong):
+def test_wrong_certificates_are_refused_in_a_sentence(link_study, tmp_path, sweep, outside, wrong):
     strangers = Files(tmp_path / "strangers")
     if wrong == "rubbish":
         (tmp_path / "strangers" / "key.pem").write_text("no key\n")
     options = () if wrong == "none" else strangers.options()
-    code, err = run("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address, *options)
+    code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address, *options)
     assert code == 2, err
     assert len(err.splitlines()) == 1, err
     says = {"rubbish": "cannot use the TLS files", "none": "no certificates for", "strangers": "no Dask scheduler"}

@@ -2,17 +2,15 @@
 
 import itertools
 import random
-import subprocess
-import sys
 import time
 import uuid
-from datetime import datetime
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from linksweep import Output, SweepError, experiment, run
+from tests.sweep.opening import Sentences
 from tests.tiers import slow
 
 AXES = {"x": [1.0, 2.0, 3.0]}
@@ -33,11 +31,9 @@ def failing(x: float):
 DIFFERENT = {
     "numpy": lambda x: np.random.default_rng().normal(),
     "its own generator": lambda x, rng_of=np.random.default_rng(1): rng_of.normal(),  # noqa: B008
-    "legacy numpy": lambda x: np.random.normal(),  # noqa: NPY002
     "random": lambda x: random.random(),
     "a counter": lambda x: next(counter),
     "the clock": lambda x: time.perf_counter_ns(),
-    "a time": lambda x: datetime.now(),
     "a text": lambda x: {"x2": 2 * x, "name": uuid.uuid4().hex},
     "one of an array": lambda x: np.array([1.0, 2.0, random.random()]),
     "a length": lambda x: np.ones(1 + next(counter)),
@@ -59,29 +55,20 @@ def test_another_result_is_refused_by_name(kind, pool, tmp_path):
         assert (run(f, tmp_path / "s.zarr", axes=AXES, pool=pool, deterministic=False).status == 1).all()
 
 
-def _keys_in_another_order(x):
-    return dict.fromkeys(("b", "c") if next(counter) % 2 else ("c", "b"), x)
-
-
 @experiment(outputs=[Output("y", nan=True)])
 def with_nan(x: float):
     return {"y": np.array([np.nan, x, np.inf])}
 
 
-@experiment(deterministic=False)
-def declared(x: float):
-    return random.random()
-
-
 SAME = {
     "a number": lambda x: x / 3.0,
-    "the order of a dict": _keys_in_another_order,
+    "the order of a dict": lambda x: dict.fromkeys(("b", "c")[:: 1 - 2 * (next(counter) % 2)], x),
     "texts": lambda x: [f"{x}", "ü"],
     "a dataset": lambda x: xr.Dataset({"y": ("t", [x, 2.0])}, coords={"t": [0.5, 1.5]}),
     "a seeded generator": lambda x: np.random.default_rng(3).normal(),
     "a seeded global generator": lambda x: (np.random.seed(4), np.random.normal())[1],  # noqa: NPY002
     "NaN": with_nan,
-    "another, as declared": declared,
+    "another, as declared": experiment(deterministic=False)(lambda x: random.random()),
 }
 
 
@@ -98,24 +85,16 @@ def test_what_is_wrong_in_a_declaration(tmp_path):
 
 
 def test_the_second_call_counts_nowhere(tmp_path):
-    calls, seen = [], []
+    calls, watcher = [], Sentences()
 
     def f(x: float):
         calls.append(x)
         print("a line")
         return x
 
-    class Watcher:
-        start = say = written = lambda *_: None
-
-        def advance(self, works, result, taken):
-            seen.extend(result.said.values())
-
-    run(f, tmp_path / "s.zarr", axes=AXES, pool="serial", progress=Watcher())
+    run(f, tmp_path / "s.zarr", axes=AXES, pool="serial", progress=watcher)
     assert sorted(calls) == [1.0, 1.0, 2.0, 3.0]
-    assert [said.printed for said in seen] == ["a line\n"] * 3
-    more = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 3.0, 4.0]}, pool="serial")
-    assert more.status.values.tolist() == [1] * 4
+    assert [said.printed for said in watcher.printed] == ["a line\n"] * 3
 
 
 def test_a_second_call_that_raises_is_named(tmp_path):
@@ -125,21 +104,3 @@ def test_a_second_call_that_raises_is_named(tmp_path):
 
     with pytest.raises(SweepError, match=r"returns a result and then raises FileExistsError"):
         run(f, tmp_path / "s.zarr", axes=AXES)
-
-
-@pytest.mark.slow
-def test_a_resumed_run_looks_too(tmp_path):
-    """In a new process nothing is known of the function, whose code may have been accepted."""
-    module = tmp_path / "f.py"
-    command = [sys.executable, "-m", "linksweep", "run", "f.py:f", "-o", "s.zarr"]
-
-    def sweep(*more):
-        return subprocess.run([*command, *more], cwd=tmp_path, capture_output=True, text=True, check=False)
-
-    module.write_text("def f(x: float = 1.0):\n    return x\n")
-    assert sweep("--axis", "x=1,2").returncode == 0
-    module.write_text("import random\ndef f(x: float = 1.0):\n    return random.random()\n")
-    done = sweep("--axis", "x=1,2,3", "--accept-code")
-    assert done.returncode == 2
-    assert "called twice at x = 3.0" in done.stderr
-    assert xr.open_zarr(tmp_path / "s.zarr").f.values[:2].tolist() == [1.0, 2.0]

@@ -1,5 +1,6 @@
 """Results whose length differs between points are padded, beside their lengths, if that is declared."""
 
+import itertools
 import json
 import math
 
@@ -14,7 +15,7 @@ import linksweep
 from linksweep import Output, SweepError, experiment
 from linksweep.sweep.report.page import report_page
 from linksweep.sweep.result import Result
-from tests.sweep.opening import OFTEN, Folder, check, merge, run
+from tests.sweep.opening import OFTEN, bare, check, dying, merge, run, same, until_done
 from tests.tiers import examples
 
 KINDS = {
@@ -36,16 +37,6 @@ def walk(k: int, n: int):
     return {name: make(k, n) for name, make in KINDS.items()}
 
 
-MISSING = {
-    "number": np.nan,
-    "mixed": np.nan,
-    "count": np.nan,
-    "truth": np.nan,
-    "word": "",
-    "time": np.datetime64("NaT"),
-}
-
-
 def plain(array):
     """Return values as a list, None where a number is missing."""
     return [None if isinstance(one, float) and math.isnan(one) else one for one in array.ravel().tolist()]
@@ -57,7 +48,7 @@ def expected(ks, ns):
     longest, found = max([1, *done]), {}
     for name, make in KINDS.items():
         shape = (len(ks), len(ns), *((2,) if name == "table" else ()), longest)
-        missing = MISSING.get(name, np.nan)
+        missing = {"word": "", "time": np.datetime64("NaT")}.get(name, np.nan)
         found[name] = np.full(shape, missing, dtype="M8[ns]" if name == "time" else object)
         for i, j in np.ndindex(len(ks), len(ns)):
             if (ks[i], ns[j]) != (9, 9):
@@ -93,13 +84,9 @@ def test_whatever_the_order_a_dataset_has_the_values_of_each_point(tmp_path_fact
         for part in range(1, parts + 1):
             linksweep.run(walk, at_once, part=f"{part}/{parts}", **whole)
         at_once = folder / "merged"
-        merge([Folder(path) for path in folder.glob("once.part-*")], at_once)
+        merge(sorted(folder.glob("once.part-*")), at_once)
     once = xr.open_zarr(at_once, mask_and_scale=False).load()
-    assert (
-        once.drop_vars("wall_time")
-        .drop_attrs(deep=False)
-        .identical(stored.drop_vars("wall_time").drop_attrs(deep=False))
-    )
+    assert bare(once).identical(bare(stored))
 
 
 def test_tables_pages_and_laws_know_the_lengths(tmp_path):
@@ -162,21 +149,6 @@ def test_results_that_are_not_as_declared_are_refused_by_name(tmp_path, outputs,
     assert (problem or "{}") in ds.attrs["failures"]
 
 
-def test_a_coordinate_along_a_ragged_dimension_is_another_output(tmp_path):
-    def measured(n: int):
-        return xr.DataArray(np.ones(n), dims="t", coords={"t": 0.1 * np.arange(n)}, name="y")
-
-    declared = experiment(outputs=[Output("y", dims="t", ragged=True)])(measured)
-    ds = linksweep.run(declared, tmp_path / "s", axes={"n": [2, 3]}, pool="serial", max_failures="100%")
-    assert "'t' is ragged, and so it is numbered: return its coordinate as another output" in ds.attrs["failures"]
-
-
-@pytest.mark.slow
-def test_points_that_are_computed_again_are_as_long(tmp_path):
-    ds = linksweep.run(walk, tmp_path / "s", axes={"k": [1, 2], "n": [3, 5]}, pool="serial", verify=4)
-    assert ds.attrs["failures"] == "{}"
-
-
 GROWS = """
 from linksweep import Output, experiment
 
@@ -190,25 +162,12 @@ def grows(n: int):
 def test_a_run_that_was_killed_at_any_instant_goes_on(tmp_path, monkeypatch):
     (tmp_path / "grows.py").write_text(GROWS)
     study = {"title": "", "experiment": f"{tmp_path / 'grows.py'}:grows", "axes": {"n": [1, 2, 4, 3, 9, 5]}}
-    wanted = run(study, tmp_path / "whole", OFTEN).drop_vars("wall_time")
-    put, left = Folder.put, [0]
-
-    def counted(place, *arguments):
-        left[0] -= 1
-        if left[0] < 0:
-            raise SystemExit("killed")
-        put(place, *arguments)
-
-    monkeypatch.setattr(Folder, "put", counted)
-    for number in range(10**9):
-        store, killed = tmp_path / f"{number}", 0
-        for left[0] in (number, number // 2, 10**9):
-            try:
-                found = run(study, store, OFTEN).drop_vars("wall_time")
-                break
-            except SystemExit:
-                killed += 1
-        xr.testing.assert_identical(found.drop_attrs(deep=False), wanted.drop_attrs(deep=False))
+    wanted = run(study, tmp_path / "whole", OFTEN)
+    left = dying(monkeypatch)
+    for number in itertools.count():
+        store = tmp_path / f"{number}"
+        found, killed = until_done(left, number, lambda: run(study, store, OFTEN))  # noqa: B023
+        same(found, wanted)
         assert check(store).remarks == []
         if not killed:
             return

@@ -1,4 +1,4 @@
-"""Parameters come from the signature alone; what cannot be swept is refused with what to do instead."""
+"""Parameters come from the signature, the title from the docstring; what cannot be swept is refused with what to do."""
 
 import functools
 import math
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal.windows import kaiser
 
+import linksweep
 from linksweep import Output, Parameter, SweepError, experiment, load_study, run
 
 
@@ -112,18 +113,13 @@ def test_methods_of_objects_partials_and_callable_objects_are_functions(function
 
 def test_all_mistakes_of_a_declaration_are_told_at_once():
     outputs = [
-        Output("speed", unit="furlong/fortnight"),
-        Output("x"),
-        Output("a b"),
-        Output("status"),
+        *(Output("speed", unit="furlong/fortnight"), Output("x"), Output("a b"), Output("status"), Output("twice")),
         Output("curve", dims=("time", "x"), coords={"tme": [1.0]}),
-        Output("twice"),
         Output("twice", statistics=["men"]),
         Output("bad", dims="k", coords={"k": [1.0, np.nan]}),
     ]
     with pytest.raises(SweepError) as caught:
         experiment(outputs=outputs, packages="no", vectorised=False)(lambda x=1.0, code=2: x)
-    text = str(caught.value)
     for sentence in (
         "parameter 'code': the platform gives this name",
         "output 'speed': the unit 'furlong/fortnight' is none",
@@ -137,7 +133,7 @@ def test_all_mistakes_of_a_declaration_are_told_at_once():
         "there is no statistic 'men'; did you mean 'mean'?",
         "output 'bad': has a coordinate 'k' that has values that are not finite",
     ):
-        assert sentence in text
+        assert sentence in str(caught.value)
 
 
 def test_a_declared_function_is_called_as_before_and_that_of_other_code_stays_as_it_is(tmp_path):
@@ -152,3 +148,26 @@ def test_a_declared_function_is_called_as_before_and_that_of_other_code_stays_as
     ds = run(declared, tmp_path / "s.zarr", axes={"beta": [2.0]}, fixed={"M": 5}, pool="serial")
     assert ds.window.units == "m"
     assert np.array_equal(ds.window.values[0], kaiser(5, 2.0))
+
+
+def function(docstring):
+    def f(start: float):
+        return start
+
+    f.__doc__ = docstring
+    return f
+
+
+@pytest.mark.parametrize(
+    ("docstring", "title", "shown"),
+    [
+        ("A cup of coffee that cools.\n\n    The room has 20 degrees.\n", None, "A cup of coffee that cools"),
+        ("A cup of coffee that cools.", "Coffee", "Coffee"),
+        ("What $x costs.", None, "f"),
+        (None, None, "f"),
+    ],
+)
+def test_the_title_is_the_first_line_of_the_docstring(tmp_path, docstring, title, shown):
+    store = tmp_path / "s.zarr"
+    dataset = linksweep.run(function(docstring), store, axes={"start": [30.0, 50.0]}, title=title, pool="serial")
+    assert dataset.attrs["title"] == linksweep.open(store).attrs["title"] == shown

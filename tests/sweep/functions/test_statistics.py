@@ -11,15 +11,9 @@ from linksweep import Output, experiment, run
 from tests.tiers import slow
 
 LAWS = {
-    "normal": stats.norm(3.0, 1.0),
-    "exponential": stats.expon(),
-    "lognormal": stats.lognorm(1.0),
-    "uniform": stats.uniform(),
-    "gamma": stats.gamma(3.0),
-    "gumbel": stats.gumbel_r(),
-    "weak lognormal": stats.lognorm(0.5),
-    "Laplace": stats.laplace(),
-    "Poisson": stats.poisson(100.0),
+    **{"normal": stats.norm(3.0, 1.0), "exponential": stats.expon(), "lognormal": stats.lognorm(1.0)},
+    **{"uniform": stats.uniform(), "gamma": stats.gamma(3.0), "gumbel": stats.gumbel_r(), "Laplace": stats.laplace()},
+    **{"weak lognormal": stats.lognorm(0.5), "Poisson": stats.poisson(100.0)},
 }
 CLOSE = (0.935, 0.965)
 """The band of 95 +- 1.5 %, within two errors."""
@@ -61,13 +55,9 @@ def truth(law, name):
     return law.ppf(0.5 if name == "median" else float(name[1:]) / 100.0)
 
 
-def slack(copies):
-    """What chance adds to either side of the band."""
-    return 3.0 * np.sqrt(0.05 * 0.95 / copies)
-
-
 def check_coverage(law, n, copies, names):
     *found, _ = measured(drawn(LAWS[law], n, copies), *names)
+    slack = 3.0 * np.sqrt(0.05 * 0.95 / copies)  # what chance adds to either side of the band
     for name, (value, error) in zip(names, found, strict=True):
         known = np.isfinite(error)
         if n < FEWEST.get(name, 50):
@@ -75,12 +65,12 @@ def check_coverage(law, n, copies, names):
         elif name in ("mean", "std") or law != "Poisson" or n == 50:  # many have few different values at a quantile
             inside = np.abs(value - truth(LAWS[law], name)) <= 2.0 * error
             assert known.mean() > 0.95
-            assert CLOSE[0] - slack(copies) < inside.sum() / known.sum() < CLOSE[1] + slack(copies), name
+            assert CLOSE[0] - slack < inside.sum() / known.sum() < CLOSE[1] + slack, name
 
 
 @pytest.mark.parametrize("law", ["normal", "exponential", "lognormal"])
 def test_errors_of_fifty_realisations_hold_the_truth_95_times_of_100(law):
-    check_coverage(law, 50, 2000, ["mean", "std", "median", "q90"])
+    check_coverage(law, 50, 1500, ["mean", "std", "median", "q90"])
 
 
 @pytest.mark.slow
@@ -143,16 +133,6 @@ def test_the_fewest_realisations_that_have_an_error(name, fewest):
     value, error = one(name, values[1:])
     assert np.isnan(error).all()
     assert np.isfinite(value).all()
-
-
-def test_a_quantile_between_few_values_has_no_error():
-    """The differences from the truth are whole numbers then: no error has them inside 95 times of 100."""
-    names = ("median", "q75", "q90", "q95")
-    for law in (stats.bernoulli(0.3), stats.randint(1, 7), stats.poisson(1.0)):
-        *found, _ = measured(drawn(law, 400, 500), *names)
-        assert all(np.isnan(error).mean() > 0.99 for _, error in found)
-    *found, _ = measured(drawn(LAWS["normal"], 400, 500).round(2), *names)
-    assert all(np.isfinite(error).all() for _, error in found)
 
 
 def test_a_quantiles_error_is_made_of_the_order_statistics_at_two_sigma():
@@ -219,11 +199,3 @@ def test_the_error_of_a_standard_deviation_is_made_of_the_unbiased_kurtosis():
     value, error = one("std", values)
     expected = value * np.sqrt((stats.kurtosis(values, bias=False) + 2.0) / 200_000.0)
     assert error == pytest.approx(expected, rel=5e-3)
-
-
-def test_errors_of_many_realisations_are_those_of_the_central_limit():
-    n = 100_000
-    expected = {"mean": 1.0, "std": np.sqrt(0.5), "median": np.sqrt(np.pi / 2.0)}
-    *found, _ = measured(drawn(LAWS["normal"], n, 1), *expected)
-    for (_, error), scale in zip(found, expected.values(), strict=True):
-        assert error[0] == pytest.approx(scale / np.sqrt(n), rel=0.1)

@@ -4,12 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
-from tests.sweep.opening import Resources, make_grid, run_study, study_from_dict
-
-SERIAL = Resources(pool="serial")
+from tests.sweep.opening import SERIAL, run_study, same, study_from_dict
 
 
 def evaluate(points, n_sim, rng, catalogue_rng):
@@ -40,29 +37,17 @@ experiment = Experiment(
 )
 
 
-def document(axes, **sampling):
-    return {
-        "title": "Mixed",
-        "experiment": f"{__file__}:experiment",
-        "axes": axes,
-        "sampling": {"n_sim": 512, "n_cat": 40, "seed": 5, "common_random_numbers": True} | sampling,
-    }
+def study(axes, **sampling):
+    sampling = {"n_sim": 512, "n_cat": 40, "seed": 5, "common_random_numbers": True} | sampling
+    document = {"title": "Mixed", "experiment": f"{__file__}:experiment", "axes": axes, "sampling": sampling}
+    return study_from_dict(document)
 
 
-def run(axes, path, resources=SERIAL, **sampling):
-    return run_study(study_from_dict(document(axes, **sampling)), path, resources)[0]
+def run(axes, path, **sampling):
+    return run_study(study(axes, **sampling), path, SERIAL)[0]
 
 
 MIXING = [0.0, 0.5, 2.0]
-
-
-def test_points_share_a_stream_if_they_differ_only_in_what_is_shared():
-    grid = make_grid(study_from_dict(document({"kind": ["a", "b"], "mixing": MIXING, "scale": [1.0, 2.0]})))
-    streams = {}
-    for point in grid.points():
-        streams.setdefault(point.stream, set()).add(point.parameters["kind"])
-    assert sorted(map(sorted, streams.values())) == [["a"], ["b"]]
-    assert len({point.digest for point in grid.points()}) == 12
 
 
 def test_a_point_does_not_know_who_shares_its_numbers(tmp_path):
@@ -80,7 +65,7 @@ def test_a_study_that_grows_draws_again_only_for_what_is_new(tmp_path, monkeypat
     grown = run({"mixing": MIXING}, tmp_path / "s.zarr")
     assert len(asked) == 2 * 20 + 40
     fresh = run({"mixing": MIXING}, tmp_path / "fresh.zarr")
-    xr.testing.assert_identical(grown.drop_vars("wall_time").drop_attrs(), fresh.drop_vars("wall_time").drop_attrs())
+    same(grown, fresh)
 
 
 def test_a_point_that_raises_does_not_take_those_that_share_with_it(tmp_path, monkeypatch):
@@ -93,8 +78,7 @@ def test_a_point_that_raises_does_not_take_those_that_share_with_it(tmp_path, mo
     monkeypatch.setattr(
         "linksweep.sweep.executing.worker.load_experiment", lambda reference, digest: replace(experiment, evaluate=fail)
     )
-    study = study_from_dict(document({"mixing": MIXING}))
-    dataset, failures = run_study(study, tmp_path / "s.zarr", SERIAL)
+    dataset, failures = run_study(study({"mixing": MIXING}), tmp_path / "s.zarr", SERIAL)
     assert failures == {"mixing=0.5": "ValueError: no halves"}
     for mixing in (0.0, 2.0):
         assert dataset["mean"].sel(mixing=mixing) == whole["mean"].sel(mixing=mixing)
@@ -104,15 +88,3 @@ def test_results_with_and_without_do_not_mix(tmp_path):
     run({"mixing": MIXING}, tmp_path / "s.zarr")
     with pytest.raises(SweepError, match="common_random_numbers: True in the store, 'absent' in the study"):
         run({"mixing": MIXING}, tmp_path / "s.zarr", common_random_numbers=False)
-
-
-@pytest.mark.slow
-def test_the_covariance_between_points_is_that_of_their_shared_numbers(tmp_path):
-    dataset = run({"mixing": MIXING}, tmp_path / "s.zarr", n_cat=600)
-    covariance = dataset["mean_mc_covariance_mixing"]
-    assert covariance.dims == ("mixing", "mixing_other")
-    assert covariance.attrs["units"] == "m2"
-    x = np.array(MIXING)
-    expected = (1.0 + np.outer(x, x)) / (512 * 600)
-    error = np.sqrt((expected**2 + np.outer(np.diag(expected), np.diag(expected))) / 600)  # of a sample covariance
-    assert np.all(np.abs(covariance.values - expected) < 4.5 * error)

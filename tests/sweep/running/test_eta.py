@@ -38,54 +38,29 @@ def estimates(results, workers):
     return rows
 
 
-def at(share, rows):
-    return next((estimate, truth) for done, estimate, truth in rows if done >= share)
-
-
-def equal(random_, place):
-    return 1.0, random_.uniform(0.9, 1.1)
-
-
-def growing(random_, place):
-    """Points grow tenfold along the grid, and their cost says how long they take to 20 %."""
-    cost = 1.0 + 9.0 * place
-    return cost, cost * random_.uniform(0.8, 1.2)
-
-
-def shrinking(random_, place):
-    return growing(random_, 1.0 - place)
-
-
-def scattered(random_, place):
-    cost = random_.lognormvariate(0.0, 0.7)
-    return cost, cost * random_.lognormvariate(0.0, 0.3)
+KINDS = {  # from a random generator and the place in the grid: cost and seconds of a task
+    "equal": lambda chance, place: (1.0, chance.uniform(0.9, 1.1)),
+    "growing": lambda chance, place: (1.0 + 9.0 * place, (1.0 + 9.0 * place) * chance.uniform(0.8, 1.2)),
+    "shrinking": lambda chance, place: KINDS["growing"](chance, 1.0 - place),
+    "scattered": lambda chance, place: (
+        cost := chance.lognormvariate(0.0, 0.7),
+        cost * chance.lognormvariate(0.0, 0.3),
+    ),
+}
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["workers known", "workers seen"])
 @pytest.mark.parametrize("workers", [1, slow(2), 7, slow(64)])
-@pytest.mark.parametrize(
-    ("kind", "tasks_each"),
-    [(equal, 10), (growing, 10), (shrinking, 10), (scattered, 50)],
-    ids=lambda v: getattr(v, "__name__", str(v)),
-)
-def test_after_a_fifth_of_the_work_it_is_right_within_a_factor_of_one_and_a_half(kind, tasks_each, workers, known):
-    n = tasks_each * workers
+@pytest.mark.parametrize("kind", KINDS)
+def test_after_a_fifth_of_the_work_it_is_right_within_a_factor_of_one_and_a_half(kind, workers, known):
+    n = (50 if kind == "scattered" else 10) * workers
     for seed in range(5):
         random_ = random.Random(seed)
-        results = results_of([kind(random_, i / n) for i in range(n)], workers)
+        results = results_of([KINDS[kind](random_, i / n) for i in range(n)], workers)
         rows = estimates(results, workers if known else None)
         for share in (0.2, 0.5):
-            estimate, truth = at(share, rows)
+            estimate, truth = next(row[1:] for row in rows if row[0] >= share)
             assert truth / 1.5 < estimate < 1.5 * truth
-
-
-def test_what_is_under_way_counts_between_results():
-    """Two workers at tasks of ten seconds: five seconds after a result there are five seconds less left."""
-    eta = Eta(20.0, 2)
-    for now in (10.0, 10.1, 20.0, 20.1):
-        eta.take(now, 1.0, 10.0)
-    assert eta.left(25.0) == pytest.approx(eta.left(20.1) - 4.9, abs=0.1)
-    assert eta.left(20.1) == pytest.approx(80.0, rel=0.02)
 
 
 @settings(max_examples=examples(200), derandomize=True)

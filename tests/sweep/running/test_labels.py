@@ -24,30 +24,23 @@ def run(store, rows=None, labels=None, function=noisy, **more):
 STARS = {"x": [1.0, 2.0, 2.0], "star": ["Sirius", None, "Vega"], "hd": [48915, 2**62, 172167]}
 
 
-@pytest.mark.parametrize("form", ["mapping", "frame", "index", "levels", "table", "file", "study"])
+@pytest.mark.parametrize("form", ["mapping", "frame", "index", "levels", "table", "file"])
 def test_labels_are_coordinates_along_points_and_change_no_number(tmp_path, form):
     store, rows, labels = tmp_path / "s.zarr", STARS, ["star", "hd"]
     if form in ("frame", "index", "levels"):
-        rows = pd.DataFrame(STARS)
         index = {"frame": [], "index": ["star"], "levels": ["star", "hd"]}[form]
-        rows = rows.set_index(index) if index else rows
+        rows = pd.DataFrame(STARS).set_index(index) if index else pd.DataFrame(STARS)
         labels = [name for name in labels if name not in index]
     elif form != "mapping":
-        table = Table({**STARS, "star": ["Sirius", "", "Vega"]})
-        table.write(tmp_path / "t.ecsv")
-        rows = table if form == "table" else str(tmp_path / "t.ecsv")
-    if form == "study":
-        points = {"file": rows, "labels": labels}
-        ds = linksweep.run({"experiment": noisy, "points": points}, store, pool="serial")
-    else:
-        ds = run(store, rows, labels)
-    plain = run(tmp_path / "plain.zarr", {"x": STARS["x"]})
-    assert ds.y_mean.values.tobytes() == plain.y_mean.values.tobytes()
+        rows = Table({**STARS, "star": ["Sirius", "", "Vega"]})
+        rows.write(tmp_path / "t.ecsv")
+        rows = rows if form == "table" else str(tmp_path / "t.ecsv")
+    ds = run(store, rows, labels)
+    assert ds.y_mean.values.tobytes() == run(tmp_path / "plain.zarr", {"x": STARS["x"]}).y_mean.values.tobytes()
     for found_there in (ds, linksweep.open(store), xr.open_zarr(store).load()):
         assert found_there.star.dims == found_there.hd.dims == (POINT,)
         assert found_there.star.values.tolist() == ["Sirius", "", "Vega"]
         assert found_there.hd.values.tolist() == STARS["hd"]
-    assert not {"star", "hd"} & set(plain.coords)
 
 
 def test_a_name_of_digits_in_a_file_stays_what_is_written(tmp_path):
@@ -63,30 +56,6 @@ def test_a_name_of_digits_in_a_file_stays_what_is_written(tmp_path):
         assert ds.name.values.tolist() == ds.name_back.values.tolist() == ["0071", "12"]
         assert ds.hip.values.tolist() == [7, 8]
         assert ds.field.values.tolist() == ["007", ""]
-
-
-def test_an_index_that_only_counts_is_no_label(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    ds = run(None, pd.DataFrame({"x": [3.0, 4.0]}))
-    assert set(ds.coords) == {POINT, "x"}
-    assert run(None, pd.DataFrame({"x": [3.0, 4.0]}, index=[7, 8])).index.values.tolist() == [7, 8]
-
-
-def test_labels_survive_whatever_joins_the_points(tmp_path):
-    store, table = tmp_path / "s.zarr", {"x": [1.0, 2.0], "star": ["a", "b"]}
-    run(store, table, "star")
-    assert run(store, {"x": [1.0, 2.0], "star": ["a", "B"]}, "star").star.values.tolist() == ["a", "B"]  # corrected
-    run(store, {"x": [1.0, 2.0, 2.0], "star": ["a", "B", "c"]}, "star")
-    run(store, {"x": [1.0]})
-    assert linksweep.open(store).star.values.tolist() == ["a", "B", "c"]
-    run(store, axes={"x": [2.0, 9.0]})
-    ds = linksweep.open(store)
-    assert list(zip(ds.x.values.tolist(), ds.star.values.tolist(), strict=True)) == [
-        (1.0, "a"),
-        (2.0, "B"),
-        (2.0, "c"),
-        (9.0, ""),
-    ]
 
 
 def test_what_is_no_label_is_refused_by_name(tmp_path):
@@ -106,23 +75,23 @@ def test_what_is_no_label_is_refused_by_name(tmp_path):
             run(tmp_path / "s.zarr", rows, labels)
 
 
-cells = st.one_of(st.none(), st.text("ab", max_size=2), st.integers(0, 3), st.floats(0, 2))
-tables = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0]), cells), min_size=1, max_size=5)
+CELLS = st.one_of(st.none(), st.text("ab", max_size=2), st.integers(0, 3), st.floats(0, 2))
+TABLES = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0]), CELLS), min_size=1, max_size=5)
 
 
-@pytest.mark.slow
 @settings(max_examples=examples(12), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(table=tables, first=st.integers(1, 4), number=st.integers(1, 3))
-def test_rows_of_any_labels_grow_and_come_together_from_parts(tmp_path_factory, table, first, number):
+@given(table=TABLES, first=st.integers(1, 4), number=st.integers(1, 3))
+def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_path_factory, table, first, number):
     folder = tmp_path_factory.mktemp("labels")
     columns = {"x": [x for x, _ in table], "label": [label for _, label in table]}
-    whole = run(folder / "s.zarr", columns, "label", fresh=True)
+    whole = run(folder / "s.zarr", columns, "label")
     expected = ["" if cell is None else str(cell) for cell in columns["label"]]
     texts = whole.label.dtype.kind not in "if"
     got = whole.label.values.tolist()
     assert got == expected if texts else [float(cell) for cell in expected if cell] == [c for c in got if c == c]  # noqa: PLR0124
-    run(folder / "grown.zarr", {name: cells[:first] for name, cells in columns.items()}, "label")
+    run(folder / "grown.zarr", {"x": columns["x"][:first], "label": ["another"] * len(columns["x"][:first])}, "label")
     run(folder / "grown.zarr", columns, "label")
+    run(folder / "grown.zarr", {"x": columns["x"][:1]})  # without labels, those there are stay
     for k in range(1, number + 1):
         run(folder / "parts.zarr", columns, "label", part=f"{k}/{number}")
     merge(sorted(folder.glob("parts.zarr.part-*")), folder / "parts.zarr")
@@ -131,3 +100,11 @@ def test_rows_of_any_labels_grow_and_come_together_from_parts(tmp_path_factory, 
         assert again.y_mean.values.tobytes() == whole.y_mean.values.tobytes()
         assert again.x.values.tolist() == columns["x"]
         assert str(again.label.values.tolist()) == str(got)
+
+
+def test_points_beside_a_table_have_no_labels(tmp_path):
+    run(tmp_path / "s.zarr", {"x": [1.0, 2.0], "star": ["a", "b"]}, "star")
+    run(tmp_path / "s.zarr", axes={"x": [2.0, 9.0]})
+    ds = linksweep.open(tmp_path / "s.zarr")
+    rows = list(zip(ds.x.values.tolist(), ds.star.values.tolist(), strict=True))
+    assert rows == [(1.0, "a"), (2.0, "b"), (9.0, "")]

@@ -164,9 +164,7 @@ UNCHANGED = {
         '    s: frozenset = frozenset({"a", "b", "c"})\nC1 = C()\ndef f(x: float):\n    return x + len(C1.s)'
     ),
     "a distribution": "import scipy.stats\nD = scipy.stats.norm(0, 1)\ndef f(x: float):\n    return D.cdf(x)",
-    "a time": "import time\nT = time.time()\ndef f(x: float):\n    return x + 0.0 * T",
     "a lock": "import threading\nL = threading.Lock()\ndef f(x: float):\n    with L:\n        return x",
-    "a logger": "import logging\nL = logging.getLogger('a')\ndef f(x: float):\n    L.debug('x')\n    return x",
 }
 
 

@@ -1,17 +1,17 @@
 """A store that is moved or removed, whole or in part, during a run: the run says so and keeps its results."""
 
 import shutil
-import subprocess
 import sys
-import time
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 import linksweep
-from linksweep.sweep.stores.integrity import MANIFEST
-from linksweep.sweep.stores.location import holder
-from tests.tiers import PATIENCE_S
+from linksweep import SweepError
+from tests.sweep.opening import MANIFEST, holder, rows_on_disk
+from tests.sweep.outside import wait_until
+from tests.tiers import PATIENCE_S, slow
 
 MODEL = """
 import time
@@ -22,41 +22,28 @@ def model(x: float = 1.0):
     return {{"y": x * x, "name": f"{{x:g}}"}}
 """
 LAST = 9
-SLOW = pytest.mark.slow
 
 
 @pytest.fixture
-def started(tmp_path):
+def started(tmp_path, start_sweep):
     """A run some points of which are in its store, and a function that lets it end."""
     go = tmp_path / "go"
     (tmp_path / "model.py").write_text(MODEL.format(last=LAST, go=str(go)))
     command = [sys.executable, "-m", "linksweep", "run", "model.py:model", "--axis", f"x=1:{LAST}:1", "-o", "s.zarr"]
-    process = subprocess.Popen(
-        [*command, "--pool", "threads", "--workers", "1"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
-    )
-    until = time.monotonic() + PATIENCE_S
-    while not _has_some(tmp_path / "s.zarr"):
-        assert process.poll() is None, process.communicate()[1]
-        assert time.monotonic() < until
-        time.sleep(0.05)
+    process = start_sweep(command=[*command, "--pool", "threads", "--workers", "1"], cwd=tmp_path)
+    wait_until(lambda: process.poll() is not None or _has_some(tmp_path / "s.zarr"), "some points")
+    assert process.poll() is None, process.communicate()[1]
 
     def end():
         go.touch()
         return process.communicate(timeout=PATIENCE_S)[1]
 
-    yield process, end
-    process.kill()
-    process.communicate()
+    return process, end
 
 
 def _has_some(store):
-    from linksweep.sweep.contract import SweepError
-    from linksweep.sweep.stores.store import OpenStore
-
-    try:
-        return len(OpenStore(store).ledger().rows) > 0 and (store / "status" / "zarr.json").exists()
-    except SweepError:
-        return False
+    with suppress(SweepError):
+        return bool(rows_on_disk(store)) and (store / "status" / "zarr.json").exists()
 
 
 def removed(store, part):
@@ -67,20 +54,20 @@ def removed(store, part):
 @pytest.mark.parametrize(
     ("change", "lost"),
     [
-        pytest.param(lambda store: removed(store, ""), "s.zarr", id="removed"),
-        pytest.param(lambda store: removed(store, "blocks"), "blocks/", id="blocks", marks=SLOW),
-        pytest.param(lambda store: store.rename(store.with_name("moved")), "s.zarr", id="moved", marks=SLOW),
-        pytest.param(lambda store: (store / MANIFEST).unlink(), MANIFEST, id="manifest", marks=SLOW),
-        pytest.param(lambda store: (store / "zarr.json").write_text("{}"), "", id="root", marks=SLOW),
+        (lambda store: removed(store, ""), "s.zarr"),
+        slow(lambda store: removed(store, "blocks"), "blocks/"),
+        slow(lambda store: store.rename(store.with_name("moved")), "s.zarr"),
+        slow(lambda store: (store / MANIFEST).unlink(), MANIFEST),
+        slow(lambda store: (store / "zarr.json").write_text("{}"), ""),
     ],
+    ids=["removed", "blocks", "moved", "manifest", "root"],
 )
-def test_it_is_said_and_what_was_computed_is_kept(started, tmp_path, change, lost):
+def test_it_is_said_and_what_was_computed_is_kept(started, tmp_path, sweep, change, lost):
     process, end = started
     change(tmp_path / "s.zarr")
     err = end()
     if process.returncode == 0:  # the last write has set it right
-        check = [sys.executable, "-m", "linksweep", "check", "s.zarr"]
-        assert subprocess.run(check, cwd=tmp_path, capture_output=True, check=False).returncode == 0
+        assert sweep("check", tmp_path / "s.zarr")[0] == 0
         assert linksweep.open(tmp_path / "s.zarr").attrs["complete"] == 1
         return
     assert process.returncode == 2, err
@@ -94,16 +81,5 @@ def test_it_is_said_and_what_was_computed_is_kept(started, tmp_path, change, los
     assert np.array_equal(done.y.values, done.x.values**2)
     assert done.name.values.tolist() == [f"{x:g}" for x in done.x.values]
     assert holder(tmp_path / "s.zarr") is None
-
-
-@pytest.mark.slow
-def test_what_was_kept_is_not_taken_for_a_store_to_go_on_with(started, tmp_path, sweep):
-    _, end = started
-    removed(tmp_path / "s.zarr", "")
-    end()
     code, _, err = sweep("run", "model.py:model", "--axis", "x=1,2", "-o", "s.zarr.rescued", cwd=tmp_path)
-    assert code == 2
-    assert "holds results of a store that was lost" in err
-    code, out, err = sweep("show", "s.zarr.rescued", cwd=tmp_path)
-    assert code == 0, err
-    assert " done\n" in out
+    assert (code, "holds results of a store that was lost" in err) == (2, True)

@@ -1,15 +1,13 @@
 """Two stores become one: the points of both, each once, and nothing that does not belong together."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import MERGED, Folder, OpenStore, check, merge
-from tests.tiers import slow
+from tests.sweep.opening import MERGED, Killed, OpenStore, check, dying, merge
 
 MODEL = (
     "def model(x: float = 1.0, k: int = 1):\n"
@@ -64,26 +62,6 @@ def test_points_are_a_grid_with_gaps_or_beside_a_table_a_table(run, tmp_path):
     assert {row for row in rows if row[2] == row[2]} == {(1.0, 3, 3.0), (2.0, 3, 6.0), (2.0, 4, 8.0), (5.0, 5, 25.0)}
 
 
-@pytest.mark.slow
-def test_the_link_merges_to_the_bits_of_one_run(tmp_path):
-    study = {
-        "experiment": "linksweep.core.experiment:link",
-        "sampling": {"n_sim": 40, "n_cat": 2, "seed": 8, "keep_samples": True},
-    }
-
-    def compute(store, n_obj):
-        given = study | {"axes": {"n_obj": n_obj, "model": ["amex", "gaia"]}}
-        return linksweep.run(given, tmp_path / store, pool="serial")
-
-    whole = compute("w.zarr", [20, 30, 40])
-    compute("a.zarr", [40])
-    compute("b.zarr", [20, 30, 40])
-    ds = merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
-    for name in set(whole.data_vars) - {"wall_time"}:
-        assert np.array_equal(ds[name].values, whole[name].values, equal_nan=whole[name].dtype.kind == "f"), name
-    assert not check(tmp_path / "c.zarr")
-
-
 def test_failures_are_kept_unless_the_other_store_has_the_point(run, tmp_path):
     run("a.zarr", axes={"k": [1, 9]})
     run("b.zarr", axes={"k": [2]})
@@ -122,91 +100,27 @@ def test_what_does_not_belong_together_is_refused_and_nothing_is_written(run, tm
     assert not (tmp_path / "c.zarr").exists()
 
 
-def test_other_bits_of_the_same_point_are_refused(tmp_path):
+def test_other_bits_of_the_same_point_are_refused(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "m.py").write_text(
         "import pathlib\ndef m(k: int = 1):\n    return float(pathlib.Path('n').read_text())\n"
     )
-
-    def compute(store, number):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.chdir(tmp_path)
-            (tmp_path / "n").write_text(number)
-            linksweep.run(f"{tmp_path}/m.py:m", tmp_path / store, axes={"k": [1, 2]}, pool="serial")
-
-    compute("a.zarr", "1.0")
-    compute("b.zarr", "1.0000000000000002")
+    for store, number in (("a.zarr", "1.0"), ("b.zarr", "1.0000000000000002")):
+        (tmp_path / "n").write_text(number)
+        linksweep.run("m.py:m", store, axes={"k": [1, 2]}, pool="serial")
     with pytest.raises(SweepError, match=r"has other numbers than .*b\.zarr at k="):
-        merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
+        merge(["a.zarr", "b.zarr"], "c.zarr")
     assert not (tmp_path / "c.zarr").exists()
-
-
-class Killed(BaseException):
-    """The end of a process before an operation on a file."""
-
-
-def left_by_another(store):
-    """Make a lock that this process has left one of a process that has ended."""
-    lock = store.with_name(f"{store.name}.lock")
-    if lock.exists():
-        lock.write_text(json.dumps(json.loads(lock.read_text()) | {"pid": 2**22 + 1}))
-
-
-@pytest.mark.parametrize("step", [4, slow(1)])
-def test_a_merge_that_was_killed_at_any_instant_goes_on(run, tmp_path, monkeypatch, step):
-    """Before each operation on a file in turn, in the merge and in the one that goes on."""
-    run("a.zarr", axes={"k": [1, 9]})
-    run("b.zarr", axes={"k": [1, 2, 3]})
-    one, other, into = (tmp_path / name for name in ("a.zarr", "b.zarr", "c.zarr"))
-    wanted = merge([one, other], tmp_path / "w.zarr")
-    before = {name: getattr(Folder, name) for name in ("put", "put_all", "create", "swap", "delete")}
-    left = [10**9]
-
-    def counted(name):
-        def operation(place, *arguments):
-            left[0] -= 1
-            if left[0] < 0:
-                raise Killed
-            return before[name](place, *arguments)
-
-        return operation
-
-    for name in before:
-        monkeypatch.setattr(Folder, name, counted(name))
-    for number in range(0, 10**9, step):
-        killed = 0
-        for steps in (number, number // 2, 10**9):
-            left[0] = steps
-            try:
-                merged = merge([one, other], into)
-                break
-            except Killed:
-                killed += 1
-                left[0] = 10**9
-                left_by_another(into)
-                if (into / "zarr.json").exists():
-                    assert not check(into), number
-        assert merged.equals(wanted), number
-        assert merged.attrs["failures"] == wanted.attrs["failures"]
-        assert not check(into)
-        assert not check(into).ledger
-        assert not (tmp_path / "c.zarr.lock").exists()
-        if not killed:
-            break
-        shutil.rmtree(into)
-    assert number > 10
 
 
 def test_what_another_merge_has_left_is_not_replaced(run, tmp_path, monkeypatch):
     for name, k in (("a.zarr", 1), ("b.zarr", 2), ("d.zarr", 3)):
         run(name, axes={"k": [k]})
-
-    def killed(*_, **__):
-        raise Killed
-
+    one, two, three, into = (tmp_path / f"{name}.zarr" for name in "abdc")
     with monkeypatch.context() as patch:
-        patch.setattr("linksweep.sweep.running.merge.Writer.write", killed)
+        dying(patch)[0] = 7
         with pytest.raises(Killed):
-            merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
+            merge([one, two], into)
     with pytest.raises(SweepError, match="holds a store already"):
-        merge([tmp_path / "a.zarr", tmp_path / "d.zarr"], tmp_path / "c.zarr")
-    assert merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr").k.values.tolist() == [1, 2]
+        merge([one, three], into)
+    assert merge([one, two], into).k.values.tolist() == [1, 2]

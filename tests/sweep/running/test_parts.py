@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError
-from tests.conftest import COINS
-from tests.sweep.opening import Folder, check, forge, locked, merge, status_report
+from tests.sweep.opening import bare, check, dying, forge, locked, merge, status_report, until_done
 from tests.tiers import examples, slow
 
 MODEL = """
@@ -35,11 +34,7 @@ def noisy(rng, x: float = 1.0, k: int = 1):
 def bits(store):
     """Return what anybody reads from a store: its arrays to the bit, and why points failed."""
     dataset = xr.open_zarr(store, mask_and_scale=False).load()
-    return (
-        dataset.drop_vars("wall_time").drop_attrs(deep=False),
-        json.loads(dataset.attrs["failures"]),
-        dataset.attrs["complete"],
-    )
+    return bare(dataset), json.loads(dataset.attrs["failures"]), dataset.attrs["complete"]
 
 
 def require_same(one, other):
@@ -55,64 +50,55 @@ def run_parts(study, store, numbers, total, **more):
 
 
 floats = st.floats(-8.0, 8.0, width=16).map(lambda x: x + 0.0)
-plain = st.fixed_dictionaries(
-    {
-        "axes": st.fixed_dictionaries(
-            {"k": st.lists(st.integers(1, 9), min_size=1, max_size=7, unique=True)},
-            optional={
-                "x": st.lists(floats, min_size=1, max_size=5, unique=True),
-                "word": st.permutations(["a", "b", "cc"]),
-            },
-        )
-    }
-)
-tables = st.lists(st.tuples(floats, st.integers(1, 9)), min_size=1, max_size=12).map(
-    lambda rows: {"points": {"x": [x for x, _ in rows], "k": [k for _, k in rows]}}
-)
-noisy = st.fixed_dictionaries(
-    {
-        "axes": st.fixed_dictionaries({"k": st.lists(st.integers(1, 4), min_size=1, max_size=4, unique=True)}),
-        "sampling": st.fixed_dictionaries({"n_sim": st.integers(2, 1700), "seed": st.integers(0, 99)})
-        | st.just({"n_sim": 100, "precision": 0.1, "max_n_sim": 4000}),
-    }
-)
-throws = st.fixed_dictionaries(
-    {
-        "title": st.just("Coins"),
-        "experiment": st.just(COINS),
-        "axes": st.just({"metal": ["gold", "tin"], "coins": [1, 5, 20]}),
-        "sampling": st.fixed_dictionaries(
-            {"n_sim": st.integers(1, 1200), "n_cat": st.integers(1, 40), "seed": st.just(7)}
-        ),
-    }
-)
-link = st.fixed_dictionaries(
-    {
-        "experiment": st.just("linksweep.core.experiment:link"),
-        "axes": st.just({"model": ["amex", "gaia"], "n_obj": [20, 30]}),
-        "sampling": st.fixed_dictionaries(
-            {"n_sim": st.integers(1, 30), "n_cat": st.integers(1, 20)},
-            optional={"keep_samples": st.just(True), "common_random_numbers": st.just(True)},
-        ),
-    }
-)
-kinds = {"plain": plain, "tables": tables, "noisy": noisy, "throws": throws, "link": link}
 
 
-@pytest.mark.parametrize("kind", [slow(kind) for kind in kinds])
+def some(values, most):
+    return st.lists(values, min_size=1, max_size=most, unique=True)
+
+
+def table(**columns):
+    return st.fixed_dictionaries(columns)
+
+
+LINK = {"experiment": "linksweep.core.experiment:link", "axes": {"model": ["amex", "gaia"], "n_obj": [20, 30]}}
+KINDS = {  # the study, or the name of a function above, and what is asked of it
+    "plain": ("plain", table(axes=table(k=some(st.integers(1, 9), 7), x=some(floats, 5), word=some(st.just("b"), 1)))),
+    "noisy": (
+        "noisy",
+        table(
+            axes=table(k=some(st.integers(1, 4), 4)),
+            sampling=table(n_sim=st.integers(2, 1700), seed=st.integers(0, 99))
+            | st.just({"n_sim": 100, "precision": 0.1, "max_n_sim": 4000}),
+        ),
+    ),
+    "link": (
+        LINK,
+        table(
+            sampling=table(
+                n_sim=st.integers(1, 30),
+                n_cat=st.integers(1, 20),
+                keep_samples=st.booleans(),
+                common_random_numbers=st.booleans(),
+            )
+        ),
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
 def test_parts_merged_in_any_order_are_one_run(tmp_path_factory, kind):
+    study, asked_for = KINDS[kind]
+
     @settings(max_examples=examples(10), phases=[Phase.generate], suppress_health_check=[HealthCheck.too_slow])
-    @given(asked=kinds[kind], total=st.integers(1, 6), rng=st.randoms(use_true_random=False))
+    @given(asked=asked_for, total=st.integers(1, 6), rng=st.randoms(use_true_random=False))
     def property_of_parts(asked, total, rng):
         folder = tmp_path_factory.mktemp("parts")
         (folder / "m.py").write_text(MODEL)
-        functions = {"plain": "plain", "tables": "plain", "noisy": "noisy"}
-        study, more = (f"{folder}/m.py:{functions[kind]}", asked) if kind in functions else (asked, {})
-        linksweep.run(study, folder / "w", pool="serial", max_failures="100%", **more)
-        numbers = rng.sample(range(1, total + 1), total)
-        stores = run_parts(study, folder / "s", numbers, total, **more)
-        first = rng.randint(1, total)
-        merge(stores[:first], folder / "s")
+        whole, more = (f"{folder}/m.py:{study}", asked) if isinstance(study, str) else (study | asked, {})
+        linksweep.run(whole, folder / "w", pool="serial", max_failures="100%", **more)
+        stores = run_parts(whole, folder / "s", rng.sample(range(1, total + 1), total), total, **more)
+        merge(stores[: rng.randint(1, total)], folder / "s")
         merge(rng.sample(stores, total), folder / "s")
         require_same(folder / "s", folder / "w")
         assert not check(folder / "s")
@@ -136,20 +122,8 @@ def three(model, tmp_path):
     return run_parts(model, tmp_path / "s", [1, 2, 3], 3, **SMALL)
 
 
-@pytest.mark.slow
-def test_parts_share_all_work_between_them_and_evenly(tmp_path, sweep):
-    """Each block is in exactly one part, and no part has more than its share and one block."""
-    asked = ["quasars", "--set", "n_sim=4", "-o", tmp_path / "q"]
-    counts = []
-    for number in range(1, 8):
-        assert sweep("run", *asked, "--part", f"{number}/7")[0] == 0
-        counts.append(status_report(f"{tmp_path}/q.part-{number}-of-7")["realisations_done"])
-    assert sum(counts) == 26 * 4 * 100
-    assert max(counts) <= 1.2 * sum(counts) / 7
-
-
 @pytest.mark.parametrize("total", [5, *map(slow, (2, 8, 10))])
-def test_no_part_gets_the_same_value_of_an_axis_again_and_again(tmp_path, model, total):
+def test_no_part_gets_the_same_value_of_an_axis_again_and_again(tmp_path, total):
     """Points that take long where a value is large are shared evenly, also where there are as many parts as values."""
     (tmp_path / "slow.py").write_text("def slow(a: int = 1, b: int = 1):\n    return {'cost': a * b}\n")
     axes = {"a": list(range(1, 11)), "b": list(range(1, 11))}
@@ -180,23 +154,6 @@ def test_a_lost_part_is_named_and_the_same_commands_go_on(model, tmp_path, sweep
     assert more.status.shape == (5,)  # and it goes on as any other
     with pytest.raises(SweepError, match="holds a store already"):
         merge(stores, tmp_path / "s")
-
-
-@pytest.mark.slow
-def test_parts_in_a_bucket_are_named_and_merged(model, tmp_path, bucket, sweep):
-    run_parts(model, f"{bucket}/s", [1, 3], 3, **SMALL)
-    assert "lost: 2" in sweep("status", f"{bucket}/s")[1]
-    run_parts(model, f"{bucket}/s", [2], 3, **SMALL)
-    merge([f"{bucket}/s.part-{number}-of-3" for number in (3, 1, 2)], tmp_path / "s")
-    linksweep.run(model, tmp_path / "w", pool="serial", **SMALL)
-    require_same(tmp_path / "s", tmp_path / "w")
-
-
-def test_points_of_a_part_are_computed_again_alone(model, tmp_path, sweep):
-    linksweep.run(model, tmp_path / "s", pool="serial", part="2/3", verify=2, **SMALL)
-    code, _, err = sweep("reproduce", tmp_path / "s.part-2-of-3", "--at", "k=1,word=b")
-    assert code == 0
-    assert "every bit as in" in err
 
 
 @pytest.mark.parametrize("part", ["0/3", "4/3", "3", "-1/3", "1/0", "1/2/3", "a/b", "", "1.5/3", "2/1000000"])
@@ -275,49 +232,17 @@ def test_results_that_differ_in_kind_between_parts_fail_as_in_one_run(tmp_path):
     require_same(tmp_path / "s", tmp_path / "w")
 
 
-class Killed(BaseException):
-    """The end of a process before an operation on a file."""
-
-
-@pytest.mark.parametrize("step", [40, slow(3)])
+@pytest.mark.parametrize("step", [50, slow(3)])
 def test_parts_and_merges_that_are_killed_go_on(model, tmp_path, monkeypatch, step):
     """Before each operation on a file in turn: in a part, in the merge, and in the merges that go on."""
     linksweep.run(model, tmp_path / "w", pool="serial", **SMALL)
-    left = [10**9]
-
-    def counted(operation):
-        def counting(place, *arguments):
-            left[0] -= 1
-            if left[0] < 0:
-                raise Killed
-            return operation(place, *arguments)
-
-        return counting
-
-    for name in ("put", "put_all", "create", "swap", "delete"):
-        monkeypatch.setattr(Folder, name, counted(getattr(Folder, name)))
-
-    def until_done(call, number):
-        """Return how often it was killed."""
-        killed = 0
-        for steps in (number, number // 2, 10**9):
-            left[0] = steps
-            try:
-                call()
-                break
-            except Killed:
-                killed += 1
-                left[0] = 10**9
-                for lock in tmp_path.glob("*.lock"):
-                    lock.write_text(json.dumps(json.loads(lock.read_text()) | {"pid": 2**22 + 1}))
-        left[0] = 10**9
-        return killed
-
+    left = dying(monkeypatch)
     for number in range(3, 10**9, step):
-        killed = until_done(lambda: run_parts(model, tmp_path / "s", [1], 3, **SMALL), number)
+        _, killed = until_done(left, number, lambda: run_parts(model, tmp_path / "s", [1], 3, **SMALL))
         stores = run_parts(model, tmp_path / "s", [1, 2, 3], 3, **SMALL)
-        until_done(lambda: merge(stores[:2], tmp_path / "s"), number)  # noqa: B023
-        killed += until_done(lambda: merge(stores, tmp_path / "s"), number)  # noqa: B023
+        for some in (stores[:2], stores):
+            _, again = until_done(left, number, lambda: merge(some, tmp_path / "s"))  # noqa: B023
+            killed += again
         require_same(tmp_path / "s", tmp_path / "w")
         assert not check(tmp_path / "s")
         for store in (*stores, tmp_path / "s"):
@@ -337,18 +262,15 @@ def test_the_script_of_a_job_array_runs_each_part_and_the_merge(model, tmp_path,
     )
     (tmp_path / "sbatch").chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    overrides = ("--axis", "k=1,2,3,5", "--set", "x=0.5")
-    folder = tmp_path / "a folder"
+    overrides, folder = ("--axis", "k=1,2,3,5", "--set", "x=0.5"), tmp_path / "a folder"
     folder.mkdir()
     asked = ("submit", model, *overrides, "-o", "s 1", "--slurm", "3", "--sbatch", "--time=1:00:00")
-    code, _, err = sweep(*asked, cwd=folder)
-    assert code == 0, err
+    assert sweep(*asked, cwd=folder)[0] == 0
     assert not (folder / "asked").exists()
     code, _, err = sweep(*asked, "--go", cwd=folder)
     assert code == 0, err
     array, merging = (folder / "asked").read_text().splitlines()
-    assert "--time=1:00:00" in array
-    assert "--dependency=afterany:17" in merging
+    assert ("--time=1:00:00" in array, "--dependency=afterany:17" in merging) == (True, True)
     assert sweep("run", model, *overrides, "-o", folder / "w")[0] == 0
     require_same(folder / "s 1", folder / "w")
     for more, message in ((["--sbatch", "-p x"], "and another one"), (["--set", "y=1"], "y"), (["--axis", "k=1"], "")):

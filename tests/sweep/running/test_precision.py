@@ -2,97 +2,48 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import linksweep
-from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
-from tests.sweep.opening import Resources, RunInterruptedError, run_study, study_from_dict
-
-SERIAL = Resources(pool="serial")
+from linksweep import Output, SweepError, experiment
+from tests.sweep.opening import Stopping, same
 
 
-def walk(points, n_sim, rng, catalogue_rng):
-    """Normal deviates about ``mean`` with ``scatter``: the relative error of their mean is known in closed form."""
-    draws = [rng.normal(p["mean"], p["scatter"], n_sim) for p in points]
-    return {"sum": [d.sum() for d in draws], "squares": [(d**2).sum() for d in draws]}
+@experiment(outputs=[Output("level", statistics=["mean"])])
+def levels(scatter: float, *, rng, n_sim):
+    """The relative error of the mean is known in closed form."""
+    return {"level": rng.normal(10.0, scatter, n_sim)}
 
 
-def summary(sums, n, n_cat):
-    mean = sums["sum"] / n
-    return {"level": mean, "level_mc_error": np.sqrt((sums["squares"] / n - mean**2) / n)}
-
-
-experiment = Experiment(
-    name="level",
-    version=1,
-    parameters=(Parameter("mean", "float", 10.0, "mean"), Parameter("scatter", "float", 1.0, "scatter", above=0.0)),
-    sums={"sum": (), "squares": ()},
-    outputs=(Output("level", "m", "mean", headline=True), Output("level_mc_error", "m", "its error")),
-    evaluate=walk,
-    summarise=summary,
-)
-
-
-def study(tmp_path=None, **sampling):
-    return study_from_dict(
-        {
-            "title": "Levels",
-            "experiment": f"{__file__}:experiment",
-            "axes": {"scatter": [0.01, 1.0, 10.0]},
-            "sampling": {"n_sim": 100, "seed": 3, "precision": 0.01} | sampling,
-        }
-    )
+def run(store, progress=None, **sampling):
+    sampling = {"n_sim": 100, "seed": 3, "precision": 0.01} | sampling
+    axes = {"scatter": [0.01, 1.0, 10.0]}
+    return linksweep.run(levels, store, axes=axes, sampling=sampling, pool="serial", progress=progress)
 
 
 def test_every_point_gets_what_it_needs_and_not_much_more(tmp_path):
-    dataset, _ = run_study(study(), tmp_path / "s.zarr", SERIAL)
-    reached = (dataset["level_mc_error"] / dataset["level"]).values
-    assert np.all(reached <= 0.01)
+    dataset = run(tmp_path / "s.zarr")
+    assert np.all(dataset["level_mean_mc_error"] <= 0.01 * dataset["level_mean"])
     needed = (np.array([0.01, 1.0, 10.0]) / 10.0 / 0.01) ** 2  # realisations, from the law of the mean
     done = dataset["n_sim_done"].values
-    assert done.tolist()[:2] == [
-        256,
-        256,
-    ]  # the least is 100, in parts of 64, 64, 128, 256, 512, 512, ..., and one more
+    assert done.tolist()[:2] == [256, 256]  # the least is 100, in parts of 64, 64, 128, 256, 512, ..., and one more
     assert needed[2] <= done[2] * 1.1
     assert done[2] <= 1.25 * 1.2 * needed[2] + 512
     assert dataset.attrs["precision"] == 0.01
+    bounded = run(tmp_path / "most.zarr", max_n_sim=3000)
+    assert bounded["n_sim_done"].values.tolist()[2] == 3072
+    assert bounded.attrs["complete"] == 1
 
 
-def test_there_is_a_most(tmp_path):
-    dataset, _ = run_study(study(max_n_sim=3000), tmp_path / "s.zarr", SERIAL)
-    assert dataset["n_sim_done"].values.tolist()[2] == 3072
-    assert dataset.attrs["complete"] == 1
-
-
-def test_a_run_stopped_between_rounds_goes_on_to_the_same_numbers(tmp_path, monkeypatch):
-    whole, _ = run_study(study(), tmp_path / "whole.zarr", SERIAL)
-    compute = Experiment.compute
-    for stop_at in (1, 4, 5, 9, 13):
-        blocks = []
-
-        def stopped(*arguments, blocks=blocks, stop_at=stop_at):
-            blocks.append(1)
-            if len(blocks) > stop_at:
-                raise KeyboardInterrupt
-            return compute(*arguments)
-
-        monkeypatch.setattr(Experiment, "compute", stopped)
-        with pytest.raises(RunInterruptedError):
-            run_study(study(), tmp_path / "s.zarr", SERIAL)
-        monkeypatch.undo()
-    resumed, _ = run_study(study(), tmp_path / "s.zarr", SERIAL)
-    xr.testing.assert_identical(whole.drop_vars("wall_time").drop_attrs(), resumed.drop_vars("wall_time").drop_attrs())
-
-
-def test_a_finer_precision_goes_on_and_a_coarser_one_leaves_the_store_alone(tmp_path):
-    run_study(study(precision=0.05), tmp_path / "s.zarr", SERIAL)
-    finer, _ = run_study(study(), tmp_path / "s.zarr", SERIAL)
-    fresh, _ = run_study(study(), tmp_path / "fresh.zarr", SERIAL)
-    xr.testing.assert_identical(finer.drop_vars("wall_time").drop_attrs(), fresh.drop_vars("wall_time").drop_attrs())
-    again, _ = run_study(study(precision=0.05), tmp_path / "s.zarr", SERIAL)
-    assert again["n_sim_done"].values.tolist() == finer["n_sim_done"].values.tolist()
-    assert xr.open_zarr(tmp_path / "s.zarr").attrs["precision"] == 0.01
+def test_stopped_anywhere_or_of_a_coarser_precision_it_goes_on_to_the_same_numbers(tmp_path):
+    whole = run(tmp_path / "whole.zarr")
+    run(tmp_path / "s.zarr", precision=0.05)
+    for tasks in (1, 2):
+        with pytest.raises(KeyboardInterrupt):
+            run(tmp_path / "s.zarr", Stopping(tasks))
+    same(run(tmp_path / "s.zarr"), whole)
+    again = run(tmp_path / "s.zarr", precision=0.05)  # a coarser one leaves the store alone
+    assert again["n_sim_done"].values.tolist() == whole["n_sim_done"].values.tolist()
+    assert linksweep.open(tmp_path / "s.zarr").attrs["precision"] == 0.01
 
 
 QUANTITIES = {
@@ -110,7 +61,7 @@ QUANTITIES = {
 def test_errors_at_the_stop_hold_the_truth_as_often_as_others(tmp_path, name, precision):
     draw, truth = QUANTITIES[name]
 
-    @linksweep.experiment(outputs=[linksweep.Output("w", statistics=[name])])
+    @experiment(outputs=[Output("w", statistics=[name])])
     def waits(copy: int = 0, *, rng, n_sim):
         return {"w": draw(rng, n_sim)}
 
@@ -136,7 +87,7 @@ def test_what_is_alike_at_all_realisations_has_no_error_and_does_not_hold_up_a_p
 
 
 def test_a_quantile_goes_on_until_its_error_is_known(tmp_path):
-    @linksweep.experiment(outputs=[linksweep.Output("w", statistics=["q99.9"])])
+    @experiment(outputs=[Output("w", statistics=["q99.9"])])
     def waits(*, rng, n_sim):
         return {"w": rng.exponential(size=n_sim)}
 
@@ -150,14 +101,10 @@ def test_a_quantile_goes_on_until_its_error_is_known(tmp_path):
     assert np.isnan(dataset["w_q99.9_mc_error"].item())
 
 
-@pytest.mark.parametrize(
-    ("sampling", "message"),
-    [
+def test_what_cannot_be_is_said(coins, tmp_path):
+    for sampling, message in (
         ({"precision": 0.0}, "sampling.precision: input should be greater than 0"),
         ({"max_n_sim": 50}, "max_n_sim = 50: must be at least n_sim = 100"),
-        ({"keep_samples": True}, "no samples to keep"),
-    ],
-)
-def test_what_cannot_be_is_said(sampling, message):
-    with pytest.raises(SweepError, match=message):
-        study(**sampling)
+    ):
+        with pytest.raises(SweepError, match=message):
+            run(tmp_path / "s.zarr", **sampling)

@@ -1,31 +1,32 @@
-"""Same seed, same numbers, bitwise: whatever the workers, the order and the interruptions.  All with real processes."""
+"""Same seed, same numbers, bitwise: whatever the workers, the order and how a study grew; the time is no result."""
 
+import random
+import time
 from contextlib import closing
 
+import numpy as np
 import pytest
 import xarray as xr
 
+import linksweep
+from linksweep import SweepError
+from tests.sweep.opening import check, generators, make_grid, merge, plan_study, run, same, study_from_dict
 from tests.sweep.outside import Outside
 from tests.tiers import slow
-
-
-def results(store):
-    return xr.open_zarr(store).load().drop_vars("wall_time").drop_attrs()
 
 
 @pytest.mark.parametrize(
     "resources",
     [
-        *(pytest.param(("--workers", n), marks=pytest.mark.slow) for n in (1, 4)),
         ("--workers", 2),
-        slow(("--pool", "threads", "--workers", 4)),
+        *map(slow, [("--workers", 1), ("--workers", 4), ("--pool", "threads", "--workers", 4)]),
     ],
-    ids=["1 process", "4 processes", "2 processes", "4 threads"],
+    ids=str,
 )
 def test_any_number_of_workers(link_study, tmp_path, sweep, reference, resources):
     code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", *resources)
     assert code == 0, err
-    xr.testing.assert_identical(results(tmp_path / "s.zarr"), reference)
+    same(tmp_path / "s.zarr", reference)
 
 
 @pytest.fixture
@@ -42,4 +43,122 @@ def test_a_scheduler_that_runs_elsewhere(link_study, tmp_path, sweep, reference,
     code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", scheduler)
     assert code == 0, err
     assert scheduler in err
-    xr.testing.assert_identical(results(tmp_path / "s.zarr"), reference)
+    same(tmp_path / "s.zarr", reference)
+
+
+def sleeps(x: float):
+    time.sleep(x)
+    if x == 0.02:
+        raise ValueError("not this one")
+    return 2.0 * x
+
+
+def draws(rng, x: float):
+    time.sleep(5e-5 * x)
+    return rng.normal(x)
+
+
+@pytest.mark.parametrize("pool", ["serial", "threads", slow("processes")])
+def test_each_point_has_the_time_that_it_took(tmp_path, pool):
+    store = tmp_path / "s.zarr"
+    first = linksweep.run(sleeps, store, axes={"x": [0.05, 0.02, 0.1]}, pool=pool)
+    assert (first.wall_time.dims, first.wall_time.attrs["units"]) == (("x",), "s")
+    assert np.isnan(first.wall_time.sel(x=0.02))
+    assert all(first.wall_time.sel(x=x) >= x for x in (0.05, 0.1))
+    linksweep.run(sleeps, store, axes={"x": [0.01]}, pool=pool)
+    both = linksweep.open(store)
+    assert both.sel(x=first.x).wall_time.equals(first.wall_time)
+    assert both.wall_time.sel(x=0.01) >= 0.01
+    assert xr.open_zarr(store).load().wall_time.equals(both.wall_time)
+    assert not check(store)
+
+
+def test_blocks_add_up_whoever_computed_them(tmp_path):
+    how = {"axes": {"x": [1.0, 3.0]}, "sampling": {"n_sim": 600}, "pool": "serial"}  # two blocks
+    for part in (1, 2):
+        linksweep.run(draws, tmp_path / "s", part=f"{part}/2", **how)
+    merged = merge(sorted(tmp_path.glob("s.part-*")), tmp_path / "s")
+    few = linksweep.run(draws, tmp_path / "t", **{**how, "sampling": {"n_sim": 100}})
+    more = linksweep.run(draws, tmp_path / "t", **how)
+    for ds in (merged, more):
+        assert all(ds.wall_time.sel(x=x) >= 600 * 5e-5 * x for x in (1.0, 3.0))
+    assert (more.wall_time > few.wall_time).all()
+    same(merged, more)
+    # the same points took another time, and are the same numbers
+    again = merge([tmp_path / "s", tmp_path / "t"], tmp_path / "u")
+    same(again, more)
+
+
+def test_the_name_is_not_that_of_a_result(tmp_path):
+    def named(x: float):
+        return {"wall_time": x}
+
+    with pytest.raises(SweepError, match="wall_time"):
+        linksweep.experiment(outputs=["wall_time"])(named)
+    ds = linksweep.run(named, tmp_path / "s", axes={"x": [1.0]}, pool="serial", max_failures="100%")
+    assert "the output 'wall_time'" in ds.attrs["failures"]
+
+
+def pending(document, path):
+    return plan_study(study_from_dict(document), path)[1].pending
+
+
+@pytest.mark.parametrize("chains", [1, pytest.param(6, marks=pytest.mark.slow)])
+def test_growth_of_any_kind_in_any_order_gives_the_bits_of_a_fresh_run(coins, tmp_path, chains):
+    """Chains of edits: axis values, a new axis, more realisations, more catalogues, one after the other."""
+    rng = random.Random(11)
+    for chain in range(chains):
+        document = coins | {"axes": {"coins": [5]}, "fixed": {}, "sampling": {"n_sim": 300, "n_cat": 3, "seed": 7}}
+        store = tmp_path / f"{chain}.zarr"
+        run(document, store)
+        for _ in range(4):
+            axes, sampling = dict(document["axes"]), dict(document["sampling"])
+            kind = rng.choice(["value", "axis", "n_sim", "n_cat", "order"])
+            if kind == "value":
+                axes["coins"] = rng.sample([*axes["coins"], max(axes["coins"]) + 3], len(axes["coins"]) + 1)
+            elif kind == "axis" and "metal" not in axes:
+                axes = {"metal": ["tin", "gold"]} | axes  # gold is the default: these points are there already
+            elif kind == "order":
+                axes = dict(reversed(axes.items()))
+            else:
+                key = "n_cat" if kind == "n_cat" else "n_sim"
+                sampling[key] += rng.randint(1, 400)
+            before = pending(document, store)
+            document = document | {"axes": axes, "sampling": sampling}
+            grown = run(document, store)
+            fresh = run(document, tmp_path / f"{chain}-{rng.random()}.zarr")
+            assert before.blocks == 0
+            same(grown, fresh)
+
+
+def test_points_that_are_all_there_are_not_called_incomplete(tmp_path, sweep):
+    """Neither where a study asks for them of a larger store, nor where they are chosen to be shown."""
+    (tmp_path / "f.py").write_text("def f(x: float):\n    return 1.0 / (x - 3.0)\n")
+    whole = ("run", "f.py:f", "-o", "s.zarr", "--axis", "x=1,2,3,4")
+    code, out, _ = sweep(*whole, cwd=tmp_path)
+    assert (code, "INCOMPLETE: 3 of 4 points are done, 1 failed" in out) == (1, True)
+    for asked in (
+        ("run", "f.py:f", "-o", "s.zarr", "--axis", "x=1,2,4"),
+        ("show", "s.zarr", "--at", "x=2"),
+    ):
+        code, out, _ = sweep(*asked, cwd=tmp_path)
+        assert code == 0
+        assert "INCOMPLETE" not in out
+    part = linksweep.run(f"{tmp_path}/f.py:f", tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 4.0]})
+    assert (part.attrs["complete"], part.attrs["points"], part.attrs["points_done"]) == (1, 3, 3)
+
+
+def test_results_are_what_a_plain_loop_over_the_streams_gives(coins, tmp_path):
+    dataset = run(coins | {"exclude": [{"metal": "tin", "coins": 1}]}, tmp_path / "s.zarr")
+    points = make_grid(study_from_dict(coins)).points()
+    point = next(p for p in points if p.parameters["metal"] == "tin" and p.parameters["coins"] == 5)
+    heads = 0
+    for catalogue in range(20):
+        for part, n_sim in enumerate((512, 488)):
+            rng, catalogue_rng = generators(7, point.digest, catalogue, part)
+            bias = 0.1 * catalogue_rng.uniform(-1, 1)
+            heads += rng.binomial(5, 0.4 + bias, size=n_sim).sum()
+    assert dataset["share"].sel(metal="tin", coins=5).item() == heads / (5 * 20_000)
+    assert dataset["status"].sel(metal="tin").values.tolist() == [3, 1, 1]
+    assert np.isnan(dataset["share"].sel(metal="tin", coins=1))
+    assert (dataset.attrs["complete"], dataset.attrs["points"]) == (1, 5)

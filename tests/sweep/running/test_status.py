@@ -1,39 +1,19 @@
-"""How far a run is, along each axis: counted against plain sums over the dataset."""
+"""How far a run is, along each axis, what is left of it, and what it prints at its end."""
 
 import json
 
 import pytest
 
-from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.interrupt import RunInterruptedError
-from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.planning.work_queue import Tuning
-from linksweep.sweep.running.status import status_report
-from linksweep.sweep.stores.store import open_dataset
-from linksweep.sweep.studies.reader import study_from_dict
-from tests.sweep.opening import Silent, run_study
-
-SERIAL = Resources(pool="serial")
-
-
-class Impatient(Silent):
-    """Interrupts a run after some results."""
-
-    def __init__(self, results):
-        self.left = results
-
-    def advance(self, works, result, taken):
-        self.left -= 1
-        if not self.left:
-            raise KeyboardInterrupt
+import linksweep
+from tests.sweep.opening import Stopping, check, files_of, open_dataset, run, status_report
 
 
 @pytest.fixture
 def stopped(coins, tmp_path):
     """A store of 5 points x 4 blocks after 18 blocks, one of each point by turns: three points and most of two."""
-    study = study_from_dict(coins | {"exclude": [{"metal": "tin", "coins": 5}]})
-    with pytest.raises(RunInterruptedError):
-        run_study(study, tmp_path / "s.zarr", SERIAL, Impatient(18), tuning=Tuning(most_blocks=1))
+    study = coins | {"exclude": [{"metal": "tin", "coins": 5}]}
+    with pytest.raises(KeyboardInterrupt):
+        run(study, tmp_path / "s.zarr", {"most_blocks": 1}, progress=Stopping(18))
     return tmp_path / "s.zarr"
 
 
@@ -46,8 +26,8 @@ def test_each_axis_counts_points_and_realisations(stopped):
         other = "coins" if dimension == "metal" else "metal"
         for segment in segments:
             part = dataset.sel(segment["at"])
-            assert segment["done"] == int((part["status"] == Status.DONE).sum())
-            assert segment["excluded"] == int((part["status"] == Status.EXCLUDED).sum())
+            assert segment["done"] == int((part["status"] == 1).sum())
+            assert segment["excluded"] == int((part["status"] == 3).sum())
             assert segment["points"] == dataset.sizes[other] - segment["excluded"]
             assert segment["realisations_done"] == int(part["n_sim_done"].sum())
             assert segment["realisations"] == 20_000 * segment["points"]
@@ -56,9 +36,9 @@ def test_each_axis_counts_points_and_realisations(stopped):
 
 
 def test_a_single_point_that_was_stopped(coins, tmp_path, sweep):
-    study = study_from_dict(coins | {"axes": {}, "fixed": {"metal": "tin"}})
-    with pytest.raises(RunInterruptedError):
-        run_study(study, tmp_path / "s.zarr", SERIAL, Impatient(2), tuning=Tuning(most_blocks=1))
+    study = coins | {"axes": {}, "fixed": {"metal": "tin"}}
+    with pytest.raises(KeyboardInterrupt):
+        run(study, tmp_path / "s.zarr", {"most_blocks": 1}, progress=Stopping(2))
     code, out, _ = sweep("status", tmp_path / "s.zarr")
     assert (code, "0 of 1 point done" in out) == (0, True)
     done, wanted = (status_report(tmp_path / "s.zarr")[key] for key in ("realisations_done", "realisations"))
@@ -70,21 +50,19 @@ def test_all_failed_points_are_counted_and_a_terminal_says_why(sweep, tmp_path):
     (tmp_path / "f.py").write_text(
         "def f(a: int):\n    if a > 1:\n        raise ValueError('even' if a % 2 == 0 else 'odd')\n    return a\n"
     )
-    code, _, err = sweep(
-        "run", "f.py:f", "--axis", "a=1:1501:1", "-o", "s.zarr", "-q", "--pool", "serial", cwd=tmp_path
-    )
-    reasons = "1,500 points failed: 750 like ValueError: even, for example at a=2; 750 like ValueError: odd, for"
+    code, _, err = sweep("run", "f.py:f", "--axis", "a=1:401:1", "-o", "s.zarr", "-q", "--pool", "serial", cwd=tmp_path)
+    reasons = "400 points failed: 200 like ValueError: even, for example at a=2; 200 like ValueError: odd, for"
     assert code == 1
     assert reasons in " ".join(err.split())
     code, out, _ = sweep("status", "s.zarr", "--json", cwd=tmp_path)
     failures = json.loads(out)["failures"]
-    assert list(failures) == [f"a={a}" for a in range(2, 1502)]
+    assert list(failures) == [f"a={a}" for a in range(2, 402)]
     code, out, _ = sweep("status", "s.zarr", cwd=tmp_path)
     words = " ".join(out.split())
-    assert "finished: 1 of 1,501 points done, 1,500 failed" in words
+    assert "finished: 1 of 401 points done, 400 failed" in words
     assert reasons.replace(";", "") in words
     assert "next: sweep run --retry s.zarr" in words
-    assert len(open_dataset(tmp_path / "s.zarr").attrs["failures"]) < 40_000
+    assert len(open_dataset(tmp_path / "s.zarr").attrs["failures"]) < 12_000
 
 
 def test_points_that_failed_are_not_counted_as_done_in_a_plan(sweep, tmp_path):
@@ -100,3 +78,57 @@ def test_points_that_failed_are_not_counted_as_done_in_a_plan(sweep, tmp_path):
     assert [report[key] for key in ("points", "points_done", "points_failed", "blocks_pending")] == [12, 5, 5, 2]
     _, _, err = sweep("run", *study, "--pool", "serial", cwd=tmp_path)
     assert f"10 points, 5 of them in the store already, {failed}; 0 points to do" in " ".join(err.split())
+
+
+def test_a_smaller_study_is_answered_while_another_process_holds_the_lock(tmp_path, coins):
+    store = tmp_path / "s.zarr"
+    whole = linksweep.run(coins, store, pool="serial")
+    lock = {"host": "elsewhere", "boot": "", "pid": 1, "started": "", "since": "then", "command": "x", "token": "t"}
+    (tmp_path / "s.zarr.lock").write_text(json.dumps(lock))
+    part = linksweep.run(coins | {"axes": coins["axes"] | {"metal": ["tin"]}}, store, pool="serial")
+    assert part["share"].values.tolist() == whole["share"].sel(metal=["tin"]).values.tolist()
+
+
+@pytest.mark.parametrize("change", ["title", "lost", "damaged", "moved"])
+def test_a_finished_run_writes_what_is_not_as_it_would_write_it(tmp_path, coins, change):
+    store = tmp_path / "s.zarr"
+    whole = linksweep.run(coins, store, pool="serial")
+    chunk = next(file for file in (store / "status").iterdir() if file.name != "zarr.json")
+    if change == "title":
+        coins = coins | {"title": "Another"}
+    elif change == "moved":
+        store = store.rename(tmp_path / "t.zarr")
+    else:
+        chunk.unlink() if change == "lost" else chunk.write_bytes(b"")
+    linksweep.run(coins, store, pool="serial")
+    stored, before = linksweep.open(store), files_of(store)
+    linksweep.run(coins, store, pool="serial")
+    assert files_of(store) == before
+    assert stored.equals(whole)
+    assert stored.attrs["title"] == coins["title"]
+    assert str(store) in (store / "zarr.json").read_text()
+    assert not check(store)
+
+
+MODELS = """
+import numpy as np
+
+def many(x):
+    day = np.datetime64("2020-01-01") + int(1 / (x != 3) * x)
+    return {"f": x * 1.5e-6, "whole": int(x), "truth": x > 1, "day": day, "text": f"q{x}", "array": np.arange(3) * x}
+
+def noisy(x, rng=None):
+    return rng.normal(x)
+"""
+
+
+@pytest.mark.parametrize("asked", ["many --axis x=0:3", "many --axis x=2", "noisy --axis x=0:2 --set n_sim=5"])
+def test_a_run_prints_what_the_dataset_in_its_store_says(tmp_path, sweep, asked):
+    (tmp_path / "models.py").write_text(MODELS)
+    command = ("run", *f"models.py:{asked} -o s.zarr".split())
+    printed = " ".join(sweep(*command, cwd=tmp_path)[1].split())
+    for sentence in linksweep.answer(linksweep.open(tmp_path / "s.zarr")).sentences:
+        assert " ".join(sentence.split()) in printed or sentence.startswith("Incomplete")
+    assert sweep(*command, "--json", cwd=tmp_path)[1] == sweep("show", "s.zarr", "--json", cwd=tmp_path)[1]
+    table = sweep("show", "s.zarr", cwd=tmp_path)[1].partition("\n\n")[0]
+    assert " ".join(table.split()) in printed

@@ -1,7 +1,6 @@
 """A store keeps and shows every point that it holds: random commands, kills and edits of code against a dictionary."""
 
 import itertools
-import json
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -9,7 +8,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import Folder, check
+from tests.sweep.opening import check, dying, until_done
 from tests.tiers import examples
 
 CODE = """
@@ -20,32 +19,17 @@ X, Y, NAMES = (0.5, 1.0, 2.0, 4.0), (2, 3, 5), ("a", "b")
 DEFAULTS = {"y": 2, "name": "a"}
 
 
-class Killed(BaseException):
-    """The end of a process before an operation on a file."""
-
-
 class Sweeps:
     """Runs of one function into one store, and what the store must show: the version of the code of each point."""
 
     def __init__(self, folder, patch):
         self.file, self.store, self.random = folder / "m.py", folder / "s.zarr", {}
-        self.version, self.left = 1, 10**9
+        self.version, self.left = 1, dying(patch)
         self.ledger, self.shown = dict[tuple, int](), set[tuple]()
         self.axes, self.fixed = None, {}
-        for name in ("put", "put_all", "create", "swap", "delete"):
-            patch.setattr(Folder, name, self.counted(getattr(Folder, name)))
         self.edit(1)
         whole = self.run({"axes": {"x": X, "y": Y, "name": NAMES}, "fixed": {}}, folder / "whole.zarr")
         self.random = {point: random for point, (_, random) in found_in(whole, {}).items()}
-
-    def counted(self, method):
-        def operation(*arguments):
-            self.left -= 1
-            if self.left < 0:
-                raise Killed
-            return method(*arguments)
-
-        return operation
 
     def edit(self, version):
         self.version = version
@@ -80,14 +64,8 @@ class Sweeps:
             assert self.now() == self.expected()
             return
         before = self.expected()
-        self.left = kill
-        try:
-            part = self.run(asked, **options)
-        except Killed:
-            self.left = 10**9
-            lock = self.store.with_name("s.zarr.lock")
-            if lock.exists():
-                lock.write_text(json.dumps(json.loads(lock.read_text()) | {"pid": 2**22 + 1}))
+
+        def between():
             if (self.store / "zarr.json").exists():
                 assert not check(self.store)
                 now = self.now()
@@ -95,8 +73,8 @@ class Sweeps:
                 assert all(now.get(point) == before[point] for point in kept if now), "a kill loses nothing"
                 new = {point: self.result(point, self.version) for point in points | again}
                 assert all(result in (before.get(p), new.get(p)) for p, result in now.items())
-            part = self.run(asked, **options)
-        self.left = 10**9
+
+        part, _ = until_done(self.left, kill, lambda: self.run(asked, **options), between)
         for point in [*again, *points]:
             if point in again and point not in there | points:
                 self.ledger.pop(point, None)

@@ -8,7 +8,7 @@ import pytest
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import OFTEN, Folder, check, existing_store, repair, run, same
+from tests.sweep.opening import OFTEN, Folder, check, existing_store, run, same
 
 
 @pytest.fixture
@@ -94,20 +94,3 @@ def test_a_store_that_can_only_be_read(mount, link_study, sweep, tmp_path):
         assert "Traceback" not in err
     remount(disk, "rw")
     assert sweep("run", link_study, "-o", store)[0] == 0
-
-
-def test_a_store_that_is_read_only_in_a_folder_that_is_not(mount, tmp_path, coins):
-    run(coins, tmp_path / "s.zarr")
-    outer = mount("-t", "tmpfs", "tmpfs")
-    store = outer / "s.zarr"
-    store.mkdir()
-    subprocess.run(["mount", "--bind", str(tmp_path / "s.zarr"), str(store)], check=True)
-    try:
-        subprocess.run(["mount", "-o", "remount,bind,ro", str(store)], check=True)
-        assert linksweep.open(store).attrs["complete"] == 1
-        with pytest.raises(SweepError, match="cannot be written: Read-only file system"):
-            run(coins | {"axes": {**coins["axes"], "coins": [1, 5, 20, 30]}}, store)
-        assert not (outer / "s.zarr.lock").exists()
-        assert repair(store) == []
-    finally:
-        subprocess.run(["umount", str(store)], check=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import main
-from tests.sweep.opening import forge, run, sealed
+from tests.sweep.opening import forge, places_in, replaced, run, sealed
 
 COINS = (Path(__file__).parents[1] / "coins.py").read_text()
 MARKING = 'from pathlib import Path\nPath({marker!r}).write_text("was here")\n'
@@ -44,16 +44,7 @@ ARGUMENTS = {  # by command: what a user would type about a store, several times
     "watch": [["STORE"]],
     "forecast": [["STORE", "STORE"]],
 }
-STUDY = """
-title = "Coins"
-experiment = "x.py:experiment"
-[axes]
-metal = ["gold", "tin"]
-coins = [1, 5]
-[sampling]
-n_sim = 100
-n_cat = 2
-"""
+STUDY = 'title = "Coins"\nexperiment = "x.py:experiment"\naxes = { coins = [1, 5] }\nsampling = { n_sim = 100 }\n'
 
 
 @pytest.fixture(scope="module")
@@ -141,36 +132,6 @@ def test_code_of_our_own_asks_nothing_but_functions_that_a_study_defines_do(tmp_
     assert re.search(r"would run .*m.py, and the store was not written here", err)
 
 
-def test_a_store_without_a_record_says_what_it_cannot(tmp_path, coins, sweep):
-    run(coins, tmp_path / "s.zarr")
-    forge(tmp_path / "s.zarr", lambda told: told.pop("experiment_record"))
-    code, _, err = sweep("status", tmp_path / "s.zarr")
-    assert (code, "has no record of its experiment" in err) == (2, True)
-
-
-def _fields(value, path=()):
-    """Yield the path of every field of a JSON document, also of documents in its texts."""
-    yield path
-    if isinstance(value, str) and value[:1] in "{[":
-        try:
-            value = json.loads(value)
-        except ValueError:
-            return
-        path = (*path, None)
-    for key, inner in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
-        yield from _fields(inner, (*path, key))
-
-
-def _replaced(value, path, new):
-    if not path:
-        return new
-    if path[0] is None:
-        return json.dumps(_replaced(json.loads(value), path[1:], new))
-    copied = value.copy()
-    copied[path[0]] = _replaced(value.get(path[0], {}) if isinstance(value, dict) else value[path[0]], path[1:], new)
-    return copied
-
-
 ADDED = ("derive", "file", "define", "experiment", "catalogue", "published", "figure", "code", "function", "columns")
 """Keys that a study or a store may have, where a reference could be put."""
 
@@ -193,7 +154,7 @@ def test_no_field_of_any_document_is_a_way_to_run_code(evil, tmp_path, monkeypat
     places = [
         (file, path)
         for file, document in documents.items()
-        for path in _fields(document)
+        for path in places_in(document)
         if path and any(word in str(part) for part in path for word in INTERESTING)
     ]
     added = [("zarr.json", ("attributes", "study_document", None, *inner)) for inner in BESIDE]
@@ -202,7 +163,7 @@ def test_no_field_of_any_document_is_a_way_to_run_code(evil, tmp_path, monkeypat
     for number, (file, path) in enumerate(places + [one for one in added if len(one[1]) < 6]):
         reference = (f"{store}/x.py:experiment", "evilmodule:experiment")[number % 2]
         try:
-            forged = _replaced(documents[file], path, reference)
+            forged = replaced(documents[file], path, reference)
         except (KeyError, TypeError, IndexError, AttributeError, ValueError):
             continue  # nothing can be put there
         (store / file).write_bytes(sealed(forged, file))

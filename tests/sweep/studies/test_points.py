@@ -59,14 +59,12 @@ def problems_of(read):
 
 def written(folder, name):
     path = folder / name
-    if name.endswith(".csv"):
-        FRAME.to_csv(path, index=False)
-    elif name.endswith(".parquet"):
-        FRAME.to_parquet(path)
-    else:
+    if name.endswith(".ecsv"):
         table = Table.from_pandas(FRAME)
         table["beta"] = table["beta"] / 24 * u.Unit("1/h")
         table.write(path, format="ascii.ecsv")
+    else:
+        FRAME.to_csv(path, index=False) if name.endswith(".csv") else FRAME.to_parquet(path)
     return path
 
 
@@ -87,19 +85,14 @@ def sobol(**more):
     return {"design": "sobol", "n": 4, "ranges": {"beta": [1, 2]}} | more
 
 
-MISSING = pd.DataFrame({"k": pd.array([1, None, 2], dtype="Int64")})
-
-
 @pytest.mark.parametrize(
     ("points", "problem"),
     [
         ({"beta": [1.0, 2.0], "kk": [1, 2]}, "points.columns.kk: unknown parameter 'kk'; did you mean 'k'?"),
         ({"beta": [1.0, np.nan]}, "points.columns.beta: has no value in row 2"),
-        (MISSING, "points.columns.k: has no value in row 2"),
         (Table({"k": MaskedColumn([1, 2], mask=[True, False])}), "points.columns.k: has no value in row 1"),
         ({"beta": [1.0, -2.0]}, "points.columns.beta: row 2: beta = -2.0: must be a finite number > 0"),
         ({"k": [1, 2.5]}, "points.columns.k: row 2: k = 2.5: must be an integer"),
-        ({"solver": ["a", "c"]}, "points.columns.solver: row 2: solver = 'c': must be one of 'a', 'b'"),
         ({"beta": [1.0, 2.0], "k": [1]}, "the same number of values; beta has 2, k has 1"),
         ({"beta": []}, "beta has 0"),
         (Table({"beta": [1.0] * u.m}), "its column is in m, and the parameter is in 1/d"),
@@ -108,15 +101,12 @@ MISSING = pd.DataFrame({"k": pd.array([1, None, 2], dtype="Int64")})
         (3, "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
         (sobol(design="sobl"), "points.design: input should be 'sobol',"),
         (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: a design needs both"),
-        (sobol(ranges={}), "ranges = {}: a design needs both"),
         (sobol(ranges={"beta": [0, 2]}), "points.ranges.beta: beta = 0: must be a finite number > 0"),
         (sobol(ranges={"beta": [2, 1]}), "low = 2 must be less than high = 1"),
-        (sobol(ranges={"beta": 2}), "write [low, high]"),
         (sobol(ranges={"solver": ["a", "b"]}), "write { values = [...] }"),
         (sobol(ranges={"q": [1, 2]}), "unknown parameter 'q'"),
         (sobol(ranges={"k": {"low": 0, "high": 9, "spacing": "log"}}), "log spacing needs numbers above 0, not 0"),
         (sobol(design="morris", ranges={"solver": {"values": ["a", "b"]}}), "steps between 4 numbers"),
-        (sobol(design="morris", ranges={"k": [1, 3]}), "steps between 4 numbers"),
         (sobol(design="saltelli", n=10**6), "makes 3,000,000 points"),
         ({"file": "t.csv", "n": 3}, "points: n: does not go with file"),
         ({"columns": {"k": [1]}, "design": "sobol"}, "exactly one of file, design and columns"),
@@ -130,7 +120,6 @@ def test_what_is_wrong_is_told_by_name_and_row(points, problem, problems_of):
     ("text", "problem"),
     [
         ("beta\n2.5\noops\n1.5\n", "row 2: beta = 'oops': must be a finite number > 0 [1/d]"),
-        ("beta\n2.5\n-2\n1.5\n", "row 2: beta = -2.0: must be a finite number > 0 [1/d]"),
         ('beta,k\n2.5,1\n"1,200",1\n', "row 2: beta = '1,200': must be a finite number > 0 [1/d]"),
         ("beta;k\n2,5;1\nx;1\n1,5;1\n", "row 2: beta = 'x': must be a finite number > 0 [1/d]"),
         ("k\n1\n1_0\n", "row 2: k = '1_0': must be an integer"),
@@ -143,12 +132,6 @@ def test_of_a_column_of_a_file_only_the_wrong_cells_are_named(text, problem, tmp
     assert sentence == f"points.file.{text[:4].strip(',; ') if text[0] == 'b' else 'k'}: {problem}"
 
 
-@pytest.mark.parametrize("kind", [dict, QTable], ids=["a mapping", "a QTable"])
-def test_quantities_as_columns_are_converted_to_the_unit_of_the_parameter(kind, read):
-    columns = read(kind({"distance": [1.0, 2.5] * u.km, "n": [1, 2]}), far)
-    assert columns == {"distance": [1000.0, 2500.0], "n": [1, 2]}
-
-
 ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('km')"
 
 
@@ -156,7 +139,6 @@ ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to
     ("tables", "problem"),
     [
         ({"axes": {"distance": [1.0, 2.0] * u.km}}, f"axes.distance: {ELSEWHERE}"),
-        ({"axes": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"axes.distance: {ELSEWHERE}"),
         ({"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
         ({"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"points.distance: {ELSEWHERE}"),
         (
@@ -181,10 +163,7 @@ def test_quantities_elsewhere_and_wrong_tables_are_one_problem(tables, problem, 
 def test_a_parameter_is_in_one_place_only(problems_of):
     assert "beta: is an axis too" in problems_of({"beta": [1.0]}, axes={"beta": [1.0, 2.0]})[0]
     assert "k: is fixed too" in problems_of({"k": [1]}, fixed={"k": 2})[0]
-
-    def pointed(point: float, k: int = 1):
-        return point * k
-
+    pointed = experiment()(lambda point=1.0, k=1: point * k)
     assert "has a 'point' of its own" in problems_of({"k": [1, 2]}, pointed, fixed={"point": 1.0})[0]
 
 
@@ -201,17 +180,13 @@ def design(name, n, seed=0):
     return {"design": name, "n": n, "seed": seed, "ranges": ranges}
 
 
-@pytest.mark.parametrize("name", [name if name in ("sobol", "latin-hypercube") else slow(name) for name in GROWS])
-def test_a_larger_design_begins_with_the_same_points_bitwise_where_it_says_so(name, read):
-    few, many = read(design(name, 8)), read(design(name, 16))
-    assert all(many[key][: len(values)] == values for key, values in few.items()) == GROWS[name]
-    assert read(design(name, 8)) == few
-    assert read(design(name, 8, seed=1)) != few
-
-
-@pytest.mark.parametrize("name", GROWS)
-def test_the_values_of_a_design_are_within_their_ranges_and_spread_over_them(name, read):
-    columns = read(design(name, 64))
+@pytest.mark.parametrize(
+    "name", [name if name in ("sobol", "latin-hypercube", "morris") else slow(name) for name in GROWS]
+)
+def test_designs_are_spread_over_their_ranges_and_larger_ones_begin_alike_where_they_say_so(name, read):
+    few, columns = read(design(name, 32)), read(design(name, 64))
+    assert all(columns[key][: len(values)] == values for key, values in few.items()) == GROWS[name]
+    assert read(design(name, 32)) == few != read(design(name, 32, seed=1))
     beta, k = np.array(columns["beta"]), np.array(columns["k"])
     assert 0.01 <= beta.min() < beta.max() <= 1.0
     assert np.median(beta) == pytest.approx(0.1, rel=0.6)  # the middle of a logarithmic range
@@ -229,14 +204,18 @@ def test_a_sobol_design_that_is_not_a_power_of_two_is_warned_of(n, is_warned, sw
     assert (f"points.n = {n} is not a power of two" in out + err) == is_warned
 
 
+DERIVED = """
+def rates(row):
+    return {"k": int(10 * row["beta"]), "solver": "b" if row["beta"] > 0.4 else "a"}
+wrong = lambda row: [1]
+fails = lambda row: {"k": 1 / (row["beta"] - 0.2)}
+bad = lambda row: {"k": -0.5}
+again = lambda row: {"beta": 1.0}
+"""
+
+
 def test_a_function_derives_further_columns(tmp_path, read, problems_of):
-    (tmp_path / "own.py").write_text(
-        "def rates(row):\n    return {'k': int(10 * row['beta']), 'solver': 'b' if row['beta'] > 0.4 else 'a'}\n"
-        "def wrong(row):\n    return [1]\n"
-        "def fails(row):\n    return {'k': 1 / (row['beta'] - 0.2)}\n"
-        "def bad(row):\n    return {'k': -0.5}\n"
-        "def again(row):\n    return {'beta': 1.0}\n"
-    )
+    (tmp_path / "own.py").write_text(DERIVED)
     points = {"columns": {"beta": [0.5, 0.2]}, "derive": f"{tmp_path}/own.py:rates"}
     assert read(points) == {"beta": [0.5, 0.2], "k": [5, 2], "solver": ["b", "a"]}
     for name, problem in {
@@ -247,15 +226,6 @@ def test_a_function_derives_further_columns(tmp_path, read, problems_of):
         "none": "none",
     }.items():
         assert problem in problems_of(points | {"derive": f"{tmp_path}/own.py:{name}"})[0]
-
-
-def test_a_store_knows_the_values_not_the_file(tmp_path):
-    path = written(tmp_path, "t.csv")
-    first = run(f, tmp_path / "s.zarr", points=path)
-    path.unlink()
-    again = run(f, tmp_path / "s.zarr", points=COLUMNS)
-    assert first.f.equals(again.f)
-    assert '"file": "t.csv"' in first.attrs["study_document"]
 
 
 def test_without_salib_the_design_says_what_to_install(monkeypatch, problems_of):
