@@ -12,7 +12,6 @@ from distributed import LocalCluster
 from linksweep import SweepError
 from linksweep.sweep.executing import clusters, pools
 from linksweep.sweep.executing.clusters import client_at, own_cluster
-from linksweep.sweep.executing.dask_driver import TaskPlugin
 from linksweep.sweep.executing.pools import Resources
 from tests.sweep.opening import same
 from tests.sweep.outside import command_of, workers_below
@@ -90,20 +89,6 @@ def test_contradictions_are_refused(link_study, tmp_path, sweep_here, options):
     assert code == 2
     assert "error: " in err
     assert not (tmp_path / "s.zarr").exists()
-
-
-def blocked_signals():
-    return signal.pthread_sigmask(signal.SIG_BLOCK, [])
-
-
-@pytest.mark.slow
-def test_a_signal_to_all_processes_is_answered_by_the_client_alone():
-    """What workers run may use SIGTERM."""
-    options = {"n_workers": 1, "threads_per_worker": 1}
-    with own_cluster(LocalCluster, options) as cluster, cluster.get_client() as client:
-        client.register_plugin(TaskPlugin())
-        [blocked] = client.run(blocked_signals).values()
-        assert blocked & {signal.SIGINT, signal.SIGHUP, signal.SIGTERM} == {signal.SIGINT, signal.SIGHUP}
 
 
 class Interrupted(LocalCluster):

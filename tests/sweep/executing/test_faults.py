@@ -110,7 +110,7 @@ def other_version(folder):
 
 
 @pytest.mark.parametrize("later", [False, slow(True)])
-def test_a_worker_with_another_version_stops_the_run(start, link_study, tmp_path, sweep, outside, reference, later):
+def test_a_worker_with_another_version_stops_the_run(start, link_study, tmp_path, sweep, outside, request, later):
     """Before anything is written, or as soon as it has joined."""
     outside.start_worker()
     if later:
@@ -126,7 +126,7 @@ def test_a_worker_with_another_version_stops_the_run(start, link_study, tmp_path
     assert (tmp_path / "s.zarr").exists() == later
     if later:
         assert sweep("run", link_study, "-o", tmp_path / "s.zarr", *LONG)[0] == 0
-        same(tmp_path / "s.zarr", reference)  # it has written nothing
+        same(tmp_path / "s.zarr", request.getfixturevalue("reference"))  # it has written nothing
 
 
 @pytest.mark.slow

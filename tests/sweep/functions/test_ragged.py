@@ -89,6 +89,7 @@ def test_whatever_the_order_a_dataset_has_the_values_of_each_point(tmp_path_fact
     assert bare(once).identical(bare(stored))
 
 
+@pytest.mark.slow
 def test_tables_pages_and_laws_know_the_lengths(tmp_path):
     store = tmp_path / "s.zarr"
     linksweep.run(walk, store, axes={"k": [1, 2], "n": [3]}, pool="serial")

@@ -214,20 +214,6 @@ def test_later_points_are_compared_by_name_with_the_first(tmp_path):
     check_refused(large, {"n": 0.5}, tmp_path / "large")
 
 
-def test_points_of_a_vectorised_function_are_those_of_single_calls(tmp_path):
-    def single(x: float):
-        return {"a": x, "n": int(x), "v": np.array([x, 2.0 * x]), "s": f"{x:g}", "c": "all"}
-
-    @experiment(vectorised=True)
-    def together(x: float):
-        v = np.stack([x, 2.0 * x], axis=1)
-        return {"a": x, "n": x.astype(int), "v": v, "s": [f"{one:g}" for one in x], "c": "all"}
-
-    one, other = (run(f, tmp_path / f.__name__, axes={"x": [1.0, 2.0, 3.0]}, pool="serial") for f in (single, together))
-    assert all(one[name].equals(other[name]) for name in "ansc")
-    assert one.v.values.tolist() == other.v.values.tolist()
-
-
 @pytest.mark.parametrize(
     ("returned", "why"),
     [("[*x, 1.0]", "values, expected an array, one for each of"), ("x.sum()", "is one number"), ("x[0]", "is one")],

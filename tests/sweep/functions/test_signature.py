@@ -86,25 +86,6 @@ def test_what_cannot_be_swept_is_refused(what, tmp_path):
     assert not (tmp_path / "s.zarr").exists()
 
 
-def drawn(x: float, *, rng):
-    return rng.normal(x)
-
-
-@pytest.mark.parametrize(
-    ("function", "name", "said"),
-    [
-        (several, "options", "options = 1: must be an object of another type than numbers"),
-        (several, "optons", "unknown parameter 'optons'"),
-        (several, "n_sim", "unknown parameter 'n_sim'"),
-        (drawn, "n_sim", r"belongs to the sampling: sampling=\{'n_sim': \.\.\.\}"),
-    ],
-)
-def test_what_is_no_parameter_is_told_so_where_it_is_set(function, name, said, tmp_path):
-    axes = {"beta" if function is several else "x": [1.0]}
-    with pytest.raises(SweepError, match=rf"fixed\.{name}: {said}"):
-        run(function, tmp_path / "s.zarr", axes=axes, fixed={name: 1})
-
-
 @pytest.mark.parametrize("function", [Thing().method, Thing(), functools.partial(lambda y, x: x * y, 1.0)])
 def test_methods_of_objects_partials_and_callable_objects_are_functions(function, tmp_path):
     ds = run(function, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]}, pool="serial")

@@ -315,13 +315,6 @@ def test_streams_are_numpys_own_children_of_the_seed(seed, name, first, part):
                     assert state(one) == state(other)
 
 
-def test_the_ledger_knows_a_block_by_all_that_decides_its_sums():
-    block = Block(0, 0, 0, 1, 100)
-    others = [block._replace(**{name: 7}) for name in ("group", "part", "n_cat", "n_sim")]
-    keys = {ledger_key(bytes(16), each) for each in (block, *others)} | {ledger_key(bytes([1] * 16), block)}
-    assert len(keys) == 6
-
-
 @pytest.mark.parametrize("common", [False, True])
 @pytest.mark.parametrize("groups", [0, 3])
 def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, groups):

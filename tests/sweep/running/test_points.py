@@ -102,15 +102,6 @@ def test_a_point_of_a_table_has_the_bits_of_the_same_point_in_a_grid(tmp_path):
     assert on.sigma_spin.equals(table.sigma_spin)
 
 
-def test_common_random_numbers_have_a_covariance_between_points(tmp_path):
-    study = LINK | {"points": {"columns": {"error_scale": [1.0, 2.0, 1.0]}}, "fixed": {"n_obj": 20}}
-    study |= {"sampling": {"n_sim": 40, "n_cat": 6, "common_random_numbers": True}}
-    ds = run(study, tmp_path / "s.zarr")
-    covariance = ds.sigma_spin_mc_covariance_point
-    assert covariance.dims == (POINT, "point_other")
-    assert np.array_equal(covariance.values[0], covariance.values[2])
-
-
 @pytest.fixture
 def file(tmp_path):
     (tmp_path / "model.py").write_text(

@@ -8,7 +8,7 @@ import pytest
 
 from linksweep import SweepError, run
 from tests.sweep.opening import OpenStore, same
-from tests.tiers import PATIENCE_S, slow
+from tests.tiers import slow
 
 EXPERIMENT = (Path(__file__).parents[1] / "coins.py").read_text()
 FRAGILE = EXPERIMENT.replace(
@@ -74,17 +74,6 @@ def test_reproduce_shows_what_a_failed_point_raises(broken, sweep):
     mend()
     code, _, err = sweep("reproduce", store, "--at", "metal=tin,coins=5")
     assert (code, "is failed in" in err) == (0, True)
-
-
-@pytest.mark.slow
-def test_reproduce_opens_the_debugger_where_a_point_raises(broken, start_sweep):
-    import subprocess
-
-    store, _ = broken
-    process = start_sweep("reproduce", store, "--at", "metal=gold,coins=5", "--pdb", stdin=subprocess.PIPE)
-    out, _ = process.communicate("p points[0]['coins']\nq\n", timeout=PATIENCE_S)
-    assert "(Pdb) 5" in out
-    assert process.returncode == 1
 
 
 def test_a_place_that_is_none_is_refused(broken, sweep):

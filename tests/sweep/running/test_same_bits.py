@@ -1,8 +1,11 @@
 """Same seed, same numbers, bitwise: whatever the workers, the order and how a study grew; the time is no result."""
 
+import json
 import random
 import time
 from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import SweepError
+from tests.sweep import spread
 from tests.sweep.opening import check, generators, make_grid, merge, plan_study, run, same, study_from_dict
 from tests.sweep.outside import Outside
 from tests.tiers import slow
@@ -162,3 +166,33 @@ def test_results_are_what_a_plain_loop_over_the_streams_gives(coins, tmp_path):
     assert dataset["status"].sel(metal="tin").values.tolist() == [3, 1, 1]
     assert np.isnan(dataset["share"].sel(metal="tin", coins=1))
     assert (dataset.attrs["complete"], dataset.attrs["points"]) == (1, 5)
+
+
+SPREAD = {
+    "title": "Spread",
+    "experiment": f"{Path(spread.__file__)}:experiment",
+    "axes": {"x": [0.5, 1.0, 2.0], "law": ["power", "levelling"]},
+    "sampling": {"n_sim": 64, "n_cat": 6, "seed": 5, "common_random_numbers": True},
+}
+
+
+def test_points_that_share_random_numbers_are_what_they_are_alone(tmp_path, monkeypatch):
+    whole = run(SPREAD, tmp_path / "whole.zarr")
+    alone = run(SPREAD | {"axes": {"x": [1.0]}}, tmp_path / "s.zarr")
+    assert alone["width"].item() == whole["width"].sel(x=1.0, law="power").item()
+    asked = []
+
+    def fail(points, *rest):
+        asked.extend((p["x"], p["law"]) for p in points)
+        if any(p["x"] == 2.0 for p in points):
+            raise ValueError("not two")
+        return spread.evaluate(points, *rest)
+
+    failing = replace(spread.experiment, evaluate=fail)
+    monkeypatch.setattr("linksweep.sweep.executing.worker.load_experiment", lambda reference, digest: failing)
+    grown = run(SPREAD, tmp_path / "s.zarr")
+    assert (1.0, "power") not in asked  # it is there already
+    assert set(json.loads(grown.attrs["failures"])) == {"x=2.0,law=power", "x=2.0,law=levelling"}
+    np.testing.assert_array_equal(grown["width"].sel(x=[0.5, 1.0]), whole["width"].sel(x=[0.5, 1.0]))
+    with pytest.raises(SweepError, match="common_random_numbers: True in the store, 'absent' in the study"):
+        run(SPREAD | {"sampling": {"n_sim": 64, "n_cat": 6, "seed": 5}}, tmp_path / "s.zarr")

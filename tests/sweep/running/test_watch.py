@@ -4,7 +4,6 @@ import math
 import os
 import re
 import shutil
-import signal
 import subprocess
 import sys
 from contextlib import suppress
@@ -201,14 +200,3 @@ def test_a_terminal_beside_a_run(tmp_path, start_sweep):
     assert any("about" in one and "points/s" in one for one in seen)
     assert "60 of 61 points done, 1 failed" in seen[-1]
     assert "\\u001b[31m[bold]no root[/bold]" in seen[-1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_it_while_it_waits_for_a_store_and_leaves_nothing(tmp_path, start_sweep, number):
-    process = start_sweep("watch", "nowhere.zarr", "--web", cwd=tmp_path)
-    assert process.stderr.readline().startswith("http://127.0.0.1:")
-    process.send_signal(number)
-    assert process.wait(PATIENCE_S) == (0 if number == signal.SIGINT else 128 + number)
-    assert "Traceback" not in process.stderr.read()
-    assert os.listdir(tmp_path) == []
