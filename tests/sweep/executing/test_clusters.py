@@ -72,22 +72,12 @@ def test_what_is_wrong_in_a_file_is_told_and_nothing_written(link_study, tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cluster.toml", "small.toml"]
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        ("--scheduler", "tcp://127.0.0.1:1", "--cluster"),
-        ("--workers", "2", "--cluster"),
-        ("--memory-limit", "2GB", "--cluster"),
-        ("--tls-ca",),
-        ("--memory-limit", "much", "--pool", "serial", "--cluster"),
-        ("--time-limit", "0", "--cluster"),
-    ],
-)
-def test_contradictions_are_refused(link_study, tmp_path, sweep_here, options):
-    (tmp_path / "cluster.toml").write_text(LOCAL + "scale = 1\n")
-    code, _, err = sweep_here("run", link_study, "-o", tmp_path / "s.zarr", *options, tmp_path / "cluster.toml")
-    assert code == 2
-    assert "error: " in err
+def test_contradictions_are_refused(link_study, tmp_path, sweep_here):
+    (tmp_path / "c.toml").write_text(LOCAL + "scale = 1\n")
+    for more in ("--scheduler tcp://a:1", "--workers 2", "--memory-limit 2GB", "--time-limit 0", "--tls-ca c.toml"):
+        asked = ("run", link_study, "-o", "s.zarr", "--cluster", "c.toml", *more.split())
+        code, _, err = sweep_here(*asked, cwd=tmp_path)
+        assert (code, "error: " in err) == (2, True), more
     assert not (tmp_path / "s.zarr").exists()
 
 

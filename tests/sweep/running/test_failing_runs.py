@@ -113,15 +113,6 @@ def test_a_run_whose_first_points_all_fail_alike_stops_and_goes_on_where_it_stop
     assert counts("s.zarr") == {"missing": 0, "done": 0, "failed": 100, "excluded": 0}
 
 
-def test_a_retry_of_a_run_that_was_ended_goes_on(folder, sweep):
-    sweep("run", "f.py:never", "--axis", "x=0:59:1", "-o", "s.zarr")
-    (folder / "f.py").write_text(FUNCTIONS.replace('raise ImportError(f"no package for {x}")', "return x"))
-    code, _, err = sweep("run", "--retry", "s.zarr", "--accept-code", "--pool", "serial")
-    assert (code, counts("s.zarr")["done"]) == (0, FIRST), err
-    assert sweep("run", "f.py:never", "--axis", "x=0:59:1", "-o", "s.zarr")[0] == 0
-    assert counts("s.zarr")["done"] == 60
-
-
 @pytest.mark.parametrize(("most", "failed"), [(0, 1), (7, 8), ("7", 8), ("30%", None), ("100 %", 50)])
 def test_the_most_failures_that_are_allowed(tmp_path, most, failed):
     def late(x: int):
