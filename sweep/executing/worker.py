@@ -6,7 +6,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from itertools import chain, groupby
 from typing import Any
 
@@ -103,8 +103,9 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
 
     They end with a point that took too long: its other blocks would too, and the rest is given out again.
     """
-    caller = (task.experiment_reference, task.source_digest), threading.get_ident()
-    for result in _run_units(task, deadlines):
+    computing = _Computing(task, deadlines)
+    caller = computing.who, threading.get_ident()
+    for result in computing.results():
         result.cold = caller not in _called and float(result.seconds[0]) < IMPORTS_S
         _called.add(caller)
         result.outcomes = task.keep(result.outcomes)
@@ -113,79 +114,153 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
             return
 
 
-def _run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
-    experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
-    if experiment.vectorised and len(task.units) > 1:
-        together = _points_together(experiment, task, deadlines)
-        if together is not None:
+class _Computing:
+    """Calls the experiment of a task for its units, and says which point is to blame for what goes wrong."""
+
+    def __init__(self, task: Task, deadlines: Deadlines) -> None:
+        self.task, self.who, self._deadlines = task, (task.experiment_reference, task.source_digest), deadlines
+        self.experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
+
+    def results(self) -> Iterator[TaskResult]:
+        """Yield the results of the units, one by one or of several together."""
+        task = self.task
+        if self.experiment.vectorised and len(task.units) > 1 and (together := self._points_together()) is not None:
             yield together
             return
-    with captured() if task.caught else nullcontext(Captured()) as said:
-        several = takes_several(experiment, task)
-        for units in alike(task.units) if several else [task.units]:
-            result = _catalogues_together(experiment, task, units) if several else None
-            printed = said.taken()
-            if result is None:  # the units print it again, one by one
-                yield from _one_by_one(experiment, task, units, deadlines, said)
-                continue
-            if printed is not None:
-                result.said[0] = printed
+        with captured() if task.caught else nullcontext(Captured()) as said:
+            several = takes_several(self.experiment, task)
+            for units in alike(task.units) if several else [task.units]:
+                result = self._catalogues_together(units) if several else None
+                printed = said.taken()
+                if result is None:  # the units print it again, one by one
+                    yield from self._one_by_one(units, said)
+                else:
+                    yield _with_printed(result, printed)
+
+    @contextmanager
+    def _guarded(self, unit: PointBlock, points: int, other: int = 0) -> Iterator[None]:
+        """Call the experiment for so many points in this block; ``other`` random numbers of the process are drawn by a
+        function that takes these.
+        """
+        limit = None if self.task.time_limit_s is None else self.task.time_limit_s * points
+        with undisturbed(self.task.seed_of(unit) ^ other), self._deadlines.within(limit):
+            yield
+
+    def _one_by_one(self, units: Sequence[PointBlock], said: Captured) -> Iterator[TaskResult]:
+        """Yield the result of each of these units, with what was ``said`` meanwhile."""
+        for unit in units:
+            result = failed(len(unit.points))
+            rows = list(range(len(unit.points)))
+            begun = time.perf_counter()
+            if not self._try(rows, unit, result) and len(rows) > 1:
+                for row in rows:  # which of those that share the draw is to blame?
+                    self._try([row], unit, result)
+            _with_printed(result, said.taken())
+            result.seconds[:] = (time.perf_counter() - begun) / len(rows)
+            if 0 in result.outcomes:
+                result.refused = self._how_it_differs([unit], [result.outcomes[0]], float(result.seconds[0]))
+                said.taken()  # what the second call says was said by the first
             yield result
 
+    def _try(self, rows: list[int], unit: PointBlock, result: TaskResult) -> bool:
+        """Compute some points of a unit and fill in these rows of its result; return whether that succeeded."""
+        task, experiment = self.task, self.experiment
+        pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
+        points = [experiment.defaults() | unit.points[row] for row in rows]
+        try:
+            with self._guarded(unit, len(rows)):
+                outcomes = experiment.compute(points, unit.block.n_sim, pairs, task.keep_samples)
+        except TimeLimitError:
+            reason = too_long(task.time_limit_s or 0.0, traceback.format_exc())
+        except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
+            if is_interruption(error) or not task.caught:
+                raise
+            reason = failure_of(error)
+        else:
+            result.outcomes.update(zip(rows, outcomes, strict=True))
+            for row in rows:
+                result.failures.pop(row, None)
+            return True
+        result.failures.update(dict.fromkeys(rows, reason))
+        return False
 
-def _one_by_one(
-    experiment: Experiment,
-    task: Task,
-    units: Sequence[PointBlock],
-    deadlines: Deadlines,
-    said: Captured,
-) -> Iterator[TaskResult]:
-    """Yield the result of each of these units of a task, with what was ``said`` meanwhile."""
-    for unit in units:
-        result = failed(len(unit.points))
-        rows = list(range(len(unit.points)))
+    def _catalogues_together(self, units: tuple[PointBlock, ...]) -> TaskResult | None:
+        """Return the sums of blocks of one point whose catalogues are evaluated in one call.
+
+        None where they are large, and where the call raises: one by one the blocks show which is to blame.
+        """
+        n_cat = [unit.block.n_cat for unit in units]
+        if n_cat[0] == 1:
+            return None
+        points = [self.experiment.defaults() | point for point in units[0].points]
         begun = time.perf_counter()
-        if not _try(experiment, rows, unit, task, result, deadlines) and len(rows) > 1:
-            for row in rows:  # which of those that share the draw is to blame?
-                _try(experiment, [row], unit, task, result, deadlines)
-        if (printed := said.taken()) is not None:
-            result.said[0] = printed
-        result.seconds[:] = (time.perf_counter() - begun) / len(rows)
-        if task.repeatable and 0 in result.outcomes:
-            seconds = float(result.seconds[0])
-            result.refused = _how_it_differs(experiment, task, [unit], [result.outcomes[0]], seconds, deadlines)
-            said.taken()  # what the second call says was said by the first
-        yield result
+        try:
+            with self._guarded(units[0], len(points)):
+                blocks = (generators_of(self.task.seed, unit.stream, unit.block) for unit in units)
+                pairs = list(chain.from_iterable(blocks))
+                outcomes = self.experiment.compute_catalogues(points, units[0].block.n_sim, pairs, n_cat)
+        except BaseException as error:
+            if is_interruption(error):
+                raise
+            return None
+        return _succeeded(outcomes, time.perf_counter() - begun)
 
+    def _points_together(self) -> TaskResult | None:
+        """Return the results of all points from one call of a vectorised function, or None where it raises.
 
-def _try(
-    experiment: Experiment,
-    rows: list[int],
-    unit: PointBlock,
-    task: Task,
-    result: TaskResult,
-    deadlines: Deadlines,
-) -> bool:
-    """Compute some points of a unit and fill in these rows of its result; return whether that succeeded."""
-    pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
-    points = [experiment.defaults() | unit.points[row] for row in rows]
-    limit = None if task.time_limit_s is None else task.time_limit_s * len(rows)
-    try:
-        with undisturbed(task.seed_of(unit)), deadlines.within(limit):
-            outcomes = experiment.compute(points, unit.block.n_sim, pairs, task.keep_samples)
-    except TimeLimitError:
-        reason = too_long(task.time_limit_s or 0.0, traceback.format_exc())
-    except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
-        if is_interruption(error) or not task.caught:
-            raise
-        reason = failure_of(error)
-    else:
-        result.outcomes.update(zip(rows, outcomes, strict=True))
-        for row in rows:
-            result.failures.pop(row, None)
-        return True
-    result.failures.update(dict.fromkeys(rows, reason))
-    return False
+        The first call in a process also computes some points alone; where a result differs, all points fail, in this
+        call and later ones.
+        """
+        units, experiment = self.task.units, self.experiment
+        points = [experiment.defaults() | unit.points[0] for unit in units]
+        who = self.who, experiment.tolerance
+        wrong = _dependence.get(who, "")
+        if wrong:
+            return failed(len(points), Failure("exception", wrong))
+        begun = time.perf_counter()
+        with captured() as said:
+            try:
+                with self._guarded(units[0], len(points) + CHECKED):
+                    outcomes = experiment.compute(points, 1, ())
+                    if who not in _dependence:
+                        wrong = dependence(experiment, points, outcomes, [unit.stream for unit in units])
+                        if wrong or len(points) > CHECKED:
+                            _dependence[who] = wrong
+            except BaseException as error:  # which point is to blame is found out one by one
+                if is_interruption(error):
+                    raise
+                return None
+            printed, seconds = said.taken(), time.perf_counter() - begun
+            refused = self._how_it_differs(units, outcomes, seconds)
+        result = _with_printed(_succeeded(outcomes, seconds), printed)
+        if wrong:
+            result.outcomes, result.failures = {}, dict.fromkeys(range(len(points)), Failure("exception", wrong))
+        result.refused = refused
+        return result
+
+    def _how_it_differs(self, units: Sequence[PointBlock], first: Sequence[Outcome], seconds: float) -> str:
+        """Return a sentence if a second call at the points of some units gives other results than the ``first``, which
+        took so many ``seconds``; '' if it gives the same, and where there is no second one.
+        """
+        if not self.task.repeatable or self.who in _agreed or seconds > LONGEST_S:
+            return ""
+        points = [self.experiment.defaults() | unit.points[0] for unit in units]
+        try:
+            with self._guarded(units[0], len(points), other=1):
+                second = self.experiment.compute(points, 1, ())
+            how = next(filter(None, map(_difference, first, second)), "")
+        except TimeLimitError:
+            return ""
+        except BaseException as error:
+            if is_interruption(error):
+                raise
+            how = f"and then raises {type(error).__name__}"
+        if not how:
+            _agreed.add(self.who)
+            return ""
+        place = ", ".join(f"{name} = {shown(value)}" for name, value in points[0].items()) or "its only point"
+        many = f" and {len(points) - 1:,} more" if len(points) > 1 else ""
+        return f"{self.experiment.name}: called twice at {place}{many}, it returns a result {how}. {WHAT_TO_DO}"
 
 
 def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
@@ -203,69 +278,17 @@ def takes_several(experiment: Experiment, task: Task) -> bool:
     return experiment.evaluate_catalogues is not None and not task.keep_samples and task.time_limit_s is None
 
 
-def _catalogues_together(experiment: Experiment, task: Task, units: tuple[PointBlock, ...]) -> TaskResult | None:
-    """Return the sums of blocks of one point whose catalogues are evaluated in one call.
-
-    None where they are large, and where the call raises: one by one the blocks show which is to blame.
-    """
-    n_cat = [unit.block.n_cat for unit in units]
-    if n_cat[0] == 1:
-        return None
-    points = [experiment.defaults() | point for point in units[0].points]
-    begun = time.perf_counter()
-    try:
-        blocks = [generators_of(task.seed, unit.stream, unit.block) for unit in units]
-        with undisturbed(task.seed_of(units[0])):
-            pairs = list(chain.from_iterable(blocks))
-            outcomes = experiment.compute_catalogues(points, units[0].block.n_sim, pairs, n_cat)
-    except BaseException as error:
-        if is_interruption(error):
-            raise
-        return None
-    return _succeeded(outcomes, time.perf_counter() - begun)
-
-
-def _points_together(experiment: Experiment, task: Task, deadlines: Deadlines) -> TaskResult | None:
-    """Return the results of all points of a task from one call of a vectorised function, or None where it raises.
-
-    The first call in a process also computes some points alone; where a result differs, all points fail, in this call
-    and later ones.
-    """
-    points = [experiment.defaults() | unit.points[0] for unit in task.units]
-    who = (task.experiment_reference, task.source_digest), experiment.tolerance
-    wrong = _dependence.get(who, "")
-    if wrong:
-        return failed(len(points), Failure("exception", wrong))
-    begun = time.perf_counter()
-    with captured() as said:
-        try:
-            limit = None if task.time_limit_s is None else task.time_limit_s * (len(points) + CHECKED)
-            with undisturbed(task.seed_of(task.units[0])), deadlines.within(limit):
-                outcomes = experiment.compute(points, 1, ())
-                if who not in _dependence:
-                    wrong = dependence(experiment, points, outcomes, [unit.stream for unit in task.units])
-                    if wrong or len(points) > CHECKED:
-                        _dependence[who] = wrong
-        except BaseException as error:  # which point is to blame is found out one by one
-            if is_interruption(error):
-                raise
-            return None
-        printed, seconds = said.taken(), time.perf_counter() - begun
-        refused = _how_it_differs(experiment, task, task.units, outcomes, seconds, deadlines)
-    result = _succeeded(outcomes, seconds)
-    if wrong:
-        result.outcomes, result.failures = {}, dict.fromkeys(range(len(points)), Failure("exception", wrong))
-    result.refused = refused
-    if printed is not None:
-        result.said[0] = printed
-    return result
-
-
 def _succeeded(outcomes: Sequence[Outcome], seconds: float) -> TaskResult:
     """Return the result of points that were computed in one call."""
     result = failed(len(outcomes))
     result.outcomes.update(enumerate(outcomes))
     result.seconds[:] = seconds / len(outcomes)
+    return result
+
+
+def _with_printed(result: TaskResult, printed: Captured | None) -> TaskResult:
+    """Return a result with what was printed meanwhile, if anything was."""
+    result.said |= {} if printed is None else {0: printed}
     return result
 
 
@@ -312,41 +335,6 @@ def _agree(one: NDArray[Any], other: NDArray[Any], everything: NDArray[Any], tol
         near = apart <= tolerance * np.maximum(np.maximum(np.abs(one), np.abs(other)), others)
         same |= (near & np.isfinite(apart)) | (np.isnan(one) & np.isnan(other))
     return bool(np.all(same))
-
-
-def _how_it_differs(
-    experiment: Experiment,
-    task: Task,
-    units: Sequence[PointBlock],
-    first: Sequence[Outcome],
-    seconds: float,
-    deadlines: Deadlines,
-) -> str:
-    """Return a sentence if a second call at the points of some units gives other results than the ``first``, which took
-    so many ``seconds``; '' if it gives the same, and where there is no second one.
-    """
-    who = task.experiment_reference, task.source_digest
-    if not task.repeatable or who in _agreed or seconds > LONGEST_S:
-        return ""
-    points = [experiment.defaults() | unit.points[0] for unit in units]
-    try:
-        limit = None if task.time_limit_s is None else task.time_limit_s * len(points)
-        # Other random numbers than at first, if it takes those of the process.
-        with undisturbed(task.seed_of(units[0]) ^ 1), deadlines.within(limit):
-            second = experiment.compute(points, 1, ())
-        how = next(filter(None, map(_difference, first, second)), "")
-    except TimeLimitError:
-        return ""
-    except BaseException as error:
-        if is_interruption(error):
-            raise
-        how = f"and then raises {type(error).__name__}"
-    if not how:
-        _agreed.add(who)
-        return ""
-    place = ", ".join(f"{name} = {shown(value)}" for name, value in points[0].items()) or "its only point"
-    many = f" and {len(points) - 1:,} more" if len(points) > 1 else ""
-    return f"{experiment.name}: called twice at {place}{many}, it returns a result {how}. {WHAT_TO_DO}"
 
 
 def _difference(first: Outcome, second: Outcome) -> str:

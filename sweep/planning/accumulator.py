@@ -1,6 +1,6 @@
 """The accumulator of a run: what blocks have left of each point so far, and which blocks it still needs."""
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -78,52 +78,28 @@ class Accumulator:
         self.survey = replace(self._survey(held), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
 
     def _survey(self, rows: Rows) -> Survey:
-        # Three ways for the sake of time: a million points take seconds, one after the other minutes.
-        is_new = not self._rows and not self._failed and self._only is None and self._share is None
-        if is_new and not self.plan.grid.study.counts:
-            return self._survey_of_new_points()
+        # Two ways for the sake of time: a million points take seconds, one after the other minutes.
         if self._whole is not None:
             return self._survey_of_whole_points(self._whole, rows)
+        grid = self.plan.grid
         total = held = pending = NOTHING
         groups: Groups = defaultdict(list)
-        there = {key[:DIGEST_BYTES] for key in self._rows} if self._only is not None else ()
-        for point in self.plan.grid.points(None if self._share is None else np.array([*self._share], dtype=np.intp)):
+        there = {key[:DIGEST_BYTES] for key in self._rows}
+        for point in grid.points(None if self._share is None else np.array([*self._share], dtype=np.intp)):
             self.status[point.index] = Status.FAILED if point.digest in self._failed else Status.MISSING
-            if self._only is not None and point.digest not in there and point.digest not in self._only:
-                continue  # nobody has asked for it: perhaps it cannot be computed
-            done, left = self._resume(point, rows)
+            done, left, cost = NOTHING, NOTHING, self.plan.cost(point.parameters)
+            if point.digest in there or self._share is not None or grid.study.counts:
+                done, left = self._resume(point, rows)
+            elif self._only is None or point.digest in self._only:  # else it perhaps cannot be computed
+                left = self.plan.size(cost)
             total, held = total + done + left, held + done
             self.plan.check_size(total.blocks)
             if self._is_wanted(point):
                 pending += left
-                groups[self.plan.grid.draw(point.parameters)].append((self.plan.cost(point.parameters), left))
-        return Survey(total, held, self._shared(pending, groups))
-
-    def _survey_of_new_points(self) -> Survey:
-        """Count points that have nothing in the ledger: of a million that cost the same without looking at them."""
-        grid, common = self.plan.grid, self.plan.grid.study.draws_together
-        total, costs = NOTHING, Counter[float]()
-        groups: Groups = defaultdict(list)
-        if self.plan.costs_nothing_special and not common:
-            indices = grid.indices()
-            self.status[indices] = Status.MISSING
-            costs[1.0] = len(indices)
-        else:
-            for index, parameters in grid.parameters():
-                self.status[index] = Status.MISSING
-                cost = self.plan.cost(parameters)
-                costs[cost] += 1
-                if common:
-                    groups[grid.draw(parameters)].append((cost, self.plan.size(cost)))
-        for cost, points in costs.items():
-            total += self.plan.size(cost, points)
-        self.plan.check_size(total.blocks)
-        return Survey(total, NOTHING, self._shared(total, groups))
-
-    def _shared(self, pending: PlanSize, groups: Groups) -> PlanSize:
-        """Return what is pending with its cost, of which points that share random numbers in groups save a part."""
-        common = self.plan.grid.study.draws_together
-        return replace(pending, cost=cost_together(groups)) if common else pending
+                groups[grid.draw(point.parameters)].append((cost, left))
+        if grid.study.draws_together:
+            pending = replace(pending, cost=cost_together(groups))
+        return Survey(total, held, pending)
 
     def _only_block(self) -> Block | None:
         """Return the one block that every point consists of, None if points have several blocks or different ones."""
@@ -137,6 +113,10 @@ class Accumulator:
         """Add what the ledger holds of points that have one block each, many at a time: a million take seconds."""
         indices = self.plan.grid.indices()
         self.plan.check_size(len(indices))
+        if not self._rows and not self._failed and self._only is None:
+            self.status[indices] = MISSING
+            new = self.plan.size(1.0, len(indices))
+            return Survey(new, NOTHING, new)
         total = held = pending = 0
         of_block = ledger_key(b"", block)
         for start in range(0, len(indices), AT_ONCE):
@@ -152,8 +132,7 @@ class Accumulator:
             missing = ~failed & ~done & (wanted if self._only is not None else True)
             held, pending = held + int((rows >= 0).sum()), pending + int(missing.sum())
             total += int((missing | failed | (rows >= 0)).sum()) if self._only is not None else len(some)
-        sizes = [self.plan.size(1.0, count) for count in (total, held, pending)]
-        return Survey(sizes[0], sizes[1], sizes[2])
+        return Survey(*(self.plan.size(1.0, count) for count in (total, held, pending)))
 
     def _resume(self, point: GridPoint, rows: Rows) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""

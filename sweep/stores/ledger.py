@@ -1,6 +1,6 @@
 """The ledger of finished blocks: one row of typed fields for each, with its key and its kept realisations.
 
-Rows are in parts of a few megabytes: a file of rows and, where realisations are kept, one of samples.  A file is
+Rows are in parts of some megabytes: a file of rows and, where realisations are kept, one of samples.  A file is
 written once and then only removed: new rows go into a new part together with those of the last, unfinished one, which
 then no longer counts.  The failed points and a copy of the root's attributes are documents beside them.  The manifest
 names all files that count, with their checksums, and is written last.
@@ -10,7 +10,7 @@ import json
 import re
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -26,13 +26,15 @@ from linksweep.sweep.stores.large import FILE, FOLDER, file_of, references
 from linksweep.sweep.stores.location import Location, reading, writing
 
 PART_BYTES = 2**22
-"""Bytes of a part: a compromise between few files for many blocks and what each flush writes again."""
+"""Bytes from which on a part is finished: a compromise between few files for many blocks and what each flush writes
+again.
+"""
 
 RECENT = 4
 """Parts whose samples are kept in memory for those who read them more or less in order."""
 
-MOST_UNWRITTEN = 2**26
-"""Bytes of rows and samples that may wait for the next flush."""
+MOST_UNWRITTEN = 2**24
+"""Bytes of rows and samples that may wait for the next flush, which all go into one part."""
 
 MAX_TRACEBACKS, TRACEBACK_BYTES = 1000, 4096
 
@@ -295,7 +297,7 @@ class Ledger:
         self.flush(again=True)
 
     def _with_new(self, revision: int) -> list[Part]:
-        """Return all parts after writing those with new rows, which take up the last one unless that is finished."""
+        """Return all parts after writing one with the new rows, which takes up the last one unless that is finished."""
         if not self._new:
             return self.parts
         # A part below its size is written again with what is new, so that few files hold many small flushes.
@@ -303,15 +305,7 @@ class Ledger:
         kept = self.parts[:-1] if is_open else self.parts
         blocks = [*map(self._part, self.parts[len(kept) :]), *self._new]
         records, samples = (np.concatenate(arrays) for arrays in zip(*blocks, strict=True))
-        ends = np.cumsum(_counts(records)) * bool(self.samples_width)
-        sizes = _sizes(records) + _counts(records) * np.uint64(8 * self.samples_width)
-        starts = np.cumsum(sizes) - sizes
-        cuts = [0, *(np.flatnonzero(np.diff(starts // np.uint64(PART_BYTES))) + 1).tolist(), len(records)]
-        parts = list(kept)
-        for number, (first, last) in enumerate(pairwise(cuts)):
-            begin = ends[first - 1] if first else 0
-            parts.append(self._put((records[first:last], samples[begin : ends[last - 1]]), revision, number))
-        return parts
+        return [*kept, self._put((records, samples), revision, 0)]
 
     def _put(self, blocks: Blocks, revision: int, number: int) -> Part:
         records, samples = blocks
@@ -453,15 +447,6 @@ def _raw(file: File, content: bytes | None) -> bytes:
         # Of a forged file no more is unpacked than it should have.
         raise ValueError("it has fewer records than it should")
     return bytes(raw)
-
-
-def _sizes(records: NDArray[Any]) -> NDArray[np.uint64]:
-    """Return about how many bytes each row takes."""
-    sizes = np.full(len(records), records.dtype.itemsize, dtype=np.uint64)
-    for column in _columns(records)[1]:
-        lengths = np.array([len(text or "") for text in column.reshape(-1).tolist()], dtype=np.uint64)
-        sizes += lengths.reshape(len(records), -1).sum(axis=1, dtype=np.uint64)
-    return sizes
 
 
 def _counts(records: NDArray[Any]) -> NDArray[np.uint64]:

@@ -10,6 +10,7 @@ import json
 import os
 import platform
 import re
+import shutil
 import stat
 import time
 from collections.abc import Iterable, Iterator, Mapping
@@ -159,12 +160,8 @@ class Folder:
                 path.parent.rmdir()
 
     def clear(self) -> None:
-        """Remove all files, and the folder with all its folders if nothing is left in them."""
-        for key in self.keys():
-            self.delete(key)
-        for folder, _, _ in os.walk(os.path.realpath(self.path), topdown=False):
-            with suppress(OSError):
-                os.rmdir(folder)
+        """Remove the folder with all that is in it."""
+        shutil.rmtree(os.path.realpath(self.path))
 
     def keys(self, under: str = "") -> list[str]:
         """Return the names of all finished files that begin with ``under``, a name with a slash at its end or empty.
