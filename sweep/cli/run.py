@@ -76,7 +76,6 @@ def resources(
     memory_limit: int | None = opt(
         "A block that needs more fails, e.g. 2GB.  [default: an equal share each]", metavar="BYTES", callback=_bytes
     ),
-    dashboard: bool = flag("Give local workers Dask's dashboard; print its address."),
 ) -> "Resources":
     """Return what to run on; raises click.UsageError for options that contradict each other."""
     from linksweep.sweep.executing.pools import Resources
@@ -86,7 +85,7 @@ def resources(
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
     if (tls_ca or tls_cert or tls_key) and (tls is None or not (scheduler or "").startswith("tls://")):
         raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT")
-    return Resources(workers, pool, scheduler, tls, cluster, linksweep.Limits(time_limit, memory_limit), dashboard)
+    return Resources(workers, pool, scheduler, tls, cluster, linksweep.Limits(time_limit, memory_limit))
 
 
 def _log_file(context: click.Context, _parameter: click.Parameter, value: str | None) -> TextIO | None:
@@ -436,7 +435,6 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     """Print for people how far a run is."""
     from linksweep.sweep.planning.point_status import progress_in_words
     from linksweep.sweep.running.failures import reasons_of
-    from linksweep.sweep.running.status import axis_table
 
     points, made, part = report["points"], report["provenance"], f" of part {report['part']}" if report["part"] else ""
     unfinished = points["missing"]
@@ -450,8 +448,6 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     for key in ("note", "lost_parts"):
         if key in report:
             group.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")
-    click.echo()
-    group.print_tables(axis_table(dimension, report["units"]) for dimension in report["axes"].values())
     for number, one in enumerate(report["rounds"], 1):
         group.print_wrapped(f"round {number} of sweep refine: {one}", later="   ")
     if failures := report["failures"]:

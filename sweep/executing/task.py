@@ -200,14 +200,13 @@ class Executor(Protocol):
 
 @dataclass(frozen=True)
 class Place:
-    """Where a run is, in ``words`` such as "on 2 local threads": how many workers if that is known, the Dask dashboard
-    if there is one, and how many ``threads`` there are as it begins.
+    """Where a run is, in ``words`` such as "on 2 local threads": how many workers if that is known, and the Dask
+    dashboard if there is one.
     """
 
     words: str
     workers: int | None = None
     dashboard: str = ""
-    threads: int = 1
 
 
 Opened = AbstractContextManager[tuple[Place, Executor]]

@@ -132,7 +132,8 @@ class Accumulator:
             missing = ~failed & ~done & (wanted if self._only is not None else True)
             held, pending = held + int((rows >= 0).sum()), pending + int(missing.sum())
             total += int((missing | failed | (rows >= 0)).sum()) if self._only is not None else len(some)
-        return Survey(*(self.plan.size(1.0, count) for count in (total, held, pending)))
+        whole = self.plan.size
+        return Survey(whole(1.0, total), whole(1.0, held), whole(1.0, pending))
 
     def _resume(self, point: GridPoint, rows: Rows) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""

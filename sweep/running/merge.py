@@ -9,7 +9,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate, groupby, pairwise
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ import xarray as xr
 
 from linksweep.sweep.code.load import code_differences
 from linksweep.sweep.contract import Experiment, SweepError
-from linksweep.sweep.contract.block import DIGEST_BYTES, KEY_BYTES, BlockRows
+from linksweep.sweep.contract.block import DIGEST_BYTES
 from linksweep.sweep.contract.reducer import converted, lost_integers, same_rows
 from linksweep.sweep.executing.versions import DECIDING
 from linksweep.sweep.formatting import host, now
@@ -58,14 +58,14 @@ DIGEST = slice(0, DIGEST_BYTES)
 
 @dataclass(frozen=True)
 class _Source:
-    """A store that is merged: what its root says, the ``keys`` of its blocks one after the other, and what failed."""
+    """A store that is merged: what its root says, the ``keys`` of its blocks, and what failed."""
 
     location: Location
     attributes: Mapping[str, Any]
     study: Study
     layout: Layout | None
     dtype: np.dtype[np.void]
-    keys: bytes
+    keys: tuple[bytes, ...]
     failed: Mapping[bytes, Record]
 
     def ledger(self) -> Ledger:
@@ -147,7 +147,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         part = Part.parsed(attributes[PART]) if PART in attributes else None
         kept = {key: attributes[key] for key in (*KEPT, *_COMPARED, STORE, LEDGER_THEN) if key in attributes}
         ledger = opened.ledger()
-        keys = b"".join(ledger.rows)
+        keys = tuple(ledger.rows)
         sources.append(_Source(location, kept, replace(study, part=part), layout, ledger.dtype, keys, ledger.failures))
     if not sources:
         raise SweepError("no store there; name those to merge, as in S.part-*", ", ".join(map(str, places)))
@@ -238,13 +238,12 @@ def _require_same_bits(sources: Sequence[_Source], dtype: np.dtype[np.void]) -> 
         if source.dtype != dtype and source.study.part is None:
             for why in lost_integers(source.ledger().read(), dtype).values():
                 raise SweepError(f"cannot be merged: {why}", str(source.location))
-    rows = BlockRows(b"".join(source.keys for source in sources))
-    starts = [*accumulate((len(source.keys) // KEY_BYTES for source in sources), initial=0)]
-    keys = rows.keys_of_rows()
-    last = rows.find(keys) if keys else np.zeros(0, dtype=np.intp)
+    first: dict[bytes, int] = {}
     common: dict[tuple[int, int], list[bytes]] = defaultdict(list)
-    for row in np.flatnonzero(last != np.arange(len(keys))).tolist():
-        common[bisect_right(starts, row) - 1, bisect_right(starts, last[row]) - 1].append(keys[row])
+    for number, source in enumerate(sources):
+        for key in source.keys:
+            if (before := first.setdefault(key, number)) != number:
+                common[before, number].append(key)
     for (i, j), some in common.items():
         one, other = sources[i], sources[j]
         ledgers = one.ledger(), other.ledger()

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep import table_writer
-from linksweep.sweep.contract import Named, SweepError
+from linksweep.sweep.contract import SweepError
 from linksweep.sweep.contract.block import Block, ledger_key
 from linksweep.sweep.formatting import in_words, per_second
 from linksweep.sweep.planning.grid import Grid, describe
@@ -37,9 +36,6 @@ ASKED = (integrity.STORE, "study_document", "study_digest", PART)
 
 # Attributes of a store that its status shows. Not ``finished``, which is the time of the last writing.
 PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git_commit")
-
-# Most lines for one axis in a text.
-MOST_LINES = 15
 
 # Fewest tiles along the last dimension, where there are more points than tiles.
 FEWEST_ACROSS = 40
@@ -150,22 +146,18 @@ def status_report(store: Where) -> dict[str, Any]:
     points = _Points(attributes, str(location))
     study, grid = points.study, points.grid
     blocks = points.blocks(_numbers(ledger.rows.keys_of_rows()).reshape(-1, 4))
-    far = points.progress(opened, blocks, ledger.failures)
-    status, realisations = far.status.reshape(grid.shape), far.realisations.reshape(grid.shape)
+    status, realisations, _ = points.progress(opened, blocks, ledger.failures)
     complete = bool(np.isin(status, (DONE, EXCLUDED)).all())
     note = {"note": UNFINISHED} if is_new(opened.root) else {}
     if points.is_adaptive and not note and not complete:
         note = {"note": "as of the last writing: only the experiment can say how many realisations are needed"}
-    excluded, done, random = status == EXCLUDED, status == DONE, "n_sim" in attributes
-    least = attributes["n_sim"] * attributes["n_cat"] if random else 1
-    counts = {
-        "points": ~excluded,
-        "done": done,
-        "failed": status == FAILED,
-        "excluded": excluded,
-        "realisations_done": np.where(excluded, 0, realisations),
-        "realisations": np.where(excluded, 0, np.where(done, realisations, np.maximum(realisations, least))),
-    }
+    random: dict[str, int] = {}
+    if not study.experiment.deterministic:
+        wanted = np.where(status == DONE, 0, study.sampling.n_sim * study.sampling.n_cat) * (status != EXCLUDED)
+        random = {
+            "realisations": int(np.maximum(realisations, wanted).sum()),
+            "realisations_done": int(realisations.sum()),
+        }
     return {
         "title": attributes["title"],
         "part": None if study.part is None else str(study.part),
@@ -175,12 +167,10 @@ def status_report(store: Where) -> dict[str, Any]:
         "last_written": attributes.get("finished"),
         "points": {code.word: n for code, n in count_status(status).items()},
         "blocks": len(ledger.rows),
-        **{name: int(counts[name].sum()) for name in ("realisations_done", "realisations") if random},
-        "axes": _by_axis(grid, counts),
-        "units": {name: study.experiment.parameter(name).unit for name in study.axes},
+        **random,
         **({"lost_parts": attributes[LOST]} if LOST in attributes else {}),
         "rounds": [str(one) for one in rounds_of(attributes)],
-        "failures": failures_by_place(grid, far.status, ledger.failures),
+        "failures": failures_by_place(grid, status, ledger.failures),
         "command": attributes.get("command"),
         "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")}
         | {"versions": json.loads(attributes.get("versions", "{}"))},
@@ -208,54 +198,6 @@ def _of_parts(store: Location, parts: Sequence[Part]) -> dict[str, Any]:
         states["lost"] = sorted({*range(1, total + 1)}.difference(*states.values()))
         report["parts"][total] = {state: in_ranges(numbers) for state, numbers in states.items() if numbers}
     return report
-
-
-# How far a study is at each value along a dimension: ``at`` has the values by axis, the others are counts.
-AxisRows = list[dict[str, Any]]
-
-
-def _by_axis(grid: Grid, counts: Mapping[str, NDArray[Any]]) -> dict[str, AxisRows]:
-    """Return counts of points, each shaped as the grid, at each value along each dimension."""
-    by_axis = {}
-    for number, (dimension, axes) in enumerate(grid.dimensions.items()):
-        others = tuple(d for d in range(len(grid.shape)) if d != number)
-        sums = {name: count.sum(axis=others).tolist() for name, count in counts.items()}
-        values = ([one.name if isinstance(one, Named) else one for one in row] for row in grid.rows[dimension])
-        places = (dict(zip(axes, row, strict=True)) for row in values)
-        by_axis[dimension] = [{"at": at} | {n: sums[n][i] for n in counts} for i, at in enumerate(places)]
-    return by_axis
-
-
-def folded(rows: AxisRows, most: int = MOST_LINES) -> list[AxisRows]:
-    """Join neighbours that are all finished, all begun or all untouched if these are at most ``most`` groups, or else
-    groups of the same length.
-    """
-    if len(rows) <= most:
-        return [[row] for row in rows]
-    states = groupby(rows, key=lambda r: (r["done"] == r["points"], not (r["realisations_done"] or r["failed"])))
-    groups = [list(alike) for _, alike in states]
-    return groups if len(groups) <= most else [part.tolist() for part in np.array_split(np.array(rows), most)]
-
-
-def axis_table(dimension: AxisRows, units: Mapping[str, str]) -> table_writer.Table:
-    """Return how far a study is along a dimension as a table; columns that would be empty are left out."""
-    name = ", ".join(f"{axis} [{unit}]" if (unit := units.get(axis, "")) else axis for axis in dimension[0]["at"])
-    columns: dict[str, list[str]] = {name: [], "points done": [], "realisations": [], "failed": []}
-    for group in folded(dimension):
-        total = {key: sum(row[key] for row in group) for key in group[0] if key != "at"}
-        first, last = (", ".join(map(str, row["at"].values())) for row in (group[0], group[-1]))
-        percent = 100 * total["realisations_done"] // total["realisations"] if total["realisations"] else 100
-        cells = (
-            first if len(group) == 1 else f"{first} ... {last} ({len(group):,} values)",
-            f"{total['done']:,}/{total['points']:,}",
-            f"{percent} %" if any(row["realisations"] != row["points"] for row in dimension) else "",
-            f"{total['failed']:,}" if total["failed"] else "",
-        )
-        for column, cell in zip(columns.values(), cells, strict=True):
-            column.append(cell)
-    return table_writer.Table(
-        [table_writer.Column(heading, cells, left=heading == name) for heading, cells in columns.items() if any(cells)]
-    )
 
 
 class Tile(NamedTuple):

@@ -54,7 +54,8 @@ def small_chunks(monkeypatch, folder):
 
 
 def small_parts(monkeypatch, size=4 * ROW):
-    monkeypatch.setattr(opening.ledger, "PART_BYTES", size)
+    for name in ("PART_BYTES", "MOST_UNWRITTEN"):
+        monkeypatch.setattr(opening.ledger, name, size)
 
 
 def flip(content, at=None, bit=2):
@@ -80,7 +81,7 @@ def whole(request, tmp_path, coins, monkeypatch):
     document = coins if request.param == "coins" else SAMPLES
     if request.param == "images":
         document = small_chunks(monkeypatch, tmp_path)
-    run(document, tmp_path / "whole.zarr")
+    run(document, tmp_path / "whole.zarr", {"most_blocks": 2})
     store = opening.existing_store(tmp_path / "whole.zarr", document)
     store.fail(b"another point ..", {"message": "it failed"})
     store.flush()
@@ -221,7 +222,7 @@ def history(request, place, tmp_path, monkeypatch):
     writings = []
     for given in axes:
         document = document | {"axes": given}
-        run(document, place)
+        run(document, place, {"most_blocks": 2})
         writings.append(files_of(place))
     return document, place, writings, linksweep.open(place)
 

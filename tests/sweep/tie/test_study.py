@@ -247,7 +247,7 @@ def test_a_study_runs_into_a_store_and_refuses_what_is_set_in_vain(tmp_path):
 # Options of the command that say where it runs and what it prints; a study gives these errors, reference - satellite.
 ABOUT_OUTPUT = {
     *("workers", "pool", "scheduler", "tls_ca", "tls_cert", "tls_key", "cluster", "time_limit", "memory_limit"),
-    *("dashboard", "errors", "resamples", "seed", "sign", "no_sources", "output", "figures", "as_json"),
+    *("errors", "resamples", "seed", "sign", "no_sources", "output", "figures", "as_json"),
 }
 
 
