@@ -156,7 +156,7 @@ def test_any_experiment_can_be_drawn(coin_store, tmp_path, sweep, options):
     [
         (["STORE", "--at", "metal=tin,coins=5"], "possible are none"),
         (["STORE", "--kind", "map"], "no map of share here; possible are lines, law"),
-        (["STORE", "--kind", "scaling"], "no scaling of share here; possible are lines, law"),
+        (["STORE", "--kind", "sensitivity"], "no sensitivity of share here; possible are lines, law"),
         (["STORE", "--variable", "heads"], "no quantity 'heads'; known are share"),
         (["STORE", "--over", "length"], "length is not one axis to draw along; there are"),
         (["STORE", "--over", "metal", "--over", "coins"], "no map of share here"),
