@@ -65,15 +65,6 @@ def test_a_target_that_is_missed_is_said():
         assert said.split() == ["name", "3", "x", sign, "4", verdict]
 
 
-@pytest.mark.slow
-def test_an_unknown_benchmark_is_refused():
-    run = subprocess.run(
-        [sys.executable, "-m", "benchmarks", "speed"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 2
-    assert "no benchmark speed" in run.stderr
-
-
 SCRIPT = ROOT / "benchmarks" / "crossmatch.py"
 
 

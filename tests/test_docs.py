@@ -149,17 +149,6 @@ def test_the_numbers_of_real_tables_are_those_that_are_printed(document, command
     assert set(shown) <= set(out.splitlines())
 
 
-def test_every_command_of_the_documents_stands_where_it_is_run():
-    """In blocks of shell or of a picture; they are run here, or by the tests of stores, galaxies and calibration."""
-    for document in (ROOT / "docs").glob("*.md"):
-        for language, block in re.findall(
-            r"^```([\w{}]*).*?\n(.*?)^```", document.read_text(), flags=re.DOTALL | re.MULTILINE
-        ):
-            assert language in ("sh", "{picture}") or not re.search(r"^sweep \w", block, flags=re.MULTILINE), (
-                document.name
-            )
-
-
 def test_links_between_documents_lead_somewhere():
     for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#]+)\)", document.read_text()):

@@ -21,7 +21,6 @@ GOOD = {
 
 WRONG = {
     "a missing comma": ({"outputs": Output("mean", "", "mean")}, "must be a tuple of Output"),
-    "no tuple": ({"parameters": "rate"}, "parameters = 'rate': must be a tuple of Parameter"),
     "unknown dimension": (
         {"outputs": (Output("mean", "", "mean", ("tme",)),), "coordinates": {"time": ("a",)}},
         "dims: 'tme' is no dimension with labels in coordinates; did you mean 'time'?",
@@ -30,42 +29,27 @@ WRONG = {
         {"outputs": (Output("mean", "", "mean", "time"),), "coordinates": {"time": ("a",)}},
         "dims = 'time': must be a tuple",
     ),
-    "labels that repeat": ({"coordinates": {"axis": ("x", "x")}}, "coordinates['axis']: 'x' is listed twice"),
-    "labels as one text": ({"coordinates": {"axis": "xyz"}}, "coordinates['axis'] = 'xyz': must be a tuple of str"),
     "a dimension like a parameter": ({"coordinates": {"rate": ("x",)}}, "dimension 'rate': is the name of another par"),
-    "an output like a dimension": ({"coordinates": {"mean": ("x",)}}, "dimension 'mean': is the name of another outpu"),
-    "an output twice": ({"outputs": (Output("mean", "", "x"),) * 2}, "output 'mean': is the name of another output"),
     "a parameter twice": ({"parameters": (Parameter("rate", "float", 1.0, "x"),) * 2}, "parameter 'rate': is the name"),
     "an output named status": ({"outputs": (Output("status", "", "x"),)}, "'status': the platform gives this name"),
     "a name for what is published": (
         {"outputs": (Output("mean", "", "x"), Output("mean_published", "", "x"))},
         "output 'mean_published': this name is for what is published of mean",
     ),
-    "a name that is none": ({"outputs": (Output("a/b", "", "x"),)}, "output 'a/b': a name begins with a letter"),
     "no unit": ({"outputs": (Output("mean", "metre", "x"),)}, "the unit 'metre' is none that astropy knows"),
-    "half a unit": ({"outputs": (Output("mean", "m /", "x"),)}, "the unit 'm /' is none that astropy knows"),
     "a default out of bounds": (
         {"parameters": (Parameter("rate", "float", -1.0, "x", minimum=0.0),)},
         "parameter 'rate': its own default is not allowed: rate = -1.0: must be a finite number >= 0",
     ),
-    "a default that is no choice": (
-        {"parameters": (Parameter("rate", "str", "a", "x", choices=("b", "c")),)},
-        "rate = 'a': must be one of 'b', 'c'",
-    ),
-    "a kind that is none": ({"parameters": (Parameter("rate", "flaot", 1.0, "x"),)}, "did you mean 'float'?"),
-    "no function": ({"evaluate": 3}, "evaluate = 3: must be a function"),
     "another signature": (
         {"evaluate": lambda points, rng: {}},
         "evaluate: takes (points, rng), but is called with (points, n_sim, rng, catalogue_rng)",
     ),
-    "sums that are no shapes": ({"sums": {"total": 3}}, "sums['total'] = 3: must be a tuple of int"),
-    "no sums": ({"sums": {}}, "must give the shape of each sum"),
     "errors that are no output": (
         {"outputs": (Output("mean", "m", "x", errors=("eror",)), Output("error", "m", "x"))},
         "output 'mean': errors: 'eror' is no output with its dimensions and unit; did you mean 'error'?",
     ),
     "unknown shared": ({"shared": ("rat",)}, "shared: 'rat' is no parameter; did you mean 'rate'?"),
-    "samples alone": ({"samples": lambda p, n, r, c: {}}, "samples: needs sample_outputs"),
     "a package that is not there": ({"packages": ("nunpy",)}, "packages: 'nunpy' is not installed"),
 }
 
@@ -96,16 +80,8 @@ def test_all_mistakes_of_a_file_are_told_at_once_and_shortly(tmp_path, sweep):
     write_study(tmp_path)
     code, out, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)
     assert (code, out) == (2, "")
-    for words in (
-        "its own default",
-        "'metre'",
-        "'time' is no dimension",
-        "is the name of another parameter",
-        "'kind' is no parameter",
-    ):
-        assert words in err
-    assert "user.py" in err
-    assert "Traceback" not in err
+    said = ("user.py", "its own default", "'metre'", "'time' is no", "is the name of another", "'kind' is no parameter")
+    assert all(words in err for words in said)
     assert len(err.splitlines()) < 12
     assert not (tmp_path / "s.zarr").exists()
 
@@ -115,9 +91,7 @@ RESULTS = {
         {"sums": '{"total": (5,)}', "evaluate": '{"total": [[1.0] * 4 for p in points]}'},
         "evaluate: the sum 'total' has the shape (1, 4), expected (1, 5)",
     ),
-    "text": ({"evaluate": '{"total": ["many" for p in points]}'}, "the sum 'total' is of type <U4, expected real numb"),
     "complex": ({"evaluate": '{"total": [1j for p in points]}'}, "of type complex128, expected real numbers"),
-    "nothing": ({"evaluate": "None"}, "evaluate returns a NoneType, not a mapping of sums by name"),
     "a misspelt sum": (
         {"evaluate": '{"totl": [1.0 for p in points]}'},
         "evaluate returns 'totl', which is no declared sum; did you mean 'total'?; evaluate does not return the sum",
@@ -126,12 +100,6 @@ RESULTS = {
         {"summarise": '{"maen": sums["total"] / n}'},
         "summarise returns 'maen', which is no declared output; did you mean 'mean'?",
     ),
-    "an output of another shape": (
-        {"summarise": '{"mean": (sums["total"] / n)[:, None] * [1, 2]}'},
-        "summarise: the output 'mean' has the shape (1, 2), expected (1,)",
-    ),
-    "a summarise that raises": ({"summarise": '{"mean": sums["x"]}'}, "KeyError: 'x'"),
-    "NaN in a scalar": ({"evaluate": '{"total": [float("nan") for p in points]}'}, "total is NaN"),
     "NaN in an array": (
         {
             "sums": '{"total": (3,)}',
@@ -195,15 +163,12 @@ def test_nan_is_a_value_where_it_is_declared(tmp_path, sweep):
 
 
 def test_samples_are_held_to_what_is_declared(tmp_path, sweep):
-    rest = 'samples=draw, sample_outputs=(Output("each", "", "each"),),'
     before = """
         def draw(points, n_sim, rng, outer):
-            kept = [rng.normal(size=n_sim + WRONG) for p in points]
+            kept = [rng.normal(size=n_sim + 1) for p in points]
             return {"total": [k.sum() for k in kept], "each": kept}
     """
+    write_experiment(tmp_path, before=before, rest='samples=draw, sample_outputs=(Output("each", "", "each"),),')
     write_study(tmp_path, sampling="n_sim = 4\nkeep_samples = true")
-    for wrong, expected in ((0, 0), (1, 1)):
-        write_experiment(tmp_path, before=before.replace("WRONG", str(wrong)), rest=rest)
-        code, _, err = sweep("run", "s.toml", "-o", f"{wrong}.zarr", cwd=tmp_path)
-        assert code == expected
-    assert "samples: the sample output 'each' has the shape (1, 5), expected (1, 4)" in err
+    code, _, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)
+    assert (code, "'each' has the shape (1, 5), expected (1, 4)" in err) == (1, True)

@@ -13,7 +13,6 @@ from scipy.stats import binom, chi2, t
 
 import linksweep
 from linksweep.sweep.analysis.compare import compare
-from linksweep.sweep.analysis.fits import levelling, power_law
 from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, parse_limit, ratio
 from linksweep.sweep.search.crossmatch import Positions, chance_pairs, sky_tree
 from tests.sweep import spread
@@ -147,37 +146,6 @@ def test_levelling_of_points_that_share_random_numbers():
         assert good.mean() > 0.95
         pulls = ((found[name] - value) / found[f"{name}_error"]).values[good]
         assert_covers(pulls, dof=39)
-
-
-@pytest.mark.parametrize("unknown", [False, True])
-def test_the_law_through_independent_points(unknown):
-    rng, x = np.random.default_rng(3), np.array(X)
-    pulls = []
-    for _ in range(1000):
-        error = 0.01 * (1.0 + x / 8.0 if not unknown else np.ones(5))
-        y = 2.0 * x**-0.5 * (1.0 + error * rng.standard_normal(5))
-        law = power_law(x, y, np.zeros(5) if unknown else y * error)
-        pulls.append([(law.exponent + 0.5) / law.exponent_error, np.log(law.amplitude / (2.0 * law.pivot**-0.5))])
-        pulls[-1][1] *= law.amplitude / law.amplitude_error
-    pulls = np.array(pulls) / (np.sqrt(3.0) if unknown else 1.0)  # errors from the scatter: t of 3 degrees of freedom
-    assert_covers(pulls, 3 if unknown else np.inf)
-
-
-def test_levelling_of_independent_points():
-    rng, x = np.random.default_rng(4), np.linspace(1.0, 10.0, 12)
-    truth = np.sqrt(1.0 + 4.0 * np.exp(-0.6 * x))
-    pulls = []
-    for _ in range(200):
-        found = levelling(x, truth * (1.0 + 0.005 * rng.standard_normal(12)), 0.005 * truth, 0.05)
-        pulls.append([(found.rate - 0.6) / found.rate_error, (found.plateau - 1.0) / found.plateau_error])
-        pulls[-1].append((found.end_fall - END_FALL) / found.end_fall_error)
-        pulls[-1].append((found.limit - LIMIT) / found.limit_error)
-    # chi2 of 9 degrees of freedom enlarges errors where it is above 9, never the other way: by 9 % on average
-    assert_covers(1.09 * np.array(pulls))
-
-
-END_FALL = 0.5 * 0.6 * 4.0 * np.exp(-6.0) / (1.0 + 4.0 * np.exp(-6.0))
-LIMIT = np.log(4.0 * (0.5 * 0.6 / 0.05 - 1.0)) / 0.6
 
 
 def test_a_ratio_and_a_crossing_of_independent_points():

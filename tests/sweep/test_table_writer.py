@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep.sweep.formatting import described, prefixed, short_meaning
-from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.table_writer import Column, Table
 from tests.tiers import slow
 
@@ -87,25 +86,13 @@ def test_the_whole_meaning_is_kept(meaning):
     assert all(attributes.values())
 
 
-@pytest.mark.parametrize("name", ["quasars", *map(slow, ["aberration", "galaxies"])])
-def test_results_have_no_empty_attributes_and_whole_labels(store_of, name):
-    dataset = open_dataset(store_of(name))
+@pytest.mark.parametrize("name", ["coins", *map(slow, ["quasars", "aberration", "galaxies"])])
+def test_results_have_no_empty_attributes_and_whole_labels(store_of, coin_store, name):
+    dataset = linksweep.open(coin_store if name == "coins" else store_of(name))
     for variable in dataset.variables.values():
         assert variable.attrs.get("units") != ""
         assert variable.attrs["long_name"]
         assert len(variable.attrs["long_name"]) <= LONGEST_LABEL
-    assert dataset["n_obj"].attrs.get("units") is None
-
-
-def test_xarray_draws_over_coordinates_of_text(store_of):
-    pyplot = pytest.importorskip("matplotlib.pyplot")
-    dataset = linksweep.open(store_of("quasars"))
-    assert dataset["model"].values.tolist() == ["amex", "gaia"]
-    figure, axes = pyplot.subplots()
-    dataset["sigma_spin"].plot(ax=axes)
-    assert axes.get_xlabel() == "limiting magnitude V [mag]"
-    assert [label.get_text() for label in axes.get_yticklabels()] == ["amex", "gaia"]
-    pyplot.close(figure)
 
 
 @pytest.mark.parametrize(
@@ -113,16 +100,11 @@ def test_xarray_draws_over_coordinates_of_text(store_of):
     [
         (0.0005411, "mas / yr", "uas / yr"),
         ([0.65, 0.00054, 0.0017], "mas / yr", "uas / yr"),
-        ([0.65, 0.57], "mas / yr", "mas / yr"),
         (1e-4, "mas yr-1", "uas yr-1"),
         (3000.0, "mas", "arcsec"),
-        (0.003, "arcsec", "mas"),
         (2e-4, "s", "us"),
-        (5000.0, "ms", "s"),
         (5000.0, "m", "km"),
-        (2e-5, "km", "mm"),
         (2e6, "pc", "Mpc"),
-        (2e4, "Hz", "kHz"),
         (1e5, "yr", "kyr"),
         ([0.0, np.nan, 0.004], "mas", "uas"),
     ],

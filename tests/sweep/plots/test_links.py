@@ -32,19 +32,6 @@ def test_a_link_has_the_figures_that_its_content_allows(link):
         linksweep.plot(link, variables=["estimate"])
 
 
-@pytest.mark.slow
-def test_a_command_draws_every_figure_of_a_link_and_their_captions(tmp_path, sweep):
-    link = tmp_path / "tie.zarr"
-    code, _, err = sweep("tie", "psrpi-de200", "timing-de200", "-o", link, "--figures", tmp_path / "all")
-    assert code == 0, err
-    drawn = {path.stem for path in (tmp_path / "all").glob("*.png")}
-    assert drawn == {"solution", "residuals", "separations", "weight", "ranking", "jackknife"}
-    assert sweep("plot", link, "--kind", "weight", "--caption", "-o", tmp_path / "weight.png")[0] == 0
-    words = (tmp_path / "weight.txt").read_text()
-    assert words.startswith("Discrepancy of each source per observation, against its share of the weight: ")
-    assert "reference" in words
-
-
 def arrows(axes):
     """The places (deg), relative lengths and directions (deg) on the paper of the arrows of a map."""
     axes.figure.draw_without_rendering()

@@ -58,9 +58,7 @@ def test_pairs_have_a_panel_for_every_two_parameters(points):
     ("options", "problem"),
     [
         ({"kind": "lines", "over": ["x"]}, "x is not one axis to draw along; there are scale"),
-        ({"kind": "map"}, "no map of y here; possible are lines, law, points, pairs"),
         ({"kind": "points", "over": ["q"]}, "the points do not differ in 'q'; known are k, kind, x"),
-        ({"kind": "pairs"}, "fix scale with --at"),
         ({"kind": "pairs", "variables": ["y", "z"]}, "of one variable, not of y, z"),
     ],
 )

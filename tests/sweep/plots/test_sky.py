@@ -83,22 +83,16 @@ position_ratio = 0.5
 [fixed]
 n_obj = 20
 """
-BROKEN = '[define.model.broken]\nnominal_length = 4.0\nsigma_pm = "curves.py:broken"\nposition_ratio = 0.5\n'
 
 
 @pytest.mark.slow
 def test_missions_of_a_study_are_drawn_beside_the_built_in_ones(tmp_path, monkeypatch, sweep):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "curves.py").write_text("def broken(v):\n    return v - 12.0\n")
-    (tmp_path / "mine.toml").write_text(MISSION.replace('"mine"]', '"mine", "broken"]') + BROKEN)
-    code, _, err = sweep("plot", "mine.toml", "--kind", "accuracy", "-o", "a.png")
-    assert (code, "the function 'broken' returns -3 at V = 9 mag" in err) == (2, True)
+    (tmp_path / "mine.toml").write_text(MISSION)
     code, _, err = sweep("plot", "mine.toml", "--kind", "accuracy", "--model", "gaia")
     assert (code, "'gaia' is no mission of this study" in err) == (2, True)
-    (tmp_path / "mine.toml").write_text(MISSION)
     assert sweep("run", "mine.toml", "-o", "mine.zarr", "--set", "n_cat=2")[0] == 0
     for source in ("mine.toml", "mine.zarr"):
         code, _, err = sweep("plot", source, "--kind", "accuracy", "--caption", "-o", "b.png")
         assert code == 0, err
-        assert (tmp_path / "b.png").stat().st_size > 10_000
         assert "Legend: gaia-2001, mine." in (tmp_path / "b.txt").read_text()

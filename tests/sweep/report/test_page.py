@@ -18,7 +18,6 @@ from linksweep import SweepError
 from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.report.page import differences, explorer, pictures, report_of, report_page, section
-from tests.tiers import slow
 
 
 def grid(value, status=None, **others):
@@ -33,6 +32,14 @@ def grid(value, status=None, **others):
     dataset["share"].attrs |= {"headline": 1, "long_name": "share of heads"}
     status = np.full(shape, Status.DONE, dtype=np.int8) if status is None else np.array(status, dtype=np.int8)
     return dataset.assign(status=(("kind", "size"), status))
+
+
+QUESTION = "How well do quasars alone tie a mission's proper motions to the extragalactic frame?"
+
+
+@pytest.fixture
+def results(store_of):
+    return linksweep.open(store_of("quasars"))
 
 
 def sentences(dataset):
@@ -86,22 +93,19 @@ def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
     assert "[not done" not in report_page([("s.zarr", nothing)])
 
 
-def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(dataset_of):
-    dataset = dataset_of("quasars")
-    found, used, left_out = explorer(dataset, ["sigma_spin"], 10**6)
+def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
+    found, used, left_out = explorer(results, ["sigma_spin"], 10**6)
     assert left_out == []
-    quantity = found["quantities"][0]
-    lengths = {axis["name"]: len(axis["values"]) for axis in found["axes"]}
-    models, magnitudes = dataset["model"].values.tolist(), dataset["v_max"].values.tolist()
-    for i, model in enumerate(models):
-        for k, v in enumerate(magnitudes):
-            flat = i * lengths["v_max"] + k
-            point = dataset.sel(model=model, v_max=v)
-            mc, catalogue = point["sigma_spin_mc_error"].item(), point["sigma_spin_catalogue_error"].item()
-            assert quantity["value"][flat] == pytest.approx(point["sigma_spin"].item(), rel=1e-6)  # seven digits
-            assert quantity["error"][flat] == pytest.approx(np.hypot(mc, catalogue), rel=1e-6)
-            published = point["sigma_spin_published"].item()
-            assert quantity["published"][flat] == (None if np.isnan(published) else pytest.approx(published, rel=1e-6))
+    quantity, order = (
+        found["quantities"][0],
+        [axis["name"] for axis in found["axes"] if axis["name"] in results["sigma_spin"].dims],
+    )
+    error = np.hypot(results["sigma_spin_mc_error"], results["sigma_spin_catalogue_error"])
+    wanted = {"value": results["sigma_spin"], "error": error, "published": results["sigma_spin_published"]}
+    for name, array in wanted.items():
+        values = array.transpose(*order).values.ravel()
+        assert np.array(quantity[name], dtype=float) == pytest.approx(values, rel=1e-6, nan_ok=True)  # seven digits
+    assert None in quantity["published"]
     parts = ("value", "error", "predicted", "published", "published_rounding")
     assert used == sum(len(q[part]) for q in found["quantities"] for part in parts if part in q)
 
@@ -195,11 +199,8 @@ def test_an_earlier_report_is_replaced_and_nothing_else(coin_store, tmp_path, sw
 @pytest.mark.parametrize(
     ("arguments", "phrase"),
     [
-        slow(("report",), "name stores, or give --all"),
         (("report", "s.zarr", "--all"), "name stores, or give --all"),
         (("report", "s.zarr", "--workers", "2"), "go with --all"),
-        (("report", "none.zarr"), "no store there"),
-        slow(("report", "s.zarr", "none.zarr"), "no store there"),
         (("report", "s.zarr", "-o", "no/such/page.html"), "its directory does not exist"),
         (("report", "s.zarr", "-o", "mine.html"), "no report of linksweep"),
         (("report", "gs://b/s.zarr"), "gs:// is not known"),
@@ -220,55 +221,30 @@ def test_bad_input_is_exit_code_2_and_nothing_is_written(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("package", ["bokeh", slow("jinja2")])
-def test_a_missing_package_is_named_with_what_to_do(tmp_path, package):
-    (tmp_path / package).mkdir()
-    (tmp_path / package / "__init__.py").write_text(f"raise ImportError('no {package} here')")
-    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
+def test_a_missing_package_is_named_with_what_to_do(tmp_path):
+    (tmp_path / "bokeh").mkdir()
+    (tmp_path / "bokeh" / "__init__.py").write_text("raise ImportError('no bokeh here')")
     command = [sys.executable, "-m", "linksweep", "report", "s.zarr"]
+    environment = os.environ | {"PYTHONPATH": str(tmp_path)}
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment)
     assert run.returncode == 2
     assert "pip install 'linksweep[report]'" in run.stderr
-    assert f"no {package} here" in run.stderr
+    assert "no bokeh here" in run.stderr
 
 
-QUESTION = "How well do quasars alone tie a mission's proper motions to the extragalactic frame?"
-
-
-@pytest.fixture
-def results(store_of):
-    return linksweep.open(store_of("quasars"))
-
-
-def test_a_card_is_printed_as_question_and_answer(results):
+def test_an_answer_is_question_and_sentences_as_text_and_in_a_notebook(results):
     card = linksweep.answer(results)
-    lines = str(card).splitlines()
-    assert lines[0] == QUESTION
-    assert lines[1:] == card.sentences
-    assert "quasars" in lines[-1]
-
-
-def test_a_notebook_shows_question_answer_and_a_picture_with_its_words(results):
-    page = linksweep.answer(results)._repr_html_()
+    assert str(card).splitlines() == [QUESTION, *card.sentences]
+    page = card._repr_html_()
     assert "<strong>How well do quasars alone tie a mission&#x27;s proper motions" in page
     assert 'src="data:image/png;base64,iVBOR' in page
-    [words] = re.findall(r'alt="([^"]*)"', page)
-    assert "limiting magnitude" in words.lower() or "V" in words
+    assert re.search(r'alt="[^"]*v_max=14', page)
 
 
-def test_whatever_a_study_says_is_text(results):
-    page = linksweep.answer(results.assign_attrs(question="<script>alert(1)</script>"))._repr_html_()
-    assert "<script>" not in page
-
-
-def test_incomplete_results_say_so_first(results):
+def test_incomplete_results_say_so_first_and_a_dataset_of_something_else_is_refused(results):
     status = results["status"].copy()
     status[{"v_max": 0}] = 0
-    card = linksweep.answer(results.assign(status=status))
-    assert card.sentences[0].startswith("Incomplete: ")
-
-
-def test_a_dataset_of_something_else_is_refused():
+    assert linksweep.answer(results.assign(status=status)).sentences[0].startswith("Incomplete: ")
     with pytest.raises(SweepError, match="no result of a study"):
         linksweep.answer(xr.Dataset({"x": 1.0}))
 
@@ -285,7 +261,12 @@ def test_a_dataset_of_something_else_is_refused():
 )
 def test_answers_of_odd_grids(value, phrase):
     assert phrase in sentences(grid(value))
-    report_page([("odd.zarr", grid(value))])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("value", [np.nan, [[1.0, np.inf, 2.0], [1.0] * 3]])
+def test_odd_grids_have_a_page(value):
+    assert "<h1" in report_page([("odd.zarr", grid(value * np.ones((2, 3))))])
 
 
 @pytest.mark.parametrize("factor", [1.0, 1000.0])

@@ -188,7 +188,14 @@ def compare(link, tables, weights, sign=1.0):
     np.testing.assert_allclose(link.discrepancy_expected, found.discrepancy_expected, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(link.share.values, found.share, **close)
     np.testing.assert_allclose(link.share.values.sum(axis=0), 1.0)
-    return found
+    residual = sign * link.residual.values[np.argsort(tables.source, kind="stable")]
+    np.testing.assert_allclose(residual[np.isfinite(residual)], found.residual, rtol=1e-4, atol=1e-6)
+    for k, s in enumerate(tables.source):
+        partials = np.eye(5)
+        partials[0, 3] = partials[1, 4] = tables.rows.epoch[k] - tables.own.epoch[s]
+        whole = tables.rows.covariance()[k] + partials @ tables.own.covariance()[s] @ partials.T
+        expected = np.where(np.isfinite(tables.rows.errors[:, k]), np.sqrt(np.diag(whole)) / MAS, np.nan)
+        np.testing.assert_allclose(link.difference_error.values[k], expected, rtol=1e-5)
 
 
 @pytest.fixture(scope="module")
@@ -197,7 +204,7 @@ def folder(tmp_path_factory):
 
 
 KINDS = "formal,scaled,jackknife,sandwich,cells"
-SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))]
+SEEDS = [1, *map(slow, (2, 3))]
 
 
 @pytest.mark.parametrize("weights", ["covariance", "variance", "equal"])
@@ -289,10 +296,9 @@ def test_sources_that_say_nothing_change_nothing(folder):
 
 
 @pytest.mark.parametrize("clip", ["none", slow("huber:1.2"), slow("median:3"), slow("discrepancy:2")])
-@pytest.mark.parametrize("weights", ["covariance", slow("equal")])
-def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypatch, clip, weights):
+def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypatch, clip):
     tables = drawn_tables(folder, 8, n=14, far=(3, 7))
-    options = {"clip": clip, "weights": weights, "errors": "formal,scaled,cells"}
+    options = {"clip": clip, "errors": "formal,scaled,cells"}
     plain = linked(tables, **options)
     monkeypatch.setattr("linksweep.core.tie.solution.KEPT_NUMBERS", 0)
     monkeypatch.setattr("linksweep.core.tie.problem.BLOCK", 4)
@@ -376,22 +382,6 @@ def test_jitter_is_what_one_would_add_by_hand(folder, seed):
         np.testing.assert_allclose(found[name], other[name], rtol=1e-7, atol=1e-10, err_msg=name)
     with pytest.raises(SweepError, match="no kind of row five"):
         linked(tables, jitter={"five": (1.0, 1.0)})
-
-
-def test_residuals_are_what_the_solution_leaves(folder):
-    """In the sense that their chi2 is that of the link, and their errors those of the differences."""
-    tables = drawn_tables(folder, 11)
-    link = linked(tables)
-    found = least_squares(tables, link.difference.values, "covariance", np.ones(12))
-    order = np.argsort(tables.source, kind="stable")
-    residual = link.residual.values[order]
-    np.testing.assert_allclose(residual[np.isfinite(residual)], found.residual, rtol=1e-4, atol=1e-6)
-    for k, s in enumerate(tables.source):
-        partials = np.eye(5)
-        partials[0, 3] = partials[1, 4] = tables.rows.epoch[k] - tables.own.epoch[s]
-        whole = tables.rows.covariance()[k] + partials @ tables.own.covariance()[s] @ partials.T
-        expected = np.where(np.isfinite(tables.rows.errors[:, k]), np.sqrt(np.diag(whole)) / MAS, np.nan)
-        np.testing.assert_allclose(link.difference_error.values[k], expected, rtol=1e-5)
 
 
 def test_powers_are_the_integrals_of_their_fields_over_the_sky(folder):

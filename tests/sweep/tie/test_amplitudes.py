@@ -52,8 +52,8 @@ def test_a_difference_is_at_the_epoch_and_in_the_sign_of_the_first(sign):
 
 
 def test_chi2_of_a_difference_is_that_of_its_covariance():
-    one = linksweep.tie("psrpi-de200", "timing-de200", "orientation", weights="variance")
-    other = linksweep.tie("psrpi-de200", "timing-de200", "orientation", weights="equal")
+    tables = "psrpi-de200", "timing-de200", "orientation"
+    one, other = (linksweep.tie(*tables, weights=weights) for weights in ("variance", "equal"))
     made = linksweep.difference(one, other)
     apart = one.estimate.values - other.estimate.values
     expected = apart @ np.linalg.inv(one.covariance.values + other.covariance.values) @ apart
@@ -63,15 +63,11 @@ def test_chi2_of_a_difference_is_that_of_its_covariance():
 
 def test_what_has_no_difference_is_refused(tmp_path, sweep_here, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for name, unknowns, epoch in (
-        ("a", "orientation", "2010"),
-        ("b", "orientation", "2016"),
-        ("c", "position_glide", "2010"),
-    ):
+    for name, unknowns, epoch in (("a", "orientation", "2010"), ("b", "orientation", "2016")):
         arguments = "psrpi-de200", "timing-de200", "--unknowns", unknowns, "--epoch", epoch, "-o", f"{name}.zarr"
         assert sweep_here("tie", *arguments)[0] == 0
     assert sweep_here("show", "a.zarr", "--minus", "a.zarr")[0] == 0
-    for one, other, why in (("a", "b", "no omega_x"), ("a", "c", "no unknown in common"), ("a", "d", "two links")):
-        code, out, err = sweep_here("show", f"{one}.zarr", "--minus", f"{other}.zarr")
+    for other, why in (("b", "no omega_x"), ("d", "two links")):
+        code, out, err = sweep_here("show", "a.zarr", "--minus", f"{other}.zarr")
         assert (code, out) == (2, "")
         assert why in err

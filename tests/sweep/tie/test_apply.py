@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 import linksweep
 from linksweep import SweepError
 from tests.core.tie.made import DEGREE, EPSILON, MAS, NAMES, OMEGA, PAIRS, gaia, main, seen_by_satellite, stars
+from tests.tiers import slow
 
 SETTINGS = {"deadline": None, "suppress_health_check": [HealthCheck.function_scoped_fixture]}
 
@@ -101,7 +102,7 @@ def test_the_covariance_of_the_link_is_added(tmp_path):
     np.testing.assert_allclose(covariance_of(moved), expected, rtol=1e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize("form", ["csv", "ecsv", "fits", "parquet"])
+@pytest.mark.parametrize("form", ["csv", "fits", *map(slow, ("ecsv", "parquet"))])
 def test_the_file_has_the_columns_of_the_input_and_a_tie_finds_no_rotation(tmp_path, form):
     link = linked(tmp_path, 20.0 * EPSILON[0], OMEGA[0])
     out = tmp_path / f"moved.{form}"
@@ -152,44 +153,30 @@ def test_what_the_link_lacks_stays_and_is_said(tmp_path, unknowns):
 
 def test_what_cannot_be_carried_is_refused_by_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    linksweep.apply(linksweep.tie("icrf3", "icrf2"), "icrf3", "icrf.fits")  # its header has long names
     linked(tmp_path, EPSILON[0], OMEGA[0])
     both = ("satellite.ecsv", "reference.ecsv")
-    ties = {
-        "plain": {},
-        "glide": {"unknowns": "orientation,spin,glide"},
-        "harmonics": {"unknowns": "orientation,spin,vsh_motion:2-2"},
-        "bins": {"bins": ("phot_g_mean_mag", [8.0])},
-        "known": {"known_spin": [0.1, 0.0, 0.0]},
-    }
-    for name, options in ties.items():
-        link = linksweep.tie(*both, **options)
-        if name == "plain":
-            assert CliRunner().invoke(main, ["tie", *both, "-o", "tie.zarr"]).exit_code == 0
-            continue
-        with pytest.raises(
-            SweepError, match={"glide": "has glide too", "harmonics": "vsh_motion too"}.get(name, "spin")
-        ):
-            linksweep.apply(link, "satellite.ecsv")
+    for options, said in (
+        ({"unknowns": "orientation,spin,glide"}, "has glide too"),
+        ({"unknowns": "orientation,spin,vsh_motion:2-2"}, "vsh_motion too"),
+        ({"bins": ("phot_g_mean_mag", [8.0])}, "spin"),
+        ({"known_spin": [0.1, 0.0, 0.0]}, "spin"),
+    ):
+        with pytest.raises(SweepError, match=said):
+            linksweep.apply(linksweep.tie(*both, **options), "satellite.ecsv")
+    assert CliRunner().invoke(main, ["tie", *both, "-o", "tie.zarr"]).exit_code == 0
     gaia(tmp_path / "dr4.ecsv", stars(10, 1, epoch=2017.5))
     Table({"a": [1]}).write("other.ecsv")
     before = sorted(path.name for path in tmp_path.iterdir())
     for arguments, said in (
         (("tie.zarr", "dr4.ecsv", "-o", "o.fits"), "epoch 2017.5 in row 1"),
         (("satellite.ecsv", "satellite.ecsv", "-o", "o.fits"), "is no link of two tables"),
-        (("nowhere.zarr", "satellite.ecsv", "-o", "o.fits"), "is no link of two tables"),
-        (("tie.zarr", "nowhere.ecsv", "-o", "o.fits"), "no such file"),
         (("tie.zarr", "satellite.ecsv", "-o", "dr4.ecsv"), "exists already"),
         (("tie.zarr", "satellite.ecsv", "-o", "o.xyz"), ".csv, .ecsv, .fits, .parquet"),
         (("tie.zarr", "satellite.ecsv"), "-o"),
         (("tie.zarr", "other.ecsv", "-o", "o.fits"), "'ra'"),
-        (("tie.zarr", "icrf3", "-o", "o.fits"), ""),
     ):
         run = CliRunner().invoke(main, ["apply", *arguments])
-        if said:
-            assert (run.exit_code, said in " ".join(run.output.split())) == (2, True), run.output
-    (tmp_path / "o.fits").unlink(missing_ok=True)
+        assert (run.exit_code, said in " ".join(run.output.split())) == (2, True), run.output
     assert sorted(path.name for path in tmp_path.iterdir()) == before
     run = CliRunner().invoke(main, ["apply", "tie.zarr", "satellite.ecsv", "-o", "o.fits"])
-    assert run.exit_code == 0
-    assert "note: carried from the frame of the satellite to the reference by orientation and spin" in run.output
+    assert (run.exit_code, "by orientation and spin" in run.output) == (0, True)

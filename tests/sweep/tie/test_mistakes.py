@@ -1,6 +1,5 @@
 """Made skies with one mistake each, which is refused or named with its cause; without one nothing is suspected."""
 
-import json
 import re
 from dataclasses import replace
 
@@ -131,51 +130,34 @@ def exchange(table, one, other):
     table["source_id"] = [place.get(name, name) for name in table["source_id"]]
 
 
-POSITIONS, MOTIONS, PARALLAX = ("ra_error", "dec_error"), ("pmra", "pmdec"), ("parallax", "parallax_error")
+POSITIONS, MOTIONS = ("ra_error", "dec_error"), ("pmra", "pmdec")
 ERRORS = tuple(f"{name}_error" for name in NAMES)
 MISTAKES = {
     "mu_alpha": ("satellite", without_cosine, "pmra of the satellite is mu_alpha"),
     "mu_alpha there": ("reference", without_cosine, "pmra of the reference is mu_alpha"),
     "motions exchanged": ("satellite", motions_exchanged, "pmra and pmdec of the satellite exchanged"),
-    "motions exchanged there": ("reference", motions_exchanged, "pmra and pmdec of the reference exchanged"),
     "motions reversed": ("satellite", scaled(MOTIONS, -1.0), "proper motions of the satellite with reversed sign"),
-    "one motion reversed": ("satellite", scaled(["pmdec"], -1.0), "pmdec of the satellite with reversed sign"),
-    "half a year late": ("satellite", epochs_moved(0.5), "epochs of the satellite 0.5 years too late"),
     "half a year early there": ("reference", epochs_moved(-0.5), "epochs of the reference 0.5 years too early"),
     "a quarter year late there": ("reference", epochs_moved(0.25), "epochs of the reference 0.25 years too late"),
-    "a century early": ("satellite", epochs_moved(-100.0), "epochs of the satellite 100 years too early"),
     "a century early there": ("reference", epochs_moved(-100.0), "epochs of the reference 100 years too early"),
-    "positions of 2000": ("satellite", epochs_moved(-16.0), "epochs of the satellite 16 years too early"),
     "one star reversed": ("satellite", one_motion_reversed, r"pmra of \d+ in the satellite with reversed sign"),
     "epochs equal": ("reference", epochs_equal, "epochs of .* equal"),
     "parallax in arcsec": ("satellite", scaled(["parallax"], 1e-3), "parallaxes of the satellite, arcsec taken"),
-    "all of parallax in arcsec": ("satellite", scaled(PARALLAX, 1e-3), "parallax.*(arcsec taken|no instrument)"),
-    "motions in arcsec": ("satellite", scaled(MOTIONS, 1e-3), "proper motions of the satellite, arcsec taken"),
     "motions in arcsec there": ("reference", scaled(MOTIONS, 1e-3), "proper motions of the reference, arcsec taken"),
     "position errors in deg": ("satellite", scaled(POSITIONS, 1.0 / 3.6e6), "deg taken for mas"),
-    "position errors in deg there": ("reference", scaled(POSITIONS, 1.0 / 3.6e6), "deg taken for mas"),
     "errors of ra in seconds": (
         "reference",
         scaled(["ra_error"], 1.0 / 1.5e4),
         "errors of ra.*(seconds of time|no inst)",
     ),
-    "errors of dec in arcsec": ("reference", scaled(["dec_error"], 1e-3), "errors of dec.*arcsec taken"),
     "errors in mas declared as deg": ("reference", declared(POSITIONS, "deg"), "mas taken for deg"),
-    "position errors in uas": ("reference", scaled(POSITIONS, 1e3), "errors of positions.*uas taken for mas"),
     "errors in uas": ("satellite", scaled(ERRORS, 1e3), "too large, uas taken for mas"),
     "no correlations": ("satellite", without_correlations, "no correlations"),
     "one row twice": ("reference", twice_with_other_digits, "(nearly the|the same) numbers (of|as) another row"),
     "errors that are NaN": ("reference", errors_nan, "rows have no error of ra, dec"),
     "names exchanged": ("reference", names_exchanged, "exchanged"),
 }
-QUICK = {
-    "mu_alpha",
-    "half a year early there",
-    "one star reversed",
-    "parallax in arcsec",
-    "errors in uas",
-    "one row twice",
-}
+QUICK = {"mu_alpha", "half a year early there", "one star reversed", "errors in uas", "one row twice"}
 
 
 def solved(folder, satellite, reference, **options):
@@ -199,7 +181,7 @@ def suspicions(notes):
 @pytest.mark.parametrize("mistake", [m if m in QUICK else slow(m) for m in MISTAKES])
 @pytest.mark.parametrize(
     ("n", "seed"),
-    [(9, 1), *(pytest.param(n, n + seed, marks=pytest.mark.slow) for n in (5, 20, 60) for seed in (2, 3))],
+    [(9, 1), *(slow(n, n + seed) for n in (5, 60) for seed in (2, 3))],
 )
 def test_a_mistake_is_named(tmp_path, mistake, n, seed):
     side, change, words = MISTAKES[mistake]
@@ -212,7 +194,6 @@ def test_a_mistake_is_named(tmp_path, mistake, n, seed):
 PAIRS = [
     ("mu_alpha", "a quarter year late there"),
     ("motions exchanged", "motions in arcsec there"),
-    ("one motion reversed", "half a year early there"),
     ("mu_alpha there", "motions exchanged"),
 ]
 
@@ -245,21 +226,18 @@ def test_an_absurd_link_is_printed_but_not_written_unless_it_is_accepted(tmp_pat
     satellite, reference = sky(8, 4)
     without_cosine(satellite, None)
     tables = written(tmp_path, satellite, reference)
-    where = ["-o", str(tmp_path / "tie.zarr")]
-    refused = CliRunner().invoke(main, ["tie", *tables, *where])
-    assert refused.exit_code == 1
+    command = ["tie", *tables, "-o", str(tmp_path / "tie.zarr")]
+    refused = CliRunner().invoke(main, command)
     first = " ".join(refused.stdout.split())
-    assert first.startswith("warning: chi2 is ")
+    assert (refused.exit_code, first.startswith("warning: chi2 is ")) == (1, True)
     assert "pmra of the satellite is mu_alpha, without cos(dec): say --without-cos-dec satellite" in first
     assert "epsilon_x" in refused.stdout
     assert "Nothing is written; --accept-misfit accepts it" in refused.stderr
     assert not (tmp_path / "tie.zarr").exists()
-    accepted = CliRunner().invoke(main, ["tie", *tables, *where, "--accept-misfit"])
+    accepted = CliRunner().invoke(main, [*command, "--accept-misfit"])
     assert (accepted.exit_code, accepted.stdout) == (0, refused.stdout)
-    assert CliRunner().invoke(main, ["show", str(tmp_path / "tie.zarr")]).stdout == refused.stdout
     cured = CliRunner().invoke(main, ["tie", *tables, "--without-cos-dec", "satellite"])
-    assert cured.exit_code == 0
-    assert "warning" not in cured.stdout
+    assert (cured.exit_code, "warning" in cured.stdout) == (0, False)
     with pytest.raises(SweepError, match="accept_misfit=True accepts it") as error:
         linksweep.tie(*tables)
     assert first.startswith(f"warning: {error.value.link.attrs['misfit']}")
@@ -268,17 +246,12 @@ def test_an_absurd_link_is_printed_but_not_written_unless_it_is_accepted(tmp_pat
 def test_a_study_of_absurd_tables_is_refused_with_the_cause(tmp_path):
     satellite, reference = sky(8, 4)
     satellite["ref_epoch"] += 0.5
-    written(tmp_path, satellite, reference)
-    named = 'title = "t"\nexperiment = "linksweep.sweep.tie.experiment:tie"\n[fixed]\nsatellite = "satellite.csv"\n'
-    (tmp_path / "study.toml").write_text(f'{named}reference = "reference.csv"\n[sampling]\nn_sim = 2\n')
-    command = ["run", str(tmp_path / "study.toml"), "-o", str(tmp_path / "s.zarr"), "--pool", "serial"]
-    refused = CliRunner().invoke(main, command)
-    assert refused.exit_code == 2
-    said = " ".join(refused.output.split())
-    assert re.search("epochs of the satellite 0.5 years too late.*accept_misfit = true computes it", said)
-    accepted = CliRunner().invoke(main, [*command, "--set", "accept_misfit=true"])
-    assert accepted.exit_code == 0
-    assert "0.5 years too late" in " ".join(accepted.output.split())
+    tables = dict(zip(("satellite", "reference"), written(tmp_path, satellite, reference), strict=True))
+    study = {"experiment": "linksweep.sweep.tie.experiment:tie", "fixed": tables, "sampling": {"n_sim": 2}}
+    with pytest.raises(SweepError, match=r"epochs of the satellite 0.5 years too late.*accept_misfit = true"):
+        linksweep.run(study, tmp_path / "s.zarr", pool="serial")
+    study["fixed"] = tables | {"accept_misfit": True}
+    assert "0.5 years too late" in linksweep.run(study, tmp_path / "s.zarr", pool="serial").attrs["warnings"]
 
 
 @pytest.mark.parametrize("size", [slow(2.5), 10.0])
@@ -308,31 +281,26 @@ def test_quasars_without_an_epoch_are_mean_positions(tmp_path):
     rng, n = np.random.default_rng(3), 300
     ra, dec = rng.uniform(0.0, 360.0, n), np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, n)))
     satellite = Table({"name": [f"Q{i}" for i in range(n)], "ref_epoch": np.full(n, 2016.0), "ra": ra, "dec": dec})
-    for name in NAMES[2:]:
-        satellite[name] = rng.normal(-0.02, 0.1, n)
     for name in NAMES:
         satellite[f"{name}_error"] = np.full(n, 0.1)
+    for name in NAMES[2:]:
+        satellite[name] = rng.normal(-0.02, 0.1, n)
     reference = satellite["name", "ra", "dec", "ra_error", "dec_error"]
     reference["dec"] = dec + rng.normal(0.0, 0.14, n) / 3.6e6
-    reference["ra"] = ra + rng.normal(0.0, 0.14, n) / 3.6e6 / np.cos(np.radians(dec))
     tables = written(tmp_path, satellite, reference)
-    refused = CliRunner().invoke(main, ["tie", *tables])
-    assert refused.exit_code == 2
-    assert "no column ref_epoch; give the epochs" in refused.stderr
-    assert "--extragalactic reference" in refused.stderr
     unknowns = "orientation,position_glide"
     link = linksweep.tie(*tables, unknowns, extragalactic="reference")
     assert set(link.row_kind.values.tolist()) == {"position"}
-    assert np.all(np.isnan(link.row_epoch))
     offset = (reference["dec"] - satellite["dec"]) * 3.6e6  # neither moved nor displaced
     np.testing.assert_allclose(link.difference.sel(observable="dec"), offset, atol=1e-6)
-    done = CliRunner().invoke(main, ["tie", *tables, "--unknowns", unknowns, "--extragalactic", "reference", "--json"])
-    assert json.loads(done.stdout)["variables"]["estimate"]["values"] == link.estimate.values.tolist()
     obeyed = linksweep.tie(*tables, unknowns, reference_epoch=2015.5)
     assert any("if they are quasars, say --extragalactic reference" in note for note in obeyed.attrs["notes"])
-    both = CliRunner().invoke(main, ["tie", *tables, "--extragalactic", "reference", "--reference-epoch", "2015.5"])
-    assert both.exit_code == 2
-    assert "positions of quasars hold at any epoch" in both.stderr
+    for options, said in (
+        ([], "no column ref_epoch; give the epochs"),
+        (["--extragalactic", "reference", "--reference-epoch", "2015.5"], "positions of quasars hold at any epoch"),
+    ):
+        refused = CliRunner().invoke(main, ["tie", *tables, *options])
+        assert (refused.exit_code, said in refused.stderr) == (2, True)
 
 
 def test_names_exchanged_far_apart_are_refused_with_both_names(tmp_path):

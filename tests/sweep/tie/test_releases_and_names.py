@@ -64,13 +64,6 @@ def test_identifiers_of_two_releases_are_different_names(tmp_path):
     assert linksweep.tie(*named, "orientation").attrs["matched_by"] == "hip"
 
 
-def test_one_release_is_matched_by_its_identifiers(tmp_path):
-    numbers = np.arange(12) + 100
-    same = {"designation": designations("EDR3", numbers)}, {"designation": designations("DR3", numbers)}
-    tables = two_tables(tmp_path, own=same[0], other=same[1], epoch=2016.0)
-    assert linksweep.tie(*tables, "orientation").attrs["matched_by"] == "source_id"
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

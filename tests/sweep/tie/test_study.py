@@ -14,7 +14,7 @@ import linksweep
 from linksweep import SweepError, load_study
 from linksweep.sweep.cli.group import main
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie, unused
+from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie
 from tests.core.tie.made import MAS, Objects, gaia, gaia_table, noise, parse_unknowns, spin_block, stars
 from tests.sweep.opening import run_study
 
@@ -218,19 +218,12 @@ def test_limits_of_magnitude_leave_sources_out():
         ({"satellite": None}, "satellite is required"),
         ({"n_new": 63}, "there are 62 sources to observe"),
         ({"n_new": 0}, "no rows"),
-        ({"clip": "sigma:3"}, "is not known; known are none"),
-        ({"unknowns": "orientatoin"}, "known are orientation"),
         ({"n_new": 1}, "do not tell these unknowns apart"),
         ({"goal": "spin"}, "no unknowns 'spin'"),
     ],
 )
 def test_what_cannot_be_computed_is_said(changes, words):
     assert words in check(point("pulsar-forecast", n_new=5) | changes)
-
-
-def test_what_is_set_in_vain_is_refused():
-    assert "from_release" in unused(point("pulsar-timing"))
-    assert "truth" in unused(point("pulsar-forecast", n_new=5))
 
 
 @pytest.mark.slow
@@ -263,17 +256,11 @@ def test_studies_and_forecasts_have_every_option_of_a_link_under_its_name():
     ("name", "flag", "value"),
     [
         ("degree", "--degree", 0),
-        ("weights", "--weights", "equall"),
         ("epoch", "--epoch", 99.0),
         ("aberration", "--aberration", -1.0),
-        ("aberration", "--aberration", "much"),
         ("known_spin", "--known-spin", [0.1, 0.2]),
-        ("zero_errors", "--zero-errors", "none"),
-        ("jitter", "--jitter", "position"),
         ("bins", "--bins", "17"),
-        ("columns", "--column", {"hip:ra": "x"}),
         ("without_cos_dec", "--without-cos-dec", "hip"),
-        ("mission_epochs", "--mission-epoch", {"satellite": "2016"}),
         ("star_models", "--star-model", {"all": "7"}),
     ],
 )
@@ -309,10 +296,7 @@ def written(folder, **changes):
 
 CASES = {
     "jitter": ({"jitter": "estimate"}, {"jitter": "estimate"}),
-    "jitter of a kind": ({"jitter": "five-parameter=0.3:0.1"}, {"jitter": {"five-parameter": (0.3, 0.1)}}),
     "without_cos_dec": ({"without_cos_dec": "reference"}, {"without_cos_dec": "reference"}),
-    "units": ({"units": {"reference:pmra": "arcsec/yr"}}, {"units": {"reference:pmra": "arcsec/yr"}}),
-    "where": ({"where": "phot_g_mean_mag < 10"}, {"where": "phot_g_mean_mag < 10"}),
     "where there": (
         {"where": "phot_g_mean_mag < 14; reference: phot_g_mean_mag < 10"},
         {"where": ["phot_g_mean_mag < 14", "reference: phot_g_mean_mag < 10"]},
@@ -351,34 +335,3 @@ def test_a_study_has_what_the_command_has_with_each_option(tmp_path, monkeypatch
     np.testing.assert_allclose(results.sigma_predicted.values[:6], formal, rtol=1e-9)
     plain = linksweep.tie("satellite.ecsv", "reference.ecsv", "orientation,spin", accept_misfit=True)
     assert not np.allclose(plain.estimate, link.estimate[:6], rtol=1e-6)
-
-
-ICRF = """\
-ICRF J000211.9-215309  2359-221     00 02 11.98262436  -21 53 09.8359742  0.00115400 0.0386714   0.971  54818.7 548
-ICRF J001031.0+105829  0007+106  D  00 10 31.00590186   10 58 29.5043827  0.00000491 0.0000930  -0.187  53063.9 472
-ICRF J121031.0-401000  x            12 10 31.00590186  -40 10 00.0000000  0.00000491 0.0000930  -0.187  53063.9 472
-"""
-
-
-def test_a_study_reads_the_text_of_the_icrf(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "icrf.txt").write_text(ICRF)
-    results = written(tmp_path, satellite="icrf.txt", reference="icrf.txt", unknowns="orientation")
-    link = linksweep.tie("icrf.txt", "icrf.txt", "orientation", accept_misfit=True)
-    np.testing.assert_allclose(results.error_formal.values[:3], link.errors.sel(error_kind="formal"))
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"jitter": "position"}, "KIND=MAS"),
-        ({"missions": {"hip": "nowhere.ecsv"}}, "no such file"),
-        ({"mission_epochs": {"hip": "1991.25"}}, "mission_epochs: no table 'hip'"),
-        ({"missions": ["psrpi"]}, "a table of paths"),
-    ],
-)
-def test_wrong_options_of_studies_are_refused(tmp_path, monkeypatch, changes, said):
-    monkeypatch.chdir(tmp_path)
-    table = gaia("satellite.ecsv", stars(20, 3))
-    with pytest.raises(SweepError, match=said):
-        written(tmp_path, satellite=str(table), reference=str(table), **changes)
