@@ -97,15 +97,14 @@ def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, 
     """Yield name, unit and dataset of a variable, or of each of its components, with one value per point; the values of
     a function along a dimension of its own stay together.
     """
-    unit, dims = formatting.units_of(dataset[variable].attrs), quantity.own_dimensions(dataset, variable)
+    dims = quantity.own_dimensions(dataset, variable)
     if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in dims):
         dims = []
-    for place in quantity.places_along(dataset, dims):
+    units = quantity.units_along(dataset, variable, dims)
+    for place, unit in zip(quantity.places_along(dataset, dims), units, strict=True):
         part = dataset.isel(place)
         labels = [str(part[d].values.item()) if d in part.coords else str(i) for d, i in place.items()]
-        units = [str(part[f"{d}_unit"].values.item()) for d in dims if f"{d}_unit" in part.coords]
-        each = units[0] if "," in unit and len(units) == 1 else unit
-        yield f"{variable} ({', '.join(labels)})" if dims else variable, each, part
+        yield f"{variable} ({', '.join(labels)})" if dims else variable, unit, part
 
 
 def _with_errors(dataset: xr.Dataset, variable: str, errors: list[str]) -> str:

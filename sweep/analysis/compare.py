@@ -71,10 +71,7 @@ def unit_of(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> str:
     """
     if not isinstance(derived, Reading) or derived.variable not in dataset:
         return ""
-    part = _of_component(dataset, derived)
-    dimension = dataset[derived.variable].dims[-1:]
-    units = f"{dimension[0]}_unit" if derived.component is not None else ""
-    return str(part[units].values.item()) if units in part.coords else units_of(part[derived.variable].attrs)
+    return quantity.units_along(_of_component(dataset, derived), derived.variable, [])[0]
 
 
 def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> Iterator[Measured]:

@@ -22,6 +22,7 @@ from linksweep.sweep.analysis import fits, quantity
 from linksweep.sweep.analysis.derived import derived
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError, shown, small_sample_factor
 from linksweep.sweep.contract.reducer import LENGTH
+from linksweep.sweep.contract.units import factor_between, unit_problem
 from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, units_of, with_error, with_unit
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.record import outer_draw_of
@@ -216,7 +217,7 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
     errors = rows(none if error is None else error, dimension) if covariance is None else rows(covariance, *pair)
     made = []
     for number, (index, unit) in enumerate(
-        zip(quantity.places_along(dataset, others), _units(dataset, variable, others), strict=True)
+        zip(quantity.places_along(dataset, others), quantity.units_along(dataset, variable, others), strict=True)
     ):
         used = status[number] != Status.EXCLUDED
         spread = errors[number][used] if covariance is None else errors[number][np.ix_(used, used)]
@@ -227,18 +228,6 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
     )
     words = _errors_in_words(dataset, error is not None, covariance is not None, samples)
     return Lines(variable, over, units_of(dataset[over].attrs), others, grid, made, words)
-
-
-def _units(dataset: xr.Dataset, variable: str, others: Sequence[str]) -> list[str]:
-    """Return the unit of each line: that of the variable, or of the components that its own unit lists."""
-    unit, parts = units_of(dataset[variable].attrs), []
-    if "," in unit:
-        parts = [c for n, c in dataset.coords.items() if str(n).endswith("_unit") and set(c.dims) <= set(others)]
-    units = []
-    for place in quantity.places_along(dataset, others):
-        words = [str(part.isel({d: place[str(d)] for d in part.dims}).item()) for part in parts] or [unit]
-        units.append(words[0] if len(words) == 1 else " ".join(f"({word})" for word in words))
-    return units
 
 
 def _errors_in_words(dataset: xr.Dataset, known: bool, correlated: bool, samples: float) -> str:
@@ -454,12 +443,9 @@ class Limit:
         """Return the number in a unit; raises SweepError if it cannot be converted."""
         if not self.unit:
             return self.number
-        from astropy import units
-
-        try:
-            return float(units.Unit(self.unit).to(units.Unit(unit), self.number))
-        except ValueError as error:  # of another kind, or a unit of an experiment that astropy does not know
-            raise SweepError(f"{self.variable} is in {unit or 'no unit'}, not convertible to {self.unit}") from error
+        if (factor := factor_between(self.unit, unit)) is None:  # of another kind, or none that astropy knows
+            raise SweepError(f"{self.variable} is in {unit or 'no unit'}, not convertible to {self.unit}")
+        return self.number * factor
 
     def is_met(self, values: Array, number: float) -> NDArray[np.bool_]:
         """Return where values meet the condition; ``number`` is the limit in their unit."""
@@ -480,13 +466,8 @@ def parse_limit(text: str) -> Limit:
         number = float(match["number"]) if match else math.nan
     if match is None or not math.isfinite(number):
         raise SweepError(f"{shown(text)}: {wanted}", "--where")
-    if unit := match["unit"] or "":
-        from astropy import units
-
-        try:
-            units.Unit(unit)
-        except (ValueError, TypeError) as error:
-            raise SweepError(f"{shown(text)}: {shown(unit)} is not a unit that astropy knows", "--where") from error
+    if unit_problem(unit := match["unit"] or ""):
+        raise SweepError(f"{shown(text)}: {shown(unit)} is not a unit that astropy knows", "--where")
     return Limit(match["variable"], match["sign"], number, unit)
 
 

@@ -6,6 +6,7 @@ Everything that looks at results asks here, so that tables, laws, figures and pa
 from __future__ import annotations  # names of xarray, which is imported only where it computes
 
 import json
+import math
 from collections.abc import Collection, Container, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -298,6 +299,21 @@ def places_along(dataset: xr.Dataset | xr.DataArray, dimensions: Iterable[Hashab
     names = list(map(str, dimensions))
     for index in np.ndindex(*(dataset.sizes[name] for name in names)):
         yield dict(zip(names, index, strict=True))
+
+
+def units_along(dataset: xr.Dataset, variable: str, dimensions: Sequence[str]) -> list[str]:
+    """Return the unit of a variable at every combination along some dimensions, in C order: that of its components,
+    which are chosen by these or already, where they differ; of those of two components the product.
+    """
+    unit, parts = units_of(dataset[variable].attrs), list[list[str]]()
+    if "," in unit:
+        names = [str(n) for n, c in dataset.coords.items() if str(n).endswith("_unit") and set(c.dims) <= {*dimensions}]
+        parts = [listed(dataset, name, dimensions) for name in names]
+    if not parts:
+        return [unit] * math.prod(dataset.sizes[d] for d in dimensions)
+    return (
+        parts[0] if len(parts) == 1 else [" ".join(f"({word})" for word in words) for words in zip(*parts, strict=True)]
+    )
 
 
 def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:

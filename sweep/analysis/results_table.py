@@ -181,19 +181,10 @@ def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> list[Tab
         if not (errors := quantity.errors_beside(dataset, name)):
             continue
         part = quantity.where_they_change(dataset, [name, *errors])
-        components = quantity.own_dimensions(part, name)
-        dims = [*quantity.axes_of(part), *components]
-        places = [
-            *quantity.axis_coordinates(part, quantity.axes_of(part)),
-            *(d for d in components if d in part.coords),
-        ]
+        dims = [*quantity.axes_of(part), *quantity.own_dimensions(part, name)]
+        places = [n for n in quantity.axis_coordinates(part, dims) if not n.endswith("_unit")]
         columns = {n: quantity.listed(part, n, dims) for n in [*places, name, *errors]}
-        label = next((f"{d}_unit" for d in components if f"{d}_unit" in part.coords), None)
-        units = (
-            quantity.listed(part, label, dims)
-            if label
-            else [formatting.units_of(part[name].attrs)] * len(columns[name])
-        )
+        units = quantity.units_along(part, name, dims)
         known = [i for i, value in enumerate(columns[name]) if math.isfinite(value)]
         for unit in dict.fromkeys(units[i] for i in known):
             at = [i for i in known if units[i] == unit][:most]

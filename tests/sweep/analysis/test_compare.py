@@ -121,7 +121,7 @@ def test_a_component_of_a_result():
     dataset = grid(1.0, claims=[claim(published="2", value={"variable": "shift", "component": "y", "at": {"n": 50.0}})])
     axes, numbers = (*("model", "n"), "component"), np.broadcast_to([1.0, 2.0], (2, len(N), 2))
     dataset = dataset.assign_coords(component=["x", "y"], component_unit=("component", ["m", "s"]))
-    dataset["shift"] = (axes, numbers)
+    dataset["shift"] = (axes, numbers, {"units": "m, s"})
     dataset["shift_mc_error"] = (axes, 0.1 * numbers)
     found = compare(dataset)
     assert [c.where for c in found] == [{"model": "old", "n": 50.0}, {"model": "new", "n": 50.0}]
