@@ -301,7 +301,7 @@ def plot(
 
     Args:
         dataset: what `run`, `open`, `tie` or `forecast` returned, or a part of it.
-        kind: "lines", "law", "map", "scatter", "points" or "pairs"; for a link "solution", "residuals",
+        kind: "lines", "law", "map", "scatter", "points", "pairs" or "scaling"; for a link "solution", "residuals",
             "separations", "weight", "ranking", "jackknife", "trajectory", "spectrum" or "bins"; for a forecast "epochs"
             or "ranking".  By default the kind that suits the dataset.
         variables: names of outputs, one column of panels each; the main result by default.

@@ -20,8 +20,8 @@ from linksweep.sweep.table_writer import Table
 if TYPE_CHECKING:
     import xarray as xr
 
-# results of a study; what is derived from them; links and forecasts of tables
-Kind = Literal["grid", "law", "crossings", "sensitivity", "tie", "forecast"]
+# results of a study; what is derived from them; measurements of `sweep scaling`; links and forecasts of tables
+Kind = Literal["grid", "law", "crossings", "sensitivity", "scaling", "tie", "forecast"]
 
 # Stores of these kinds are one dataset, without a study and its ledger, which has the name of its kind as ``result``.
 STORED_TABLES: tuple[Kind, ...] = ("tie", "forecast")
@@ -32,6 +32,7 @@ MARKS: dict[str, Kind] = {
     "law": "law",
     "condition": "crossings",
     "sensitivity_method": "sensitivity",
+    "efficiency": "scaling",
 }
 
 

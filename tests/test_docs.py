@@ -29,6 +29,7 @@ QUICK = ("function-series.md",)
 # (clusters), and by the tests of the tutorial, stores and galaxies.
 PAGES = {
     "analysis.md": ["quasars.svg", "sky.svg", "sqrt-n.svg", "both.svg", "accuracy.pdf"],
+    "benchmarks.md": ["scaling.svg"],
     "calibration.md": ["accuracy.svg"],
     "coming-from.md": ["lost.svg"],
     "dr4.md": ["dr4.svg", "figures/solution.png"],

@@ -1,4 +1,4 @@
-"""Commands that compute a study or keep its store: run, refine, plan, status, check, reproduce, merge and
+"""Commands that compute a study or keep its store: run, refine, plan, scaling, status, check, reproduce, merge and
 submit; what they run on, and what the user sees of it.
 """
 
@@ -35,6 +35,7 @@ POOL_HELP = (
     f"What to run on here: {', '.join(pool.words for pool in POOLS.values())}.  "
     f"[default: {DEFAULT_POOL}; serial if small]"
 )
+WITH_WORKERS = [name for name, pool in POOLS.items() if pool.has_workers]
 
 MEMORY_AT_LEAST = 200 * 10**6
 """Bytes that a worker needs for itself."""
@@ -365,6 +366,49 @@ def plan(
         lines += [("time", f"{seconds} of computing on {cores} of this machine")]
     for key, text in [*lines, ("store", report["store"]), *(("warning", text) for text in report["warnings"])]:
         group.print_wrapped(text, f"{key:14}", 14 * " ")
+
+
+@parsed
+def _counts(text: str) -> tuple[int, ...]:
+    words = text.split(",")
+    if not all(word.strip().isdecimal() and len(word) < 6 for word in words):
+        raise ValueError(f"{text!r} is no list of numbers of workers; write 1,2,4")
+    return tuple(map(int, words))
+
+
+@group.command("Run", "Measure how a study scales with workers")
+def scaling(
+    study: str = options.STUDY,
+    workers: tuple[int, ...] = opt("Numbers of workers, from 1 up.", default="1,2", callback=_counts),
+    pool: Any = choice("Workers are processes, or threads of this one.", WITH_WORKERS, default=DEFAULT_POOL),
+    repetitions: int = opt("Times of every run; 5 or more give errors.", type=click.IntRange(1, 1000), default=3),
+    settings: Sequence[str] = options.SETTINGS,
+    axes: Sequence[str] = options.AXES,
+    output: Path | None = options.output("The measurements, as Zarr.  [default: results/NAME-scaling.zarr]"),
+    figure: Path | None = opt("Also draw them with the ideal lines: .png, .svg, .pdf.", type=options.FILE),
+    trust: bool = options.TRUST,
+    as_json: bool = options.JSON,
+) -> None:
+    """Measure how STUDY scales with local workers: the same work on more of them (strong), and as much for each (weak).
+
+    The results of the runs are thrown away; the time to start workers is measured separately.
+
+    \b
+    sweep scaling quasars --workers 1,2 --figure scaling.svg
+    """
+    from linksweep.sweep.running.scaling import measure_scaling
+    from linksweep.sweep.stores.location import default_store
+
+    loaded = options.load_trusted(study, trust, settings, axes)
+    paths = [output or default_store(f"{loaded.name}-scaling"), *([figure] if figure else [])]
+    for path in paths:
+        # Before minutes of measuring.
+        group.require_writable(path)
+    with group.a_signal_ends_the_command():
+        dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
+    group.print_result(dataset, "json" if as_json else "text")
+    for path in paths:
+        group.save_result(dataset, path)
 
 
 @group.command("Store care", "Say how far a run is, and what failed")

@@ -39,6 +39,7 @@ KINDS: Mapping[str, Mapping[str, Kind]] = {
         "pairs": Kind("grid:PAIRS"),
         "curves": Kind("grid:CURVES"),
     },
+    "scaling": {"scaling": Kind("analyses:scaling_figure")},
     "sensitivity": {"sensitivity": Kind("analyses:sensitivity_figure")},
     "catalogue": {"sky": Kind("sky:sky_figure"), "accuracy": Kind("sky:accuracy_figure")},
     "tie": {

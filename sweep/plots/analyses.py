@@ -64,3 +64,31 @@ def _curves(axes: Axes, dataset: xr.Dataset, kinds: list[str], over: str) -> Non
                 axes.fill_between(x, y - half, y + half, **look, **style.BAND)
     for kind, line in lines.items() if len(lines) > 1 else ():
         axes.plot([], [], color="0.35", linestyle=line, linewidth=1.2, label=WORDS[kind])
+
+
+def scaling_figure(dataset: xr.Dataset) -> Figure:
+    """Return the speed-up over one worker, w times the efficiency, beside the efficiency against w workers, by kind,
+    with the ideal line.
+
+    ``dataset`` has dimensions kind ("strong": the same work, "weak": the same work per worker) and workers, variables
+    seconds and efficiency (1 is ideal), each with a one-sigma NAME_error where it is known.
+    """
+    figure, grid = style.new_figure(8.0, 3.8, 1, 2, least=1.0)
+    workers = dataset["workers"].values.astype(float)
+    words = ("speed-up over one worker", "efficiency")
+    for axes, name, ideal in zip(grid, words, (workers, np.ones(len(workers))), strict=True):
+        axes.plot(workers, ideal, label="ideal", **style.GUIDE)
+        for number, kind in enumerate(dataset["kind"].values.tolist()):
+            one = dataset.sel(kind=kind)
+            value = one["efficiency"].transpose("workers", ...).values * ideal
+            error = one["efficiency_error"].values * ideal if "efficiency_error" in one else None
+            look = {**style.series(number), "markersize": 4.0, "linewidth": 1.0, "elinewidth": 0.8}
+            axes.errorbar(workers, value, yerr=error, label=f"{kind} scaling", **look)
+        style.logarithmic(axes, "x", workers)
+        axes.set_xticks(workers, [f"{w:g}" for w in workers])
+        axes.set_xticks([], minor=True)
+        axes.set(xlabel="workers", ylabel=name)
+    style.logarithmic(grid[0], "y", workers)
+    grid[1].set_ylim(0.0, max(1.1, 1.05 * float(np.nanmax(dataset["efficiency"].values))))
+    style.legend(figure)
+    return figure

@@ -18,6 +18,7 @@ from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running import run as running
 from linksweep.sweep.running.merge import MERGED, merge
 from linksweep.sweep.running.run import Silent, plan_study
+from linksweep.sweep.running.scaling import measure_scaling
 from linksweep.sweep.running.status import status_report
 from linksweep.sweep.running.writer import attributes_of, find_store, identity, open_store
 from linksweep.sweep.stores import ledger, location

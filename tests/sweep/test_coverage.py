@@ -14,6 +14,7 @@ from scipy.stats import binom, chi2, t
 import linksweep
 from linksweep.sweep.analysis.compare import compare
 from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, parse_limit, ratio
+from linksweep.sweep.running.scaling import _dataset
 from linksweep.sweep.search.crossmatch import Positions, chance_pairs, sky_tree
 from tests.sweep import spread
 
@@ -159,6 +160,15 @@ def test_a_ratio_and_a_crossing_of_independent_points():
     assert_covers((of["ratio"] - np.sqrt(1.0 / 8.0)) / of["ratio_error"])
     at = interpolate(one, "width", "x", 4.0)
     assert_covers((at["width"] - 0.5) / at["width_mc_error"])
+
+
+@pytest.mark.parametrize("repetitions", [9, 20])
+def test_the_medians_of_repeated_timings(repetitions):
+    rng = np.random.default_rng(8)
+    seconds = 10.0 + rng.standard_normal((500, 2, 1, repetitions, 2))
+    found = [_dataset(np.array([1]), timed).sel(kind="strong") for timed in seconds]
+    pulls = [((each["seconds"] - 10.0) / each["seconds_error"]).item() for each in found]
+    assert_covers(pulls, repetitions - 1)
 
 
 def test_chance_pairs():

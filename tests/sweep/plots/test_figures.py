@@ -151,6 +151,7 @@ def test_any_experiment_can_be_drawn(coin_store, tmp_path, sweep, options):
     [
         (["STORE", "--at", "metal=tin,coins=5"], "possible are none"),
         (["STORE", "--kind", "map"], "no map of share here; possible are lines, law"),
+        (["STORE", "--kind", "scaling"], "no scaling of share here; possible are lines, law"),
         (["STORE", "--over", "length"], "length is not one axis to draw along; there are"),
         (["STORE", "-o", "coins.bmp"], "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
         (["STORE", "-o", "nowhere/coins.png"], "cannot draw there: No such file or directory"),

@@ -35,6 +35,7 @@ ARGUMENTS = {  # by command: what a user would type about a store, several times
     "report": [["STORE"]],
     "reproduce": [["STORE", "--at", "metal=tin,coins=1"]],
     "run": [["STORE"], ["STORE/study.toml"], RETRY],
+    "scaling": [["STORE"], ["STORE/study.toml"]],
     "sensitivity": [["STORE"]],
     "show": [["STORE"], ["STORE", "--format", "csv"]],
     "status": [["STORE"], ["STORE", "--json"]],

@@ -1,0 +1,133 @@
+"""`sweep scaling`, and grids of a million points that are planned, of a hundred thousand that run, in little memory."""
+
+import json
+import subprocess
+import sys
+import tempfile
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from tests.conftest import COINS
+from tests.sweep.opening import measure_scaling, study_from_dict
+
+
+@pytest.fixture
+def slow_clock(monkeypatch):
+    """Runs whose seconds are known: the realisations over the workers, and 10 s a start; a list of what was run."""
+    asked = []
+
+    def timed(study, workers, pool):
+        work = study.sampling.n_cat * study.sampling.n_sim
+        asked.append((work, workers, pool))
+        overhead = 1.0 if workers == 1 else 1.25
+        return work / workers * overhead, 10.0
+
+    monkeypatch.setattr("linksweep.sweep.running.scaling._timed", timed)
+    return asked
+
+
+def test_speed_up_and_efficiency_are_those_of_the_seconds(coins, slow_clock):
+    study = study_from_dict(coins | {"sampling": {"n_sim": 100, "n_cat": 4, "seed": 1}})
+    found = measure_scaling(study, [1, 2, 4], repetitions=5)
+    assert found["seconds"].sel(kind="strong").values.tolist() == [400.0, 250.0, 125.0]
+    assert found["seconds"].sel(kind="weak").values.tolist() == [400.0, 500.0, 500.0]
+    for kind in ("strong", "weak"):  # every pair of workers loses a fifth
+        assert found["efficiency"].sel(kind=kind).values == pytest.approx([1.0, 0.8, 0.8])
+        assert found["speedup"].sel(kind=kind).values == pytest.approx([1.0, 1.6, 3.2])
+    assert (found["start_seconds"] == 10.0).all()
+    assert (found["efficiency_error"] == 0.0).all()
+    assert found.attrs["weak_scaling_grows"] == "n_cat"
+    assert found.attrs["title"] == "Scaling of “Coins”"
+    assert max(work for work, _, _ in slow_clock) == 1600
+
+
+def test_a_function_without_random_numbers_has_no_weak_scaling(tmp_path, sweep_here, monkeypatch):
+    """There is nothing to multiply; its command takes a function as `sweep run` does."""
+    monkeypatch.setattr("linksweep.sweep.running.scaling._timed", lambda study, workers, pool: (1.0 / workers, 0.0))
+    (tmp_path / "area.py").write_text("def area(width: float):\n    return width * 2.0\n")
+    asked = ("--axis", "width=1:9:1", "--workers", "1,2", "--repetitions", "1", "--json", "-o", "s.zarr")
+    status, out, err = sweep_here("scaling", "area.py:area", *asked, cwd=tmp_path)
+    assert status == 0, err
+    assert {(row["kind"], row["workers"]) for row in json.loads(out)["rows"]} == {("strong", 1), ("strong", 2)}
+
+
+@pytest.mark.slow
+def test_the_command_leaves_the_measurements_and_nothing_else(tmp_path, sweep, monkeypatch):
+    (tmp_path / "scratch").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
+    arguments = ["quasars", "--axis", "v_max=14", "--set", "n_cat=2", "--set", "n_sim=10", "--repetitions", "1"]
+    status, out, err = sweep("scaling", *arguments, "--pool", "threads", "--figure", "s.png", "--json", cwd=tmp_path)
+    assert status == 0, err
+    pairs = [(row["kind"], row["workers"]) for row in json.loads(out)["rows"]]
+    assert pairs == [(kind, workers) for kind in ("strong", "weak") for workers in (1, 2)]
+    found = xr.open_zarr(tmp_path / "results" / "quasars-scaling.zarr", consolidated=False).load()
+    assert found["efficiency"].dims == ("kind", "workers")
+    assert np.allclose(found["speedup"], found["efficiency"] * found["workers"])
+    assert ((found["seconds"] > 0.0) & (found["start_seconds"] > 0.0)).all()
+    assert {"versions", "host", "study_digest", "pool", "cores"} <= set(found.attrs)
+    assert (tmp_path / "s.png").stat().st_size > 10_000
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["results", "s.png", "scratch"]
+    assert not list((tmp_path / "scratch").glob("linksweep*"))
+    status, _, err = sweep("scaling", *arguments, cwd=tmp_path)
+    assert (status, "exists already" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--workers", "2,4"], "must increase from 1"),
+        (["--workers", "1,2,2"], "must increase from 1"),
+        (["--workers", "1,5000"], "4096"),
+        (["--workers", "1,two"], "no list of numbers"),
+        (["--workers", "-1"], "no list of numbers"),
+        (["--repetitions", "0"], "repetitions"),
+        (["--set", "precision=0.1"], "decides itself"),
+        (["--set", "n_sim=none"], "n_sim"),
+        (["--figure", "scaling.txt"], "the name must end"),
+    ],
+)
+def test_bad_input_is_refused_and_writes_nothing(arguments, words, tmp_path, sweep_here):
+    status, _, err = sweep_here("scaling", "sqrt-n", *arguments, cwd=tmp_path)
+    assert status == 2
+    assert words in err
+    assert not list(tmp_path.iterdir())
+
+
+MEASURED = r"""
+import re, resource, runpy, sys
+sys.argv = ["sweep", *sys.argv[1:]]
+try:
+    runpy.run_module("linksweep", run_name="__main__")
+finally:
+    # of the program alone: ru_maxrss is at least that of the process that started it
+    peak = re.search(r"VmHWM:\s+(\d+) kB", open("/proc/self/status").read())[1]
+    print(peak, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)
+"""
+
+
+def memory_of(tmp_path, points, *command):
+    """Run a command on a study of so many points; return its own peak memory and that of the largest process that it
+    started in MB.
+    """
+    study = (COINS, "--axis", 'metal="gold","tin"', "--axis", f"coins=1:{points // 200}:1", "--set", "n_sim=1")
+    command = [*command[:1], *study, "--axis", "chance=0.2:0.794:0.006", *command[1:]]
+    done = subprocess.run(
+        [sys.executable, "-c", MEASURED, *command], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return [int(kilobytes) / 1024 for kilobytes in done.stderr.split()[-2:]]
+
+
+@pytest.mark.slow
+def test_a_million_points_are_planned_and_a_hundred_thousand_run_in_little_memory(tmp_path):
+    assert memory_of(tmp_path, 10**6, "plan", "--json")[0] < 1000
+    few_mb, _ = memory_of(tmp_path, 10**4, "run", "--workers", "2", "--json", "-o", "few.zarr")
+    many_mb, workers_mb = memory_of(tmp_path, 10**5, "run", "--workers", "2", "--json", "-o", "many.zarr")
+    status = xr.open_zarr(tmp_path / "many.zarr")["status"]
+    assert (status.size, bool((status == 1).all())) == (100_000, True)
+    assert sum(path.is_file() for path in (tmp_path / "many.zarr").rglob("*")) < 100
+    # Ten times the points: what each leaves (its sums, its key, its row in the table) is below 2 kB in all.
+    assert many_mb - few_mb < 90_000 * 2e-3
+    assert max(many_mb, workers_mb) < 1000
