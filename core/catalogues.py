@@ -32,7 +32,7 @@ class Catalogue:
     """Objects as arrays of shape (N,): ra, dec (rad), pmra, pmdec (rad/yr, pmra with cos dec) and V magnitude.  While
     several catalogues are drawn together the shape is (catalogues, N).
 
-    ``own`` are the errors that the catalogue lists, those of the satellite if the ``reference`` has others.
+    ``errors`` are those that the catalogue lists, those of the satellite if the ``reference`` has others.
     """
 
     ra: Array
@@ -40,7 +40,7 @@ class Catalogue:
     pmra: Array
     pmdec: Array
     v_mag: Array
-    own: OwnErrors | None = None
+    errors: OwnErrors | None = None
     reference: OwnErrors | None = None
 
     def __len__(self) -> int:
@@ -72,7 +72,7 @@ class Catalogue:
 
     def own_errors(self, side: str) -> OwnErrors | None:
         """Return the errors that the catalogue lists for a side, "reference" or "satellite"; None if there are none."""
-        return self.reference if side == "reference" and self.reference is not None else self.own
+        return self.reference if side == "reference" and self.reference is not None else self.errors
 
     def moved_to(self, ra: Array, dec: Array) -> "Catalogue":
         """Return the same objects, with their proper motions along the local triad, at other positions."""
@@ -81,13 +81,14 @@ class Catalogue:
     def _each(self, function: Callable[[Array], Array]) -> "Catalogue":
         """Return a catalogue with a function applied to all arrays, whose first axes are those of the objects."""
 
-        def errors(own: OwnErrors | None) -> OwnErrors | None:
-            if own is None:
+        def mapped(errors: OwnErrors | None) -> OwnErrors | None:
+            if errors is None:
                 return None
-            return OwnErrors(function(own.sigma), None if own.correlation is None else function(own.correlation))
+            sigma, correlation = errors
+            return OwnErrors(function(sigma), None if correlation is None else function(correlation))
 
         ra, dec, pmra, pmdec, v_mag = map(function, (self.ra, self.dec, self.pmra, self.pmdec, self.v_mag))
-        return Catalogue(ra, dec, pmra, pmdec, v_mag, errors(self.own), errors(self.reference))
+        return Catalogue(ra, dec, pmra, pmdec, v_mag, mapped(self.errors), mapped(self.reference))
 
 
 @dataclass(frozen=True)
@@ -561,8 +562,8 @@ def catalogue_from_table(
     both, reference, satellite = (_own_errors(read, side, len(ra)) for side in ("", "reference_", "satellite_"))
     v_mag = read.quantity("v_mag") if read.has("v_mag") else np.full(len(ra), np.nan)
     read.finish()
-    own, reference = satellite or both, reference or (both if satellite else None)
-    return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, own, reference)
+    errors, reference = satellite or both, reference or (both if satellite else None)
+    return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, errors, reference)
 
 
 def _own_errors(read: Any, prefix: str, n_obj: int) -> OwnErrors | None:

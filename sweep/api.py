@@ -154,7 +154,7 @@ def run(
     file = None if cluster is None else Path(cluster)
     resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, client=client)
     try:
-        most = None if max_failures is None else MaxFailures.of(max_failures)
+        most = None if max_failures is None else MaxFailures.parsed(max_failures)
     except ValueError as error:
         raise SweepError(f"max_failures = {error}") from error
     with _watching(loaded, progress) as watching:

@@ -74,7 +74,7 @@ def without_secrets(text: str) -> str:
         >>> without_secrets("sweep run x --scheduler=tls://me:secret@host:8786/?token=1 -o s3://key:secret@b/s.zarr")
         'sweep run x --scheduler=tls://host:8786 -o s3://b/s.zarr'
     """
-    return _ADDRESS.sub(lambda found: found[1] + found[2] + (found[3] if found[1].lower() == "s3://" else ""), text)
+    return _ADDRESS.sub(lambda match: match[1] + match[2] + (match[3] if match[1].lower() == "s3://" else ""), text)
 
 
 def harmless(text: str) -> str:

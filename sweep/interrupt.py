@@ -47,7 +47,7 @@ class Interruptions:
         self._deciding = threading.Lock()
 
     @contextmanager
-    def held(self) -> Iterator[None]:
+    def postponed(self) -> Iterator[None]:
         """Delay signals until the end of this block, which must be short, or of the block around it."""
         before, self._holding = self._holding, True
         try:

@@ -87,7 +87,7 @@ def draw_skies(kind: str, n_cat: int, seed: int, faintest: float = 20.0) -> Skie
     p, q, _ = triad(ra, dec)
     row, column = np.triu_indices(3)
     geometry = np.stack([np.moveaxis(e[row] * e[column], 0, 1) for e in (q, p)], axis=1)
-    reference = [c.own.sigma[:, 2:].T / MAS for c in drawn if c.own is not None]
+    reference = [c.errors.sigma[:, 2:].T / MAS for c in drawn if c.errors is not None]
     if not reference:
         return Skies(v_mag, np.zeros_like(v_mag)[:, None], geometry.sum(axis=1, keepdims=True), counts)
     return Skies(v_mag, np.stack(reference), geometry, counts)

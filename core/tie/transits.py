@@ -121,16 +121,16 @@ class Transits:
             dof[s] = weighted.shape[1] + 1 - len(free)
         return Paths(values, covariance, squares, dof, residuals)
 
-    def in_place(self, found: Paths, table: Astrometry, rows: Indices) -> Astrometry:
+    def in_place(self, paths: Paths, table: Astrometry, rows: Indices) -> Astrometry:
         """Return a catalogue in which paths take the place of some rows (S,)."""
-        error, between = by_errors(found.covariance[:, :COLOUR, :COLOUR])
-        position = from_tangent_plane(*found.values[:, :2].T, *self.origin)
+        error, between = by_errors(paths.covariance[:, :COLOUR, :COLOUR])
+        position = from_tangent_plane(*paths.values[:, :2].T, *self.origin)
         arrays: dict[str, Any] = {
-            "values": np.concatenate([position, found.values[:, 2:5].T]),
+            "values": np.concatenate([position, paths.values[:, 2:5].T]),
             "errors": error[:5],
             "epoch": np.full(len(rows), self.epoch),
             "correlations": between[FIRST, SECOND],
-            "further": np.array([found.values[:, 5:COLOUR].T, error[5:]]),
+            "further": np.array([paths.values[:, 5:COLOUR].T, error[5:]]),
             "further_correlations": between[:, 5:],
             "orbit": self.orbit,
         }
@@ -149,35 +149,35 @@ class Transits:
         changed = {name: self.observed[name] * by + plus for name, (by, plus) in change.items()}
         trial, every = replace(self, observed={**self.observed, **changed}), np.arange(len(self.models))
         try:
-            own, straight = trial.paths(), trial.paths(straight=True)
+            bent, straight = trial.paths(), trial.paths(straight=True)
         except LinkError:
             return np.full((2, len(every)), np.inf)
-        found = self.in_place(straight, self.catalogue, every)
+        replaced = self.in_place(straight, self.catalogue, every)
         rows = replace(self.catalogue, apparent=np.zeros(len(every), dtype=bool), further=None)
-        off = differences(found, rows, every)
+        off = differences(replaced, rows, every)
         scale = np.maximum(straight.squares / np.maximum(straight.dof, 1.0), 1.0)
-        whole = off.whole(found.covariance() * scale[:, None, None])
+        whole = off.whole(replaced.covariance() * scale[:, None, None])
         whole[:, range(5), range(5)] += np.where(off.present, 0.0, 1.0)
         squares = np.einsum("si,si->s", off.values, np.linalg.solve(whole, off.values[..., None])[..., 0])
         if self.catalogue.further is not None:  # rows of another model are not those of a straight path
             squares *= ~np.any(self.catalogue.further[1] > 0.0, axis=0)
-        return np.array([own.squares / np.maximum(own.dof, 1.0), squares / np.maximum(off.present.sum(axis=1), 1)])
+        return np.array([bent.squares / np.maximum(bent.dof, 1.0), squares / np.maximum(off.present.sum(axis=1), 1)])
 
 
-def joint(found: Array, rows: Differences, at: Indices, design: Array, estimate: Array, covariance: Array) -> Array:
+def joint(alone: Array, rows: Differences, at: Indices, design: Array, estimate: Array, covariance: Array) -> Array:
     """Return how a link changes the parameters of a star (11,) and below it their covariance in the link (11, 11).
 
-    ``found`` (11, 11) is the covariance without the link, ``rows`` ``at`` are those of the star, and ``design``
+    ``alone`` (11, 11) is the covariance without the link, ``rows`` ``at`` are those of the star, and ``design``
     (5 F, K) are the derivatives of its parameters by the unknowns, of which there are estimate and covariance.
     """
     seen = rows.present[at].ravel()
     partials = np.pad(rows.partials[at].reshape(-1, COLOUR)[seen], ((0, 0), (0, 1)))
     by_unknowns = (rows.by_frames[at] @ design).reshape(-1, len(estimate))[seen]
     whole = block_diag(*rows.covariance[at]) + rows.across(at[None])[0].reshape(len(seen), len(seen))
-    whole = whole[np.ix_(seen, seen)] + partials @ found @ partials.T
-    gain = np.linalg.solve(whole, partials @ found).T
+    whole = whole[np.ix_(seen, seen)] + partials @ alone @ partials.T
+    gain = np.linalg.solve(whole, partials @ alone).T
     moved, residual = gain @ by_unknowns, rows.values[at].ravel()[seen] - by_unknowns @ estimate
-    return np.vstack([gain @ residual, found - gain @ partials @ found + moved @ covariance @ moved.T])
+    return np.vstack([gain @ residual, alone - gain @ partials @ alone + moved @ covariance @ moved.T])
 
 
 def misfit(transits: Transits) -> Misfit:

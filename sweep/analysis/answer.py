@@ -132,8 +132,8 @@ def _range_of(values: Array, unit: str) -> str:
 
 def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     """Yield sentences about a variable in a unit."""
-    axes, own = quantity.axes_of(part), quantity.own_dimensions(part, variable)
-    array, error = part[variable].transpose(*axes, *own), quantity.standard_error(part, variable)
+    axes, components = quantity.axes_of(part), quantity.own_dimensions(part, variable)
+    array, error = part[variable].transpose(*axes, *components), quantity.standard_error(part, variable)
     values = array.values.astype(float, copy=False)
     known = np.isfinite(values)
     if not known.any():
@@ -143,9 +143,9 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
         points = formatting.counted(int(known.sum()), "point")
         yield f"It is True at {int(values[known].sum()):,} of {points}."
         return
-    errors = np.zeros(values.shape) if error is None else error.transpose(*axes, *own).values
+    errors = np.zeros(values.shape) if error is None else error.transpose(*axes, *components).values
     yield _range(part, array, errors, unit)
-    if own:
+    if components:
         return
     status, values = part["status"].values, np.where(known, values, np.nan)
     if not np.isin(status, [Status.MISSING, Status.FAILED]).any():

@@ -211,8 +211,8 @@ def error_of_sum(
     if covariance is not None:
         i, j, name = one[dimension], other[dimension], f"{variable}_{COVARIANCE_SUFFIX}_{dimension}"
         pairs = ({**one, dimension: a, f"{dimension}_other": b} for a, b in ((i, i), (j, j), (i, j)))
-        own, others, both = (dataset.isel(pair)[name].transpose(*dims).values for pair in pairs)
-        variance = first**2 * own + second**2 * others + 2.0 * first * second * both
+        at_one, at_other, both = (dataset.isel(pair)[name].transpose(*dims).values for pair in pairs)
+        variance = first**2 * at_one + second**2 * at_other + 2.0 * first * second * both
         variance = np.maximum(0.0, variance * small_sample_factor(samples_along(dataset, dimension, covariance)))
     elif shares_random_numbers(dataset, differing):
         variance = np.nan * variance
@@ -234,8 +234,8 @@ def own_dimensions(dataset: xr.Dataset, name: str) -> list[str]:
 
 def array_outputs(dataset: xr.Dataset) -> list[str]:
     """Return the outputs of a plain function that have dimensions of their own, besides samples and covariances."""
-    own = {n: own_dimensions(dataset, n) for n in map(str, dataset.data_vars) if FUNCTION in dataset.attrs}
-    return [n for n, dims in own.items() if dims and not any(d == "sample" or d.endswith("_other") for d in dims)]
+    further = {n: own_dimensions(dataset, n) for n in map(str, dataset.data_vars) if FUNCTION in dataset.attrs}
+    return [n for n, dims in further.items() if dims and not any(d == "sample" or d.endswith("_other") for d in dims)]
 
 
 def axis_coordinates(dataset: xr.Dataset, dimensions: Sequence[str]) -> list[str]:
@@ -492,8 +492,8 @@ def listed(
     elif values.dtype.kind == "M":
         values = np.where(np.isnat(values), "", np.datetime_as_string(values, unit="auto").astype(object))
     shape, rest = [dataset.sizes[d] for d in dimensions], values.shape[values.ndim - len(further) :]
-    own = [n if d in variable.dims else 1 for d, n in zip(dimensions, shape, strict=True)]
-    chosen = np.broadcast_to(values.reshape((*own, *rest)), (*shape, *rest)).reshape((-1, *rest))[rows]
+    sizes = [n if d in variable.dims else 1 for d, n in zip(dimensions, shape, strict=True)]
+    chosen = np.broadcast_to(values.reshape((*sizes, *rest)), (*shape, *rest)).reshape((-1, *rest))[rows]
     if not further:
         return list(chosen.tolist())
     if (ragged := variable.attrs.get(RAGGED)) not in further:

@@ -156,12 +156,12 @@ def refinements(study: Study, store: Where, goal: Goal, run: Callable[[Study], x
             open_store(OpenStore(store), now).record({REFINED: json.dumps([asdict(one) for one in rounds])})
 
 
-def looked_at(own: Study, now: Study, rounds: Sequence[Round], goal: Goal, dataset: xr.Dataset) -> Refinement:
+def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dataset: xr.Dataset) -> Refinement:
     """Return what the results of a study say that has grown by some rounds, and which round is to be next."""
-    (limit, over), is_find, most = read(goal, own), goal["find"] is not None, goal["most"]
+    (limit, over), is_find, most = read(goal, asked), goal["find"] is not None, goal["most"]
     variable = limit.variable if is_find else goal["variable"] or quantity.main_quantity(dataset)
     quantity.require_quantity(dataset, variable)
-    axis = sorted(value for value in own.axes[over] if value is not None)
+    axis = sorted(value for value in asked.axes[over] if value is not None)
     finest = goal["within"] or FINEST * (axis[-1] - axis[0])
     made, common = laws.lines_of(dataset, variable, over), quantity.shares_random_numbers(dataset, [over])
     levels, known = made.thresholds(limit), dict[str, float]()
@@ -177,13 +177,13 @@ def looked_at(own: Study, now: Study, rounds: Sequence[Round], goal: Goal, datas
         known |= {made.at(line): max(known for known, *_ in lacks)} if lacks else {}
         gaps += [(line, i) for _, some, _ in lacks for i in some]
         factors += [(line, i, factor) for *_, some in lacks for i, factor in some.items()]
-    status, numbers = dataset["status"], own.numbers()
+    status, numbers = dataset["status"], asked.numbers()
     spent = int(dataset["n_sim_done"].sum() if numbers else (status == Status.DONE).sum())
     there = sorted(value for value in now.axes[over] if value is not None)
     finest = finest if is_find else float(np.diff(there).min())
     per_line, each = math.floor((axis[-1] - axis[0]) / finest * ROUNDING) + 1, math.prod(numbers.values())
     full = per_line * (status.size // dataset[over].size) * each
-    points = {} if most is not None and spent >= most else _midpoints(own, now, over, gaps)
+    points = {} if most is not None and spent >= most else _midpoints(asked, now, over, gaps)
     left = (int(SHARE * full) if most is None else most) - spent - len(points) * each
     are_alike = now.sampling.precision or now.sampling.keep_samples or now.sampling.common_random_numbers
     n_sim = {} if are_alike else _realisations(now, over, factors, left)
@@ -192,16 +192,16 @@ def looked_at(own: Study, now: Study, rounds: Sequence[Round], goal: Goal, datas
     return Refinement(goal, dataset, over, rounds, upcoming, known, spent, full)
 
 
-def _midpoints(own: Study, now: Study, over: str, gaps: Sequence[tuple[laws.Line, int]]) -> dict[bytes, Any]:
+def _midpoints(asked: Study, now: Study, over: str, gaps: Sequence[tuple[laws.Line, int]]) -> dict[bytes, Any]:
     """Return the points of a round, by their values on all axes; without those that are there, failed ones too, and
     those that the study excludes or its experiment does not allow.
     """
-    grid, there, points = Grid(own), Grid(now), dict[bytes, dict[str, Any]]()
+    grid, there, points = Grid(asked), Grid(now), dict[bytes, dict[str, Any]]()
     parameters, tried = {name: now.experiment.parameter(name) for name in now.axes}, {*there.digests(there.indices())}
     for line, i in gaps:
         with suppress(ValueError):
             values = _place(there, line, over) | {
-                over: parameters[over].parse(_middle(own.axes[over], *line.x[i : i + 2]))
+                over: parameters[over].parse(_middle(asked.axes[over], *line.x[i : i + 2]))
             }
             point = point_at(now, values)
             if point.digest not in tried and not grid.excludes(point.parameters):

@@ -173,7 +173,7 @@ def _logged(watching: Watching) -> Iterator[None]:
 def _max_failures(text: str) -> "MaxFailures":
     from linksweep.sweep.running.failures import MaxFailures
 
-    return MaxFailures.of(text)
+    return MaxFailures.parsed(text)
 
 
 @dataclass(frozen=True)
@@ -320,13 +320,13 @@ def refine(
         if state.upcoming is not None and not how.watching.quiet:
             click.echo(f"round {len(state.rounds) + 1}: {state.upcoming}", err=True)
     is_whole = not (failures := json.loads(state.dataset.attrs["failures"]))
-    found = Result(find(state.dataset, goal["find"], state.along)) if goal["find"] and is_whole else None
+    crossings = Result(find(state.dataset, goal["find"], state.along)) if goal["find"] and is_whole else None
     if how.as_json:
-        answer = {"failures": failures, "answer": found and json.loads(found.written("json"))}
+        answer = {"failures": failures, "answer": crossings and json.loads(crossings.written("json"))}
         click.echo(to_json({name: value for name, value in vars(state).items() if name != "dataset"} | answer))
     else:
-        group.print_tables(found.tables() if found else ())
-        for sentence in [*(found.notes() if found else ()), *state.sentences()]:
+        group.print_tables(crossings.tables() if crossings else ())
+        for sentence in [*(crossings.notes() if crossings else ()), *state.sentences()]:
             group.print_wrapped(sentence)
     sys.exit(0 if is_whole else group.EXIT_FAILED_POINTS)
 

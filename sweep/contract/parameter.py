@@ -166,8 +166,8 @@ class Parameter:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
         if self.optional and (raw is None or (raw == "None" and self.kind in ("float", "int", "bool"))):
             return None
-        found = self._object(raw) if self.takes_objects else raw
-        return found if isinstance(found, Named) else self._plain(found)
+        value = self._object(raw) if self.takes_objects else raw
+        return value if isinstance(value, Named) else self._plain(value)
 
     def _object(self, raw: Any) -> Any:
         """Return the object with a label that ``raw`` is or names, ``raw`` itself where it is none."""

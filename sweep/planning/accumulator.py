@@ -49,13 +49,13 @@ class Accumulator:
         self,
         plan: Plan,
         rows: BlockRows | None = None,
-        held: Rows | None = None,
+        values: Rows | None = None,
         failed: Collection[bytes] = (),
         only: Collection[bytes] | None = None,
         samples: Callable[[bytes], Array] | None = None,
         seconds: Array | None = None,
     ) -> None:
-        """Start with the ``rows`` of a ledger and what these ``held``, and with the points (by digest) that ``failed``.
+        """Start with the ``rows`` of a ledger and their ``values``, and with the points (by digest) that ``failed``.
 
         With ``only``, no other points than these are computed, and of the others those that are there count.
         ``samples`` returns the kept realisations of the block with a key, and ``seconds`` are those of the rows.
@@ -74,15 +74,15 @@ class Accumulator:
         self._rounds: dict[int, _Round] = {}
         self._share = share_of(plan)
         self._whole = self._only_block() if self._share is None else None
-        held = self.total[:0] if held is None else held
-        self.survey = replace(self._survey(held), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
+        values = self.total[:0] if values is None else values
+        self.survey = replace(self._survey(values), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
 
     def _survey(self, rows: Rows) -> Survey:
         # Two ways for the sake of time: a million points take seconds, one after the other minutes.
         if self._whole is not None:
             return self._survey_of_whole_points(self._whole, rows)
         grid = self.plan.grid
-        total = held = pending = NOTHING
+        total = stored = pending = NOTHING
         groups: Groups = defaultdict(list)
         there = {key[:DIGEST_BYTES] for key in self._rows}
         for point in grid.points(None if self._share is None else np.array([*self._share], dtype=np.intp)):
@@ -92,14 +92,14 @@ class Accumulator:
                 done, left = self._resume(point, rows)
             elif self._only is None or point.digest in self._only:  # else it perhaps cannot be computed
                 left = self.plan.size(cost)
-            total, held = total + done + left, held + done
+            total, stored = total + done + left, stored + done
             self.plan.check_size(total.blocks)
             if self._is_wanted(point):
                 pending += left
                 groups[grid.draw(point.parameters)].append((cost, left))
         if grid.study.draws_together:
             pending = replace(pending, cost=cost_together(groups))
-        return Survey(total, held, pending)
+        return Survey(total, stored, pending)
 
     def _only_block(self) -> Block | None:
         """Return the one block that every point consists of, None if points have several blocks or different ones."""
@@ -117,7 +117,7 @@ class Accumulator:
             self.status[indices] = MISSING
             new = self.plan.size(1.0, len(indices))
             return Survey(new, NOTHING, new)
-        total = held = pending = 0
+        total = stored = pending = 0
         of_block = ledger_key(b"", block)
         for start in range(0, len(indices), AT_ONCE):
             some = indices[start : start + AT_ONCE]
@@ -130,14 +130,14 @@ class Accumulator:
             self.seconds[some[rows >= 0]] = self._seconds[rows[rows >= 0]]
             self._put(some[done], ledger[rows[done]])
             missing = ~failed & ~done & (wanted if self._only is not None else True)
-            held, pending = held + int((rows >= 0).sum()), pending + int(missing.sum())
+            stored, pending = stored + int((rows >= 0).sum()), pending + int(missing.sum())
             total += int((missing | failed | (rows >= 0)).sum()) if self._only is not None else len(some)
         whole = self.plan.size
-        return Survey(whole(1.0, total), whole(1.0, held), whole(1.0, pending))
+        return Survey(whole(1.0, total), whole(1.0, stored), whole(1.0, pending))
 
     def _resume(self, point: GridPoint, rows: Rows) -> tuple[PlanSize, PlanSize]:
         """Add what the ledger holds of a point; return how much that is, and how much is missing."""
-        held = left = NOTHING
+        stored = left = NOTHING
         blocks = list(self.blocks(point))
         # Adding the last block of a round may show that a precision needs more: the list grows meanwhile.
         for block in blocks:
@@ -147,11 +147,11 @@ class Accumulator:
             if row is None:
                 left += size
             else:
-                held += size
+                stored += size
                 kept = None if self._samples is None else self._samples(key)
                 blocks += self.add(point, block, rows[row : row + 1], kept, float(self._seconds[row]))
         whole = PlanSize(1, 0, 0, 0.0)
-        return (held, left + whole) if left.blocks else (held + whole, left)
+        return (stored, left + whole) if left.blocks else (stored + whole, left)
 
     def missing(self, point: GridPoint) -> Sequence[Block]:
         """Return the blocks of a point, as far as they are known now, that the ledger did not hold at the start."""
@@ -180,7 +180,7 @@ class Accumulator:
 
     def learn(self, experiment: Experiment) -> None:
         """Take what is known of an experiment from its first results, or from results of other types."""
-        self.plan = self.plan.of(replace(self.plan.grid.study, experiment=experiment))
+        self.plan = self.plan.for_study(replace(self.plan.grid.study, experiment=experiment))
         self.reducer = experiment.reducer
         dtype = self.reducer.dtype
         self.total = converted(self.total, dtype)
@@ -289,8 +289,8 @@ class Accumulator:
 
     def blocks(self, point: GridPoint) -> Sequence[Block]:
         """Return the blocks of a point's current round."""
-        if self._share is not None and (own := self._share[point.index]) is not None:
-            return own
+        if self._share is not None and (share := self._share[point.index]) is not None:
+            return share
         round_ = self._rounds.get(point.index)
         parts = self.plan.parts_of(point) if round_ is None else round_.parts
         return self.plan.blocks(self.plan.cost(point.parameters), parts)

@@ -155,13 +155,13 @@ class Grid:
     def _digests(self, indices: NDArray[np.intp], left_out: Collection[str] = ()) -> list[bytes]:
         """Return digests of points by all their parameters except those ``left_out``."""
         places = dict(zip(self.dimensions, self._places(indices), strict=True))
-        known = [(dimension, own) for name, dimension, own in self._texts_along if name not in left_out]
+        known = [(dimension, along) for name, dimension, along in self._texts_along if name not in left_out]
         texts = [
-            itertools.repeat(own[0], len(indices)) if dimension is None else map(own.__getitem__, places[dimension])
-            for dimension, own in known
+            itertools.repeat(along[0], len(indices)) if dimension is None else map(along.__getitem__, places[dimension])
+            for dimension, along in known
         ]
         rows: Iterable[Iterable[Any]] = zip(*texts, strict=True) if texts else itertools.repeat((), len(indices))
-        if any(None in own for _, own in known):  # a parameter at its default
+        if any(None in along for _, along in known):  # a parameter at its default
             rows = (filter(None, row) for row in rows)
         return [blake2b(f"{{{', '.join(row)}}}".encode(), digest_size=16).digest() for row in rows]
 
@@ -173,7 +173,7 @@ class Grid:
         dimension_of = {axis: dimension for dimension, axes in self.dimensions.items() for axis in axes}
         defaults, axes = self.study.experiment.defaults(), self.study.axes
         values = {name: [value] for name, value in self._fixed.items()} | {n: list(v) for n, v in axes.items()}
-        found = []
+        entries = []
         for name in sorted(values):
             key, default = json.dumps(name), defaults[name]
             # True is 1 to Python, but another point.
@@ -182,8 +182,8 @@ class Grid:
             }
             texts = {one: f"{key}: {as_json(one[1])}" for one in different}
             if texts:
-                found.append((name, dimension_of.get(name), [texts.get((type(v), v)) for v in values[name]]))
-        return found
+                entries.append((name, dimension_of.get(name), [texts.get((type(v), v)) for v in values[name]]))
+        return entries
 
     def _along(self, indices: NDArray[np.intp]) -> list[Iterator[tuple[Value, ...]]]:
         """Return the values on the axes of each dimension, point by point."""

@@ -91,14 +91,14 @@ def share_of(plan: Plan) -> Share | None:
         return None
     if (alike := _dealt_alike(plan, part.total)) is not None:
         return dict.fromkeys(alike[0][alike[1] == part.number].tolist())
-    own: dict[int, list[Unit]] = {}
+    units: dict[int, list[Unit]] = {}
     for unit, number in deal(plan, part.total):
         if number == part.number:
             for index in unit.indices:
-                own.setdefault(index, []).append(unit)
+                units.setdefault(index, []).append(unit)
     return {
         index: None if len(some) == some[0].units else tuple(sorted(unit.block for unit in some if unit.block))
-        for index, some in sorted(own.items())
+        for index, some in sorted(units.items())
     }
 
 

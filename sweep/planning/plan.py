@@ -98,7 +98,7 @@ class Survey:
     """The size of a plan as far as it is known: in total, held by the ledger, and pending; how many points failed."""
 
     total: PlanSize
-    held: PlanSize
+    stored: PlanSize
     pending: PlanSize
     failed: int = 0
 
@@ -124,7 +124,7 @@ class Plan:
         self.blocks = lru_cache(MOST_CUTS)(self._blocks)
         self.block_shape = cache(self._shape)
 
-    def of(self, study: Study) -> "Plan":
+    def for_study(self, study: Study) -> "Plan":
         """Return the plan of the same points, for a study that knows more about their results."""
         return Plan(Grid(study, self.grid.warnings))
 
@@ -147,8 +147,8 @@ class Plan:
         sampling, (sims, _) = self.grid.study.sampling, self.block_shape(cost)
         wanted = n_sim or sampling.n_sim
         if sampling.precision is None:
-            own = min(wanted, sampling.n_sim)
-            return -(-own // sims) + -(-(wanted - own) // min(sims, sampling.n_sim))
+            common = min(wanted, sampling.n_sim)
+            return -(-common // sims) + -(-(wanted - common) // min(sims, sampling.n_sim))
         if wanted >= sims:
             return -(-wanted // sims) + _doublings(sims)
         return 1 + max(0, math.ceil(math.log2(wanted / min(FIRST_SIMS, sims))))
@@ -191,13 +191,13 @@ class Plan:
         grid = self.grid
         if self.costs_nothing_special:
             return (), {(): 1.0}
-        if (found := self._cost.table()) is None and len(grid) <= MOST_COSTS:
+        if (table := self._cost.table()) is None and len(grid) <= MOST_COSTS:
             names = tuple(grid.study.axes)
-            found = names, {}
+            table = names, {}
             for _, parameters in grid.parameters():
                 with suppress(Exception):  # nobody has asked for it, and it cannot be computed
-                    found[1][tuple(parameters[name] for name in names)] = self._cost(parameters)
-        return found if found is not None and len(found[1]) <= MOST_COSTS else None
+                    table[1][tuple(parameters[name] for name in names)] = self._cost(parameters)
+        return table if table is not None and len(table[1]) <= MOST_COSTS else None
 
     def work(self, points: tuple[GridPoint, ...], block: Block) -> Work:
         """Return the work of a block of points that share its random numbers."""

@@ -50,7 +50,7 @@ def refined(study: Study, rounds: Iterable[Round]) -> Study:
                 axes[one.along] = tuple(dict.fromkeys([*axes[one.along], point[one.along]]))
                 added.add(point_at(study, point).digest)
         counts |= {name: max(n, counts.get(name, 0)) for name, n in one.n_sim.items()}
-    grown = [name for name, own in study.axes.items() if len(axes[name]) > len(own)]
+    grown = [name for name, values in study.axes.items() if len(axes[name]) > len(values)]
     axes |= {name: tuple(sorted(axes[name], key=lambda value: (value is None, value or 0))) for name in grown}
     grid, written = Grid(study), {name: parameters[name].written(axes[name]) for name in grown}
     counts |= all_but(replace(study, axes=axes), {*added, *grid.digests(grid.indices())})

@@ -29,12 +29,12 @@ Rows = dict[tuple[str, ...], list[Row]]
 """The values at each place along a dimension, by its axes."""
 
 
-def united(stored: Study, asked: Study, held: Collection[bytes] | None = None) -> Study:
+def united(stored: Study, asked: Study, digests: Collection[bytes] | None = None) -> Study:
     """Return the study of all points that a store holds and that are asked for; ``asked`` itself where it has them all.
 
     Axes get the values of both; a constant that is another one, or an axis, in the other study becomes an axis.  Where
     that makes no grid, or a large one that is nearly empty, the points are a table.  ``stored`` is the study of the
-    store, and ``held`` has the digests of the points in its ledger, None where these are all points of its study.
+    store, and ``digests`` has the digests of the points in its ledger, None where these are all points of its study.
     Raises SweepError for values that cannot be on one axis, and for one name of two different values.
     """
     theirs, mine = Grid(stored), Grid(asked)
@@ -43,8 +43,8 @@ def united(stored: Study, asked: Study, held: Collection[bytes] | None = None) -
     defined = {(one.name, named.name): named for one in asked.experiment.parameters for named in one.defined}
 
     places = theirs.indices()
-    if held is not None:
-        places = places[np.array([digest in held for digest in theirs.digests(places)], dtype=bool)]
+    if digests is not None:
+        places = places[np.array([digest in digests for digest in theirs.digests(places)], dtype=bool)]
     if not len(places):
         return asked
     along = np.unravel_index(places, theirs.shape) if theirs.shape else ()
@@ -193,13 +193,13 @@ def _experiment(stored: Study, asked: Study) -> Experiment:
         parameters.append(replace(parameter, defined=tuple(names.values())))
     if tuple(parameters) == experiment.parameters:
         return experiment
-    own, recorded = experiment.cost, stored.experiment.cost
+    present, recorded = experiment.cost, stored.experiment.cost
 
     def cost(point: Point) -> float:
         is_known = not any(isinstance(value, Named) and value.value is None for value in point.values())
-        return own(point) if is_known else recorded(point)
+        return present(point) if is_known else recorded(point)
 
-    return replace(experiment, parameters=tuple(parameters), cost=cost if experiment.says_cost else own)
+    return replace(experiment, parameters=tuple(parameters), cost=cost if experiment.says_cost else present)
 
 
 def _sampling(stored: Study, asked: Study) -> Sampling:

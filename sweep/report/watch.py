@@ -89,13 +89,13 @@ class Page:
                 begun = time.process_time()
                 for one in self._stores:
                     one.look()
-                found = self._parts("head", "tiles", "failures")
+                parts = self._parts("head", "tiles", "failures")
                 # The first look makes the points, which it need not do again.
                 took = time.process_time() - begun if self._state else 0.0
                 self._next = time.monotonic() + pause(self._interval, took)
                 # Not before the first answer, and then one at a time: tiles do not wait for figures.
                 any(one.draw() for one in self._stores if self._state)
-                self._state = json.dumps(found | self._parts("figure"))
+                self._state = json.dumps(parts | self._parts("figure"))
             return self._state
 
     def _parts(self, *names: str) -> dict[str, str]:

@@ -55,10 +55,10 @@ def with_stored(store: Store, study: Study) -> tuple[Study, Set[bytes] | None]:
     }
     stored = recorded_study({**attributes, "study_document": json.dumps(document)}, where)
     stored = replace(stored, document={**stored.document, "define": document.get("define", {})})
-    held = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
+    digests = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
     is_whole = attributes.get("complete") and attributes.get(BLOCKS) == len(store.rows)
     try:
-        whole = united(stored, study, None if is_whole else held)
+        whole = united(stored, study, None if is_whole else digests)
     except SweepError as error:
         raise SweepError(error.problems, where) from error
     if whole is study:
@@ -66,7 +66,7 @@ def with_stored(store: Store, study: Study) -> tuple[Study, Set[bytes] | None]:
     grid = Grid(study)
     wanted = set(grid.digests(grid.indices()))
     # More realisations are for all points, which are not shown without them.
-    return whole, wanted if whole.sampling is stored.sampling else wanted | held
+    return whole, wanted if whole.sampling is stored.sampling else wanted | digests
 
 
 def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Record | None]:

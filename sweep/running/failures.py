@@ -37,7 +37,7 @@ class TooManyFailuresError(SweepError):
 class MaxFailures:
     """The most points of a run that may fail before it is ended: a ``number``, or ``percent`` of those that were tried.
 
-    >>> MaxFailures.of("5 %"), MaxFailures.of(3)
+    >>> MaxFailures.parsed("5 %"), MaxFailures.parsed(3)
     (MaxFailures(number=None, percent=5.0), MaxFailures(number=3, percent=None))
     """
 
@@ -45,7 +45,7 @@ class MaxFailures:
     percent: float | None = None
 
     @classmethod
-    def of(cls, text: "int | str") -> "MaxFailures":
+    def parsed(cls, text: "int | str") -> "MaxFailures":
         """Return the limit that a user gives; raises ValueError for anything else."""
         match = re.fullmatch(r"\s*(\d{1,15})\s*|\s*(\d{1,3}(?:\.\d*)?)\s*%\s*", str(text))
         if isinstance(text, bool) or match is None or (match[2] and float(match[2]) > 100.0):

@@ -90,13 +90,13 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     for source in sources[1:] if part is None else ():
         study = united(source.study, study)
     about = _about(sources)
-    told = {MERGED: json.dumps(about)}
+    origin = {MERGED: json.dumps(about)}
     require_free(place, study, about)
     _require_same_bits(sources, experiment.reducer.dtype)
     plan = Plan(Grid(study))
     with locked(place):
-        found = find_store(place, study) or stores.create_store(place, attributes_of(plan) | told)
-        store = open_store(found, study)
+        existing = find_store(place, study) or stores.create_store(place, attributes_of(plan) | origin)
+        store = open_store(existing, study)
         store.keep_copy()
         store.clear_failures([*store.failures])
         failed = _failures(sources)
@@ -106,8 +106,8 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
         accumulator = Accumulator(plan, store.rows, store.read(), (), (), store.samples, store.seconds())
         _fail(store, accumulator, failed)
         if part and (lost := lost_parts(plan, accumulator.status, store.rows, part.total)):
-            told[LOST] = f"{in_ranges(lost)} of {part.total}"
-        return Writer(accumulator, store, further=told).write(final=True).to_xarray()
+            origin[LOST] = f"{in_ranges(lost)} of {part.total}"
+        return Writer(accumulator, store, further=origin).write(final=True).to_xarray()
 
 
 def require_free(place: Location, study: Study, about: Sequence[Mapping[str, Any]]) -> None:
@@ -172,8 +172,8 @@ def _require_alike(sources: Sequence[_Source], accept_code: bool) -> None:
         if len({part and part.total for part in parts}) > 1:
             which = [f"part {part}" if part else "no part of a study" for part in parts]
             raise SweepError(f"is {which[0]}, and {source.location} is {which[2]}", str(first.location))
-        if found := _differences(first, source, accept_code):
-            raise SweepError([f"cannot be merged with {source.location}: these differ", *found], str(first.location))
+        if problems := _differences(first, source, accept_code):
+            raise SweepError([f"cannot be merged with {source.location}: these differ", *problems], str(first.location))
 
 
 def _differences(one: _Source, other: _Source, accept_code: bool) -> list[str]:
@@ -183,25 +183,25 @@ def _differences(one: _Source, other: _Source, accept_code: bool) -> list[str]:
     if one.study.part is None:  # a parameter that both fix is an axis of what they make
         old, new = (json.loads(source.attributes["study_meaning"]) for source in (one, other))
         attributes["study_meaning"] = json.dumps({**old, "fixed": new["fixed"]})
-    found = [
+    sentences = [
         text.replace(" in the store", f" {was}").replace(" in the study", f" {now}")
         for text in differences(attributes, other.study)
     ]
     numbers = ("n_sim", "n_cat", "precision", "max_n_sim")
     pairs = [(key, getattr(one.study.sampling, key), getattr(other.study.sampling, key)) for key in numbers]
-    found += [f"sampling.{key}: {a} {was}, {b} {now}" for key, a, b in pairs if a != b]
+    sentences += [f"sampling.{key}: {a} {was}, {b} {now}" for key, a, b in pairs if a != b]
     codes = [records[-1]["code"] if (records := records_of(s.attributes)) else {} for s in (one, other)]
     if not accept_code and all(codes):
-        found += code_differences(codes[0], codes[1], was, now)
+        sentences += code_differences(codes[0], codes[1], was, now)
     if one.study.part is not None:
         versions = [json.loads(source.attributes["versions"]) for source in (one, other)]
         pairs = [] if accept_code else [(name, *(known.get(name) for known in versions)) for name in DECIDING]
-        found += [f"{name}: {a} {was}, {b} {now}" for name, a, b in pairs if a != b]
-        if not found and one.attributes["study_digest"] != other.attributes["study_digest"]:
-            found.append(f"the points are others {was} than {now}")
+        sentences += [f"{name}: {a} {was}, {b} {now}" for name, a, b in pairs if a != b]
+        if not sentences and one.attributes["study_digest"] != other.attributes["study_digest"]:
+            sentences.append(f"the points are others {was} than {now}")
     if one.study.part is None and (why := _why_other(one, other)):
-        found.append(why)
-    return found
+        sentences.append(why)
+    return sentences
 
 
 def _why_other(one: _Source, other: _Source) -> str:
@@ -247,9 +247,9 @@ def _require_same_bits(sources: Sequence[_Source], dtype: np.dtype[np.void]) -> 
     for (i, j), some in common.items():
         one, other = sources[i], sources[j]
         ledgers = one.ledger(), other.ledger()
-        held = [converted(ledger.read(), dtype) for ledger in ledgers]
+        values = [converted(ledger.read(), dtype) for ledger in ledgers]
         for key in some:
-            same = same_rows(*(rows[[ledger.rows[key]]] for rows, ledger in zip(held, ledgers, strict=True)))
+            same = same_rows(*(rows[[ledger.rows[key]]] for rows, ledger in zip(values, ledgers, strict=True)))
             if same and one.study.keeps_samples:
                 same = ledgers[0].samples(key).tobytes() == ledgers[1].samples(key).tobytes()
             if not same:
@@ -277,7 +277,7 @@ def _take(
     ``failed``; return the failures of points whose results do not fit those of the other sources.
     """
     ledger, dtype = source.ledger(), experiment.reducer.dtype
-    rows, held, seconds = ledger.rows, ledger.read(), ledger.seconds()
+    rows, values, seconds = ledger.rows, ledger.read(), ledger.seconds()
     refused: dict[bytes, Record] = {}
 
     def refuse(key: bytes, why: str) -> None:
@@ -285,7 +285,7 @@ def _take(
         refused[key[DIGEST]] = {"kind": "exception", "message": message, "traceback": "", "host": host(), "when": now()}
 
     other = _why_other(_first(sources), source)
-    lost = {} if other else lost_integers(held, dtype)
+    lost = {} if other else lost_integers(values, dtype)
     keys: list[bytes] = []
     for key in sorted(rows, key=rows.__getitem__):
         if other or rows[key] in lost:
@@ -302,7 +302,7 @@ def _take(
             part = alike[start : start + ROWS_AT_ONCE]
             places = [rows[key] for key in part]
             samples = [ledger.samples(key) for key in part] if source.study.keeps_samples else []
-            some = converted(held[places], dtype)
+            some = converted(values[places], dtype)
             store.adopt(source.location, some)
             store.append(part, some, samples, seconds[places])
     return refused
@@ -335,10 +335,10 @@ def _fail(store: Store, accumulator: Accumulator, failed: Mapping[bytes, Record]
 
 def _about(sources: Sequence[_Source]) -> list[dict[str, Any]]:
     """Return where the results come from: for each store, or for all parts together."""
-    told = [{key: one.attributes[key] for key in KEPT if one.attributes.get(key, "") != ""} for one in sources]
+    facts = [{key: one.attributes[key] for key in KEPT if one.attributes.get(key, "") != ""} for one in sources]
     if (part := sources[0].study.part) is None:
-        return [{"store": str(one.location), **about} for one, about in zip(sources, told, strict=True)]
+        return [{"store": str(one.location), **about} for one, about in zip(sources, facts, strict=True)]
     numbers = in_ranges(one.study.part.number for one in sources if one.study.part)
-    values = {key: sorted({about[key] for about in told if key in about}) for key in KEPT}
+    values = {key: sorted({about[key] for about in facts if key in about}) for key in KEPT}
     about = {key: some[0] if len(some) == 1 else f"{some[0]} ... {some[-1]}" for key, some in values.items() if some}
     return [{"store": str(sources[0].location), "merged": numbers, "parts": part.total, **about}]

@@ -109,14 +109,14 @@ class Session:
         """
         study, store = grid.study, None
         whole, wanted, again = study, None, frozenset[bytes]()
-        found = replace_store(where, attributes_of(Plan(grid))) if fresh else find_store(where, study, beside.keep)
-        if retry and found is None:
+        opened = replace_store(where, attributes_of(Plan(grid))) if fresh else find_store(where, study, beside.keep)
+        if retry and opened is None:
             raise SweepError("no store is there whose failed points could be computed again", str(where))
-        if found is not None:
-            study = whole = as_recorded(study, found.attributes) if study.experiment.undeclared else study
-            store = open_store(found, study)
+        if opened is not None:
+            study = whole = as_recorded(study, opened.attributes) if study.experiment.undeclared else study
+            store = open_store(opened, study)
             if not beside.only:
-                check_points(found, study)
+                check_points(opened, study)
                 whole, wanted = with_stored(store, study)
             records = again_where(store, whole, beside.redo) if beside.redo else {}
             if not accept_code:
@@ -144,16 +144,16 @@ class Session:
     @property
     def survey(self) -> Survey:
         """How much there is of what was asked for, and how much is pending; of all points if more than these are."""
-        own = self.accumulator.survey
-        asked = own if self._asked is None else self._part().accumulator.survey
-        return asked if asked.pending.blocks == own.pending.blocks else own
+        whole = self.accumulator.survey
+        asked = whole if self._asked is None else self._part().accumulator.survey
+        return asked if asked.pending.blocks == whole.pending.blocks else whole
 
     def _part(self) -> "Session":
         """Return the session of the points of the study that was asked for alone, with what is there now."""
         assert self._asked is not None, "the store has more"
         study = self.study
         known = replace(self._asked, experiment=study.experiment, sampling=study.sampling, counts=study.counts)
-        return Session(self.accumulator.plan.of(known), self._where, self.store)
+        return Session(self.accumulator.plan.for_study(known), self._where, self.store)
 
     def part(self) -> tuple[Labelled, dict[str, str]]:
         """Return the results of the points of the study that was asked for, and its failures by place."""
@@ -166,18 +166,18 @@ class Session:
         execute: Executor,
         progress: "Progress | None" = None,
         max_failures: MaxFailures | None = None,
-        held: Callable[[], AbstractContextManager[None]] = nullcontext,
+        postponed: Callable[[], AbstractContextManager[None]] = nullcontext,
         tuning: Tuning = TUNED,
     ) -> None:
         """Compute what is pending, and keep it as it comes; end early where more than ``max_failures`` fail.
 
-        ``held`` gives contexts in which interruptions wait.  Raises SweepError for results that are refused, and
+        ``postponed`` gives contexts in which interruptions wait.  Raises SweepError for results that are refused, and
         whatever the executor raises, with everything that was finished in the store.
         """
         progress = progress or Silent()
         total, pending = self.survey.total.points, self.survey.pending
         failing = FailureCount(self.study, total, total - pending.points, most=max_failures)
-        writer = self._writer = Writer(self.accumulator, self._begun(progress), held, tuning=tuning)
+        writer = self._writer = Writer(self.accumulator, self._begun(progress), postponed, tuning=tuning)
         most_blocks = writer.pending.most_blocks
         with self._kept(writer):
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
@@ -186,9 +186,9 @@ class Session:
             if pending.blocks:
                 writer.write()  # so that there is a labelled, if empty, dataset from the start
             with writer:
-                for given, result in results:
-                    works = writer.pending.settle(given, result.seconds, result.cold)
-                    with held():  # so that an interruption leaves nothing taken that was not told
+                for task, result in results:
+                    works = writer.pending.settle(task, result.seconds, result.cold)
+                    with postponed():  # so that an interruption leaves nothing taken that was not told
                         taken = writer.take(works, result)
                         progress.advance(works, result, taken)
                     writer.write_when_due()
@@ -230,7 +230,7 @@ class Session:
             store.keep_copy()
         store.verify()
         record_code(store, study, progress.say)
-        if unused := len(store.rows) - self.accumulator.survey.held.blocks:
+        if unused := len(store.rows) - self.accumulator.survey.stored.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
         return store
 
@@ -357,7 +357,7 @@ def run_study(
         progress.start(session.survey, place.words, place.workers)
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
-        session.compute(execute, progress, max_failures, interruptions.held, tuning)
+        session.compute(execute, progress, max_failures, interruptions.postponed, tuning)
         return session.publish(progress), session.failures()
 
 

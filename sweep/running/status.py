@@ -80,14 +80,14 @@ class _Points:
         starts = _numbers(self.grid.digests(indices))[:, 0]
         order = np.argsort(starts)
         self._starts, self._indices = starts[order], indices[order]
-        own: dict[int, Sequence[Block]] = {i: blocks for i, blocks in (share or {}).items() if blocks is not None}
+        special: dict[int, Sequence[Block]] = {i: blocks for i, blocks in (share or {}).items() if blocks is not None}
         more = self.find(_numbers(map(bytes.fromhex, study.counts))[:, 0])
         for point in self.grid.points(more[more >= 0]):
-            own[point.index] = plan.blocks(cost[point.index], plan.parts_of(point))
-        for index, blocks in own.items() if not self.is_adaptive else ():
+            special[point.index] = plan.blocks(cost[point.index], plan.parts_of(point))
+        for index, blocks in special.items() if not self.is_adaptive else ():
             self.wanted[index] = sum(block.realisations for block in blocks)
         shapes = {plan.block_shape(one): one for one in whole}  # points of one shape have the same blocks
-        common = chain(*map(plan.blocks, shapes.values()), *own.values())
+        common = chain(*map(plan.blocks, shapes.values()), *special.values())
         self._ends = _mixed(_numbers({ledger_key(b"", block) for block in common}))
 
     def find(self, starts: NDArray[np.uint64]) -> NDArray[np.intp]:
@@ -352,7 +352,7 @@ class Watched:
         states = np.array([FAILED, MISSING, DONE, EXCLUDED])[:, None]
         layers = np.vstack([self.status == states, self.share]).reshape(-1, rows, columns)
         sums = np.add.reduceat(np.add.reduceat(layers, down, axis=1), along, axis=2).reshape(len(layers), -1)
-        tiles = [_tile(place, *of) for place, of in zip(self._places, sums.T.tolist(), strict=True)]
+        tiles = [_tile(place, *counts) for place, counts in zip(self._places, sums.T.tolist(), strict=True)]
         length = min(len(along), across)
         rows_of_tiles = (tiles[start : start + length] for start in range(0, len(tiles), length))
         return [row for row in rows_of_tiles if any(tile.state != "excluded" for tile in row)]

@@ -186,7 +186,7 @@ class Taken:
 class Writer:
     """Takes the results of tasks, in whatever order they arrive, and puts what more they call for into ``pending``.
 
-    ``held`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.  As a context
+    ``postponed`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.  As a context
     manager it makes results durable also while this thread waits for the next ones, or computes them.
     """
 
@@ -194,7 +194,7 @@ class Writer:
         self,
         accumulator: Accumulator,
         store: Store,
-        held: Callable[[], AbstractContextManager[None]] = nullcontext,
+        postponed: Callable[[], AbstractContextManager[None]] = nullcontext,
         further: Mapping[str, Any] = MappingProxyType({}),
         tuning: Tuning = TUNED,
     ) -> None:
@@ -202,7 +202,7 @@ class Writer:
         plan = accumulator.plan
         self.accumulator, self.store = accumulator, store
         self.pending = Pending(plan, accumulator, tuning)
-        self._held, self._tuning = held, tuning
+        self._postponed, self._tuning = postponed, tuning
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
         self._provenance = attributes_of(plan) | kept | dict(further)
         self._begun = self._flushed = self._written = time.monotonic()
@@ -234,7 +234,7 @@ class Writer:
         points = [(point, work.block) for work in works for point in work.points]
         keys = [ledger_key(point.digest, block) for point, block in points]
         clock = time.monotonic()
-        with self._held(), self._lock:
+        with self._postponed(), self._lock:
             result, rows = self._as_rows(result)
             good, ended, added = self._add(works, points, result, rows)
             failed = {points[row][0].index: failure for row, failure in result.failures.items()}
@@ -308,10 +308,10 @@ class Writer:
                 if ends:
                     self._fail(point, failure, block)
             else:
-                own = rows[len(good) : len(good) + 1]
+                one_row = rows[len(good) : len(good) + 1]
                 good.append(row)
                 kept, seconds = result.outcomes[row].kept, float(result.seconds[row])
-                more = self.accumulator.add(point, block, own, kept, seconds)
+                more = self.accumulator.add(point, block, one_row, kept, seconds)
                 added += [self.plan.work((point,), one) for one in more]
                 ends = self.accumulator.is_done(point.index)
             if ends:
@@ -321,13 +321,13 @@ class Writer:
     def write(self, final: bool = False) -> Labelled:
         """Write the labelled dataset of everything taken so far, unless the store has it already, and return it."""
         begun = time.monotonic()
-        with self._held():
+        with self._postponed():
             self.flush()
         dataset = self.assembled(final)
         tuning = self._tuning
         size = sum(one.nbytes for one in dataset.variables.values())
         self._long_write = size > tuning.long_write_bytes or dataset["status"].size > tuning.long_write_points
-        with nullcontext() if self._long_write else self._held(), self._lock:
+        with nullcontext() if self._long_write else self._postponed(), self._lock:
             if not self.store.has(dataset):
                 self.store.write(dataset)
             if final:
@@ -373,27 +373,27 @@ class Writer:
         """Raise SweepError, with what is known already, if files of the store have gone since they were written; the
         results so far are then written beside it.
         """
-        of = self.store.location
+        place = self.store.location
         if not (lost := self.store.lost()):
             return
         if self._rescued is None:
-            attributes = self._attributes() | {RESCUED: str(of)}
-            with self._held(), self._lock:
-                beside = Store(stores.create_store(free_beside(of), attributes))
+            attributes = self._attributes() | {RESCUED: str(place)}
+            with self._postponed(), self._lock:
+                beside = Store(stores.create_store(free_beside(place), attributes))
                 # Of arrays that were only in the lost files nothing is left.
-                left = assemble(self.plan, self.accumulator, of).drop_vars(self.plan.grid.study.experiment.large())
+                left = assemble(self.plan, self.accumulator, place).drop_vars(self.plan.grid.study.experiment.large())
                 beside.write(replace(left, attrs=attributes))
             self._rescued = str(beside.location)
         more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
         sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {self._rescued}"
-        raise SweepError([*problems, sentence], str(of))
+        raise SweepError([*problems, sentence], str(place))
 
     def stop(self) -> None:
         """Make everything durable after an interruption, and write the dataset once more unless that takes long.
 
         Where it is not written, the dataset is an earlier one, and the next run makes it anew from the ledger.
         """
-        with self._held():
+        with self._postponed():
             self.flush()
         if not self._long_write:
             self.write()
@@ -423,8 +423,8 @@ class Writer:
 
     def _refuse_results(self, indices: list[int]) -> dict[int, Failure]:
         """Record those finished points as failed whose results are not what the experiment declares; return why."""
-        found = self.accumulator.failing(indices) if indices else {}
-        failures = {index: failure_of(error) for index, error in found.items()}
+        errors = self.accumulator.failing(indices) if indices else {}
+        failures = {index: failure_of(error) for index, error in errors.items()}
         for index, failure in failures.items():
             self._fail(self.plan.grid.point(index), failure)
         return failures

@@ -142,8 +142,8 @@ class Stored:
         inner = list(np.ndindex(chunk_grid(self.shape[axes:])))
         for point in np.ndindex(self.chunks.shape[:-1]):
             for place, chunk in zip(inner, self.chunks[point].tolist(), strict=True):
-                own, first = (chunk_name(array, names, (*p, *place)) for p in (point, (0,) * axes))
-                yield own, first, chunk
+                name, first = (chunk_name(array, names, (*p, *place)) for p in (point, (0,) * axes))
+                yield name, first, chunk
 
     @cached_property
     def array(self) -> "zarr.Array[Any]":

@@ -548,10 +548,10 @@ def labelled(value: Any, label: str = "") -> Named:
     >>> labelled((1, "a")).name, labelled(Path("a/b")).name, labelled(math.sqrt).name
     ("(1, 'a')", 'a/b', 'sqrt')
     """
-    found = reach_of({"value": value})
-    if found.unnoticed:
+    reach = reach_of({"value": value})
+    if reach.unnoticed:
         raise ValueError(f"{shown(value)} has no canonical form, so that it cannot be told from others")
-    parts, code = found.parts, getattr(value, "__code__", None)
+    parts, code = reach.parts, getattr(value, "__code__", None)
     if code is not None and (code.co_name == "<lambda>" or not any(key.startswith("function ") for key in parts)):
         # There may be several in a line, or no source at all.
         parts = parts | {"code": f"{code.co_code.hex()} {[one for one in code.co_consts if type(one) in PLAIN_TYPES]}"}

@@ -267,8 +267,8 @@ class _Reader:
                 is_everywhere = all(values <= some for values, some in at)
                 if name in fixed and not is_everywhere:
                     axes[name] = (fixed.pop(name),) if all(values & some for values, some in at) else (None,)
-                if (own := axes.get(name)) and None not in own and not is_everywhere:
-                    axes[name] = (*own, None)
+                if (on_axis := axes.get(name)) and None not in on_axis and not is_everywhere:
+                    axes[name] = (*on_axis, None)
         clauses: list[tuple[Condition, ...]] = []
         for name in (name for name in allowed if name in {**axes, **fixed}):
             missing = Condition(name, (None,))

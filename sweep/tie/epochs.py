@@ -62,7 +62,7 @@ class Epochs(NamedTuple):
     """
 
     transits: Transits
-    found: Paths
+    paths: Paths
     rows: Indices
     files: Mapping[str, str]
     doubt: Misfit
@@ -174,22 +174,22 @@ def with_observations(
     noise = first["agis_source_excess_noise"].to_numpy()
     transits = Transits(star, observed, model, orbit, noise, origin, epoch, names[rows], stars)
     try:
-        found = transits.paths()
+        paths = transits.paths()
         for _ in range(3 if np.any(model != "5") else 0):  # AGIS has no other path, so that its noise is what is left
             left_over = [
                 estimate_excess_noise(
-                    found.residuals[star == s], observed[ERROR][star == s], 1.0, max(found.dof[s], 1.0)
+                    paths.residuals[star == s], observed[ERROR][star == s], 1.0, max(paths.dof[s], 1.0)
                 )
                 for s in range(len(rows))
             ]
             transits = replace(transits, noise=np.where(model == "5", noise, np.minimum(noise, left_over)))
-            found = transits.paths()
+            paths = transits.paths()
         doubt = misfit(transits)
     except LinkError as error:
         raise SweepError(str(error), where) from error
     digests = {str(file): digest_of(built_in(Path(file))) for file in files}
-    epochs = Epochs(transits, found, rows, digests, doubt, notes)
-    return replace(left, astrometry=transits.in_place(found, left.astrometry, rows)), epochs
+    epochs = Epochs(transits, paths, rows, digests, doubt, notes)
+    return replace(left, astrometry=transits.in_place(paths, left.astrometry, rows)), epochs
 
 
 def _models(
@@ -239,17 +239,17 @@ def _orbits(place: Mapping[str, int], path: Path, epoch: float) -> dict[int, Arr
 
 def described(epochs: Epochs, problem: Problem, solution: Solution, factors: Array | Flags) -> dict[str, Any]:
     """Return variables of a dataset: the path of each star in the link, and the residual of each transit."""
-    transits, found = epochs.transits, epochs.found
-    values, covariance = found.values.copy(), found.covariance.copy()
+    transits, paths = epochs.transits, epochs.paths
+    values, covariance = paths.values.copy(), paths.covariance.copy()
     rows, design = problem.differences(), problem.unknowns.matrix(*problem.objects(problem.satellite))
     for s, source in enumerate(epochs.rows):
         if source >= 0 and factors[source] > 0.0:
             at = np.flatnonzero(problem.source == source)
             step, *both = joint(covariance[s], rows, at, design[source], solution.estimate, solution.covariance)
             values[s], covariance[s] = values[s] + step, both
-    step = (values - found.values)[transits.star]
+    step = (values - paths.values)[transits.star]
     weights, passage = transits.weights(), transits.observed["transit_id"]
-    residuals = found.residuals - np.einsum("nk,nk->n", transits.design(), step)
+    residuals = paths.residuals - np.einsum("nk,nk->n", transits.design(), step)
     total, first = np.bincount(passage, weights), np.unique(passage, return_index=True)[1]
     error = np.sqrt(np.einsum("sii->si", covariance))
     scale = np.where(error > 0.0, np.array([*[MAS] * COLOUR, 1.0]), np.nan)
@@ -259,8 +259,8 @@ def described(epochs: Epochs, problem: Problem, solution: Solution, factors: Arr
         "path_model": ("path", transits.models.astype(str)),
         "path_estimate": (("path", "path_parameter"), values / scale, {"units": "mas, yr, nm"}),
         "path_error": (("path", "path_parameter"), error / scale),
-        "path_chi2": ("path", found.squares, {"long_name": "chi2 of the observations without the link"}),
-        "path_dof": ("path", found.dof),
+        "path_chi2": ("path", paths.squares, {"long_name": "chi2 of the observations without the link"}),
+        "path_dof": ("path", paths.dof),
         "transit_path": ("transit", transits.names[transits.star[first]].astype(str)),
         "transit_epoch": ("transit", transits.epoch + transits.observed["relative_time_year"][first], {"units": "yr"}),
         "transit_residual": ("transit", np.bincount(passage, weights * residuals) / total / MAS, {"units": "mas"}),

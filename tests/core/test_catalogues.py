@@ -23,7 +23,7 @@ def columns(catalogue):
 
 def rows(catalogue):
     """What stays with an object wherever it is put: pmra, pmdec, magnitude and errors."""
-    return np.column_stack([columns(catalogue)[2:].T, catalogue.own.sigma])
+    return np.column_stack([columns(catalogue)[2:].T, catalogue.errors.sigma])
 
 
 @pytest.mark.parametrize("kind", ["synthetic", "quasars", "galaxies", "radio-stars"])
@@ -83,7 +83,7 @@ def test_radio_stars_are_those_of_the_table_drawn_with_replacement_and_whole():
     corona = int(np.argmin(stars.pmra))
     expected = [243.6711 * DEGREE, 33.8589 * DEGREE, -267.048 * MAS, -86.66 * MAS, 5.23]
     np.testing.assert_allclose(columns(stars)[:, corona], expected, rtol=1e-14)
-    np.testing.assert_allclose(stars.own.sigma[corona], np.array([0.0, 0.0, 0.037, 0.05]) * MAS, rtol=1e-14)
+    np.testing.assert_allclose(stars.errors.sigma[corona], np.array([0.0, 0.0, 0.037, 0.05]) * MAS, rtol=1e-14)
     assert stars.v_mag.min() == 2.12  # Algol
     each, which = np.unique(rows(stars), axis=0, return_inverse=True)
     assert len(each) == len(drawn(catalogue="radio-stars")) == 11

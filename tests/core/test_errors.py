@@ -25,7 +25,7 @@ FLAT = {"satellite_errors": "normal", "reference_errors": "normal"}
 def with_own_errors(n_obj=50, correlated=True):
     """Synthetic objects with different errors for each observable and random correlations for each object."""
     sigma, correlation = random_covariances(n_obj)
-    return replace(drawn(1, n_obj=n_obj), own=OwnErrors(sigma * MAS, correlation if correlated else None))
+    return replace(drawn(1, n_obj=n_obj), errors=OwnErrors(sigma * MAS, correlation if correlated else None))
 
 
 @pytest.mark.parametrize("model", ["amex", "gaia", "gaia-2001"])
@@ -50,8 +50,8 @@ def test_scales_multiply():
     np.testing.assert_allclose(satellite.standard_errors(objects)[0, [0, 2]], np.array([10.0, 5.0]) * MAS, rtol=1e-14)
     np.testing.assert_allclose(reference.standard_errors(objects)[0, [0, 2]], np.array([42.0, 14.0]) * MAS, rtol=1e-14)
     own = scenario(here | {"reference_errors": "catalogue"}).reference_errors
-    np.testing.assert_allclose(own.standard_errors(objects), 14.0 * objects.own.sigma, rtol=1e-15)
-    assert own.correlation(objects) is objects.own.correlation  # a scale does not correlate
+    np.testing.assert_allclose(own.standard_errors(objects), 14.0 * objects.errors.sigma, rtol=1e-15)
+    assert own.correlation(objects) is objects.errors.correlation  # a scale does not correlate
     with pytest.raises(ValueError, match="has no errors of its own"):
         own.standard_errors(drawn(1, n_obj=3))
 
@@ -62,7 +62,7 @@ def test_a_floor_dilutes_the_correlations_of_an_object():
     errors = scenario(point(satellite_errors="catalogue", satellite_floor_pos=1.0, satellite_floor_pm=2.0))
     total = errors.satellite_errors.standard_errors(objects)
     found = errors.satellite_errors.correlation(objects) * total[:, :, None] * total[:, None, :]
-    sigma, correlation = objects.own
+    sigma, correlation = objects.errors
     expected = correlation * sigma[:, :, None] * sigma[:, None, :] + np.diag([1.0, 1.0, 4.0, 4.0]) * MAS**2
     np.testing.assert_allclose(found, expected, rtol=1e-12)
 

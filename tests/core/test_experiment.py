@@ -273,7 +273,7 @@ def sky(rng):
 def without_errors(rng):
     found = sky(rng)
     sigma = np.where(rng.random(1)[..., :1] < 0.5, 0.0, MAS)[..., None] * np.ones((*found.ra.shape, 4))
-    return replace(found, own=OwnErrors(np.full((*found.ra.shape, 4), MAS)), reference=OwnErrors(sigma))
+    return replace(found, errors=OwnErrors(np.full((*found.ra.shape, 4), MAS)), reference=OwnErrors(sigma))
 
 
 def at_a_pole(rng):

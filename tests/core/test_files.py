@@ -53,9 +53,9 @@ def is_the_four(found, errors=False):
     np.testing.assert_allclose([found.ra, found.dec], np.array([RA, DEC]) * DEGREE, rtol=1e-14)
     np.testing.assert_allclose([found.pmra, found.pmdec], np.array([PMRA, PMDEC]) * MAS, rtol=1e-14)
     np.testing.assert_array_equal(found.v_mag, MAG)
-    assert (found.own is not None) == errors
+    assert (found.errors is not None) == errors
     if errors:
-        np.testing.assert_allclose(found.own.sigma.T, np.array(list(ERRORS.values())) * MAS, rtol=1e-14)
+        np.testing.assert_allclose(found.errors.sigma.T, np.array(list(ERRORS.values())) * MAS, rtol=1e-14)
     return True
 
 
@@ -103,7 +103,7 @@ def test_positions_are_needed_and_motions_come_in_pairs(write):
     found = read(write({"ra": RA, "dec": DEC}))
     assert np.all(np.isnan(found.v_mag))
     assert not np.any([found.pmra, found.pmdec])
-    assert found.own is None
+    assert found.errors is None
 
 
 def test_pmra_with_and_without_cos_dec(write):
@@ -126,9 +126,9 @@ def test_errors_of_both_motions_or_of_the_position_count_and_the_others_are_zero
     for names, exact in ((("pmra", "pmdec"), (0, 1)), (("dec", "pmra", "pmdec"), (0,)), (("ra", "dec"), (2, 3))):
         expected = np.array(list(ERRORS.values())).T * MAS
         expected[:, list(exact)] = 0.0
-        np.testing.assert_allclose(read(write(GAIA | chosen(*names))).own.sigma, expected, rtol=1e-14)
+        np.testing.assert_allclose(read(write(GAIA | chosen(*names))).errors.sigma, expected, rtol=1e-14)
     for names in (("ra",), ("ra", "dec", "pmra"), ("pmdec",)):
-        assert read(write(GAIA | chosen(*names))).own is None
+        assert read(write(GAIA | chosen(*names))).errors is None
     for name in ERRORS:
         bad = ERRORS | {name: np.array([0.1, 0.1, -0.1, 0.1])}
         assert problem(write(GAIA | bad)).startswith(f"a negative {name} in row 3 (-0.1)")
@@ -139,11 +139,11 @@ def test_correlations_are_those_of_each_pair(write):
     some = {
         f"{NAMES[i]}_{NAMES[j]}_corr": 0.05 * (k + 1) * np.array([1, -1, 2, 0]) for k, (i, j) in enumerate(pairs[1:])
     }
-    found, expected = read(write(GAIA | ERRORS | some)).own.correlation, np.tile(np.eye(4), (4, 1, 1))
+    found, expected = read(write(GAIA | ERRORS | some)).errors.correlation, np.tile(np.eye(4), (4, 1, 1))
     for (i, j), values in zip(pairs[1:], some.values(), strict=True):
         expected[:, i, j] = expected[:, j, i] = values
     np.testing.assert_array_equal(found, expected)  # of the pair that is not there it is zero
-    assert read(write(GAIA | ERRORS)).own.correlation is None
+    assert read(write(GAIA | ERRORS)).errors.correlation is None
     each_pair_alone_would_do = {"ra_dec_corr": 0.9, "ra_pmra_corr": 0.9, "dec_pmra_corr": -0.9}
     for impossible in ({"ra_dec_corr": 1.2}, {"ra_dec_corr": -1.0}, each_pair_alone_would_do):
         columns = {name: np.array([0.0, value, 0.0, value]) for name, value in impossible.items()}

@@ -166,7 +166,7 @@ def test_equals_the_svd_of_each_realisation(seed, n_obj, sigma_mas, motion_mas, 
 
 def test_an_object_that_its_error_carries_over_the_pole_is_named():
     zero = np.zeros(40)
-    objects = replace(drawn(5, n_obj=40), own=OwnErrors(np.full((40, 4), MAS)), pmra=zero, pmdec=zero)
+    objects = replace(drawn(5, n_obj=40), errors=OwnErrors(np.full((40, 4), MAS)), pmra=zero, pmdec=zero)
     objects.dec[35] = 90.0 * DEGREE - 0.5 * MAS
     physics = of_objects(objects, physics_of(**NORMAL, reference_errors="catalogue"))
     with pytest.raises(LinkError, match=r"object 35 is at a celestial pole or, with its error, beyond"):
@@ -289,7 +289,7 @@ def test_the_condition_number_of_a_clustered_sky_is_numpys():
 def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covariance_matrix():
     """G Sigma G^T with a block of Sigma an object, formed without factors."""
     sigma, correlation = random_covariances(30, 8)
-    objects = replace(drawn(3, n_obj=30), own=OwnErrors(sigma * MAS, correlation))
+    objects = replace(drawn(3, n_obj=30), errors=OwnErrors(sigma * MAS, correlation))
     found = design_of(set_up(objects, physics_of(satellite_errors="catalogue"))).predicted_variance()
     design = np.moveaxis(design_matrix(objects.ra, objects.dec, objects.pmra, objects.pmdec), 0, 1)
     a, weights = design.reshape(-1, 6), (sigma.ravel() * MAS) ** -2.0

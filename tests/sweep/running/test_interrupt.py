@@ -52,11 +52,11 @@ def test_a_held_signal_is_raised_once_and_a_second_one_is_answered_as_before(mon
 
     def body(interruptions):
         try:
-            with interruptions.held():
+            with interruptions.postponed():
                 signal.raise_signal(signal.SIGTERM)
                 steps.append("held")
         except KeyboardInterrupt:
-            with interruptions.held():
+            with interruptions.postponed():
                 steps.append("written")
             signal.raise_signal(signal.SIGTERM)
             steps.append(f"seen {len(seen)}")

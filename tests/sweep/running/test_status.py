@@ -27,7 +27,6 @@ def test_points_and_realisations_are_counted(stopped):
     assert 20_000 * 3 < report["realisations_done"] < 20_000 * 5  # a point that is done in part counts in part
 
 
-
 def test_a_single_point_that_was_stopped(coins, tmp_path, sweep):
     study = coins | {"axes": {}, "fixed": {"metal": "tin"}}
     with pytest.raises(KeyboardInterrupt):
