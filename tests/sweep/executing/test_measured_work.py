@@ -2,7 +2,6 @@
 
 import os
 import signal
-from pathlib import Path
 
 import pytest
 from distributed import KilledWorker, LocalCluster
@@ -17,19 +16,15 @@ from tests.sweep.opening import SERIAL, Sentences, existing_store, run_study, sa
 from tests.sweep.outside import wait_until
 from tests.tiers import slow
 
-SLEEPERS = str(Path(__file__).parents[1] / "sleepers.py") + ":experiment"
-
 
 @pytest.mark.parametrize("pool", [p if p == "threads" else slow(p) for p in POOLS])
 def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, start_sweep, pool):
     """Nothing else comes in that would make it durable, and the end comes without a warning."""
-    (tmp_path / "study.toml").write_text(
-        f'title = "Sleepers"\nexperiment = "{SLEEPERS}"\nsampling = {{ n_sim = 2 }}\n'
-        "axes = { seconds = [0.6, 0.7, 0.8, 3600.0] }\n"
-    )
+    (tmp_path / "f.py").write_text("import time\ndef f(seconds: float):\n    return time.sleep(seconds) or seconds\n")
     store = tmp_path / "s.zarr"
     resources = ("--pool", pool) if not POOLS[pool].has_workers else ("--pool", pool, "--workers", 1)
-    process = start_sweep("run", tmp_path / "study.toml", "-o", store, *resources, start_new_session=True)
+    axis = ("--axis", "seconds=0.6,0.7,0.8,3600")
+    process = start_sweep("run", tmp_path / "f.py:f", *axis, "-o", store, *resources, start_new_session=True)
     wait_until(lambda: process.poll() is not None or opening.rows_on_disk(store) == 3, "three blocks", 240)
     assert process.poll() is None, process.communicate()[1]
     os.killpg(process.pid, signal.SIGKILL)

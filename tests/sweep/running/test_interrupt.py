@@ -20,20 +20,24 @@ from tests.tiers import PATIENCE_S, slow
 ENDLESS_S = 3600.0
 """Longer than a test may take: what waits for it fails."""
 
-SLEEPERS = str(Path(__file__).parents[1] / "sleepers.py") + ":experiment"
-
-
-def sleepers(seconds, sheep=20):
-    return f"""
-title = "Sleepers"
-experiment = "{SLEEPERS}"
-[axes]
-sheep = {{ start = 1, stop = {sheep}, step = 1 }}
-[fixed]
-seconds = {seconds}
-[sampling]
-n_sim = 2
+SLEEP = """
+import time
+def f(sheep: int, seconds: float, *, rng, n_sim):
+    time.sleep(seconds)
+    return rng.normal(size=n_sim)
 """
+
+
+@pytest.fixture
+def sleepers(tmp_path):
+    """A function that returns the arguments of a run of blocks that take so long."""
+    (tmp_path / "f.py").write_text(SLEEP)
+
+    def command(seconds, sheep=20):
+        axis, sets = f"sheep=1:{sheep}:1", ("--set", f"seconds={seconds}", "--set", "n_sim=2")
+        return ("run", tmp_path / "f.py:f", "--axis", axis, *sets, "-o", tmp_path / "s.zarr")
+
+    return command
 
 
 def ended_as(body):
@@ -177,10 +181,9 @@ def stopped(process, number):
         slow(signal.SIGHUP, 129, "stopped by SIGHUP", ("--pool", "serial")),
     ],
 )
-def test_long_blocks_are_not_waited_for(tmp_path, start_sweep, number, code, words, pool):
-    (tmp_path / "study.toml").write_text(sleepers(ENDLESS_S))
+def test_long_blocks_are_not_waited_for(tmp_path, start_sweep, sleepers, number, code, words, pool):
     store = tmp_path / "s.zarr"
-    process = start_sweep("run", tmp_path / "study.toml", "-o", store, *pool, start_new_session=True)
+    process = start_sweep(*sleepers(ENDLESS_S), *pool, start_new_session=True)
     assert "20 points" in process.stderr.readline()
     wait_until((store / "zarr.json").exists, "it")
     time.sleep(0.5)
@@ -198,11 +201,8 @@ def catches(pid, number):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moment", [0.0, 0.4, 1.0])
-def test_interrupted_while_the_cluster_starts(tmp_path, start_sweep, moment):
-    (tmp_path / "study.toml").write_text(sleepers(ENDLESS_S))
-    process = start_sweep(
-        "run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr", "--workers", 2, start_new_session=True
-    )
+def test_interrupted_while_the_cluster_starts(start_sweep, sleepers, moment):
+    process = start_sweep(*sleepers(ENDLESS_S), "--workers", 2, start_new_session=True)
     wait_until(lambda: catches(process.pid, signal.SIGTERM), "an answer of its own")
     time.sleep(moment)
     returned, err = stopped(process, signal.SIGINT)
@@ -222,10 +222,9 @@ linksweep.sweep.cli.main()
 
 
 @pytest.mark.slow
-def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
+def test_the_second_signal_ends_it_at_once(start_sweep, sleepers):
     """Where the end itself hangs, here in a write, another Ctrl-C helps."""
-    (tmp_path / "study.toml").write_text(sleepers(0.0, sheep=3))
-    command = [sys.executable, "-c", SLOW, "run", tmp_path / "study.toml", "-o", tmp_path / "s.zarr"]
+    command = [sys.executable, "-c", SLOW, *sleepers(0.0, sheep=3)]
     process = start_sweep(command=command, start_new_session=True)
     assert process.stdout.readline() == "writing\n"
     os.killpg(process.pid, signal.SIGINT)
@@ -235,18 +234,16 @@ def test_the_second_signal_ends_it_at_once(tmp_path, start_sweep):
     assert (returned, "Traceback" in err) == (130, False)
 
 
-def test_what_was_finished_before_is_kept(tmp_path, start_sweep, sweep):
-    (tmp_path / "study.toml").write_text(sleepers(0.1, sheep=12))
-    store, log = tmp_path / "s.zarr", ("--events", tmp_path / "e.jsonl")
-    process = start_sweep("run", tmp_path / "study.toml", "-o", store, "--pool", "serial", *log, start_new_session=True)
+def test_what_was_finished_before_is_kept(tmp_path, start_sweep, sweep, sleepers):
+    store, log, run = tmp_path / "s.zarr", ("--events", tmp_path / "e.jsonl"), sleepers(0.1, sheep=12)
+    process = start_sweep(*run, "--pool", "serial", *log, start_new_session=True)
     wait_until(lambda: rows_on_disk(store), "it")
     returned, err = stopped(process, signal.SIGTERM)
     assert returned == 143, err
     assert int(xr.open_zarr(store)["n_sim_done"].sum()) > 0
     last = json.loads((tmp_path / "e.jsonl").read_text().splitlines()[-1])
     assert (last["event"], last["exit_code"]) == ("ended", 143)
-    code, _, err = sweep("run", tmp_path / "study.toml", "-o", store)
-    assert code == 0, err
-    assert "of them in the store already" in err
-    sweep("run", tmp_path / "study.toml", "-o", tmp_path / "whole.zarr")
+    code, _, err = sweep(*run)
+    assert (code, "of them in the store already" in err) == (0, True), err
+    assert sweep(*run[:-1], tmp_path / "whole.zarr")[0] == 0
     same(store, tmp_path / "whole.zarr")

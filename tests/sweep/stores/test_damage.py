@@ -21,9 +21,6 @@ from tests.sweep import opening
 from tests.sweep.opening import check, files_of, in_use, located, parts_of, repair, run, same
 from tests.tiers import slow
 
-ROW = 48
-"""Bytes of a row of coins with its key."""
-
 SAMPLES = {
     "title": "Samples",
     "axes": {"n_obj": [20, 30]},
@@ -53,11 +50,6 @@ def small_chunks(monkeypatch, folder):
     return {"title": "Images", "experiment": f"{folder}/images.py:model", "axes": {"k": [1, 2, 3, 4]}}
 
 
-def small_parts(monkeypatch, size=4 * ROW):
-    for name in ("PART_BYTES", "MOST_UNWRITTEN"):
-        monkeypatch.setattr(opening.ledger, name, size)
-
-
 def flip(content, at=None, bit=2):
     at = len(content) // 2 if at is None else at
     return content[:at] + bytes([content[at] ^ (1 << bit)]) + content[at + 1 :]
@@ -67,60 +59,8 @@ def cut(content):
     return content[: len(content) // 2]
 
 
-DAMAGE = {"a bit flipped": flip, "cut": cut, "lost": None}
-
-
 def named(report):
     return {*report.identity, *report.ledger, *report.results}
-
-
-@pytest.fixture(params=["coins", slow("images"), slow("samples")])
-def whole(request, tmp_path, coins, monkeypatch):
-    """A study and a store of it, with several parts of the ledger, and a failure."""
-    small_parts(monkeypatch, {"coins": 8 * ROW, "images": 100, "samples": 2**19}[request.param])
-    document = coins if request.param == "coins" else SAMPLES
-    if request.param == "images":
-        document = small_chunks(monkeypatch, tmp_path)
-    run(document, tmp_path / "whole.zarr", {"most_blocks": 2})
-    store = opening.existing_store(tmp_path / "whole.zarr", document)
-    store.fail(b"another point ..", {"message": "it failed"})
-    store.flush()
-    return document, tmp_path / "whole.zarr"
-
-
-@pytest.mark.parametrize("change", DAMAGE.values(), ids=DAMAGE)
-@pytest.mark.parametrize("step", [47, slow(7), slow(1)], ids=["one file of 47", "one of seven", "every file"])
-def test_every_file_may_be_damaged(whole, tmp_path, change, step):
-    document, store = whole
-    wanted, used = linksweep.open(store), in_use(store)
-    assert not check(store)
-    files = sorted(files_of(store))
-    files = [file for file in files if document["title"] != "Samples" or file.startswith(("zarr.json", "blocks/"))]
-    assert sum(file.startswith(("blocks/rows", "blocks/large")) for file in files) > 2
-    for file in files[list(DAMAGE.values()).index(change) :: step]:
-        copy, aside = tmp_path / "copy.zarr", tmp_path / "copy.zarr.damaged"
-        for old in (copy, aside):
-            shutil.rmtree(old, ignore_errors=True)
-        shutil.copytree(store, copy)
-        changed = None if change is None else change((store / file).read_bytes())
-        (copy / file).unlink() if change is None else (copy / file).write_bytes(changed)
-        report = check(copy)
-        assert named(report) == {file} & used, file
-        try:  # whoever reads it gets what was written or a message
-            xr.testing.assert_identical(linksweep.open(copy), wanted)
-        except SweepError:
-            assert named(report), file
-        if report.identity or report.ledger:
-            with pytest.raises(SweepError, match=r"damaged .*`sweep check .* --repair") as told:
-                run(document, copy)
-            assert any(file in problem for problem in told.value.problems), file
-            assert repair(copy)
-            assert change is None or (aside / file).read_bytes() == changed
-            after = check(copy)
-            assert not after.identity | after.ledger, file
-        for dataset in (run(document, copy), linksweep.open(copy), xr.open_zarr(copy).load()):
-            same(dataset, wanted)
-        assert not check(copy), file
 
 
 @pytest.mark.parametrize("what", ["coins", slow("images")])
@@ -210,7 +150,8 @@ def test_a_copy_made_during_a_run_is_whole_or_refused(tmp_path, coins):
 @pytest.fixture(params=["function", slow("images"), slow("samples")])
 def history(request, place, tmp_path, monkeypatch):
     """A study, its store, the files of that after each of three writings, and the results."""
-    small_parts(monkeypatch)
+    for name in ("PART_BYTES", "MOST_UNWRITTEN"):
+        monkeypatch.setattr(opening.ledger, name, 200)
     (tmp_path / "model.py").write_text(MODEL)
     document = {"title": "Model", "experiment": f"{tmp_path}/model.py:model"}
     axes = [{"k": [1, 2, 3], "x": [float(x) for x in range(1, n)]} for n in (3, 5, 6)]
@@ -267,6 +208,34 @@ def means_the_same(key, one, other):
     for document in documents:
         document["attributes"] = {k: v for k, v in document["attributes"].items() if k not in ("checksum", "revision")}
     return documents[0] == documents[1]
+
+
+@pytest.mark.parametrize("step", [17, slow(1)])
+def test_every_file_may_be_damaged(history, step):
+    """A bit flipped, cut, lost."""
+    document, store, writings, wanted = history
+    files, used = writings[-1], in_use(store)
+    assert sum(file.startswith(("blocks/rows", "blocks/large")) for file in files) > 2
+    for (file, content), change in list(itertools.product(files.items(), (flip, cut, None)))[::step]:
+        damaged = {file: change(content)} if change else {}
+        restored(store, {key: content for key, content in files.items() if key != file} | damaged)
+        report = check(store)
+        assert named(report) == {file} & used, file
+        try:  # whoever reads it gets what was written or a message
+            xr.testing.assert_identical(linksweep.open(store), wanted)
+        except SweepError:
+            assert named(report), file
+        if report.identity or report.ledger:
+            with pytest.raises(SweepError, match=r"damaged .*`sweep check .* --repair") as told:
+                run(document, store)
+            assert any(file in problem for problem in told.value.problems), file
+            assert repair(store)
+            assert located(f"{store}.damaged").get(file) == damaged.get(file)
+            after = check(store)
+            assert not after.identity | after.ledger, file
+        for dataset in (run(document, store), linksweep.open(store)):
+            same(dataset, wanted)
+        assert not check(store), file
 
 
 @pytest.mark.parametrize("trials", [5, slow(40)])
@@ -361,10 +330,10 @@ def test_a_flipped_root_is_damaged_wherever_the_bit(place, coins, step):
                 linksweep.open(place)
 
 
-def test_a_store_whose_two_documents_are_damaged_says_what_to_do(whole):
-    document, store = whole
-    for file in ("zarr.json", "blocks/zarr.json"):  # which names the copy of the other
-        (store / file).write_bytes(cut((store / file).read_bytes()))
+def test_a_store_whose_two_documents_are_damaged_says_what_to_do(history):
+    document, store, writings, _ = history
+    cuts = {file: cut(writings[-1][file]) for file in ("zarr.json", "blocks/zarr.json")}  # which names its copy
+    restored(store, writings[-1] | cuts)
     for action in (check, repair, linksweep.open, lambda store: run(document, store)):
         with pytest.raises(SweepError, match=r"both damaged, .* bring one back"):
             action(store)
