@@ -111,15 +111,6 @@ def test_a_port_that_says_nothing_or_is_of_a_server_of_another_kind(monkeypatch,
             pass
 
 
-@pytest.mark.slow
-def test_the_address_of_a_worker():
-    options = {"n_workers": 1, "threads_per_worker": 1, "processes": True, "protocol": "tcp://"}
-    with own_cluster(LocalCluster, options) as cluster:
-        (worker,) = cluster.scheduler_info["workers"]
-        with pytest.raises(SweepError, match=f"'{worker}' is the address of a Dask worker"), client_at(worker):
-            pass
-
-
 @pytest.mark.parametrize("address", ["host", "nonsense://x:1", "tcp://"])
 def test_what_is_no_address(address):
     with pytest.raises(SweepError, match=r"expected tcp://HOST:PORT"), client_at(address):

@@ -1,4 +1,4 @@
-"""Time limits inside a process; what ends a process is tested in `test_execute`."""
+"""Time limits inside a process; what ends a process is tested in `test_isolated`."""
 
 import signal
 import threading

@@ -19,6 +19,7 @@ from tests.tiers import PATIENCE_S, slow
 
 LOCK = threading.Lock()  # cannot be pickled, nor can a function that refers to it be sent to workers
 
+LIMIT = "a block took longer than the time limit of 4 s"
 ENDINGS = {
     "SIGSEGV": ("ctypes.string_at(0)", "ended its process with SIGSEGV"),
     "exit code 3": ("os._exit(3)", "ended its process with exit code 3"),
@@ -26,7 +27,17 @@ ENDINGS = {
     "SIGKILL": ("os.kill(os.getpid(), signal.SIGKILL)", "ended its process with SIGKILL"),
     "closed files": ("os.closerange(0, 4096)", "ended its process with exit code 1"),
 }
-"""How a block may end its process, and what is said of it."""
+LIMITED = {
+    "memory": ("kept = bytearray(2**30); time.sleep(3600)", "needs more than the memory limit of 0.4 GB"),
+    "a loop": ("while True: pass", LIMIT),
+    "no exception": ("time.sleep(3600)", LIMIT),
+    "no other code": ("__import__('re').match('(a+)+$', 'a' * 64 + 'b')", LIMIT),  # years, in which no other runs
+}
+"""How a block may end its process, without and with limits, and what is said of it."""
+LIMITS = "--time-limit 4 --memory-limit 400MB"
+POOLS = ("", "--workers 1", *(f"{pool} {LIMITS}" for pool in ("--pool serial", "--workers 2", "--pool threads")))
+CASES = [(deed, pool) for deed in ENDINGS | LIMITED for pool in POOLS if deed in ENDINGS or LIMITS in pool]
+QUICK = [("SIGSEGV", ""), ("exit code 3", f"--pool serial {LIMITS}")]
 
 FUNCTION = """
 import ctypes, json, os, signal, sys, threading, time
@@ -54,18 +65,18 @@ def sweep(start_sweep):
     return sweep
 
 
-@pytest.mark.parametrize("deed", [key if key == "SIGSEGV" else slow(key) for key in ENDINGS])
-@pytest.mark.parametrize("resources", ["", slow("--workers 1"), slow("--pool serial --time-limit 60")])
+@pytest.mark.parametrize(("deed", "resources"), [*QUICK, *(slow(*case) for case in CASES if case not in QUICK)])
 def test_a_function_that_ends_its_process_at_its_first_points_fails_these_alone(tmp_path, sweep, deed, resources):
-    code, said = ENDINGS[deed]
+    code, said = (ENDINGS | LIMITED)[deed]
     reference = written(tmp_path, code, (0, 1, 4))
     code, _, err = sweep("run", reference, "--axis", "x=0:5:1", "-o", "s.zarr", *resources.split(), cwd=tmp_path)
     assert code == 1, err
     assert "3 points failed" in err
+    assert not [line for line in err.splitlines() if "distributed" in line or "Traceback" in line], err
     ds = xr.open_zarr(tmp_path / "s.zarr")
     assert ds["status"].values.tolist() == [2, 2, 1, 1, 2, 1]
     assert ds["f"].values[[2, 3, 5]].tolist() == [4.0, 6.0, 10.0]
-    assert resources or ds.attrs["failures"].count(said) == 3
+    assert ds.attrs["failures"].count(said) == 3 or (resources and deed not in LIMITED)
 
 
 HARMLESS = {
@@ -125,12 +136,9 @@ def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, mo
     assert ds.forked.values[1:].tolist() == [False, False]
 
 
-HOLDS = "__import__('re').match('(a+)+$', 'a' * 64 + 'b')"  # years, in which no other code of Python runs
-
-
 @pytest.mark.parametrize("number", [slow(signal.SIGINT), signal.SIGKILL])
 def test_a_child_does_not_outlive_its_run(tmp_path, start_sweep, number):
-    reference = written(tmp_path, f"open('begun', 'w').close(); {HOLDS}", (2,))
+    reference = written(tmp_path, f"open('begun', 'w').close(); {LIMITED['no other code'][0]}", (2,))
     process = start_sweep("run", reference, "--axis", "x=0:4:1", "-o", "s.zarr", cwd=tmp_path)
     wait_until(lambda: process.poll() is not None or (tmp_path / "begun").exists(), "the block", PATIENCE_S)
     family = below(process.pid)

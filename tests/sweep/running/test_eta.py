@@ -81,18 +81,3 @@ def test_never_negative_nor_nan(steps, cost, workers):
             left = eta.left(now + later)
             assert math.isfinite(left)
             assert left >= 0.0
-
-
-@pytest.mark.parametrize("workers", [1, 3])
-def test_first_calls_do_not_blow_up_the_estimate(workers):
-    """Each process takes 8 s for its first point, all others take 10 ms."""
-    eta = Eta(1000.0, workers)
-    for _ in range(workers):
-        eta.take(8.0, 1.0, 8.0, cold=8.0)
-        assert eta.left(8.0) is None
-    now = 9.5  # the results are written for the first time
-    for n in range(20):
-        now += 0.01 / workers
-        eta.take(now, 1.0, 0.01)
-        truth = (1000 - workers - n - 1) * 0.01 / workers
-        assert truth / 2 <= eta.left(now) <= 4 * truth

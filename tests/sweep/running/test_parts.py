@@ -1,7 +1,6 @@
 """Parts of a study that know nothing of each other become, in whatever order they are merged, what one run makes."""
 
 import json
-import os
 import shutil
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import bare, check, dying, forge, locked, merge, status_report, until_done
+from tests.sweep.opening import bare, check, dying, locked, merge, status_report, until_done
 from tests.tiers import examples, slow
 
 MODEL = """
@@ -203,16 +202,6 @@ def test_what_does_not_belong_together_is_refused_and_nothing_is_written(three, 
         linksweep.run(model, three[0], pool="serial", **SMALL)
 
 
-def test_versions_that_decide_the_numbers_are_those_of_all_parts(three, tmp_path):
-    def older(attributes):
-        attributes["versions"] = json.dumps(json.loads(attributes["versions"]) | {"numpy": "1.0.0"})
-
-    forge(three[1], older)
-    with pytest.raises(SweepError, match=r"numpy: .* in .*part-1-of-3, 1\.0\.0 in .*part-2-of-3"):
-        merge(three, tmp_path / "s")
-    assert merge(three, tmp_path / "s", accept_code=True).status.size == 8
-
-
 def test_a_part_that_is_running_is_left_out_and_named(three, tmp_path, sweep):
     with locked(three[1]):
         assert "running: 2" in sweep("status", tmp_path / "s")[1]
@@ -250,29 +239,3 @@ def test_parts_and_merges_that_are_killed_go_on(model, tmp_path, monkeypatch, st
         if not killed:
             break
     assert number > 10
-
-
-@pytest.mark.slow
-def test_the_script_of_a_job_array_runs_each_part_and_the_merge(model, tmp_path, sweep, monkeypatch):
-    """With an `sbatch` that runs the jobs at once, one after the other."""
-    (tmp_path / "sbatch").write_text(
-        "#!/bin/bash\nprintf '%s ' \"$@\" >> asked\necho >> asked\n"
-        "if [[ $* == *--array=1-3* ]]; then job=$(cat)\n"
-        '  for task in 1 2 3; do SLURM_ARRAY_TASK_ID=$task bash -c "$job"; done\n  echo 17\nelse bash; fi\n'
-    )
-    (tmp_path / "sbatch").chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    overrides, folder = ("--axis", "k=1,2,3,5", "--set", "x=0.5"), tmp_path / "a folder"
-    folder.mkdir()
-    asked = ("submit", model, *overrides, "-o", "s 1", "--slurm", "3", "--sbatch", "--time=1:00:00")
-    assert sweep(*asked, cwd=folder)[0] == 0
-    assert not (folder / "asked").exists()
-    code, _, err = sweep(*asked, "--go", cwd=folder)
-    assert code == 0, err
-    array, merging = (folder / "asked").read_text().splitlines()
-    assert ("--time=1:00:00" in array, "--dependency=afterany:17" in merging) == (True, True)
-    assert sweep("run", model, *overrides, "-o", folder / "w")[0] == 0
-    require_same(folder / "s 1", folder / "w")
-    for more, message in ((["--sbatch", "-p x"], "and another one"), (["--set", "y=1"], "y"), (["--axis", "k=1"], "")):
-        code, _, err = sweep(*asked, *more, cwd=folder)
-        assert (code, message in err) == (2, True), err

@@ -76,16 +76,6 @@ def test_a_larger_design_keeps_the_old_points_and_their_bits(design, tmp_path):
     same(many.isel(point=slice(size)), few)
 
 
-def test_a_design_that_cannot_grow_says_so(tmp_path):
-    model, _ = counting()
-    points = {"design": "latin-hypercube", "n": 8, "ranges": {"x": [0.5, 2.0], "k": [1, 1000]}}
-    run(model, tmp_path / "s.zarr", points=points)
-    with pytest.raises(SweepError, match=r"points\.n: 8 in the store, 9 in the study"):
-        run(model, tmp_path / "s.zarr", points=points | {"n": 9})
-    with pytest.raises(SweepError, match=r"points\.seed: 0 in the store, 1 in the study"):
-        run(model, tmp_path / "s.zarr", points=points | {"seed": 1})
-
-
 LINK = {"experiment": "linksweep.core.experiment:link", "sampling": {"n_sim": 60, "n_cat": 3, "seed": 8}}
 
 

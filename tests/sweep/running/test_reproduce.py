@@ -3,10 +3,10 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from linksweep import SweepError, run
+from linksweep.sweep.executing.children import Children
+from linksweep.sweep.running import reproduce
 from tests.sweep.opening import OpenStore, same
 from tests.tiers import slow
 
@@ -107,8 +107,10 @@ def written(folder, text):
     return ("f.py:f", "--axis", "x=1,2,3", *more, "-o", "s.zarr")
 
 
-@pytest.mark.parametrize("kind", [k if k == "a counter" else slow(k) for k in DIFFERENT])
-def test_points_that_differ_are_named_with_the_likely_cause(kind, tmp_path, sweep):
+@pytest.mark.parametrize("forked", [True, slow(False)])  # forks are quick, and see what this process has changed
+@pytest.mark.parametrize("kind", [kind if kind == "a counter" else slow(kind) for kind in DIFFERENT])
+def test_points_that_differ_are_named_with_the_likely_cause(kind, forked, tmp_path, sweep, monkeypatch):
+    monkeypatch.setattr(reproduce, "Children", lambda reference, **_: Children(reference, forked=forked))
     text, cause = DIFFERENT[kind]
     code, out, err = sweep("run", *written(tmp_path, text), "--verify", "2", cwd=tmp_path)
     assert code == 1, err
@@ -130,17 +132,3 @@ def test_points_that_do_not_differ_are_counted(tmp_path, sweep, command):
     assert code == 0, err
     number = "1 point" if command == "run" else "3 points"
     assert f"{number} computed again, alone and in two orders: every bit as in s.zarr" in err
-
-
-@pytest.mark.slow
-def test_in_python_they_are_an_error_and_the_results_are_kept(tmp_path):
-    def drifting(x: float):
-        return np.random.default_rng().normal()
-
-    with pytest.raises(SweepError, match=r"x=2\.0 has another result each time") as error:
-        run(drifting, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]}, deterministic=False, verify=5)
-    assert len(error.value.problems) == 2
-    assert (tmp_path / "s.zarr").is_dir()
-    assert run(lambda x: 2.0 * x, tmp_path / "t.zarr", axes={"x": [1.0]}, verify=5).status.values.tolist() == [1]
-    with pytest.raises(SweepError, match="verify = -1: must be a number of points"):
-        run(lambda x: x, tmp_path / "u.zarr", axes={"x": [1.0]}, verify=-1)

@@ -61,6 +61,11 @@ def test_quasars_at_a_tenth(tmp_path, sweep_here):
     assert shown.count("running") == 3
     assert f"values so far are of {int(ds.n_sim_done.max()):,} of 10,000 realisations" in shown.replace("\n", " ")
     assert {row["status"] for row in json.loads(sweep_here("show", store, "--json")[1])["rows"]} == {"running"}
+    # no error before its fewest catalogues: one that leaves out their choice would be too small
+    few = stopped(built_in, tmp_path / "few.zarr", 0.025)
+    assert few.sigma_spin.notnull().all()
+    assert few.sigma_spin_mc_error.isnull().all()
+    assert "5 catalogues are needed to know it" in sweep_here("show", tmp_path / "few.zarr")[1].replace("\n", " ")
     # verdicts and conclusions wait
     code, compared, _ = sweep_here("compare", store, "--json")
     assert code == 1
@@ -96,15 +101,6 @@ def test_values_so_far_are_those_of_the_first_realisations(tmp_path, precision):
             alone = linksweep.run(f, tmp_path / f"{x}.zarr", axes={"x": [float(x)]}, sampling=fewer, pool="serial")
             for name in alone.data_vars.keys() - {"status", "n_sim_done", "wall_time"}:
                 np.testing.assert_array_equal(ds[name].sel(x=x), alone[name].sel(x=x), name)
-
-
-def test_no_error_before_its_fewest_catalogues(tmp_path, sweep_here):
-    """An error that leaves out their choice would be too small; the reason is said."""
-    ds = stopped(quasars(), tmp_path / "q.zarr", 0.025)
-    assert (ds.n_sim_done < 500).all()
-    assert ds.sigma_spin.notnull().all()
-    assert ds.sigma_spin_mc_error.isnull().all()
-    assert "5 catalogues are needed to know it" in sweep_here("show", tmp_path / "q.zarr")[1].replace("\n", " ")
 
 
 def covered(value, error, truth):

@@ -93,16 +93,6 @@ def test_blocks_add_up_whoever_computed_them(tmp_path):
     same(again, more)
 
 
-def test_the_name_is_not_that_of_a_result(tmp_path):
-    def named(x: float):
-        return {"wall_time": x}
-
-    with pytest.raises(SweepError, match="wall_time"):
-        linksweep.experiment(outputs=["wall_time"])(named)
-    ds = linksweep.run(named, tmp_path / "s", axes={"x": [1.0]}, pool="serial", max_failures="100%")
-    assert "the output 'wall_time'" in ds.attrs["failures"]
-
-
 def pending(document, path):
     return plan_study(study_from_dict(document), path)[1].pending
 

@@ -57,21 +57,6 @@ def test_all_failed_points_are_counted_and_a_terminal_says_why(sweep, tmp_path):
     assert len(open_dataset(tmp_path / "s.zarr").attrs["failures"]) < 12_000
 
 
-def test_points_that_failed_are_not_counted_as_done_in_a_plan(sweep, tmp_path):
-    (tmp_path / "f.py").write_text("def f(a: int):\n    return 1 / (a % 2)\n")
-    here = ("f.py:f", "-o", "s.zarr")
-    study = (*here, "--axis", "a=1:10:1")
-    sweep("run", *study, "-q", "--pool", "serial", cwd=tmp_path)
-    failed = "5 failed (`sweep run --retry` tries them again)"
-    _, out, _ = sweep("plan", *study, cwd=tmp_path)
-    assert f"10, 5 of them done, {failed}" in " ".join(out.split())
-    _, out, _ = sweep("plan", *here, "--axis", "a=1:12:1", "--json", cwd=tmp_path)
-    report = json.loads(out)
-    assert [report[key] for key in ("points", "points_done", "points_failed", "blocks_pending")] == [12, 5, 5, 2]
-    _, _, err = sweep("run", *study, "--pool", "serial", cwd=tmp_path)
-    assert f"10 points, 5 of them in the store already, {failed}; 0 points to do" in " ".join(err.split())
-
-
 def test_a_smaller_study_is_answered_while_another_process_holds_the_lock(tmp_path, coins):
     store = tmp_path / "s.zarr"
     whole = linksweep.run(coins, store, pool="serial")

@@ -290,16 +290,6 @@ def is_told(store, differing, wanted, sweep):
     assert "zarr.json" in differing or all(any(file in told for file in differing) for told in problems)
 
 
-def test_an_earlier_writing_as_a_whole_is_that_writing(history, sweep):
-    document, store, writings, wanted = history
-    for files in writings[:-1]:
-        restored(store, files)
-        assert not check(store)
-        blocks = json.loads(sweep("status", store, "--json")[1])["blocks"]
-        assert 0 < blocks < wanted.status.size * 3
-        same(run(document, store), wanted)
-
-
 def test_files_of_a_store_that_was_begun_anew_do_not_count(tmp_path):
     """Also those with a higher number of writings than the present ones have."""
     (tmp_path / "model.py").write_text(MODEL)
