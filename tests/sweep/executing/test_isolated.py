@@ -28,7 +28,7 @@ ENDINGS = {
     "closed files": ("os.closerange(0, 4096)", "ended its process with exit code 1"),
 }
 LIMITED = {
-    "memory": ("kept = bytearray(2**30); time.sleep(3600)", "needs more than the memory limit of 0.4 GB"),
+    "memory": ("kept = b'x' * 2**30; time.sleep(3600)", "needs more than the memory limit of 0.4 GB"),
     "a loop": ("while True: pass", LIMIT),
     "no exception": ("time.sleep(3600)", LIMIT),
     "no other code": ("__import__('re').match('(a+)+$', 'a' * 64 + 'b')", LIMIT),  # years, in which no other runs
