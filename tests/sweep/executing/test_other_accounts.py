@@ -18,7 +18,7 @@ from linksweep.sweep.executing.clusters import own_cluster
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import Resources
 from tests.sweep.outside import below, listening, unix_sockets, wait_until
-from tests.tiers import PATIENCE_S, slow
+from tests.tiers import PATIENCE_S
 
 NOBODY = 65534
 
@@ -128,14 +128,12 @@ def temporary(monkeypatch):
     shutil.rmtree(folder)
 
 
-@pytest.mark.parametrize("dashboard", [False, slow(True)])
-def test_worker_processes_let_nobody_in(temporary, dashboard):
-    """A dashboard may be looked at."""
+def test_worker_processes_let_nobody_in(temporary):
     before = {port for _, port in listening(below(os.getpid()))}
-    with mapped("linksweep.core.experiment:link", Resources(workers=2, dashboard=dashboard), print) as run:
+    with mapped("linksweep.core.experiment:link", Resources(workers=2), print) as run:
         assert list(run(pow, [(2, 3)])) == [8]
         _, got = what_others_get([temporary], but=before)
-    assert {one.split()[0] for one in got} == ({"page"} if dashboard else set())
+    assert not got
 
 
 @pytest.mark.slow

@@ -65,7 +65,8 @@ def test_a_child_that_a_function_forks_and_forgets_does_not_go_on_with_the_run(t
         return x
 
     assert statuses(f, tmp_path)[0] == [1, 1, 1]
-    assert sorted(mark.read_text().split()) == ["1", "1", "2", "3"]  # the first point is computed twice
+    marks = mark.read_text().split()  # the first point is computed twice where that is quick
+    assert [marks.count(x) for x in "23"] == [1, 1]
 
 
 CHANGES = {

@@ -73,12 +73,15 @@ def keys_of(plan):
     return [ledger_key(point.digest, work.block) for task in tasks for work in task for point in work.points]
 
 
+ONE = study_from_dict({"title": "", "experiment": COINS})
+
+
 @settings(max_examples=examples(60), derandomize=True)
 @given(st.integers(1, 1300), st.integers(1, 40), st.floats(1.0, 1e9), st.integers(0, 900), st.integers(0, 40))
 def test_blocks_tile_the_realisations_exactly_once_and_more_leave_whole_ones(n_sim, n_cat, cost, more_sim, more_cat):
     before, after = (
-        plan_of({}, n_sim=sims, n_cat=catalogues).blocks(cost)
-        for sims, catalogues in ((n_sim, n_cat), (n_sim + more_sim, n_cat + more_cat))
+        Plan(make_grid(replace(ONE, sampling=ONE.sampling.model_copy(update=sampling)))).blocks(cost)
+        for sampling in ({"n_sim": n_sim, "n_cat": n_cat}, {"n_sim": n_sim + more_sim, "n_cat": n_cat + more_cat})
     )
     covered = np.zeros((n_cat, n_sim), dtype=int)
     sims = max(block.n_sim for block in before)

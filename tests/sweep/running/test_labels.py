@@ -79,7 +79,9 @@ CELLS = st.one_of(st.none(), st.text("ab", max_size=2), st.integers(0, 3), st.fl
 TABLES = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0]), CELLS), min_size=1, max_size=5)
 
 
-@settings(max_examples=examples(12), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=max(2, examples(12) // 3), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(table=TABLES, first=st.integers(1, 4), number=st.integers(1, 3))
 def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_path_factory, table, first, number):
     folder = tmp_path_factory.mktemp("labels")

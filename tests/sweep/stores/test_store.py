@@ -175,7 +175,7 @@ def test_a_reader_sees_one_writing_or_another(path, coins):
     listening = threading.Thread(target=lambda: lines.extend(process.stdout))
     listening.start()
     number = 0
-    while number < 30 or len(set(lines)) <= 5:
+    while number < 10 or len(set(lines)) <= 5:
         assert process.poll() is None
         number += 1
         write(store, turn(number))
