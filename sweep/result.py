@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     import xarray as xr
 
 # results of a study; what is derived from them; measurements of `sweep scaling`; links and forecasts of tables
-Kind = Literal["grid", "law", "crossings", "sensitivity", "scaling", "tie", "forecast"]
+ResultKind = Literal["grid", "law", "crossings", "sensitivity", "scaling", "tie", "forecast"]
 
 # Stores of these kinds are one dataset, without a study and its ledger, which has the name of its kind as ``result``.
-STORED_TABLES: tuple[Kind, ...] = ("tie", "forecast")
+STORED_TABLES: tuple[ResultKind, ...] = ("tie", "forecast")
 
 # Variables and attributes that only datasets of one kind have.  The first counts: outputs of a study may have any name.
-MARKS: dict[str, Kind] = {
+MARKS: dict[str, ResultKind] = {
     "status": "grid",
     "law": "law",
     "condition": "crossings",
@@ -43,7 +43,7 @@ class Result:
     dataset: "xr.Dataset"
 
     @property
-    def kind(self) -> Kind:
+    def kind(self) -> ResultKind:
         """What it is; raises SweepError for a dataset that is no result of linksweep."""
         if (name := self.dataset.attrs.get("result")) in STORED_TABLES:
             return name  # type: ignore[no-any-return]

@@ -19,7 +19,7 @@ from linksweep.sweep.cli.run import resources as run_on
 from linksweep.sweep.formatting import to_json
 from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.tables.options import Declared, declared
-from linksweep.sweep.tie.options import FORECAST, TIE, Options, Plan
+from linksweep.sweep.tie.options import FORECAST, TIE, ForecastOptions, Options
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -212,7 +212,7 @@ def forecast(
     satellite: Path = arg(type=FILE),
     reference: str = arg(),
     more_epochs: tuple[Path, ...] = MORE_EPOCHS,
-    asked: dict[str, Any] = _declared(FORECAST, Plan, Options),
+    asked: dict[str, Any] = _declared(FORECAST, ForecastOptions, Options),
     target: Target = options.group(Target),
 ) -> None:
     """Forecast the errors of a link with new observations, and choose what to observe.

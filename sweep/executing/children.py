@@ -23,7 +23,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.executing.process import Deadlines, ignored
 from linksweep.sweep.executing.task import AnyJob, Call, Failure, PointBlock, Task, TaskResult, failed, joined, too_long
-from linksweep.sweep.executing.versions import Identity, differences, identity
+from linksweep.sweep.executing.versions import Identity, identity, other_versions
 from linksweep.sweep.executing.worker import ENOUGH_S, compute, run_units, takes_several
 from linksweep.sweep.interrupt import SIGNALS
 
@@ -292,7 +292,7 @@ class _Child:
             raise SweepError(f"a child process could not start (exit code {exit_code}): {words}") from error
         if isinstance(answer, SweepError):
             raise answer
-        if differ := differences(expected.deciding, answer.deciding):
+        if differ := other_versions(expected.deciding, answer.deciding):
             raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
 
     def memory(self) -> float:

@@ -23,7 +23,7 @@ from linksweep.sweep.executing.children import Children
 from linksweep.sweep.executing.pools import Limits
 from linksweep.sweep.executing.process import Deadlines
 from linksweep.sweep.executing.task import AnyJob, Call, Failure, Say, Task
-from linksweep.sweep.executing.versions import Identity, differences, identity
+from linksweep.sweep.executing.versions import Identity, identity, other_versions
 from linksweep.sweep.executing.worker import compute
 from linksweep.sweep.planning.work_queue import TASK_S, TASKS_IN_FLIGHT, task_seconds
 
@@ -89,7 +89,7 @@ class SourcesPlugin(WorkerPlugin):
 
 
 @dataclass(frozen=True)
-class Answer:
+class Reply:
     """A worker's answer: its address, how it differs from the client, and the result if this decides no number."""
 
     worker: str
@@ -98,7 +98,7 @@ class Answer:
     result: Any = None
 
 
-def run_on_worker(task: Task | Call, expected: Identity, guarded: bool, memory_limit: int | None) -> Answer:
+def run_on_worker(task: Task | Call, expected: Identity, guarded: bool, memory_limit: int | None) -> Reply:
     """Run a task on the worker that this is called on, if it computes the same numbers as the client.
 
     With ``guarded`` blocks run in a child process of at most ``memory_limit`` bytes (None: no limit).
@@ -106,8 +106,10 @@ def run_on_worker(task: Task | Call, expected: Identity, guarded: bool, memory_l
     worker = get_worker()
     reference, digest = task.experiment_reference, task.source_digest
     here = identity(reference, digest)
-    answer = Answer(
-        worker.address, differences(expected.deciding, here.deciding), differences(expected.others, here.others)
+    answer = Reply(
+        worker.address,
+        other_versions(expected.deciding, here.deciding),
+        other_versions(expected.others, here.others),
     )
     if answer.deciding:
         return answer
@@ -180,8 +182,8 @@ class DaskDriver:
         problems = []
         for worker, answer in sorted(answers.items()):
             if isinstance(answer, Identity):
-                self._warn(worker, differences(self._expected.others, answer.others))
-                problems += [f"{worker}: {text}" for text in differences(self._expected.deciding, answer.deciding)]
+                self._warn(worker, other_versions(self._expected.others, answer.others))
+                problems += [f"{worker}: {text}" for text in other_versions(self._expected.deciding, answer.deciding)]
             elif not isinstance(answer, OSError):  # else it has gone; should it return, its first task is compared
                 problems.append(f"{worker}: {type(answer).__name__}: {answer}")
         if problems:
@@ -233,7 +235,7 @@ class DaskDriver:
         """Compute everything that ``take`` gives; begin now, not when the first result is asked for."""
         self._take: Callable[[int], Sequence[Any]] = take
         self._ended: SimpleQueue[Future[Any]] = SimpleQueue()
-        self._arrived: deque[tuple[Future[Any], Answer | None]] = deque()
+        self._arrived: deque[tuple[Future[Any], Reply | None]] = deque()
         self._succeeded = 0
         self._send_what_is_new()
         return self._results()
@@ -335,14 +337,14 @@ class DaskDriver:
         while len(futures) < MOST_FETCHED and not self._ended.empty():
             futures.append(self._ended.get())
         good = [future for future in futures if future.status == "finished"]
-        answers: list[Answer] = []
+        answers: list[Reply] = []
         if len(good) > 1:
             with suppress(Exception):
                 answers = self._fetch(good).result(LOOK_EVERY_S)
         known = dict(zip(good, answers, strict=False))
         self._arrived.extend((future, known.get(future)) for future in futures)
 
-    def _fetch(self, futures: list[Future[Any]]) -> Fetching[list[Answer]]:
+    def _fetch(self, futures: list[Future[Any]]) -> Fetching[list[Reply]]:
         """Begin to fetch results, in one message.
 
         Fetching goes on whether it is waited for or not.  Dask cancels what takes longer than its timeouts; if it had
@@ -351,7 +353,7 @@ class DaskDriver:
         loop: Any = self.client.loop
         return run_coroutine_threadsafe(self.client.gather(futures, asynchronous=True), loop.asyncio_loop)
 
-    def _result(self, future: Future[Any]) -> Answer:
+    def _result(self, future: Future[Any]) -> Reply:
         """Wait for a result, and watch the workers meanwhile: if the worker that had it has died since, it is computed
         again, which would take for ever without workers.
         """
@@ -360,7 +362,7 @@ class DaskDriver:
             self._look()
         return fetching.result()[0]
 
-    def _received(self, future: Future[Any], fetched: Answer | None) -> Answer:
+    def _received(self, future: Future[Any], fetched: Reply | None) -> Reply:
         """Return a worker's answer; raises the error with which Dask lost it.  What the experiment raises is in it.
 
         Raises SweepError where the worker differs, where it cannot run linksweep, and where the connection is lost.

@@ -40,7 +40,7 @@ def _kernels() -> str:
     return ", ".join(sorted({f"{info['internal_api']} for {info['architecture']}" for info in known})) or "unknown"
 
 
-def differences(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
+def other_versions(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
     """Return a phrase for everything that differs between two processes."""
     pairs = {name: (here.get(name, "unknown"), there.get(name, "unknown")) for name in {**here, **there}}
     return [f"{name} is {one} here, {other} there" for name, (one, other) in pairs.items() if one != other]

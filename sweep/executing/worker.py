@@ -34,7 +34,7 @@ from linksweep.sweep.executing.task import (
     joined,
     too_long,
 )
-from linksweep.sweep.functions.results import differences, same_value
+from linksweep.sweep.functions.results import layout_differences, same_value
 from linksweep.sweep.planning.plan import generators_of
 
 # Seconds after which a task returns what it has, so that its results do not wait for those of slower points.
@@ -339,7 +339,7 @@ def _agree(one: NDArray[Any], other: NDArray[Any], everything: NDArray[Any], tol
 
 def _difference(first: Outcome, second: Outcome) -> str:
     """Return how two results differ, '' where they do not: their order does not matter, and NaN is NaN."""
-    if (wrong := differences(first.layout, second.layout)) or differences(second.layout, first.layout):
+    if (wrong := layout_differences(first.layout, second.layout)) or layout_differences(second.layout, first.layout):
         return f"and then another one: {'; '.join(wrong) or 'of another type'}"
     other = dict(zip((field.name for field in second.layout.fields), second.row, strict=True))
     pairs = zip(first.layout.fields, first.row, strict=True)

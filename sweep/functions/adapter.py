@@ -469,7 +469,7 @@ class FunctionExperiment(Experiment):
             layout = layout or outcome.layout
             if (key := id(outcome.layout)) not in verdicts:
                 # results with arrays come with a layout each: equal ones are told faster than they are hashed
-                wrong = () if outcome.layout == layout else results.differences(layout, outcome.layout)
+                wrong = () if outcome.layout == layout else results.layout_differences(layout, outcome.layout)
                 if wrong and not self.rng and not self.vectorised:
                     wrong += results.lengths_hint(layout, outcome.layout)
                 if (

@@ -133,7 +133,7 @@ def problems_of_names(layout: Layout, parameters: tuple[str, ...]) -> tuple[str,
 
 
 @lru_cache(maxsize=256)  # workers send equal layouts again and again, each time as a new object
-def differences(expected: Layout, other: Layout) -> tuple[str, ...]:
+def layout_differences(expected: Layout, other: Layout) -> tuple[str, ...]:
     """Return a phrase for each difference between results and those of the first point, none if they fit the layout.
 
     The order does not matter, and integers and floats are joined.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Outcome, Output, ResultError, Rows, reducer, shown, suggest
-from linksweep.sweep.functions.results import NUMBERS, Field, Layout, as_row, differences
+from linksweep.sweep.functions.results import NUMBERS, Field, Layout, as_row, layout_differences
 
 MOMENTS = 6
 """What a block keeps of each number of an output: mean, sums of 2nd to 4th powers about it, least and largest value."""
@@ -349,7 +349,7 @@ def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ..
     layout = layout.with_floats(field.name for field in layout.fields)
     rows = []
     for outcome in outcomes:
-        if wrong := differences(layout, outcome.layout):
+        if wrong := layout_differences(layout, outcome.layout):
             raise ResultError(f"{function}: one realisation differs from another: {'; '.join(wrong)}")
         try:
             rows.append(as_row(outcome, layout))

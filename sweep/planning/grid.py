@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from linksweep.sweep.contract import Point, SweepError, Value, shown
 from linksweep.sweep.studies.points import remarks
 from linksweep.sweep.studies.study import POINT, Study
-from linksweep.sweep.tables.file import as_json
+from linksweep.sweep.tables.file import sorted_json
 
 T = TypeVar("T")
 
@@ -180,7 +180,7 @@ class Grid:
             different = {
                 (type(v), v) for v in values[name] if v != default or (type(v) is bool) != (type(default) is bool)
             }
-            texts = {one: f"{key}: {as_json(one[1])}" for one in different}
+            texts = {one: f"{key}: {sorted_json(one[1])}" for one in different}
             if texts:
                 entries.append((name, dimension_of.get(name), [texts.get((type(v), v)) for v in values[name]]))
         return entries

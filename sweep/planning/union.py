@@ -14,7 +14,7 @@ from linksweep.sweep.planning.grid import MAX_POINTS, Grid, all_but
 from linksweep.sweep.studies.form import Sampling
 from linksweep.sweep.studies.points import MAX_VALUES, labels_of, require_distinct
 from linksweep.sweep.studies.study import POINT, PointTable, Study
-from linksweep.sweep.tables.file import as_json
+from linksweep.sweep.tables.file import sorted_json
 
 # A grid of more points than this becomes a table where fewer than one in so many of its points are there.
 SMALL, SPARSEST = 1000, 10
@@ -59,7 +59,7 @@ def united(stored: Study, asked: Study, digests: Collection[bytes] | None = None
     if gone := [name for name in stored.axes if name not in defaults]:
         raise SweepError(f"the axis {gone[0]} of the store is no parameter any more; --only leaves its points out")
     axes = {*stored.axes, *asked.axes}
-    changed = [name for name in defaults if name not in axes and as_json(was[name]) != as_json(now[name])]
+    changed = [name for name in defaults if name not in axes and sorted_json(was[name]) != sorted_json(now[name])]
     tables = [one.points for one in (asked, stored) if one.points is not None]
     excluded = tuple(clause for clause in asked.excluded if clause in stored.excluded)
     kept.pop(POINT, None)  # with rows that repeat others, and those that are not there yet
@@ -138,7 +138,7 @@ def _labels(columns: Mapping[str, Sequence[Value]], *studies: Study) -> dict[str
 
 
 def _keys(columns: Mapping[str, Sequence[Value]], names: Sequence[str]) -> list[str]:
-    return [as_json(list(row)) for row in zip(*(columns[name] for name in names), strict=True)]
+    return [sorted_json(list(row)) for row in zip(*(columns[name] for name in names), strict=True)]
 
 
 def _is_crossed(theirs: Grid, mine: Grid) -> bool:
@@ -174,10 +174,10 @@ def _crossed(*sides: tuple[Grid, Mapping[str, Value], Mapping[str, NDArray[np.in
 
 def _joined(old: list[Row], new: list[Row]) -> list[Row]:
     """Return the rows of both: those of one that has all in its order, else in ascending order if they are numbers."""
-    known = [{as_json(list(row)) for row in rows} for rows in (old, new)]
+    known = [{sorted_json(list(row)) for row in rows} for rows in (old, new)]
     if known[0] <= known[1]:
         return new
-    added = [row for row in new if as_json(list(row)) not in known[0]]
+    added = [row for row in new if sorted_json(list(row)) not in known[0]]
     joined = [*old, *added]
     if added and all(len(row) == 1 and type(row[0]) in (int, float) for row in joined):
         joined.sort()

@@ -111,7 +111,7 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
                     made.append(drawn(one, f"{name} ({words})", f"{number}-{i}-{k}", (name,)))
         else:
             made.append(drawn(dataset, name, f"{number}-{i}", (name,)))
-        residual = differences(dataset, name) if ordered and _varies(dataset[name]) else None
+        residual = residuals(dataset, name) if ordered and _varies(dataset[name]) else None
         if residual is not None:
             words = f"{name} minus its prediction, in units of its one-sigma errors; the band is three of them"
             made.append(drawn(residual, words, f"{number}-{i}-residual", (f"{name}_{SUFFIX}",), "lines", _add_band))
@@ -159,7 +159,7 @@ def drawn(
         return Picture(name, problem=" ".join(str(error).split()))
 
 
-def differences(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
+def residuals(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
     """Return a variable minus its prediction, in units of its one-sigma errors, as a dataset to draw; None where the
     variable has no errors or no prediction.
     """

@@ -22,8 +22,7 @@ from linksweep.sweep.contract.reducer import converted, lost_integers, same_rows
 from linksweep.sweep.executing.versions import DECIDING
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.functions.adapter import layout_of_record
-from linksweep.sweep.functions.results import Layout
-from linksweep.sweep.functions.results import differences as layout_differences
+from linksweep.sweep.functions.results import Layout, layout_differences
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.parts import lost_parts
@@ -31,7 +30,7 @@ from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.union import united
 from linksweep.sweep.running.code import records_of
 from linksweep.sweep.running.reproduce import study_of
-from linksweep.sweep.running.writer import BLOCK, Writer, attributes_of, differences, find_store, open_store
+from linksweep.sweep.running.writer import BLOCK, Writer, attributes_of, find_store, open_store, study_differences
 from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
 from linksweep.sweep.stores.ledger import Ledger, Record
@@ -185,7 +184,7 @@ def _differences(one: _Source, other: _Source, accept_code: bool) -> list[str]:
         attributes["study_meaning"] = json.dumps({**old, "fixed": new["fixed"]})
     sentences = [
         text.replace(" in the store", f" {was}").replace(" in the study", f" {now}")
-        for text in differences(attributes, other.study)
+        for text in study_differences(attributes, other.study)
     ]
     numbers = ("n_sim", "n_cat", "precision", "max_n_sim")
     pairs = [(key, getattr(one.study.sampling, key), getattr(other.study.sampling, key)) for key in numbers]

@@ -46,7 +46,7 @@ SHARE, LONGEST_S = 0.008, 20.0
 MISSING, DONE, FAILED, EXCLUDED, _ = map(int, Status)
 
 
-class Progress(NamedTuple):
+class PointStates(NamedTuple):
     """How far each point is, indexed like the grid: its ``status``, its ``realisations``, and which ``share`` of those
     that are wanted these are, 0 where it failed.
     """
@@ -95,7 +95,7 @@ class _Points:
         at = np.minimum(np.searchsorted(self._starts, starts), len(self._starts) - 1)
         return np.where(self._starts[at] == starts, self._indices[at], -1)
 
-    def progress(self, opened: OpenStore, blocks: NDArray[Any], failed: Iterable[bytes]) -> Progress:
+    def progress(self, opened: OpenStore, blocks: NDArray[Any], failed: Iterable[bytes]) -> PointStates:
         """Return how far the points are from the `blocks` in the ledger of a store and the digests of those that
         ``failed``.  With a precision only the experiment can say which are done: those of the last writing.
         """
@@ -109,7 +109,7 @@ class _Points:
         status = np.select([self.wanted == 0.0, share == 1.0], [EXCLUDED, DONE], MISSING).astype(np.int8)
         status[at[at >= 0]], share[at[at >= 0]] = FAILED, 0.0
         everywhere = self.grid.with_repeats
-        return Progress(everywhere(status), everywhere(realisations), everywhere(share))
+        return PointStates(everywhere(status), everywhere(realisations), everywhere(share))
 
     def blocks(self, keys: NDArray[np.uint64]) -> NDArray[Any]:
         """Return the point and the realisations of each block of this study with one of these keys, (2, blocks)."""

@@ -62,7 +62,7 @@ def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | No
     opened = stores.find_store(where)
     if opened is None:
         return None
-    different = differences(opened.attributes, study, keep)
+    different = study_differences(opened.attributes, study, keep)
     before, asked = opened.attributes.get(PART, "the whole"), str(study.part or "the whole")
     if before != asked:
         different.append(f"part: {before} in the store, {asked} in the study")
@@ -123,7 +123,7 @@ def identity(study: Study) -> dict[str, Any]:
     }
 
 
-def differences(attributes: Mapping[str, Any], study: Study, keep: bool = False) -> list[str]:
+def study_differences(attributes: Mapping[str, Any], study: Study, keep: bool = False) -> list[str]:
     """Say how the meaning of stored results differs from a study's; values of parameters that are an axis in either are
     not compared, and with ``keep`` neither are those of other parameters that may be one.
     """

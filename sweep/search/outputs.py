@@ -16,7 +16,7 @@ from linksweep.core.frames import ARCSEC, DEGREE, Array, galactic
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import with_error
 from linksweep.sweep.search.crossmatch import CLASSES
-from linksweep.sweep.search.search import MAGNITUDES, MOTIONS, NUMBERS, TYC, Result, Search, find_matches, table_name
+from linksweep.sweep.search.search import MAGNITUDES, MOTIONS, NUMBERS, TYC, Matches, Search, find_matches, table_name
 from linksweep.sweep.stores.location import Folder
 from linksweep.sweep.table_writer import Column, Table
 from linksweep.sweep.tables.columns import unit_of
@@ -75,7 +75,7 @@ class Outputs:
         return [path for path in (self.ecsv, self.table, self.sky_map) if path is not None]
 
 
-def find_galaxies(search: Search, outputs: Outputs | None = None, overwrite: bool = False) -> Result:
+def find_galaxies(search: Search, outputs: Outputs | None = None, overwrite: bool = False) -> Matches:
     """Read the tables, match them and write the requested files, each in one step.
 
     Raises SweepError for all that is wrong with tables, options and names of files; then nothing is written.
@@ -142,7 +142,7 @@ def write(path: Path, content: bytes, overwrite: bool) -> None:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
 
-def match_columns(result: Result) -> pd.DataFrame:
+def match_columns(result: Matches) -> pd.DataFrame:
     """Return a table with a row for each match: columns of the star tables, then those of `MATCH_COLUMNS`.
 
     Numbers that a table does not have are NaN, identifiers 0, names empty.
@@ -191,7 +191,7 @@ def _together(tables: Sequence[pd.DataFrame], paths: Sequence[Path]) -> pd.DataF
     return pd.concat(each, ignore_index=True)
 
 
-def matches_table(result: Result) -> Any:
+def matches_table(result: Matches) -> Any:
     """Return the matches as an astropy Table with units and descriptions; missing values are masked, ``meta`` is the
     summary.
     """
@@ -233,7 +233,7 @@ def galaxy_table(columns: pd.DataFrame) -> str:
     return "".join(lines)
 
 
-def summarise(result: Result) -> dict[str, Any]:
+def summarise(result: Matches) -> dict[str, Any]:
     """Return the summary of a search: what was searched, chance matches, and counts and means for each class.
 
     A mean of no values is None.

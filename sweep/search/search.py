@@ -73,7 +73,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class Result:
+class Matches:
     """A search, the rows of its star tables and of its galaxy tables (see `read_sky_table`), and the matches."""
 
     search: Search
@@ -128,7 +128,7 @@ def _numbers(name: str, pairs: Pairs, tables: Sequence[str], common: Sequence[st
         raise SweepError(str(error)) from error
 
 
-def find_matches(search: Search) -> Result:
+def find_matches(search: Search) -> Matches:
     """Read the tables of a search and match them.
 
     Raises SweepError with the problems of all tables, and for a radius that would pair everything with everything.
@@ -157,7 +157,7 @@ def find_matches(search: Search) -> Result:
         for table, radius in zip(galaxies, search.radius_arcsec.values(), strict=True)
     ]
     try:
-        return Result(search, stars, galaxies, crossmatch.cross_match(positions, supplement, catalogues, search.rules))
+        return Matches(search, stars, galaxies, crossmatch.cross_match(positions, supplement, catalogues, search.rules))
     except ValueError as error:
         raise SweepError(str(error)) from error
 

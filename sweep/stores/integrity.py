@@ -177,7 +177,7 @@ class File(_Written):
     size: Annotated[int, Field(ge=0, lt=MOST_BYTES)]
 
 
-class Part(_Written):
+class LedgerPart(_Written):
     """Rows that were written together: how many, their file, and that of their samples if these are kept."""
 
     records: Annotated[int, Field(ge=0, lt=2**28)]
@@ -199,7 +199,7 @@ class Manifest(_Written):
     revision: Count = 0
     row: Annotated[list[Any], AfterValidator(_is_row)] = []
     samples_width: Annotated[int, Field(ge=0, lt=2**28)] = 0
-    parts: list[Part] = []
+    parts: list[LedgerPart] = []
     documents: dict[Literal["failures", "study"], File] = {}
 
     def sealed(self) -> bytes:

@@ -21,7 +21,7 @@ from linksweep.sweep.contract import Array, Rows, SweepError
 from linksweep.sweep.contract.block import KEY_BYTES, BlockRows
 from linksweep.sweep.contract.reducer import converted
 from linksweep.sweep.stores import integrity
-from linksweep.sweep.stores.integrity import MANIFEST, File, Manifest, Part, noting
+from linksweep.sweep.stores.integrity import MANIFEST, File, LedgerPart, Manifest, noting
 from linksweep.sweep.stores.large import FILE, FOLDER, file_of, references
 from linksweep.sweep.stores.location import Location, reading, writing
 
@@ -296,7 +296,7 @@ class Ledger:
             self.retype(self.dtype, self.samples_width, gone)
         self.flush(again=True)
 
-    def _with_new(self, revision: int) -> list[Part]:
+    def _with_new(self, revision: int) -> list[LedgerPart]:
         """Return all parts after writing one with the new rows, which takes up the last one unless that is finished."""
         if not self._new:
             return self.parts
@@ -307,11 +307,11 @@ class Ledger:
         records, samples = (np.concatenate(arrays) for arrays in zip(*blocks, strict=True))
         return [*kept, self._put((records, samples), revision, 0)]
 
-    def _put(self, blocks: Blocks, revision: int, number: int) -> Part:
+    def _put(self, blocks: Blocks, revision: int, number: int) -> LedgerPart:
         records, samples = blocks
         rows = self._file(f"rows.{revision}.{number}", _packed(records), pack=True)
         kept = self._file(f"samples.{revision}.{number}", samples.tobytes(), pack=True) if samples.size else None
-        part = Part(records=len(records), rows=rows, samples=kept)
+        part = LedgerPart(records=len(records), rows=rows, samples=kept)
         self._remember(part, blocks)
         return part
 
@@ -332,7 +332,7 @@ class Ledger:
             start += part.records
         return records
 
-    def _part(self, part: Part) -> Blocks:
+    def _part(self, part: LedgerPart) -> Blocks:
         """Return the rows and samples of a part that was written."""
         if part.rows.name in self._recent:
             return self._recent[part.rows.name][0]
@@ -350,14 +350,14 @@ class Ledger:
         self._remember(part, (records, samples))
         return records, samples
 
-    def _remember(self, part: Part, blocks: Blocks) -> None:
+    def _remember(self, part: LedgerPart, blocks: Blocks) -> None:
         while len(self._recent) >= RECENT:
             del self._recent[next(iter(self._recent))]
         # Where the samples of each row end: added up once, not for each block that is read.
         self._recent[part.rows.name] = blocks, np.cumsum(_counts(blocks[0]))
 
 
-def read_keys(location: Location, parts: Sequence[Part]) -> list[NDArray[np.uint64]]:
+def read_keys(location: Location, parts: Sequence[LedgerPart]) -> list[NDArray[np.uint64]]:
     """Return the keys of the rows of each part, (records, 4) numbers of 8 bytes, zeros for a row that was lost.
 
     Nothing else of the rows is looked at.  Raises ValueError where a file is missing or not what was written.

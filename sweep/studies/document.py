@@ -26,7 +26,7 @@ MAX_PROBLEMS = 50
 REFERENCE = re.compile(r"(?P<place>[^:\n]+\.py|[A-Za-z_][\w.]*):[A-Za-z_]\w*")
 """``file.py:NAME`` and ``module:NAME``."""
 
-Place = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 """Keys and indices that lead to a value of the document."""
 
 
@@ -80,11 +80,11 @@ def parsed(text: str, path: Path) -> dict[str, Any]:
         raise SweepError("not valid TOML: nested too deeply", str(path)) from error
 
 
-def _lines_of_keys(text: str) -> dict[Place, int]:
+def _lines_of_keys(text: str) -> dict[KeyPath, int]:
     """Return the 1-based line of every key of a TOML text, as far as patterns find it: the parser gives no lines."""
-    table: Place = ()
+    table: KeyPath = ()
     counts: dict[str, int] = {}
-    lines: dict[Place, int] = {}
+    lines: dict[KeyPath, int] = {}
     for number, whole in enumerate(text.split("\n"), 1):
         line = whole[:200]  # a key is at the beginning; the patterns are slow on a long line
         if header := re.match(r"\s*(\[\[?)\s*([\w.\"' -]+?)\s*\]\]?\s*(?:#.*)?$", line):
@@ -104,15 +104,15 @@ class Problems:
     gave the value at a place.
     """
 
-    def __init__(self, where: str, text: str = "", options: Mapping[Place, str] | None = None) -> None:
+    def __init__(self, where: str, text: str = "", options: Mapping[KeyPath, str] | None = None) -> None:
         self.where, self.text, self.options = where, text, {} if options is None else options
         self.sentences: list[str] = []
 
     @cached_property
-    def _lines(self) -> dict[Place, int]:
+    def _lines(self) -> dict[KeyPath, int]:
         return _lines_of_keys(self.text)
 
-    def add(self, place: Place, message: str) -> None:
+    def add(self, place: KeyPath, message: str) -> None:
         """Take one problem; raises SweepError where there are too many."""
         if len(self.sentences) >= MAX_PROBLEMS:
             raise SweepError([*self.sentences, "... and perhaps more problems like these"], self.where)
@@ -123,7 +123,7 @@ class Problems:
         self.sentences.append(f"{key}{f' ({sources[0]})' if sources else ''}: {message}")
 
     @contextmanager
-    def at(self, place: Place, before: str = "") -> Iterator[None]:
+    def at(self, place: KeyPath, before: str = "") -> Iterator[None]:
         """Take the message of a ValueError or SweepError as problems of a place, with the text ``before`` it."""
         try:
             yield
@@ -140,7 +140,7 @@ class Problems:
 
 
 @dataclass
-class Options:
+class Overrides:
     """The options of the command line that change a study, as `load_study` has them; ``by_place`` says which of them
     gave the value at a place of the document.
     """
@@ -151,7 +151,7 @@ class Options:
     design: str | None = None
     ranges: Sequence[str] = ()
     exclude: Sequence[str] = ()
-    by_place: dict[Place, str] = field(default_factory=dict)
+    by_place: dict[KeyPath, str] = field(default_factory=dict)
 
     @property
     def written(self) -> list[tuple[str, str]]:
@@ -173,7 +173,7 @@ class Options:
         if self.points is not None or self.design is not None:
             kept = ("seed", "ranges") if self.points is None else ()
             document["points"] = {key: points[key] for key in kept if key in points}
-        slots: dict[Place, str] = {}  # of two options that set the same, one would be lost
+        slots: dict[KeyPath, str] = {}  # of two options that set the same, one would be lost
         for flag, text in self.written:
             option = f"{flag} {text if text.isprintable() and len(text) <= 80 else shown(text)}"
             try:
@@ -196,7 +196,7 @@ class Options:
                 _put(document, place, value)
 
 
-def _put(document: dict[str, Any], place: Place, value: Any) -> None:
+def _put(document: dict[str, Any], place: KeyPath, value: Any) -> None:
     """Set a value of a document, unless it is to be in what is no table: reading the document will say so."""
     if place[0] == "exclude":
         if isinstance(clauses := document.setdefault("exclude", []), list):
@@ -210,7 +210,7 @@ def _put(document: dict[str, Any], place: Place, value: Any) -> None:
     document[key] = value
 
 
-def _values_of(flag: str, text: str, parameters: Collection[str], texts: Collection[str]) -> dict[Place, Any]:
+def _values_of(flag: str, text: str, parameters: Collection[str], texts: Collection[str]) -> dict[KeyPath, Any]:
     """Return the values that an option sets, by their places; raises SweepError that says how it is written."""
     if flag == "--points":
         return {("points", "file"): str(Path(text).resolve())}

@@ -27,7 +27,7 @@ from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepE
 from linksweep.sweep.contract.parameter import LABEL, name_problem
 from linksweep.sweep.contract.units import factor_between, is_quantity
 from linksweep.sweep.formatting import first_of
-from linksweep.sweep.studies.document import Place, Problems
+from linksweep.sweep.studies.document import KeyPath, Problems
 from linksweep.sweep.studies.form import PointsForm, Sampling, number_at
 from linksweep.sweep.studies.study import POINT, PointTable
 from linksweep.sweep.tables.columns import rows_listed
@@ -54,7 +54,7 @@ PLAIN = frozenset("biufU")
 
 NO_MARKS: Mapping[int, Any] = {}
 
-Columns = Mapping[str, list[Any]]
+Cells = Mapping[str, list[Any]]
 
 
 class Values:
@@ -66,7 +66,7 @@ class Values:
     def __init__(self, experiment: Experiment, folder: Path, problems: Problems) -> None:
         self.experiment, self.folder, self.problems = experiment, folder, problems
 
-    def one(self, place: Place, name: str, raw: object, which: str = "") -> Value:
+    def one(self, place: KeyPath, name: str, raw: object, which: str = "") -> Value:
         """Return the value at a place, None if it is wrong; problems begin with ``which``."""
         with self.problems.at(place, which):
             parameter = self._parameter(name)
@@ -114,7 +114,7 @@ class Values:
         return None
 
     def several(
-        self, place: Place, name: str, raw_values: Sequence[object], rows: bool = False
+        self, place: KeyPath, name: str, raw_values: Sequence[object], rows: bool = False
     ) -> tuple[Value, ...] | None:
         """Return values of one type, None if any is wrong; problems name the row, from 1, where they are ``rows``."""
         before = len(self.problems.sentences)
@@ -350,14 +350,14 @@ def remarks(origin: Mapping[str, Any]) -> list[str]:
 # The table [points]
 
 
-def read_points(form: PointsForm, values: Values, fixed: Mapping[str, Any], code: Code) -> tuple[Columns, PointTable]:
+def read_points(form: PointsForm, values: Values, fixed: Mapping[str, Any], code: Code) -> tuple[Cells, PointTable]:
     """Return the columns of a table of points as they are written, all of one length, and what is known of it.
 
     ``fixed`` are the other parameters that the study sets; the columns are empty where anything is wrong, and the
     problems of ``values`` say what.
     """
     problems, before = values.problems, len(values.problems.sentences)
-    columns: Columns = form.columns or {}
+    columns: Cells = form.columns or {}
     origin: dict[str, Any] = dict(form.origin or {})
     labels, units = dict[str, list[Any]](), dict[str, str]()
     with problems.at(("points", form.source), "" if form.source == "columns" else f"{form.file or form.design}: "):
@@ -385,7 +385,7 @@ def read_points(form: PointsForm, values: Values, fixed: Mapping[str, Any], code
     return columns, PointTable(tuple(columns), origin, labels)
 
 
-def _apart(columns: Columns, form: PointsForm, values: Values) -> tuple[Columns, dict[str, list[Any]]]:
+def _apart(columns: Cells, form: PointsForm, values: Values) -> tuple[Cells, dict[str, list[Any]]]:
     """Return the columns that are parameters, and those that label the rows."""
     parameters = [parameter.name for parameter in values.experiment.parameters]
     results = [POINT, *values.experiment.coordinates, *(output.name for output in values.experiment.outputs)]
@@ -419,7 +419,7 @@ def labels_of(cells: Sequence[Any]) -> list[Any]:
     return ["" if cell is None else str(cell) for cell in cells]
 
 
-def _in_file(form: PointsForm, values: Values) -> tuple[Columns, dict[str, str]]:
+def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
     path = values.folder / str(form.file)
     table = read_table(path)
     columns, units = columns_of({name: table[name] for name in table.colnames})
@@ -477,7 +477,7 @@ def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str
     return columns, units
 
 
-def _in_units(columns: Columns, units: Mapping[str, str], values: Values, where: Place) -> Columns:
+def _in_units(columns: Cells, units: Mapping[str, str], values: Values, where: KeyPath) -> Cells:
     """Return columns in the units of their parameters."""
     right: dict[str, list[Any]] = {}
     for name in {**columns, **units}:
@@ -498,7 +498,7 @@ def _in_units(columns: Columns, units: Mapping[str, str], values: Values, where:
     return right
 
 
-def _derived(reference: str, columns: Columns, settings: Mapping[str, Any], values: Values, code: Code) -> Columns:
+def _derived(reference: str, columns: Cells, settings: Mapping[str, Any], values: Values, code: Code) -> Cells:
     """Return the columns that a user's function returns for each row of a table; raises ValueError as it should."""
     derived: dict[str, list[Any]] = {}
     function = code.function(reference, values.folder)
@@ -515,7 +515,7 @@ def _derived(reference: str, columns: Columns, settings: Mapping[str, Any], valu
     return derived
 
 
-def _designed(form: PointsForm, values: Values) -> tuple[Columns, dict[str, Any]]:
+def _designed(form: PointsForm, values: Values) -> tuple[Cells, dict[str, Any]]:
     """Return the columns of a design, and where they come from; raises ValueError or SweepError."""
     name, n, problems = str(form.design), form.n or 0, values.problems
     ranges = []

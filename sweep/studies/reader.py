@@ -16,11 +16,11 @@ from pydantic import BaseModel, ValidationError
 from linksweep.sweep.code.load import Code, absolute_reference, keep
 from linksweep.sweep.contract import DefinitionError, Experiment, Function, Named, SweepError, Value, shown, suggest
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
-from linksweep.sweep.studies.document import Options, Place, Problems, find_study, parsed, read_text, reference_in
+from linksweep.sweep.studies.document import KeyPath, Overrides, Problems, find_study, parsed, read_text, reference_in
 from linksweep.sweep.studies.form import DEFAULT_EXPERIMENT, Condition, Context, Form, PublishedForm, Sampling
 from linksweep.sweep.studies.part import PART, Part
 from linksweep.sweep.studies.points import (
-    Columns,
+    Cells,
     Values,
     plain,
     plain_points,
@@ -83,7 +83,7 @@ def load_study(
         path = find_study(name_or_path)
         text = read_text(path)
         document = parsed(text, path)
-    options = Options(settings, axes, points, design, ranges, exclude)
+    options = Overrides(settings, axes, points, design, ranges, exclude)
     return _Reader(document, text, path, function or str(path), options, Code()).study()
 
 
@@ -94,7 +94,7 @@ def study_from_dict(
     ``where``, as `load_study`.
     """
     path = Path.cwd() / f"{name}.toml"
-    return _Reader(dict(document), "", path, str(path) if where is None else where, Options(), code or Code()).study()
+    return _Reader(dict(document), "", path, str(path) if where is None else where, Overrides(), code or Code()).study()
 
 
 def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -> Study:
@@ -111,7 +111,7 @@ def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -
         raise SweepError("does not say which study it holds", where) from error
     if "published" in document and not Path(document["published"]["file"]).is_file():
         del document["published"]
-    options = Options()
+    options = Overrides()
     if overrides:  # which of its parameters they changed is not known
         options.by_place.update({(table, key): "" for table in ("axes", "fixed") for key in document.get(table, {})})
     study = _Reader(document, text, Path(where), where, options, code).study()
@@ -174,7 +174,7 @@ class _Reader:
     """Reads one document into a Study, gathering every problem on the way."""
 
     def __init__(
-        self, document: dict[str, Any], text: str, path: Path, where: str, options: Options, code: Code
+        self, document: dict[str, Any], text: str, path: Path, where: str, options: Overrides, code: Code
     ) -> None:
         self.document, self.text, self.path, self.where = document, text, path, where
         self.folder, self.options, self.code = path.parent, options, code
@@ -323,7 +323,12 @@ class _Reader:
         return Form.model_validate({"title": "", **whole}), experiment, not {"axes", "points"} & form
 
     def _portable(
-        self, form: Form, experiment: Experiment, values: Mapping[str, Any], columns: Columns, table: PointTable | None
+        self,
+        form: Form,
+        experiment: Experiment,
+        values: Mapping[str, Any],
+        columns: Cells,
+        table: PointTable | None,
     ) -> dict[str, Any]:
         """Return the document with absolute paths of files, labels of objects, and with the values of a table of points
         in place of its file or design.
@@ -354,7 +359,7 @@ class _Reader:
 
     def _points(
         self, values: Values, form: Form
-    ) -> tuple[dict[str, tuple[Value, ...] | None], PointTable | None, Columns]:
+    ) -> tuple[dict[str, tuple[Value, ...] | None], PointTable | None, Cells]:
         """Return the values of a table of points by parameter, what is known of it, and its columns as written."""
         if form.points is None:
             return {}, None, {}
@@ -436,7 +441,7 @@ def _read_form(
         return {item["loc"][0] for item in error.errors()}
 
 
-def _known_keys(where: Place) -> list[str]:
+def _known_keys(where: KeyPath) -> list[str]:
     """Return the keys that are allowed beside the one at a place."""
     table: type[BaseModel] = Form
     for key in where[:-1]:

@@ -17,7 +17,7 @@ from linksweep.sweep.functions.adapter import experiment_of_record
 from linksweep.sweep.studies.part import PART
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.study import POINT_TABLE, Study
-from linksweep.sweep.tables.file import as_json, content_digest
+from linksweep.sweep.tables.file import content_digest, sorted_json
 
 RECORD = "experiment_record"
 """The attribute of a store that holds the record, as JSON."""
@@ -66,7 +66,7 @@ def recorded(study: Study, costs: Costs | None) -> str:
     if further := experiment.as_record():
         record |= {"coordinates": {}} | further
     if costs is not None:
-        record |= {"cost_axes": costs[0], "costs": {as_json(list(key)): cost for key, cost in costs[1].items()}}
+        record |= {"cost_axes": costs[0], "costs": {sorted_json(list(key)): cost for key, cost in costs[1].items()}}
     return json.dumps(record, default=_jsonable)
 
 
@@ -110,9 +110,9 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
         raise SweepError("the record of an experiment computes nothing")
 
     names, costs = record.get("cost_axes", ()), record.get("costs", {})
-    cost: Any = nothing if "costs" not in record else lambda point: costs[as_json([point[name] for name in names])]
+    cost: Any = nothing if "costs" not in record else lambda point: costs[sorted_json([point[name] for name in names])]
     outputs, samples = (tuple(_made(Output, o) for o in record[key]) for key in ("outputs", "sample_outputs"))
-    more = {} if costs == {as_json([]): 1.0} else {"cost": cost}  # all points cost the same: that is the default
+    more = {} if costs == {sorted_json([]): 1.0} else {"cost": cost}  # all points cost the same: that is the default
     return Experiment(
         **{key: _tuples(record[key]) for key in _SAME},
         parameters=parameters,

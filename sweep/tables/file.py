@@ -58,7 +58,7 @@ def content_digest(value: object) -> str:
     raise TypeError(f"{type(value).__name__} is no value of a parameter")
 
 
-def as_json(value: object) -> str:
+def sorted_json(value: object) -> str:
     """Return a parameter's value, or a mapping of such, as JSON with sorted keys."""
     if type(value) is float and math.isfinite(value):
         return repr(value)  # the same text in a tenth of the time: tables of points have millions of values

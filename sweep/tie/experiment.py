@@ -20,7 +20,7 @@ from linksweep.sweep.tables.options import declared, parameter
 from linksweep.sweep.tie import setup
 from linksweep.sweep.tie.forecast import released
 from linksweep.sweep.tie.link import FIELD_OF, Link, solve_link, spectrum
-from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, Options, Plan
+from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, ForecastOptions, Options
 from linksweep.sweep.tie.setup import DECLARED, Setup
 
 # ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin
@@ -55,7 +55,7 @@ PARAMETERS = (
     Parameter("g_min", "float", None, "brightest magnitude; default no limit", "mag"),
     Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
     Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
-    *(parameter(one) for one in declared(STUDY, Plan)),
+    *(parameter(one) for one in declared(STUDY, ForecastOptions)),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
     replace(DECLARED["epoch"], name="new_epoch", meaning="of new positions; default that of the source"),
     Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),

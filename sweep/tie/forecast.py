@@ -13,7 +13,7 @@ from linksweep.core.tie.noise import ESTIMATE
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import inverted
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tie.options import FORECAST, TABLE, Options, Plan
+from linksweep.sweep.tie.options import FORECAST, TABLE, ForecastOptions, Options
 from linksweep.sweep.tie.setup import Setup, listed, set_up
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ def forecast(
         satellite: the table with the five astrometric parameters, as for `tie`.
         reference: the table with the measurements of the same objects so far.
         unknowns: blocks like "orientation,spin".
-        options: those of `sweep forecast`, under the names of `sweep.tie.options.Plan` and `Options`: ``add`` (epochs,
-            Julian years, at which a single-epoch position of each source is added), ``error`` (mas, of its
-            coordinates), ``release`` (to which the satellite's errors are scaled), ``from_release``, ``number`` (of
+        options: those of `sweep forecast`, under the names of `ForecastOptions` and `Options` in `sweep.tie.options`:
+            ``add`` (epochs, Julian years, at which a single-epoch position of each source is added), ``error`` (mas, of
+            its coordinates), ``release`` (to which the satellite's errors are scaled), ``from_release``, ``number`` (of
             sources to choose), ``goal`` (the blocks for which these are best), ``criterion`` ("A": the trace of their
             covariance, "D": its determinant), ``all_sources``, and those of tables as for `tie`.
 
@@ -55,8 +55,8 @@ def forecast(
         >>> plan.step_source.values.tolist()
         ['', 'J1537+1155', 'J2354+6155']
     """
-    plan = Plan.named(FORECAST, options, Options)
-    asked = Options.named(FORECAST, {"unknowns": unknowns, **options}, Plan)
+    plan = ForecastOptions.named(FORECAST, options, Options)
+    asked = Options.named(FORECAST, {"unknowns": unknowns, **options}, ForecastOptions)
     goal = tuple(listed(plan.goal))
     add = _epochs(plan)
     if ESTIMATE in asked.jitter:
@@ -97,7 +97,7 @@ def released(
     return future, old, notes
 
 
-def _epochs(plan: Plan) -> list[float]:
+def _epochs(plan: ForecastOptions) -> list[float]:
     """Return the epochs of new positions; raises SweepError for what is no list of years, and for none to choose."""
     try:
         epochs = [float(year) for year in listed(plan.add)]

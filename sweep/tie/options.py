@@ -82,7 +82,7 @@ class Options(Declared):
 
 
 @dataclass(frozen=True)
-class Plan(Declared):
+class ForecastOptions(Declared):
     """The options of a forecast beside those of the tables."""
 
     add: str = option("epochs of new positions, e.g. 2026,2030", "YEARS", only=FORECAST, joined=",")

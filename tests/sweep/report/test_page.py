@@ -17,7 +17,7 @@ import linksweep
 from linksweep import SweepError
 from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.report.page import differences, explorer, pictures, report_of, report_page, section
+from linksweep.sweep.report.page import explorer, pictures, report_of, report_page, residuals, section
 
 
 def grid(value, status=None, **others):
@@ -274,7 +274,7 @@ def test_differences_from_a_prediction_are_in_errors_and_have_no_unit(factor):
     values, error = factor * np.array(VALUES), 0.1 * factor * np.array(VALUES)
     errors = {"mc_error": 0.6 * error, "catalogue_error": 0.8 * error}
     dataset = grid(values, predicted=np.full((2, 3), 5.0 * factor), **errors)
-    found = differences(dataset, "share")["share_from_prediction"]
+    found = residuals(dataset, "share")["share_from_prediction"]
     assert "units" not in found.attrs
     np.testing.assert_allclose(found.values, (values - 5.0 * factor) / error, rtol=1e-12)
-    assert differences(grid(values, **errors), "share") is None
+    assert residuals(grid(values, **errors), "share") is None
