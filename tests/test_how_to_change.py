@@ -15,18 +15,13 @@ PAGE = (ROOT / "docs" / "how-to-change-it.md").read_text()
 
 
 class Toy(NamedTuple):
-    """A change: at most one new file, what goes behind (or, with None, in place of) texts of files, and its trial."""
+    """A change: what goes behind texts of files, its trial, and at most one new file."""
 
     what: str
-    new: str
-    code: str
     edits: list[tuple[str, str, str]]
     trial: str
-
-
-def entry(what, file, text, behind, last, name, trial):
-    """A class or value ``text`` behind a line of a module of the core, and its entry in the mapping there."""
-    return Toy(what, "", "", [(file, behind, text), (file, last, f'\n        "{name}": {trial[0]},')], trial[1])
+    new: str = ""
+    code: str = ""
 
 
 RING = '''
@@ -109,103 +104,82 @@ def backwards(reference, workers, limits):
     yield Place("in this process, the last job first", 1), execute
 """
 
-TOYS = [
-    entry(
-        *(
-            "error model",
-            "core/errors.py",
-            DOUBLE,
-            "        return cls(0.0, 0.0)\n",
-            '"catalogue": CatalogueErrors,',
-            "double",
-        ),
-        ("Double", LINK.replace("CHANGES", '"satellite_errors": "double"')),
-    ),
-    entry(
-        *(
-            "catalogue",
-            "core/catalogues.py",
-            RING,
-            '            return f"{said} ({where})" if where else said\n',
-            '"file": File(),',
-            "ring",
-        ),
-        ("Ring()", LINK.replace("CHANGES", '"catalogue": "ring"') + UNUSED),
-    ),
-    Toy(
-        *("mission", "", ""),
-        [
-            (
-                "core/missions/__init__.py",
-                '"gaia-dr5": _release("dr5", 120),',
-                '\n        "flat": Mission(*[LogLinear((0.0, 9.0), (2.0, 2.0))] * 2, 1.0, np.inf, "a toy"),',
-            )
-        ],
-        LINK.replace("CHANGES", '"satellite_errors": "magnitude", "model": "flat"'),
-    ),
-    Toy(
-        *("block of unknowns", "", ""),
-        [
-            ("core/unknowns.py", "    return np.ones((1, 1, len(objects.ra)))\n", SOUTH),
-            (
-                "core/unknowns.py",
-                "(PARALLAX,), False, constant),",
-                '\n    "south": lambda asked: Block("south", ("south_dec",), (1,), False, south),',
-            ),
-        ],
-        """
+PLOT = """
+assert len(linksweep.plot(ds, "dots").axes[0].lines) == 1
+from linksweep.sweep.cli.look import plot
+assert any("dots" in getattr(option.type, "choices", ()) for option in plot.params)
+"""
+POOL = """
+again = linksweep.run(study, "again.zarr", pool="backwards")
+assert again.drop_vars("wall_time").drop_attrs().identical(ds.drop_vars("wall_time").drop_attrs())
+from linksweep.sweep.cli.run import run as command
+assert any("backwards" in getattr(option.type, "choices", ()) for option in command.params)
+"""
+TIE = """
 import linksweep
 
 link = linksweep.tie("psrpi-de200", "timing-de200", "orientation,south")
 assert link.unknown.values.tolist()[-1] == "south_dec"
 assert link.unit.values[-1] == "mas"
-""",
+"""
+ERRORS, CATALOGUES, UNKNOWNS = "core/errors.py", "core/catalogues.py", "core/unknowns.py"
+FLAT = '\n        "flat": Mission(*[LogLinear((0.0, 9.0), (2.0, 2.0))] * 2, 1.0, np.inf, "a toy"),'
+OWN = '\n    "south": lambda asked: Block("south", ("south_dec",), (1,), False, south),'
+WORST = '    Output("sigma_worst", _EACH, "largest RMS error of a component"),\n'
+ENTRY = '\n    "backwards": Pool("backwards", "linksweep.sweep.executing.backwards:backwards", has_workers=False),'
+POOLS = "sweep/executing/pools.py"
+TOYS = [
+    Toy(
+        "error model",
+        [
+            (ERRORS, "        return cls(0.0, 0.0)\n", DOUBLE),
+            (ERRORS, '"catalogue": CatalogueErrors,', '\n        "double": Double,'),
+        ],
+        LINK.replace("CHANGES", '"satellite_errors": "double"'),
     ),
     Toy(
-        *("output", "", ""),
+        "catalogue",
         [
-            (
-                "core/parameters.py",
-                "\nOUTPUTS = (\n",
-                '    Output("sigma_worst", _EACH, "largest RMS error of a component"),\n',
-            ),
-            (
-                "core/experiment.py",
-                '"sigma": np.sqrt(variance),',
-                '\n        "sigma_worst": np.sqrt(variance).max(axis=1),',
-            ),
+            (CATALOGUES, '            return f"{said} ({where})" if where else said\n', RING),
+            (CATALOGUES, '"file": File(),', '\n        "ring": Ring(),'),
+        ],
+        LINK.replace("CHANGES", '"catalogue": "ring"') + UNUSED,
+    ),
+    Toy(
+        "mission",
+        [("core/missions/__init__.py", '"gaia-dr5": _release("dr5", 120),', FLAT)],
+        LINK.replace("CHANGES", '"satellite_errors": "magnitude", "model": "flat"'),
+    ),
+    Toy(
+        "block of unknowns",
+        [
+            (UNKNOWNS, "    return np.ones((1, 1, len(objects.ra)))\n", SOUTH),
+            (UNKNOWNS, "(PARALLAX,), False, constant),", OWN),
+        ],
+        TIE,
+    ),
+    Toy(
+        "output",
+        [
+            ("core/parameters.py", "\nOUTPUTS = (\n", WORST),
+            ("core/experiment.py", '"sigma": np.sqrt(variance),', '"sigma_worst": np.sqrt(variance).max(axis=1),'),
         ],
         RUN + "assert (ds.sigma_worst == ds.sigma.max('component')).all()\n",
     ),
     Toy(
-        *("kind of plot", "sweep/plots/dots.py", DOTS),
+        "kind of plot",
         [("sweep/plots/__init__.py", '"scatter": Kind("grid:SCATTER"),', '\n    "dots": Kind("dots:DOTS"),')],
-        RUN
-        + """
-assert len(linksweep.plot(ds, "dots").axes[0].lines) == 1
-from linksweep.sweep.cli.look import plot
-assert any("dots" in getattr(option.type, "choices", ()) for option in plot.params)
-""",
+        RUN + PLOT,
+        *("sweep/plots/dots.py", DOTS),
     ),
     Toy(
-        *("pool of this machine", "sweep/executing/backwards.py", BACKWARDS),
+        "pool of this machine",
         [
-            ("sweep/executing/pools.py", 'PoolName = Literal["processes", "threads", "serial"', ', "backwards"'),
-            (
-                "sweep/executing/pools.py",
-                "has_workers=False),",
-                '\n    "backwards": Pool("backwards", OPENER, has_workers=False),'.replace(
-                    "OPENER", '"linksweep.sweep.executing.backwards:backwards"'
-                ),
-            ),
+            (POOLS, 'PoolName = Literal["processes", "threads", "serial"', ', "backwards"'),
+            (POOLS, "has_workers=False),", ENTRY),
         ],
-        RUN
-        + """
-again = linksweep.run(study, "again.zarr", pool="backwards")
-assert again.drop_vars("wall_time").drop_attrs().identical(ds.drop_vars("wall_time").drop_attrs())
-from linksweep.sweep.cli.run import run as command
-assert any("backwards" in getattr(option.type, "choices", ()) for option in command.params)
-""",
+        RUN + POOL,
+        *("sweep/executing/backwards.py", BACKWARDS),
     ),
 ]
 LIMITS = {"output": 2, "block of unknowns": 1}

@@ -145,10 +145,6 @@ OTHER = {
 """Another value of every parameter that leaves the draw as it is."""
 
 
-OWN_STREAM = {"satellite_errors", "reference_errors", "zonal_pos", "zonal_pm"}
-"""Parameters that decide whether a stream is drawn from at all."""
-
-
 def test_every_shared_parameter_has_another_value_here():
     assert set(OTHER) == set(link.shared) <= {p.name for p in link.parameters}
     assert all(OTHER[name] != link.parameter(name).default for name in link.shared)
@@ -169,27 +165,6 @@ def test_no_bit_depends_on_who_shares_the_draw(changes, sizes, n_sim, data):
         alone = link.samples([points[k]], n_sim, *generators())
         for name, values in alone.items():
             np.testing.assert_array_equal(together[name][place], values[0], err_msg=name)
-
-
-@pytest.mark.parametrize("name", sorted(set(link.shared) - OWN_STREAM))
-@pytest.mark.parametrize("reference_errors", ["none", "normal"])
-def test_a_shared_parameter_does_not_change_the_generators(name, reference_errors):
-    """What is drawn is counted and compared, normal by normal, for the default and the other value."""
-
-    def normals(point):
-        errors, catalogue, seen = np.random.PCG64(1), np.random.PCG64(2), []
-
-        class Recording(np.random.Generator):
-            def standard_normal(self, size=None, out=None):
-                normals = super().standard_normal(size, out=out)
-                seen.append(np.array(normals))
-                return normals
-
-        link.evaluate([point], 5, Recording(errors), np.random.Generator(catalogue))
-        return np.concatenate([part.ravel() for part in seen])
-
-    base = point(reference_errors=reference_errors)
-    np.testing.assert_array_equal(normals(base), normals(base | {name: OTHER[name]}))
 
 
 def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():

@@ -1,7 +1,5 @@
 """A block of realisations: what it recovers, how large its errors are, and that it is the plain loop made fast."""
 
-import math
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +16,6 @@ from tests.core.points import (
     CatalogueErrors,
     LinkError,
     OwnErrors,
-    SharedSums,
     design_of,
     drawn,
     exact_differences,
@@ -28,8 +25,6 @@ from tests.core.points import (
     run,
     scenario,
     set_up,
-    tiles,
-    transposed_product,
     triad,
 )
 from tests.core.reference import design_matrix, solve
@@ -173,19 +168,6 @@ def test_an_object_that_its_error_carries_over_the_pole_is_named():
         run(physics, 512)
 
 
-def test_stored_angles_leave_the_floor_of_double_precision():
-    def errors(arithmetic, size=1.0):
-        truth = {name: tuple(size * np.array(vector)) for name, vector in TRUTH.items()}
-        physics = scenario(point(n_obj=100, satellite_errors="none", arithmetic=arithmetic, **truth))
-        return np.abs([run(physics, 1, 1, k)["error"][:3] for k in range(20)])
-
-    floor = np.sqrt(np.mean(errors("stored", 1e-3) ** 2))
-    assert 1e-9 < floor < 1e-6  # mas; the last bit of an angle is 4e-7 mas at most
-    assert np.sqrt(np.mean(errors("stored") ** 2)) > 1e-9
-    assert errors("exact", 1e-3).max() < 1e-3 * floor
-    assert errors("exact").max() < 1e-7  # epsilon^2 is 5e-9 mas
-
-
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 @pytest.mark.parametrize(("reference", "n_sim"), [({}, 4000), (NOISY, 2000)], ids=["fixed", "noisy"])
 @pytest.mark.parametrize("solve_glide", [slow(False), True])
@@ -200,22 +182,6 @@ def test_realised_errors_are_the_predicted_ones(weighting, reference, n_sim, sol
         assert abs(sums["chi2"] / n_sim - dof) < 4 * np.sqrt(2 * dof / n_sim)  # the variance of chi2 is 2 dof
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("reference", "few", "many"), [({}, 2, 8), (NOISY, 2, 4)], ids=["fixed", "noisy"])
-def test_memory_does_not_grow_with_the_number_of_realisations(reference, few, many):
-    physics = physics_of(n_obj=200, **reference)
-
-    def peak(chunks):
-        run(physics, 1, keep=False)
-        tracemalloc.start()
-        run(physics, chunks * ROWS, keep=False)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return peak
-
-    assert peak(many) < 1.05 * peak(few)
-
-
 def test_what_does_not_determine_the_link_is_refused():
     one_place = drawn(1, n_obj=2).take(np.zeros(10, dtype=np.intp))
     for reference in ({}, {**NOISY, "reference_sigma_pos": 1e-9, "reference_sigma_pm": 1e-9}):
@@ -223,45 +189,6 @@ def test_what_does_not_determine_the_link_is_refused():
             run(of_objects(one_place, physics_of(**NORMAL, **reference)), 3)
     with pytest.raises(LinkError, match="negative standard error"):
         run(physics_of(**NORMAL, satellite_error_scale=-1.0), 1)
-
-
-@given(
-    rows=st.integers(1, ROWS),
-    n_obj=st.integers(0, 300),
-    fewer=st.integers(0, 300),
-    stack=st.sampled_from([(), (1,), (3,)]),
-)
-def test_tiles_are_the_streams_object_by_object(rows, n_obj, fewer, stack):
-    def drawn():
-        rngs = [np.random.default_rng(seed) for seed in range(math.prod(stack))]
-        return tiles(rngs, stack, rows, n_obj)
-
-    plain = np.array([np.random.default_rng(k).standard_normal((n_obj, 4, rows)) for k in range(math.prod(stack))])
-    plain = plain.reshape(*stack, n_obj, 4, rows)
-    found = [(tile.start, tile.normals.copy()) for tile in drawn()]
-    for start, normals in found:
-        np.testing.assert_array_equal(normals, plain[..., start : start + normals.shape[-3], :, :])
-    assert sum(normals.shape[-3] for _, normals in found) == n_obj
-    few = min(fewer, n_obj)
-    assert sum(tile.head(few).shape[-3] for tile in drawn()) == few
-    columns = np.random.default_rng(9).standard_normal((*stack, n_obj, 4, 3))
-    shared, terms = SharedSums(), []
-
-    def products_of(size):
-        def products(normals, place):
-            terms.append(normals.shape[-3])
-            return transposed_product(columns[..., :size, :, :][..., place, :, :], normals)
-
-        return products
-
-    # of two nested catalogues, the smaller one asked for at either place
-    asked = {size: shared.ask("ours", size, products_of(size)) for size in (few, n_obj, few) if size}
-    for tile in drawn():
-        shared.add(tile)
-    for size, total in asked.items():
-        expected = np.einsum("...nic,...nir->...cr", columns[..., :size, :, :], plain[..., :size, :, :])
-        np.testing.assert_allclose(total(), expected, rtol=1e-9, atol=1e-9 * np.sqrt(size))
-    assert len(terms) <= -(-n_obj // max(1, TILE // (4 * rows))) + 1  # of what they share, once
 
 
 def test_the_predicted_bias_is_what_a_link_without_errors_returns():

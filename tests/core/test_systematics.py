@@ -16,8 +16,6 @@ from tests.core.points import (
     Field,
     ZonalErrors,
     design_of,
-    generators,
-    link,
     parse_pattern,
     pattern_field,
     point,
@@ -189,16 +187,6 @@ def test_a_field_of_degree_two_leaks_where_the_sky_is_uneven():
     assert np.linalg.norm(expected) > 0.05
     np.testing.assert_allclose(found, expected, atol=0.005)
     np.testing.assert_allclose(results_of(1, **settings)["bias_predicted"][3:], 0.0, atol=0.005)
-
-
-def test_zonal_errors_leave_the_normals_as_they_are():
-    """Taken from a stream of their own: without them the same estimates, plus what the field alone makes."""
-    zonal, alone = {"zonal_pm": 1.0, "zonal_length": 60.0}, {"epsilon_size": 0.0, "omega_size": 0.0}
-    plain, both, field = (
-        link.samples([point(**changes, **alone)], 600, *generators())["estimate"][0]
-        for changes in (NORMAL, NORMAL | zonal, {"satellite_errors": "none"} | zonal)
-    )
-    np.testing.assert_allclose(both, plain + field, atol=1e-6)
 
 
 GLIDE = 4.0 * MICROARCSEC * GALACTIC_AXES[0]

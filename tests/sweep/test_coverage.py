@@ -15,7 +15,6 @@ import linksweep
 from linksweep.sweep.analysis.compare import compare
 from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, parse_limit, ratio
 from linksweep.sweep.running.scaling import _dataset
-from linksweep.sweep.search.crossmatch import Positions, chance_pairs, sky_tree
 from tests.sweep import spread
 
 pytestmark = pytest.mark.slow
@@ -149,19 +148,6 @@ def test_levelling_of_points_that_share_random_numbers():
         assert_covers(pulls, dof=39)
 
 
-def test_a_ratio_and_a_crossing_of_independent_points():
-    dataset = copies_of("power", 1, 400, common=False)
-    one = dataset.copy()  # one catalogue each: take its scale out, which is not in the errors
-    one["width"] = one["width"] / dataset["width"] * np.sqrt(1.0 / one["x"])
-    rng = np.random.default_rng(6)
-    one["width"] = one["width"] + one["width"] / np.sqrt(800.0) * rng.standard_normal(one["width"].shape)
-    one["width_mc_error"] = one["width"] / np.sqrt(800.0)
-    of = ratio(one, "width", "x", 8.0, 1.0)
-    assert_covers((of["ratio"] - np.sqrt(1.0 / 8.0)) / of["ratio_error"])
-    at = interpolate(one, "width", "x", 4.0)
-    assert_covers((at["width"] - 0.5) / at["width_mc_error"])
-
-
 @pytest.mark.parametrize("repetitions", [9, 20])
 def test_the_medians_of_repeated_timings(repetitions):
     rng = np.random.default_rng(8)
@@ -169,17 +155,3 @@ def test_the_medians_of_repeated_timings(repetitions):
     found = [_dataset(np.array([1]), timed).sel(kind="strong") for timed in seconds]
     pulls = [((each["seconds"] - 10.0) / each["seconds_error"]).item() for each in found]
     assert_covers(pulls, repetitions - 1)
-
-
-def test_chance_pairs():
-    """Galaxies and stars at random over the sky: how many pairs chance makes is known."""
-    rng = np.random.default_rng(9)
-    radius, n_stars, n_galaxies = 0.01, 400, 400
-
-    def tree(n):
-        ra, dec = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-1.0, 1.0, n))
-        return sky_tree(Positions(ra, dec, np.zeros(n), np.zeros(n)))
-
-    truth = n_stars * n_galaxies * np.sin(radius / 2.0) ** 2
-    found = [chance_pairs(tree(n_stars), tree(n_galaxies), radius, 0) for _ in range(300)]
-    assert_covers([(each.local - truth) / each.local_error for each in found])

@@ -318,11 +318,3 @@ def test_the_whole_paper_from_one_command_runs_what_is_missing(sweep, tmp_path, 
     coin_study.write_text(coin_study.read_text().replace("seed = 7", "seed = 8"))
     code, _, err = sweep(*arguments)
     assert (code, "a different study" in err) == (2, True)
-
-
-def test_a_ratio_along_zipped_axes():
-    dataset = grid(np.array([N, N]), claims=[claim(published="5", ratio=ratio({"size": 3.0}, {"size": 1.0}))])
-    dataset = dataset.assign_coords(size=("n", np.arange(1.0, 6.0)))
-    found = compare(dataset)
-    assert [c.where for c in found] == [{"model": "old"}, {"model": "new"}]
-    assert [c.value for c in found] == [5.0, 5.0]

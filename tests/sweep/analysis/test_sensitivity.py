@@ -102,20 +102,6 @@ def test_a_grid_of_the_ishigami_function(n, tmp_path):
     assert "with fewer than 8 values" in coarse.attrs["notes"]
 
 
-def test_a_grid_of_three_parameters_of_the_borehole_function(tmp_path):
-    ranges = [BOREHOLE[name] for name in ("rw", "hu", "length")]
-    fixed = {name: sum(ends) / 2 for name, ends in BOREHOLE.items() if name not in ("rw", "hu", "length")}
-    axes = {
-        name: low + (high - low) * (np.arange(10) + 0.5) / 10
-        for name, (low, high) in zip(("rw", "hu", "length"), ranges, strict=True)
-    }
-    found = sensitivity(run(borehole, tmp_path / "s.zarr", axes=axes, fixed=fixed))
-    first, total = by_quadrature(lambda rw, hu, length: flow_of(**fixed, rw=rw, hu=hu, length=length), ranges, 12)
-    for name, truth in (("first", first), ("total", total)):
-        assert found[name].values == pytest.approx(truth, abs=0.01)
-        assert agrees(found, name, truth, most=2.0)[0], agrees(found, name, truth)
-
-
 def test_saltelli_designs_of_both_functions(borehole_indices, tmp_path):
     design = {"design": "saltelli", "n": 256, "seed": 4}
     found = sensitivity(run(ishigami, tmp_path / "i.zarr", points=design | {"ranges": BOX}))

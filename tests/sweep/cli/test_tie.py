@@ -1,7 +1,6 @@
 """The commands tie and forecast as users type them, and what is made of their stores: shown, drawn and reported."""
 
 import json
-import re
 
 import pytest
 import xarray as xr
@@ -113,17 +112,3 @@ def test_a_damaged_result_is_one_message(stored, tmp_path):
     (tmp_path / "bad.zarr" / "zarr.json").write_text(json.dumps(content))
     code, _, err = run_sweep("show", tmp_path / "bad.zarr")
     assert (code, "is damaged" in err) == (2, True)
-
-
-@pytest.mark.slow
-def test_the_report_has_the_table_the_sign_and_the_figures(stored):
-    folder, _, _ = stored
-    code, _, err = run_sweep("report", folder / "tie.zarr", folder / "plan.zarr", "-o", folder / "page.html")
-    assert code == 0, err
-    page = (folder / "page.html").read_text()
-    for text in ("reference - satellite", "-13.05506", "jackknife", "clip step by step", "More than 10 %"):
-        assert text in page, text
-    assert "Bokeh" not in page  # nothing here is drawn by it
-    assert "all observed at 2030" in page
-    assert len(re.findall(r"<figure\b", page)) == 7 + 2
-    assert "undefined" not in page.partition("<script>")[0]

@@ -6,7 +6,6 @@ import xarray as xr
 from astropy import units
 from astropy.coordinates import SkyCoord
 
-from linksweep import SweepError
 from linksweep.sweep.plots import sky
 
 
@@ -48,14 +47,6 @@ def test_the_sky_of_a_point_is_its_catalogue(store_of):
     assert np.array_equal(again["ra"], dataset["ra"])
 
 
-def test_the_sky_of_a_table(tmp_path):
-    (tmp_path / "table.csv").write_text("ra,dec\n10.0,20.0\n200.0,-40.0\n")
-    assert sky.catalogue_of_table(tmp_path / "table.csv")["ra"].values.tolist() == [10.0, 200.0]
-    (tmp_path / "table.csv").write_text("ra,dec\n100.0,91.0\n")
-    with pytest.raises(SweepError, match="a dec beyond 90 deg in row 1"):
-        sky.catalogue_of_table(tmp_path / "table.csv")
-
-
 @pytest.mark.slow
 def test_accuracy_curves_are_those_of_the_missions():
     dataset = sky.accuracy_curves(["amex", "gaia-2001"])
@@ -69,30 +60,3 @@ def test_accuracy_curves_are_those_of_the_missions():
     assert left.get_yscale() == "log"
     assert [text.get_text() for text in left.figure.legends[0].get_texts()] == ["amex", "gaia-2001"]
     assert len(left.collections) == 1  # the band of the calibrated one
-
-
-MISSION = """
-title = "A mission of our own"
-[axes]
-model = ["gaia-2001", "mine"]
-v_max = [16.0]
-[define.model.mine]
-nominal_length = 4.0
-sigma_pm = [[9.0, 0.1], [17.0, 3.2]]
-position_ratio = 0.5
-[fixed]
-n_obj = 20
-"""
-
-
-@pytest.mark.slow
-def test_missions_of_a_study_are_drawn_beside_the_built_in_ones(tmp_path, monkeypatch, sweep):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.toml").write_text(MISSION)
-    code, _, err = sweep("plot", "mine.toml", "--kind", "accuracy", "--model", "gaia")
-    assert (code, "'gaia' is no mission of this study" in err) == (2, True)
-    assert sweep("run", "mine.toml", "-o", "mine.zarr", "--set", "n_cat=2")[0] == 0
-    for source in ("mine.toml", "mine.zarr"):
-        code, _, err = sweep("plot", source, "--kind", "accuracy", "--caption", "-o", "b.png")
-        assert code == 0, err
-        assert "Legend: gaia-2001, mine." in (tmp_path / "b.txt").read_text()

@@ -95,15 +95,6 @@ def test_chi2_is_a_headline_result(store, page):
     assert max(float(row["chi2_ratio"]) for row in results) > 5.0  # errors are three times too small
 
 
-def test_without_rows_of_a_reference_nothing_is_said_of_the_tables(tmp_path, sweep):
-    path = tmp_path / "s.zarr"
-    assert sweep("run", "pulsar-forecast", "--set", "n_sim=2", "--axis", "n_new=10,62", "-o", path)[0] == 0
-    assert "<summary>estimate" not in report_of([path])
-    said = " ".join(linksweep.answer(linksweep.open(path)).sentences)
-    assert "estimate (" not in said
-    assert "chi2" not in said
-
-
 def test_the_head_of_a_link_is_its_result(tmp_path, sweep):
     assert sweep("tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "-o", tmp_path / "t.zarr")[0] == 0
     assert sweep("report", tmp_path / "t.zarr", "-o", tmp_path / "t.html")[0] == 0

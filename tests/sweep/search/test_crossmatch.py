@@ -21,7 +21,6 @@ from linksweep.sweep.search.crossmatch import (
     one_to_one,
     pairs_within,
     sky_tree,
-    uniform_pairs,
 )
 from tests.tiers import examples
 
@@ -206,15 +205,6 @@ def test_entries_of_several_catalogues_are_one_galaxy(catalogues, merge, labels,
     assert ([label.tolist() for label in found], names.tolist()) == (labels, identifiers)
 
 
-def test_offsets_are_galaxy_minus_star_in_units_of_the_combined_error():
-    star, galaxy = positions([10.0], [60.0], 0.3), positions([10.0 + 8.0 / 3600.0], [60.0 + 3.0 / 3600.0], 0.4)
-    matches = cross_match(star, no_supplement(star), [catalogue(galaxy, 10.0)])
-    expected = coordinates(star).spherical_offsets_to(coordinates(galaxy))
-    np.testing.assert_allclose(matches["d_ra"], expected[0].rad, atol=MICROARCSEC)
-    np.testing.assert_allclose(matches["d_dec"], expected[1].rad, atol=MICROARCSEC)
-    np.testing.assert_allclose(matches["n_sigma"], np.hypot(matches["d_ra"], matches["d_dec"]) / (0.5 * ARCSEC))
-
-
 def test_each_rule_of_the_classes_in_a_search():
     """Five stars far apart: alone, with three others within 120", 4 sigma off, with a second star, supplement."""
     ra = np.array([10.0, 50.0, 90.0, 130.0, 170.0])
@@ -245,14 +235,6 @@ def test_three_sigma_is_exceeded_as_often_as_normal_errors_do():
     doubtful = cross_match(seen, no_supplement(stars), [catalogue(there, 10.0)]).reasons["offset"]
     expected = n * np.exp(-4.5)  # Rayleigh
     assert abs(int(doubtful.sum()) - expected) < 4.0 * np.sqrt(expected)
-
-
-def test_uniform_chance_pairs_agree_with_counts():
-    rng = np.random.default_rng(6)
-    stars, galaxies, radius = sky(rng, 20_000), sky(rng, 20_000), 200.0 * ARCSEC
-    found = len(pairs_within(sky_tree(stars), sky_tree(galaxies), radius)[0])
-    expected = uniform_pairs(20_000, 20_000, radius)  # about 94
-    assert abs(found - expected) < 4.0 * np.sqrt(expected)
 
 
 def test_local_chance_pairs_follow_the_crowding():

@@ -198,21 +198,6 @@ def test_too_few_rows_and_other_places_are_refused_with_the_reason(tmp_path):
         linksweep.forecast("psrpi", "psrpi", "orientation,spin", add=[2030.0], jitter="estimate")
 
 
-def test_a_clip_drops_what_the_noise_does_not_explain(tmp_path):
-    satellite, reference, own, offset = alike(tmp_path, 5, n=40)
-    far = own.values.copy()
-    far[:2] += offset * MAS / np.array([np.cos(own.values[1]), np.ones(40)])
-    far[1, 7] += 40.0 * MAS
-    errors = np.where(np.arange(5)[:, None] < 2, own.errors, np.nan)
-    gaia(reference, replace(own, values=np.where(np.isnan(errors), np.nan, far), errors=errors))
-    options = {"positions": "mean", "jitter": "estimate", "accept_misfit": True}
-    link = linksweep.tie(satellite, reference, "orientation", clip="discrepancy", **options)
-    assert np.flatnonzero(link.weight_factor.values == 0.0).tolist() == [7]
-    assert float(link.noise_size[0]) == pytest.approx(0.5, rel=0.2)
-    link = linksweep.tie(satellite, reference, "orientation", **options)
-    assert any("times its expectation" in note for note in link.attrs["notes"])  # before the noise explained it
-
-
 # ---- calibrators
 
 

@@ -64,18 +64,6 @@ def test_identifiers_of_two_releases_are_different_names(tmp_path):
     assert linksweep.tie(*named, "orientation").attrs["matched_by"] == "hip"
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"ref_epoch": np.repeat([2016.0, 2017.5], 6)}, "epochs of dr3 and dr4"),
-        ({"designation": [*designations("DR2", range(6)), *designations("DR3", range(6))]}, "rows of dr2 and dr3"),
-    ],
-)
-def test_rows_of_two_releases_in_one_table_are_refused(tmp_path, changes, words):
-    with pytest.raises(SweepError, match=words):
-        read_table(gaia(tmp_path / "mixed.ecsv", stars(12), **changes))
-
-
 def test_sources_within_the_radius_and_leftovers_are_named(tmp_path):
     made = replace(stars(12, 3, pm=0.0, epoch=2016.0), radial_velocity=np.zeros(12))
     values = made.values.copy()

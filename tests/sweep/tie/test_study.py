@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 from astropy.table import Table
 from click.testing import CliRunner
 from scipy import stats
@@ -13,12 +12,8 @@ from scipy import stats
 import linksweep
 from linksweep import SweepError, load_study
 from linksweep.sweep.cli.group import main
-from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie
 from tests.core.tie.made import MAS, Objects, gaia, gaia_table, noise, parse_unknowns, spin_block, stars
-from tests.sweep.opening import run_study
-
-X, Y, Z = range(3)
 
 
 def point(study, **changes):
@@ -29,23 +24,6 @@ def results(at, n_sim=400, seed=1):
     sums = tie.evaluate([at], n_sim, np.random.default_rng(seed), np.random.default_rng(0))
     found = tie.summarise(sums, np.array([float(n_sim)]), np.ones(1))
     return {name: values[0] for name, values in found.items()}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("weights", ["covariance", "equal"])
-def test_draws_scatter_as_the_closed_form_says(weights):
-    found = results(point("pulsar-timing", weights=weights), 2000)
-    solved = slice(X, Z + 1)
-    off = np.abs(found["sigma"] - found["sigma_predicted"])[solved] / found["sigma_mc_error"][solved]
-    assert off.max() < 4.5
-    assert (
-        abs(found["sigma_orientation"] - found["sigma_orientation_predicted"])
-        < 4.5 * (found["sigma_orientation_mc_error"])
-    )
-    assert np.abs(found["coverage"][solved] - 0.6827).max() < 4.5 * found["coverage_mc_error"][solved].max()
-    assert np.abs(found["bias"] / found["bias_mc_error"])[solved].max() < 4.5
-    assert abs(found["chi2_ratio_drawn"] - 1.0) < 4.5 * found["chi2_ratio_drawn_mc_error"]
-    assert np.all(np.isnan(found["sigma"][3:]))
 
 
 def many_results(at, n_sim, seeds):
@@ -224,17 +202,6 @@ def test_limits_of_magnitude_leave_sources_out():
 )
 def test_what_cannot_be_computed_is_said(changes, words):
     assert words in check(point("pulsar-forecast", n_new=5) | changes)
-
-
-@pytest.mark.slow
-def test_a_study_runs_into_a_store_and_refuses_what_is_set_in_vain(tmp_path):
-    study = load_study("pulsar-forecast", settings=["n_sim=20"], axes=["n_new=10,62"])
-    run_study(study, tmp_path / "s.zarr", Resources(pool="serial"))
-    dataset = xr.open_zarr(tmp_path / "s.zarr").load()
-    assert dataset["sigma_predicted"].dims == ("n_new", "component")
-    assert dataset["sigma_predicted"].sel(n_new=62, component="epsilon_z") == pytest.approx(0.243, abs=5e-4)
-    with pytest.raises(SweepError, match="outlier_factor"):
-        run_study(load_study("pulsar-forecast", settings=["outlier_factor=3"]), tmp_path / "t.zarr")
 
 
 # Options of the command that say where it runs and what it prints; a study gives these errors, reference - satellite.

@@ -12,7 +12,6 @@ from linksweep import SweepError, tie
 from linksweep.core.tie.astrometry import kinds
 from linksweep.sweep.tie.setup import match
 from linksweep.sweep.tie.tables import TableOptions, read_table
-from linksweep.sweep.tie.tables import hipparcos_correlations as correlations
 from tests.core.tie.made import (
     ARCSEC,
     DEGREE,
@@ -21,7 +20,6 @@ from tests.core.tie.made import (
     PAIRS,
     gaia,
     propagated,
-    random_correlations,
     seen_by_satellite,
     stars,
 )
@@ -54,30 +52,6 @@ def test_blank_values_decide_the_kind_and_are_no_zeros(tmp_path):
     assert list(kinds(found)) == ["five-parameter", "single epoch", "five-parameter", "five-parameter"]
     assert np.all(np.isnan(found.values[2:, 1]))
     assert np.isnan(found.radial_velocity[0])
-
-
-def test_hipparcos_2_has_correlations_from_u_and_errors_from_columns(tmp_path):
-    rng = np.random.default_rng(2)
-    wanted = random_correlations(rng, 6)
-    matrix = np.tile(np.eye(5), (6, 1, 1))
-    for row, (i, j) in zip(wanted, PAIRS, strict=True):
-        matrix[:, i, j] = matrix[:, j, i] = row
-    sigma = rng.uniform(0.3, 2.0, (6, 5))
-    covariance = matrix * sigma[:, :, None] * sigma[:, None, :]
-    upper = np.linalg.cholesky(np.linalg.inv(covariance)).swapaxes(1, 2)  # C^-1 = U'U
-    elements = np.array([upper[:, i, j] for j in range(5) for i in range(j + 1)])
-    np.testing.assert_allclose(correlations(elements), wanted, atol=1e-12)
-    names = ["RArad", "DErad", "Plx", "pmRA", "pmDE"]
-    table = Table({"HIP": np.arange(6) + 1})
-    for name, column in zip(names, stars(6).values, strict=True):
-        table[name] = column if name.endswith("rad") else column / MAS
-        table[f"e_{name}"] = 1.7 * sigma[:, names.index(name)]  # scaled by the goodness of fit
-    for k, element in enumerate(elements, 1):
-        table[f"UW{k}"] = element
-    table.write(tmp_path / "hip2.fits")
-    found = read_table(tmp_path / "hip2.fits").astrometry
-    np.testing.assert_allclose(found.covariance() / MAS**2, 1.7**2 * covariance, rtol=1e-9)
-    assert set(found.epoch) == {1991.25}
 
 
 ICRF = """
@@ -297,21 +271,6 @@ def test_a_column_of_blank_correlations_is_as_none(tmp_path):
     some = MaskedColumn(made.correlations[0], mask=[False, True, False, False])
     with pytest.raises(SweepError, match=r"no ra_dec_corr \(write 0 for none\) in row 2"):
         read_table(gaia(tmp_path / "some.ecsv", made, ra_dec_corr=some))
-
-
-def test_proper_motions_in_seconds_of_time_a_year_and_ra_in_hours(tmp_path):
-    made = stars(4)
-    path = gaia(tmp_path / "g.ecsv", made)
-    table = Table.read(path)
-    for name in ("pmra", "pmra_error"):
-        table[name] /= 15000.0 * np.cos(made.values[1])
-        table[name].unit = "s/yr"
-    table["ra"] /= 15.0
-    table["ra"].unit = "h"
-    table.write(path, overwrite=True)
-    found = read_table(path).astrometry
-    np.testing.assert_allclose(found.values, made.values, rtol=1e-12)
-    np.testing.assert_allclose(found.errors, made.errors, rtol=1e-12)
 
 
 def test_an_error_without_a_unit_beside_a_value_in_another_unit_is_refused(tmp_path):
