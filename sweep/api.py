@@ -52,6 +52,7 @@ def run(
     cluster: str | Path | None = None,
     client: Any = None,
     limits: Limits = NO_LIMITS,
+    dashboard: bool = False,
     progress: Progress | None = None,
     accept_code: bool = False,
     retry: bool = False,
@@ -93,6 +94,7 @@ def run(
         cluster: a file that describes a Dask cluster to start and run on instead.
         client: a connected, synchronous `distributed.Client` to run on instead; it stays open.
         limits: the time and memory that one block may take.
+        dashboard: give local workers Dask's dashboard, whose address is logged; it needs bokeh.
         accept_code: continue a store that other code made, and record for each point which code made it; otherwise
             such a store is refused.
         retry: compute the points that failed again, and no others.
@@ -152,7 +154,7 @@ def run(
     if loaded.part is not None:
         place = located(loaded.part.place(place))
     file = None if cluster is None else Path(cluster)
-    resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, client=client)
+    resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard, client=client)
     try:
         most = None if max_failures is None else MaxFailures.parsed(max_failures)
     except ValueError as error:

@@ -130,7 +130,7 @@ def start_sweep():
 
 
 APART = {
-    *("--workers", "--scheduler", "--cluster", "--time-limit", "--memory-limit"),
+    *("--workers", "--scheduler", "--cluster", "--dashboard", "--time-limit", "--memory-limit"),
     *("threads", "processes"),
 }
 """What makes a command of a test a process of its own."""

@@ -76,6 +76,7 @@ def resources(
     memory_limit: int | None = opt(
         "A block that needs more fails, e.g. 2GB.  [default: an equal share each]", metavar="BYTES", callback=_bytes
     ),
+    dashboard: bool = flag("Give local workers Dask's dashboard; print its address."),
 ) -> "Resources":
     """Return what to run on; raises click.UsageError for options that contradict each other."""
     from linksweep.sweep.executing.pools import Resources
@@ -85,7 +86,7 @@ def resources(
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
     if (tls_ca or tls_cert or tls_key) and (tls is None or not (scheduler or "").startswith("tls://")):
         raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT")
-    return Resources(workers, pool, scheduler, tls, cluster, linksweep.Limits(time_limit, memory_limit))
+    return Resources(workers, pool, scheduler, tls, cluster, linksweep.Limits(time_limit, memory_limit), dashboard)
 
 
 def _log_file(context: click.Context, _parameter: click.Parameter, value: str | None) -> TextIO | None:

@@ -1,4 +1,6 @@
-"""The Dask workers that a run may use: of a scheduler that runs elsewhere, and of a cluster that a file describes."""
+"""The Dask workers that a run may use: of a scheduler that runs elsewhere, of a cluster that a file describes, and of
+this machine where they are to have a dashboard.
+"""
 
 import asyncio
 import importlib
@@ -26,7 +28,7 @@ from tornado.ioloop import PeriodicCallback
 from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.executing.children import KEEP_BYTES, ONE_THREAD
 from linksweep.sweep.executing.dask_driver import DaskDriver
-from linksweep.sweep.executing.pools import Resources
+from linksweep.sweep.executing.pools import Resources, available_cores
 from linksweep.sweep.executing.task import Executor, Place, Say
 from linksweep.sweep.interrupt import SIGNALS
 
@@ -68,7 +70,7 @@ OWN_CLUSTER = {
 
 @contextmanager
 def dask_workers(reference: str, resources: Resources, say: Say) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor on the Dask scheduler, client or cluster of the resources.
+    """Give an executor on the Dask scheduler, client or cluster of the resources, or on workers with a dashboard.
 
     Raises SweepError where none answers, for anything wrong in the file, and for workers that would compute other
     numbers than this process.
@@ -79,12 +81,19 @@ def dask_workers(reference: str, resources: Resources, say: Say) -> Iterator[tup
         elif (address := resources.scheduler) is not None:
             words = f"the Dask scheduler at {address}"
             client = stack.enter_context(client_at(address, tls(*resources.tls) if resources.tls else None))
-        else:
-            path = resources.cluster
-            assert path is not None, "it is one of the three"
+        elif (path := resources.cluster) is not None:
             file = read_cluster_file(path)
             words = f"the {file.class_name.rpartition('.')[2]} of {path}"
             client = stack.enter_context(_client_of(file, str(path)))
+        else:
+            workers = resources.workers or available_cores()
+            words = f"{workers} local worker {'process' if workers == 1 else 'processes'}"
+            memory = {} if resources.limits.memory is None else {"memory_limit": resources.limits.memory}
+            options = {"n_workers": workers, "threads_per_worker": 1, **memory}
+            local = ClusterFile.model_validate(
+                {"class": "distributed.LocalCluster", "options": options, "scale": workers}
+            )
+            client = stack.enter_context(_client_of(local, "--dashboard"))
         driver = DaskDriver(client, words, reference, resources.limits, say)
         stack.callback(driver.cancel)
         driver.prepare()

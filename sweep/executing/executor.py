@@ -60,7 +60,7 @@ def choose_executor(study: Study, cost: float, resources: Resources, say: Say) -
 
 
 def _opened(reference: str, resources: Resources, say: Say) -> Opened:
-    if (resources.scheduler, resources.cluster, resources.client) != (None, None, None):
+    if (resources.scheduler, resources.cluster, resources.client, resources.dashboard) != (None, None, None, False):
         from linksweep.sweep.executing.clusters import dask_workers
 
         return dask_workers(reference, resources, say)

@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -65,8 +66,8 @@ NO_LIMITS = Limits()
 class Resources:
     """What to run on; never part of a study, because it cannot change a number.
 
-    ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.  A
-    ``client`` of the user's stays open.
+    ``tls`` are the files of the authority, the certificate and the key for a ``scheduler``.  With ``dashboard`` the
+    local worker processes are Dask's and have its dashboard, which needs bokeh.  A ``client`` of the user's stays open.
     """
 
     workers: int | None = None
@@ -75,15 +76,16 @@ class Resources:
     tls: tuple[Path, Path, Path] | None = None
     cluster: Path | None = None
     limits: Limits = NO_LIMITS
+    dashboard: bool = False
     client: "Client | None" = None
 
     def __post_init__(self) -> None:
-        """Raise SweepError for a pool, a number of workers or a client that cannot be, and for several
+        """Raise SweepError for a pool, a number of workers, a dashboard or a client that cannot be, and for several
         places to run on.
         """
         is_number = self.workers is None or (type(self.workers) is int and 1 <= self.workers <= MOST_WORKERS)
         elsewhere = [name for name in ("client", "scheduler", "cluster") if getattr(self, name) is not None]
-        if is_number and self.pool in (None, *POOLS) and not elsewhere:
+        if is_number and self.pool in (None, *POOLS) and not self.dashboard and not elsewhere:
             return
         # Imported here, since it imports NumPy, and the help of a command needs only the names of pools.
         from linksweep.sweep.contract import SweepError, shown, suggest
@@ -92,10 +94,14 @@ class Resources:
             raise SweepError(f"workers = {shown(self.workers)}: must be an integer from 1 to {MOST_WORKERS}")
         if self.pool not in (None, *POOLS):
             raise SweepError(f"no pool {shown(self.pool)}{suggest(str(self.pool), list(POOLS))}")
-        here = {"workers": self.workers, "pool": self.pool, "memory": self.limits.memory}
-        local = [name for name, value in here.items() if value is not None]
+        here = {"workers": self.workers, "pool": self.pool, "memory": self.limits.memory, "dashboard": self.dashboard}
+        local = [name for name, value in here.items() if value not in (None, False)]
         if elsewhere and (local or len(elsewhere) > 1):
             raise SweepError(f"{', '.join([*local, *elsewhere])}: these are of different places to run on; name one")
+        if self.dashboard and self.pool not in (None, DEFAULT_POOL):
+            raise SweepError("a dashboard is for local worker processes")
+        if self.dashboard and find_spec("bokeh") is None:
+            raise SweepError("a dashboard needs bokeh: `pip install 'linksweep[report]'`")
         if (one := self.client) is not None:
             from distributed import Client
 

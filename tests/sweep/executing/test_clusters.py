@@ -10,8 +10,9 @@ import pytest
 from distributed import LocalCluster
 
 from linksweep import SweepError
-from linksweep.sweep.executing import clusters
+from linksweep.sweep.executing import clusters, pools
 from linksweep.sweep.executing.clusters import client_at, own_cluster
+from linksweep.sweep.executing.pools import Resources
 from tests.sweep.opening import same
 from tests.sweep.outside import command_of, workers_below
 from tests.tiers import slow
@@ -91,6 +92,15 @@ def test_an_interrupted_start_leaves_no_process_in_a_session():
     with pytest.raises(KeyboardInterrupt), own_cluster(Interrupted, {"n_workers": 1, "threads_per_worker": 1}):
         pass
     assert not [pid for pid in workers_below(os.getpid()) if "spawn_main" in command_of(pid)]
+
+
+def test_a_dashboard_is_of_local_worker_processes_and_needs_bokeh(monkeypatch):
+    for wished in ({"pool": "serial"}, {"pool": "threads"}, {"scheduler": "tcp://a:1"}):
+        with pytest.raises(SweepError, match=r"a dashboard is for local|dashboard, scheduler: these are of"):
+            Resources(**wished, dashboard=True)
+    monkeypatch.setattr(pools, "find_spec", lambda name: None)
+    with pytest.raises(SweepError, match=r"`pip install 'linksweep\[report\]'`"):
+        Resources(dashboard=True)
 
 
 @pytest.mark.parametrize("speaks", [False, True])

@@ -75,6 +75,7 @@ def test_a_client_of_a_scheduler_elsewhere_is_as_its_address(link_study, tmp_pat
         ({"workers": 2}, "workers, client: these are of different places"),
         ({"pool": "serial", "scheduler": "tcp://a:1"}, "pool, client, scheduler: these are of different places"),
         ({"cluster": "a.toml"}, "client, cluster: these are of different places"),
+        ({"dashboard": True}, "dashboard, client: these are of different places"),
         ({"client": None, "workers": 2, "scheduler": "tcp://a:1"}, "workers, scheduler: these are of different places"),
         ({"client": "tcp://a:1"}, "client = 'tcp://a:1': must be a distributed.Client that is connected"),
     ],
