@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cache, cached_property, lru_cache
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar, TypeVar
 from weakref import WeakKeyDictionary
@@ -39,7 +39,8 @@ OURS = "linksweep"
 # Stands in place of a module in the reference of a function that only this session has.
 SESSION = "session"
 
-SUFFIXES = ("/__init__.py", ".py", *importlib.machinery.EXTENSION_SUFFIXES)  # as Python prefers them
+EXTENSIONS = tuple(importlib.machinery.EXTENSION_SUFFIXES)
+SUFFIXES = ("/__init__.py", *EXTENSIONS, ".py")  # as Python prefers them
 DIGEST = re.compile("(^| )[0-9a-f]{12}( |$)")
 # Fields of an experiment that its code does not depend on, or that count by themselves.
 DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
@@ -71,18 +72,19 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         self.path, self.contents = str(path), dict[str, bytes]()
         # All that could be imported is read now, also by statements inside of functions: a file that changes during a
         # run must not mix its versions, and workers may not have it at all.
-        todo = [path.name]
-        for file in todo:
-            self.contents[file] = (path.parent / file).read_bytes()
-            for stem in _imported(file, self.contents[file]):
+        self.files = {"": "", path.stem: path.name}  # by the names of modules
+        for name in (todo := [path.stem]):
+            self.contents[self.files[name]] = content = (path.parent / self.files[name]).read_bytes()
+            for imported in _imported(name, self.files[name], content):
+                stem = imported.replace(".", "/")
                 beside = [stem + suffix for suffix in SUFFIXES if (path.parent / (stem + suffix)).is_file()]
-                todo += [one for one in beside[:1] if one not in todo]
+                if beside and imported not in self.files:
+                    self.files[imported] = beside[0]
+                    todo.append(imported)
+                    for folder in itertools.accumulate(imported.split(".")[:-1], "{}.{}".format):
+                        self.files.setdefault(folder, folder.replace(".", "/") + "/")  # counts as a package
         self.digest = digest_of(repr(sorted(self.contents.items())))
         self.package = reach.PREFIX + digest_of(f"{path} {self.digest}")
-        # By the names of modules; the folders that they are in count as packages, without a file.
-        stems = {next(file.removesuffix(end) for end in SUFFIXES if file.endswith(end)): file for file in todo}
-        folders = {"" if str(one) == "." else str(one): "" for stem in stems for one in PurePosixPath(stem).parents}
-        self.files = {stem.replace("/", "."): file for stem, file in (folders | stems).items()}
 
     def module(self) -> ModuleType:
         """Return the module of the file, executed once; raises whatever it raises."""
@@ -95,9 +97,11 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         package, _, name = fullname.partition(".")
         if package != self.package or (file := self.files.get(name)) is None:
             return None
-        loader = None if file.endswith(tuple(importlib.machinery.EXTENSION_SUFFIXES)) else self  # else Python's own
-        inside: list[str] | None = [] if file.endswith("__init__.py") or not file else None
-        place = Path(self.path).parent / (file or name.replace(".", "/"))
+        inside: list[str] | None = (
+            None if file.endswith((".py", *EXTENSIONS)) and not file.endswith("__init__.py") else []
+        )
+        loader = None if file.endswith(EXTENSIONS) else self  # else Python's own
+        place = Path(self.path).parent / file
         return importlib.util.spec_from_file_location(fullname, place, loader=loader, submodule_search_locations=inside)
 
     def exec_module(self, module: ModuleType) -> None:
@@ -105,38 +109,33 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         name, place = module.__name__.partition(".")[2], str(module.__file__)
         tree = ast.parse(self.contents.get(self.files[name], b""), place)
         # A file random.py may import Python's module random, as it does where it is run as a script.
-        local = {known.partition(".")[0] for known in self.files} - ({name} if "/" not in self.files[name] else set())
+        local = {known.partition(".")[0] for known in self.files} - {"" if "/" in self.files[name] else name}
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 node.names = [one for alias in node.names for one in self._localised(alias, local)]
             elif isinstance(node, ast.ImportFrom) and not node.level and str(node.module).partition(".")[0] in local:
                 node.module = f"{self.package}.{node.module}"
-        code = compile(tree, place, "exec", dont_inherit=True)
+        code = compile(ast.fix_missing_locations(tree), place, "exec", dont_inherit=True)
         vars(module)[reach.TREE] = reach.without_docstrings(tree)
         exec(code, vars(module))
 
     def _localised(self, alias: ast.alias, local: set[str]) -> list[ast.alias]:
-        top, _, below = alias.name.partition(".")
-        if top not in local:
-            return [alias]
-        whole, place = f"{self.package}.{alias.name}", {"lineno": alias.lineno, "col_offset": alias.col_offset}
-        if alias.asname or not below:
-            return [ast.alias(whole, alias.asname or top, **place)]
+        top = alias.name.partition(".")[0]
+        whole = ast.alias(f"{self.package}.{alias.name}", alias.asname or top)
         # "import a.b" loads a.b and binds a.
-        return [ast.alias(whole, "_", **place), ast.alias(f"{self.package}.{top}", top, **place)]
+        binding = [] if alias.asname else [ast.alias(f"{self.package}.{top}", top)]
+        return [whole, *binding] if top in local else [alias]
 
 
-def _imported(file: str, content: bytes) -> Iterator[str]:
-    """Yield what import statements in a file of a folder may name there, without the ending."""
-    package, nodes = PurePosixPath(file).parent.parts, list[ast.AST]()
+def _imported(name: str, file: str, content: bytes) -> Iterator[str]:
+    """Yield what import statements in a module of a folder may name there."""
+    nodes, package = list[ast.AST](), name if file.endswith("__init__.py") else name.rpartition(".")[0]
     with suppress(SyntaxError, ValueError, RecursionError):  # reported when the file is executed
         nodes = list(ast.walk(ast.parse(content))) if file.endswith(".py") else []
-    for node in nodes:
-        level, module = getattr(node, "level", 0), getattr(node, "module", None)
-        base = package[: len(package) - level + 1] if level else ()
-        for alias in node.names if isinstance(node, reach.IMPORTS) else ():
-            parts = ".".join(filter(None, [*base, module, alias.name])).split(".")
-            yield from itertools.accumulate(parts, "{}/{}".format) if parts[0] != OURS else ()
+    for node in (node for node in nodes if isinstance(node, reach.IMPORTS)):
+        for module, alias in zip(reach.modules(node, f".{package}"), node.names, strict=False):
+            parts = f"{module}.{alias.name}".strip(".").split(".")
+            yield from itertools.accumulate(parts, "{}.{}".format) if parts[0] != OURS else ()
 
 
 class Live:
@@ -154,7 +153,7 @@ class Live:
         import cloudpickle
 
         registered = cloudpickle.list_registry_pickle_by_value()
-        mine = [one for name, one in self.reach.modules.items() if name not in registered and name != "__main__"]
+        mine = [one for name, one in self.reach.modules.items() if name not in {*registered, "__main__"}]
         file = io.BytesIO()
         try:
             # By value, since workers may not have these modules, or not as they are in this session.
@@ -203,7 +202,7 @@ def _pickler(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
         def reducer_override(self, value: Any) -> Any:
             if isinstance(value, ModuleType) and value.__name__ in cloudpickle.list_registry_pickle_by_value():
                 # cloudpickle fails where a function in a module refers to the module.
-                taken = reached.taken.get(value.__name__, set()) & vars(value).keys()
+                taken = reached.taken[value.__name__] & vars(value).keys()
                 return ModuleType, (value.__name__,), {name: vars(value)[name] for name in taken}
             return super().reducer_override(value)
 
@@ -319,9 +318,7 @@ def sendable(reference: str, digest: str | None = None) -> "LocalFiles | Live | 
 
     Raises SweepError for a function of this session that cannot be pickled.
     """
-    sources = sources_of(reference, digest)
-    if isinstance(sources, Live):
-        sources.pickled  # noqa: B018 (what can fail is done here, once)
+    getattr(sources := sources_of(reference, digest), "pickled", None)  # what can fail is done here, once
     return sources
 
 
@@ -352,30 +349,29 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
             module = (code or _remember(LocalFiles(Path(place)))).module()
         else:
             module = importlib.import_module(place)
-        if not hasattr(module, attribute):
-            hint = suggest(attribute, [name for name in vars(module) if not name.startswith("_")])
-            raise SweepError(f"{shown(reference)}: the module has no attribute {shown(attribute)}{hint}")
-        return getattr(module, attribute)
     except SweepError as error:
         raise SweepError(error.problems, error.where and f"{reference}, {error.where}") from error
     except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
         text = reach.without_package(error.msg if isinstance(error, SyntaxError) else str(error))
         message = f"{type(error).__name__}{f': {text}' if text else ''}{_line_of(error)}"
-        missing = f"{getattr(error, 'name', None) or place}."  # also of a relative import
-        if isinstance(error, ImportError) and f"{place}.".startswith(missing):
+        if isinstance(error, ImportError) and f"{place}.".startswith(f"{error.name or place}."):  # also if relative
             message += "; name a function of a package by its module, and put the package's folder in PYTHONPATH"
         raise SweepError(f"{shown(reference)}: cannot be imported: {message}") from error
+    if not hasattr(module, attribute):
+        hint = suggest(attribute, [name for name in vars(module) if not name.startswith("_")])
+        raise SweepError(f"{shown(reference)}: the module has no attribute {shown(attribute)}{hint}")
+    return getattr(module, attribute)
 
 
 def _line_of(error: BaseException) -> str:
     """Return the file and line of a user's code at which an exception was raised, in brackets."""
-    frames = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
-    frames = [
-        one for one in frames if one[0].is_absolute() and reach.distributions_at(str(one[0]), one[0].stem) is None
+    frames = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+    users = [
+        one for one in frames if one[0].endswith(".py") and reach.distributions_at(one[0], Path(one[0]).stem) is None
     ]
     if isinstance(error, SyntaxError) and error.filename:
-        frames = [(Path(error.filename), error.lineno)]
-    return f" ({frames[-1][0]}, line {frames[-1][1]})" if frames else ""
+        users = [(error.filename, error.lineno)]
+    return f" ({users[-1][0]}, line {users[-1][1]})" if users else ""
 
 
 def file_of(reference: str) -> str:
@@ -433,23 +429,26 @@ def _digest(parts: Mapping[str, str]) -> str:
     return digest_of(repr(sorted(parts.items())))
 
 
+def _differing(one: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
+    return sorted(name for name in {*one, *other} if one.get(name) != other.get(name))
+
+
 def changes_of_code(code: Mapping[str, str], reference: str, experiment: Experiment) -> list[str]:
     """Return a phrase for each difference between the code that a store has recorded and that of a loaded reference."""
     now = code_of(reference, experiment)
-    changed = {name for name in {*code, *now} if code.get(name) != now.get(name)}
+    changed = _differing(code, now)
     if changed and not reference.startswith(f"{SESSION}:") and all(name.startswith("value ") for name in changed):
-        now |= {name: code[name] for name in changed & _unsteady(reference) & code.keys()}
+        now |= {name: code[name] for name in _unsteady(reference) if name in code}
     return code_differences(code, now, "in the store", "now")
 
 
 @cache
-def _unsteady(reference: str) -> frozenset[str]:
+def _unsteady(reference: str) -> list[str]:
     """Return the names of values that two new processes of the same code have otherwise, such as a time; say so."""
     code = f"import json; from linksweep.sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
     processes = [new_process(code, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) for _ in range(2)]
     one, other = (json.loads((each.communicate()[0].splitlines() or [b"{}"])[-1]) for each in processes)
-    differing = frozenset(name for name in one if one[name] != other.get(name))
-    for name in sorted(differing):
+    for name in (differing := _differing(one, other)):
         _warn(f"{name} differs from process to process; its changes are not noticed")
     return differing
 
@@ -465,7 +464,7 @@ def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
 def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
     """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
     phrases = []
-    for name in sorted(name for name in {*old, *new} if old.get(name) != new.get(name)):
+    for name in _differing(old, new):
         before, after = old.get(name, ""), new.get(name, "")
         is_short = name.startswith(("value ", "default ", "package ")) and not DIGEST.search(f"{before} {after}")
         how = f"is {before} {was}, {after} {now}" if is_short else "has changed"

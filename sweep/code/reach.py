@@ -11,7 +11,6 @@ import ast
 import functools
 import hashlib
 import io
-import itertools
 import linecache
 import os
 import random
@@ -19,13 +18,14 @@ import re
 import sys
 import sysconfig
 import time
-from collections import ChainMap, defaultdict, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import ChainMap, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, lru_cache
 from importlib.machinery import EXTENSION_SUFFIXES
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from importlib.util import find_spec, resolve_name
+from itertools import chain
 from pathlib import Path
 from types import CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
 from typing import Any
@@ -49,17 +49,22 @@ LONG_FORM = 200
 # Objects of a value that are followed: about a second.
 MOST_OBJECTS = 500_000
 
-PLAIN = (bool, int, float, complex, str, bytes)
-RANDOM = (np.random.Generator, np.random.RandomState, random.Random)
+PLAIN = (bool, int, float, complex, str, bytes, type(None))
+
+# Methods that change their object: those that its unchangeable twin lacks.
+CHANGING = {*dir(list), *dir(set), *dir(dict)} - {*dir(tuple), *dir(frozenset), *dir(MappingProxyType)}
+
 # Methods that make an object: what they set is how it begins, not a change.
 MAKING = ("__init__", "__new__", "__post_init__", "__init_subclass__", "__set_name__")
 
-# Methods that change their object: those that its unchangeable twin lacks.
-TWINS = ((list, tuple), (deque, tuple), (set, frozenset), (dict, MappingProxyType))
-CHANGING = {name for one, fixed in TWINS for name in dir(one) if not hasattr(fixed, name)} - {"copy"}
+# What each number that is drawn changes; the seed is in the statement that begins it.
+RANDOM = (np.random.Generator, np.random.RandomState, random.Random)
 
 # With which code may name anything of its module.
 BY_NAME = ("globals", "eval", "exec", "sys.modules")
+
+# Attributes of classes that Python sets: some are caches, and what is not is in the statements of the class.
+PYTHONS = ("__", "_abc_", "_value2member_map_")
 
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 IMPORTS = (ast.Import, ast.ImportFrom)
@@ -103,13 +108,13 @@ def distributions_at(file: str | None, top: str) -> tuple[str, ...] | None:
     """Return the distributions that a module's file belongs to, none for Python and linksweep; None for the user's."""
     if file in (None, "frozen", "built-in"):
         return () if top in sys.stdlib_module_names else None
-    path = Path(file).resolve()
+    path, is_ours = Path(file).resolve(), Path(file).is_relative_to(_OURS)
     # What pip has unpacked has a folder *.dist-info beside it, wherever that is; an editable install has it elsewhere
     folder = next((around.parent for around in (path, *path.parents) if around.stem == top), path.parent)
-    if not Path(file).is_relative_to(_OURS) and any(folder.glob("*.dist-info")):
+    if not is_ours and any(folder.glob("*.dist-info")):
         names = [top] if version_of(top) != "not installed" else sorted({*packages_distributions().get(top, ())})
         return tuple(names) or None
-    return () if Path(file).is_relative_to(_OURS) or path.is_relative_to(_STDLIB) else None
+    return () if is_ours or path.is_relative_to(_STDLIB) else None
 
 
 def distributions_of(module: str | None) -> tuple[str, ...] | None:
@@ -117,18 +122,20 @@ def distributions_of(module: str | None) -> tuple[str, ...] | None:
     if not module or module == "__main__" or module.startswith(PREFIX):
         return None
     top = module.partition(".")[0]
-    loaded = sys.modules.get(module) or sys.modules.get(top)
-    spec = find_spec(top) if loaded is None else None
-    file = getattr(loaded, "__file__", None) or getattr(spec, "origin", None)
-    folders = getattr(loaded, "__path__", None) or getattr(spec, "submodule_search_locations", None) or ()
-    if loaded and not file and not folders and not any(isinstance(one, FunctionType) for one in vars(loaded).values()):
-        return ()  # made by an extension
+    there = sys.modules.get(module) or sys.modules.get(top) or find_spec(top)
+    folders = getattr(there, "__path__", None) or getattr(there, "submodule_search_locations", None) or ()
+    file = getattr(there, "__file__", None) or getattr(there, "origin", None)
     return distributions_at(file or next(iter(folders), None), top)
 
 
 def reach_of(roots: Mapping[str, Any]) -> "Reach":
-    """Return all that some objects reach."""
-    return Reach(roots, Reach(roots).changes())
+    """Return all that some objects reach.
+
+    What code changes while it runs, such as a cache, is not the same from call to call: it counts by the statements
+    with which it begins.  So the roots are walked twice: first only what runs when they are called, which says what
+    changes, then all.
+    """
+    return Reach(roots, Reach(roots).changed())
 
 
 class Reach:
@@ -137,90 +144,63 @@ class Reach:
     ``parts`` has the digest or a short form of each function, class, value and distribution, by its kind and name;
     ``places`` the file and line of what is in a file; ``unnoticed`` the types of values that have no canonical form, by
     name; ``modules`` the user's modules among them, and ``taken`` the attributes that are taken of each.
-
-    What code changes while it runs, such as a cache, is not the same from call to call: it counts by the statements
-    with which it begins.  So the roots are walked twice: first only what runs when they are called, which says what
-    changes, then all.
     """
 
-    def __init__(self, roots: Mapping[str, Any], changed: frozenset[str] | None = None) -> None:
-        """Follow all but what is ``changed``; without that only what runs, to learn it from `changes`."""
-        self._changed, self._running = changed or frozenset(), changed is None
-        self.parts: dict[str, str] = {}
+    def __init__(self, roots: Mapping[str, Any], changed: Collection[str] | None = None) -> None:
+        """Follow all but what is ``changed``; without that only what runs, to learn it."""
+        self._is_running, self._changed = changed is None, frozenset(changed or ())
+        self._called: set[str] = set()
+        self._changes: list[tuple[str, set[str]]] = []
         self.places: dict[str, str] = {}
         self.unnoticed: dict[str, str] = {}
         self.modules: dict[str, ModuleType] = {}
         self.taken: dict[str, set[str]] = defaultdict(set)
+        # Closures of one function, or functions that a decorator has made, have one label.
+        self._texts: dict[str, set[str]] = defaultdict(set)
         # Whose form is made, and whether any of it is left out.
-        self._value, self._is_changing = "", False
+        self._value, self._is_partial = "", False
         # The objects are kept beside their ids, so that no other object gets the same id meanwhile.
         self._met: dict[Any, Any] = {}
-        self._called: set[int] = set()
-        self._attributes: set[str] = set()
-        self._todo: list[tuple[Callable[[Any], None], Any]] = []
-        self._changes: list[tuple[FunctionType, set[str]]] = []
+        self._todo: list[tuple[Any, ...]] = []
         for name, value in roots.items():
             self._keep(f"value {name}", self._refer(name, value))
-        for add, value in self._todo:  # which grows meanwhile
-            add(value)
+        for add, *what in self._todo:  # which grows meanwhile
+            add(*what)
+        texts = {label: ", ".join(sorted(some)) for label, some in self._texts.items()}
+        self.parts = {k: v if len(v) <= LONGEST and v.isprintable() else digest_of(v) for k, v in texts.items()}
 
-    def changes(self) -> frozenset[str]:
+    def changed(self) -> set[str]:
         """Return what functions change that are called after what they belong to was made, as far as names tell."""
-        changed: set[str] = set()
-        for function, keys in self._changes:
-            name = function.__name__
-            by_name = (name in self._attributes or name.startswith("__")) and name not in MAKING
-            changed |= keys if by_name or id(function) in self._called else set()
-        return frozenset(changed)
+        called = [keys for name, keys in self._changes if name.startswith("__") or name in self._called]
+        return set().union(*called)
 
-    def _follow(self, add: Callable[[Any], None], value: Any) -> None:
-        if self._is_new(value, add.__name__):
-            self._todo.append((add, value))
-
-    def _is_new(self, value: Any, label: str) -> bool:
-        """Return whether an object has not been met under this label."""
-        number = len(self._met)
-        self._met.setdefault((label, id(value)), value)
-        return len(self._met) > number
+    def _follow(self, add: Callable[..., None], value: Any, label: str = "", *more: Any) -> None:
+        if (key := (add.__name__, id(value), label)) not in self._met:
+            self._met[key] = value
+            self._todo.append((add, value, *filter(None, [label]), *more))
 
     def _keep(self, label: str, text: str) -> None:
-        text, label = without_package(text), without_package(label)
-        short = text if len(text) <= LONGEST and text.isprintable() else digest_of(text)
-        # Closures of one function, or functions that a decorator has made, have one label.
-        name, number = label, 1
-        while text and self.parts.setdefault(name, short) != short:
-            number += 1
-            name = f"{label} ({number})"
+        if text:
+            self._texts[without_package(label)].add(without_package(text))
 
     def _refer(self, label: str, value: Any, names: Names = MappingProxyType({})) -> str:
-        """Follow a name, of a module that has these names; return what it stands for where that is code, else '' and
-        note it as a value.
-        """
-        if (code := self._code(value)) is not None:
-            return code
-        if self._is_new(value, label):
-            name = label.removeprefix("default ").partition(" of ")[0].rpartition(".")[2]
-            statements = _index(tree_of(names.get("__file__") or "", names))[name]
-            if statements:
-                self.places[f"value {without_package(label)}"] = f"{names['__file__']}, line {statements[0].lineno}"
-            self._value, self._is_changing = label, not self._changed.isdisjoint([name, f".{name}", label])
-            text = "changes" if self._is_changing else self._form(value, {})
-            # What is left out counts by the statements with which it begins; of a notebook these are not known.
-            if self._is_changing:
-                begins = [one for one in statements if not isinstance(one, IMPORTS)]
-                text += "".join(map(unparsed, begins)) + self._names(begins, names)
-                if names and not begins:
-                    self.unnoticed[without_package(label)] = label_of(type(value))
-            self._keep(f"value {label}", text)
-        return ""
+        """Follow a name, of a module that has these names; return what it stands for where that is code, else ''."""
+        if (code := self._code(value)) is None:
+            self._follow(self._noted, value, label, names)
+        return code or ""
 
-    def _attribute(self, module: ModuleType, name: str) -> tuple[str, Any, Names]:
-        """Note that an attribute of a module is taken; return what refers to it."""
-        self.taken[module.__name__].add(name)
-        value = None
-        with suppress(Exception):  # raised again by the function where it is called
-            value = getattr(module, name)
-        return f"{module.__name__}.{name}", value, vars(module)
+    def _noted(self, value: Any, label: str, names: Names) -> None:
+        """Add a value; what is left out of it counts by the statements that name it in its module."""
+        name = label.partition(" of ")[0].rpartition(".")[2]
+        statements = _index(tree_of(names.get("__file__") or "", names))[name]
+        if statements:
+            self.places[f"value {label}"] = f"{names['__file__']}, line {statements[0].lineno}"
+        self._value, self._is_partial = label, not self._changed.isdisjoint([name, f".{name}"])
+        text = "" if self._is_partial else self._form(value, {})
+        begins = self._text(statements, names) if self._is_partial else ""
+        if self._is_partial and names and not begins:  # as in a notebook
+            self.unnoticed[label] = label_of(type(value))
+        self._keep(f"value {label}", text + begins)
 
     def _code(self, value: Any) -> str | None:
         """Follow a function, class or module, and return what stands for it; None for anything else."""
@@ -229,11 +209,13 @@ class Reach:
                 self._follow(self._whole, value)
             return f"module {value.__name__}"
         if isinstance(value, type):
-            if isinstance(value.__module__, str) and self._is_users(value.__module__):  # in C it may be a descriptor
+            # What a library has made of the user's is not in its module; in C the name of that may be a descriptor.
+            module = value.__module__ if isinstance(value.__module__, str) else "builtins"
+            if self._is_users(module) or not hasattr(sys.modules.get(module), value.__qualname__.partition(".")[0]):
                 self._follow(self._class, value)
             return f"class {label_of(value)}"
         if isinstance(value, FunctionType):
-            self._called.add(id(value))
+            self._called.add(value.__name__)
             self._follow(self._function, value)
             return f"function {label_of(value)}"
         return None
@@ -244,7 +226,7 @@ class Reach:
         ``known`` has the objects of the value that have been met, and the form of each, or its number.
         """
         kind = type(value)
-        if value is None or kind in PLAIN:
+        if kind in PLAIN:
             return without_package(repr(value))
         if (code := self._code(value)) is not None:
             return code
@@ -260,9 +242,8 @@ class Reach:
             # Digested where it is long: objects that share parts would else repeat their text at each level.
             text = f"{label_of(kind)} [{inside if len(inside) < LONG_FORM else digest_of(inside)}]"
         except Exception:  # whatever keeps an object from being taken apart; also where it is too deep
-            text, self._is_changing = label_of(kind), True
-            if self._value:
-                self.unnoticed[without_package(self._value)] = text
+            self.unnoticed[self._value] = text = label_of(kind)
+            self._is_partial = True
         known[id(value)] = value, text
         return text
 
@@ -272,14 +253,9 @@ class Reach:
 
         kind = type(value)
         if kind in (list, tuple, set, frozenset, dict):
-            return itertools.chain.from_iterable(value.items()) if kind is dict else iter(value)
+            return chain.from_iterable(value.items()) if kind is dict else iter(value)
         if kind is np.ndarray and value.dtype.kind not in "OV":
             return value.dtype.str, value.shape, digest_of(value.tobytes())
-        if isinstance(
-            value, RANDOM
-        ):  # each number that is drawn changes it; the seed is in the statement that begins it
-            self._is_changing = True
-            return ()
         if isinstance(value, DESCRIPTORS):
             return [getattr(value, name, None) for name in ("__func__", "fget", "fset", "fdel", "func")]
         if isinstance(value, np.vectorize):  # whose other attributes are caches
@@ -288,6 +264,9 @@ class Reach:
         is_library = distributions_of(kind.__module__) is not None
         if is_library and callable(value) and hasattr(value, "__wrapped__") and kind is not MethodType:
             return (value.__wrapped__,)
+        if isinstance(value, RANDOM):
+            self._is_partial = True
+            return ()
         if isinstance(value, io.IOBase) or (kind is np.ufunc and "vectorized" in value.__name__):
             raise TypeError("an open file, or made by frompyfunc, which does not tell of what")
         reduce = cloudpickle.Pickler.dispatch_table.get(kind)
@@ -297,23 +276,24 @@ class Reach:
             return (reduced,)
         function, args, state, items, pairs = (*reduced, None, None, None)[:5]
         states = state if isinstance(state, tuple) else (state,)  # __dict__ and slots
-        kept = [self._kept(value, one) if isinstance(one, dict) else one for one in states]
+        kept = [self._kept(kind, one) if isinstance(one, dict) else one for one in states]
         return function, args, *kept, list(items or ()), list(pairs or ())
 
-    def _kept(self, value: Any, state: dict[Any, Any]) -> list[Any] | None:
+    def _kept(self, kind: type, state: dict[Any, Any]) -> list[Any] | None:
         """Return the attributes of an object that neither code changes nor are cached properties, in order; None if
         there is none, as before anything was cached.
         """
-        owners = ["", *map(label_of, type(value).__mro__)]
+        owners = ["", *map(label_of, kind.__mro__)]
         changed = {key for key in state if not self._changed.isdisjoint(f"{owner}.{key}" for owner in owners)}
-        self._is_changing |= bool(changed)
-        cached = {key for key in state if isinstance(getattr(type(value), str(key), None), functools.cached_property)}
+        self._is_partial |= bool(changed)
+        cached = {key for key in state if isinstance(getattr(kind, str(key), None), functools.cached_property)}
         return [(key, state[key]) for key in sorted(state.keys() - changed - cached - {"__doc__"}, key=str)] or None
 
     def _is_users(self, module: str | None) -> bool:
         """Return whether a module is the user's; count what it does while it is imported, or its distributions."""
         if (distributions := distributions_of(module)) is not None:
-            self.parts |= {f"package {name}": version_of(name) for name in distributions}
+            for name in distributions:
+                self._keep(f"package {name}", version_of(name))
         elif module in sys.modules:
             self._follow(self._acts, sys.modules[module])
         return distributions is None
@@ -322,15 +302,30 @@ class Reach:
         """Add what the user's module does to others while it is imported."""
         name, file = module.__name__, getattr(module, "__file__", None) or ""
         self.modules[name] = module
+        if package := name.rpartition(".")[0]:  # is imported before
+            self._is_users(package)
         if file.endswith(tuple(EXTENSION_SUFFIXES)):
-            self.parts[f"file {Path(file).name}"] = digest_of(Path(file).read_bytes())
+            self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
         acts = [one for one in tree_of(file, vars(module)).body if _is_act(one, calls=name != "__main__")]
-        if acts and not self._running:
-            self._keep(f"module {name}", "".join(map(unparsed, acts)) + self._names(acts, vars(module)))
+        if acts:
+            self._keep(f"module {name}", self._text(acts, vars(module)))
 
     def _whole(self, module: ModuleType) -> None:
         for name in [name for name in vars(module) if not name.startswith("__") or name == "__getattr__"]:
-            self._refer(*self._attribute(module, name))
+            self._named(name, vars(module), self._attribute(module, name))
+
+    def _attribute(self, module: ModuleType, name: str) -> Any:
+        """Note that an attribute of a module is taken, and return it; None where there is none."""
+        self.taken[module.__name__].add(name)
+        with suppress(Exception):  # raised again by the function where it is called
+            return getattr(module, name)
+
+    def _named(self, name: str, names: Names, value: Any) -> str:
+        """Follow what a module has under a name, as `_refer`, wherever it is imported from."""
+        name, names = home_of(name, names, value)
+        if not self._is_users(names.get("__name__")):  # what a library has besides code, such as a table, is its own
+            return self._code(value) or ""
+        return self._refer(without_package(f"{names.get('__name__')}.{name}"), value, names)
 
     def _function(self, function: FunctionType) -> None:
         """Add a function, and what it changes while it runs."""
@@ -343,83 +338,100 @@ class Reach:
             self._keep(f"function {label}", ", ".join(forms))
             return
         nodes, values = definitions_of(function), function.__defaults__ or ()
-        defaults = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
-        defaults |= function.__kwdefaults__ or {}
-        inside = {f"default {name} of {label}": value for name, value in defaults.items()}
-        members = {name for name in vars(function) if not name.startswith("__") and f".{name}" not in self._changed}
-        inside |= {f"{label}.{name}": vars(function)[name] for name in members}
-        # Without source there are only the values that it holds; what dataclasses make is in their class already.
-        if not nodes:
-            inside |= {f"{name} of {label}": value for name, value in _closure(function).items()}
-            if not function.__name__.startswith("__") and "__file__" not in names:
-                self.unnoticed[label] = "function without source"
-        text = "".join(itertools.starmap(self._refer, sorted(inside.items())))
-        for node in nodes:
+        held = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
+        held |= {name: value for name, value in vars(function).items() if not name.startswith("__")}
+        text = "".join(self._refer(f"{label}.{k}", v) for k, v in (held | (function.__kwdefaults__ or {})).items())
+        text += self._text(nodes, names, function)
+        if nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {code.co_firstlineno}"
-            text += unparsed(node) + self._names([node], names, function)
-            if not self._running:
-                text += self._names(getattr(node, "decorator_list", ()), names)
-            self._changes.append((function, set(_changes(node, function))))
+            changes = [key for node in nodes for key in _changes(node, function)]
+            keys = {home_of(key, names, names.get(key))[0] for key in changes}
+            self._changes += [] if function.__name__ in MAKING else [(function.__name__, keys)]
+        elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
+            text += str([(one.co_code, [c for c in one.co_consts if type(c) in PLAIN]) for one in _inside(code)])
         self._keep(f"function {label}", text)
 
     def _class(self, cls: type) -> None:
         """Add the statements of a class, and all that it has now."""
         label, names = label_of(cls), getattr(sys.modules.get(cls.__module__), "__dict__", {})
-        text = f"{[self._code(base) for base in cls.__mro__[1:]]} {self._code(type(cls))}"
+        text = str([self._code(one) for one in (*cls.__mro__[1:], type(cls))])
         # Methods count as functions, so that a message can name them; all else as it is now, also if it was set later.
-        files = [names.get("__file__") or ""]
+        file = names.get("__file__") or ""
         for name, value in vars(cls).items():
-            inside = self._pieces(value) if isinstance(value, DESCRIPTORS) else [value]
-            for inner in inside:
+            for inner in self._pieces(value) if isinstance(value, DESCRIPTORS) else [value]:
                 if isinstance(inner, FunctionType):
                     self._follow(self._function, inner)
-                    files.append(inner.__code__.co_filename)
-                elif not name.startswith(("__", "_abc_")) and inner is not None:
+                    file = file or inner.__code__.co_filename  # the cell of a notebook
+                elif not name.startswith(PYTHONS) and inner is not None:
                     text += self._refer(f"{label}.{name}", inner)
-        for file in dict.fromkeys(files):
-            for node in _index(tree_of(file, names))[f"class {cls.__name__}"]:
-                self.places[f"class {label}"] = f"{file}, line {node.lineno}"
-                members = [*node.decorator_list, *(one for one in node.body if not isinstance(one, DEFINITIONS))]
-                text += f"{[unparsed(one) for one in members]}{'' if self._running else self._names(members, names)}"
+        for node in _index(tree_of(file, names))[f"class {cls.__name__}"]:
+            self.places[f"class {label}"] = f"{file}, line {node.lineno}"
+            members = [one for one in node.body if not isinstance(one, DEFINITIONS)]
+            text += self._text([*node.decorator_list, *members], names)
         self._keep(f"class {label}", text)
 
-    def _names(self, nodes: Iterable[ast.AST], names: Names, function: FunctionType | None = None) -> str:
-        """Follow the names of globals in some code of a module with these names, or of globals and closures in that of
-        a function; return what those stand for that are code.
+    def _text(self, nodes: Sequence[ast.AST], names: Names, function: FunctionType | None = None) -> str:
+        """Return some code of a module with these names, or of a function, with what the names in it stand for, and
+        follow these: globals, closures, what it imports, and attributes of modules.
         """
-        nodes, stand = list(nodes), list[str]()
-        imported, cells = self._imported(nodes, names), {} if function is None else _closure(function)
-        wanted = names.keys() if function is None else {*imported, *_names_in(function.__code__)}
-        scope = ChainMap(imported, cells, dict(names))
-        for chain in sorted({chain for node in nodes for chain in _chains(node)}):
-            name, *path = chain.split(".")
-            by_name = chain in BY_NAME and (name not in scope or scope[name] is sys)
-            if by_name and names.get("__name__") in sys.modules:
+        if function is None and self._is_running:  # runs while it is imported, before any root is called
+            return ""
+        attributes = {one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute)}
+        cells = _closure(function) if function else {}
+        bound = self._imported(nodes, names) | cells
+        scope, wanted = ChainMap(bound, dict(names)), {*names} if function is None else _names_in(function.__code__)
+        chains = {one for node in nodes for one in _chains(node)} if nodes or not function else wanted
+        self._called |= attributes if nodes or not function else wanted
+        text = "".join(map(unparsed, nodes))
+        for whole in sorted(chains):
+            name, *path = whole.split(".")
+            is_pythons = name not in scope or scope[name] is sys
+            if function and whole in BY_NAME and is_pythons and names.get("__name__") in sys.modules:
                 self._follow(self._whole, sys.modules[names["__name__"]])
-            if name not in scope or name not in wanted:
+            if name not in scope or name not in {*wanted, *bound}:
                 continue
-            value, home, is_users = scope[name], names, True
-            label = f"{name} of {label_of(function)}" if name in cells else f"{names.get('__name__', '')}.{name}"
-            for attribute in path:
-                if not isinstance(value, ModuleType):
-                    break
-                is_users = self._is_users(value.__name__)
-                label, value, home = self._attribute(value, attribute)
-            # What a library has besides code, such as os.environ, is its own.
-            stand.append(f"{chain} {(self._refer(label, value, home) if is_users else self._code(value)) or ''}")
-        self._attributes.update(one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute))
-        return str(stand)
+            value, home = scope[name], names
+            while path and isinstance(value, ModuleType):
+                home, name = vars(value), path.pop(0)
+                value = self._attribute(value, name)
+            if path[:1] == ["__subclasses__"]:
+                value = [value, *value.__subclasses__()]
+            if function and home is names and name in cells:
+                stands = self._refer(f"{name} of {label_of(function)}", value, names)
+            else:
+                stands = self._named(name, home, value)
+            text += f" {whole} {stands}" if stands else ""
+        return text
 
     def _imported(self, nodes: Iterable[ast.AST], names: Names) -> dict[str, Any]:
         """Return what the import statements in some code bind; what is not the user's is not imported for this."""
         bound: dict[str, Any] = {}
         for one in (inner for node in nodes for inner in ast.walk(node) if isinstance(inner, IMPORTS)):
-            base = f"{'.' * one.level}{one.module or ''}" if isinstance(one, ast.ImportFrom) else ""
-            with suppress(Exception):  # raised again by the function where it is called
-                modules = [resolve_name(base or alias.name, names.get("__package__")) for alias in one.names]
-                if True in [self._is_users(module.partition(".")[0]) for module in modules]:
+            if True in [self._is_users(module.partition(".")[0]) for module in modules(one, names.get("__package__"))]:
+                with suppress(Exception):  # raised again by the function where it is called
                     exec(unparsed(one), {"__package__": names.get("__package__")}, bound)
         return bound
+
+
+def modules(node: ast.Import | ast.ImportFrom, package: str | None) -> list[str]:
+    """Return the modules that a statement in a package imports, or imports from, for each of its names."""
+    base = f"{'.' * node.level}{node.module or ''}" if isinstance(node, ast.ImportFrom) else ""
+    with suppress(ImportError):  # raised again where it is executed
+        return [resolve_name(base or alias.name, package) for alias in node.names]
+    return []
+
+
+def home_of(name: str, names: Names, value: Any, hops: int = 9) -> tuple[str, Names]:
+    """Return the name and the module's names under which a value is bound that a module has, perhaps from others."""
+    if hops and distributions_of(names.get("__name__")) is None:
+        index = _index(tree_of(names.get("__file__") or "", names))
+        for node in index[ast.ImportFrom]:
+            for module, alias in zip(modules(node, names.get("__package__")), node.names, strict=False):
+                original = name if alias.name == "*" and name not in index else alias.name
+                there = getattr(sys.modules.get(module), "__dict__", {})
+                if name == (alias.asname or original) and there.get(original, index) is value:
+                    return home_of(original, there, value, hops - 1)
+    return name, names
 
 
 def _closure(function: FunctionType) -> dict[str, Any]:
@@ -440,10 +452,7 @@ def tree_of(filename: str, names: Names) -> ast.Module:
 
 def _source(filename: str, names: Names) -> str:
     linecache.checkcache(filename)
-    text = "".join(linecache.getlines(filename, dict(names)))
-    if not text and filename == "<string>" and "-c" in sys.orig_argv and names.get("__name__") == "__main__":
-        text = sys.orig_argv[sys.orig_argv.index("-c") + 1]
-    return text
+    return "".join(linecache.getlines(filename, dict(names)))
 
 
 @lru_cache(maxsize=256)
@@ -508,6 +517,8 @@ def _index(tree: ast.Module) -> Mapping[Any, list[Any]]:
             index[first, getattr(node, "name", "<lambda>")].append(node)
         elif isinstance(node, ast.ClassDef):
             index[f"class {node.name}"].append(node)
+        elif isinstance(node, ast.ImportFrom):
+            index[ast.ImportFrom].append(node)
     for one in (one for one in tree.body if not isinstance(one, DEFINITIONS)):
         aliases = {node.asname or node.name for node in ast.walk(one) if isinstance(node, ast.alias)}
         for name in aliases | {node.id for node in ast.walk(one) if isinstance(node, ast.Name)}:
@@ -536,12 +547,9 @@ def _written(node: ast.AST) -> Iterator[ast.expr]:
 def _is_act(statement: ast.stmt, calls: bool) -> bool:
     """Return whether a statement of a module acts on others: changes them, or, with ``calls``, calls what may."""
     is_script = isinstance(statement, ast.If) and "__name__" in unparsed(statement.test)
-    if is_script or isinstance(statement, DEFINITIONS):
-        return False
-    called = (
-        one for one in ast.walk(statement) if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)
-    )
-    return any(_written(statement)) or (calls and any(called))
+    inside = [] if is_script or isinstance(statement, DEFINITIONS) else [*ast.walk(statement)]
+    called = [one for one in inside if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)]
+    return bool((inside and any(_written(statement))) or (calls and called))
 
 
 def _changes(node: Function, function: FunctionType) -> Iterator[str]:

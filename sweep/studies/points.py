@@ -552,8 +552,7 @@ def labelled(value: Any, label: str = "") -> Named:
     if reach.unnoticed:
         raise ValueError(f"{shown(value)} has no canonical form, so that it cannot be told from others")
     parts, code = reach.parts, getattr(value, "__code__", None)
-    if code is not None and (code.co_name == "<lambda>" or not any(key.startswith("function ") for key in parts)):
-        # There may be several in a line, or no source at all.
+    if code is not None and code.co_name == "<lambda>":  # there may be several in a line
         parts = parts | {"code": f"{code.co_code.hex()} {[one for one in code.co_consts if type(one) in PLAIN_TYPES]}"}
     if not label:
         name = value.name if isinstance(value, Enum) else getattr(value, "__name__", "")

@@ -18,7 +18,7 @@ HELPED = {
 def folder(tmp_path, sweep):
     """A folder with a store of two points, by an experiment that imports a helper, which imports another."""
     write_experiment(tmp_path, **HELPED)
-    (tmp_path / "helper.py").write_text("import deeper\n\n\ndef value(rate):\n    return deeper.FACTOR * rate\n")
+    (tmp_path / "helper.py").write_text("from deeper import FACTOR\n\n\ndef value(rate):\n    return FACTOR * rate\n")
     (tmp_path / "deeper.py").write_text("FACTOR = 1.0\n")
     write_study(tmp_path)
     code, _, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)

@@ -109,6 +109,30 @@ def test_where_code_may_name_anything_the_module_counts_as_a_whole(tmp_path, swe
     assert "K (" in err
 
 
+IMPORTS = ["from m import V", "from m import V as W", "from between import *", "def g():\n    from m import V"]
+
+
+@pytest.mark.parametrize("statement", [IMPORTS[0], *map(slow, IMPORTS[1:])])
+@pytest.mark.parametrize("value", ["{'k': K}", slow("scipy.stats.norm(K)"), slow("np.random.default_rng(K)")])
+def test_a_value_counts_where_it_is_bound_whoever_imports_it(tmp_path, sweep, statement, value):
+    name = "W" if " as W" in statement else "V"
+    body = (
+        f"{name}[x] = x"
+        if "k" in value
+        else f"{name}.mean() if x < 0 else 0"
+        if "norm" in value
+        else f"{name}.normal()"
+    )
+    inside = "    from m import V\n" if "def g" in statement else ""
+    (tmp_path / "between.py").write_text("from m import *\n")
+    (tmp_path / "main.py").write_text(f"{statement}\ndef f(x: float):\n{inside}    {body}\n    return x\n")
+    for constant, expected in (("3", 0), ("3", 0), ("4", 2)):
+        (tmp_path / "m.py").write_text(f"import numpy as np\nimport scipy.stats\nV = {value.replace('K', constant)}\n")
+        code, _, err = sweep("run", "main.py:f", "--axis", "x=1", "-o", "s.zarr", "--pool", "serial", cwd=tmp_path)
+        assert code == expected, err
+    assert f"value m.V ({tmp_path}/m.py, line 3)" in err
+
+
 UNCHANGED = {
     "a set of texts": 'WORDS = {"a", "b", "cc", "ddd"}\ndef f(x: float):\n    return x + len(WORDS)',
     "an open file": "F = open(__file__)\ndef f(x: float):\n    F.seek(0)\n    return x",
