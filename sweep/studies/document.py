@@ -127,11 +127,9 @@ class Problems:
         """Take the message of a ValueError or SweepError as problems of a place, with the text ``before`` it."""
         try:
             yield
-        except SweepError as error:
-            for problem in error.problems:
+        except (SweepError, ValueError) as error:
+            for problem in error.problems if isinstance(error, SweepError) else [error]:
                 self.add(place, f"{before}{problem}")
-        except ValueError as error:
-            self.add(place, f"{before}{error}")
 
     def report(self) -> None:
         """Raise SweepError with all problems, if there are any."""

@@ -118,24 +118,17 @@ def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -
     return replace(study, name=name, overrides=(overrides,) if overrides else (), part=part)
 
 
-def study_of_function(
-    function: Mentioned | str,
-    axes: Mapping[str, Any] | None = None,
-    fixed: Mapping[str, Any] | None = None,
-    sampling: Mapping[str, Any] | None = None,
-    title: str | None = None,
-    points: Any = None,
-    exclude: Sequence[Mapping[str, Any]] | None = None,
-    when: Mapping[str, Mapping[str, Any]] | None = None,
-    labels: str | Sequence[str] | None = None,
-) -> Study:
-    """Return the study of a function, named after it; raises SweepError as `load_study`."""
-    tables = {"axes": axes or None, "fixed": fixed or None, "sampling": sampling or None, "when": when or None}
-    if labels is not None:
-        names, points = plain(labels, "labels"), plain_points(points)
+def study_of_function(function: Mentioned | str, **options: Any) -> Study:
+    """Return the study of a function, named after it, with those ``options`` of `linksweep.run` that are about a study;
+    raises SweepError as `load_study`.
+    """
+    tables = ("axes", "fixed", "sampling", "when")  # which may be empty
+    document = {key: some for key, some in options.items() if some is not None and (key not in tables or some)}
+    if "labels" in document:
+        names, points = plain(document.pop("labels"), "labels"), plain_points(document.get("points"))
         points["labels"] = [*points.get("labels", ()), *(names if isinstance(names, list) else [names])]
-    document = {"experiment": function, "title": title, "points": points, "exclude": exclude, **tables}
-    return live_study({key: value for key, value in document.items() if value is not None})
+        document["points"] = points
+    return live_study({"experiment": function, **document})
 
 
 def live_study(document: Mapping[str, Any]) -> Study:
