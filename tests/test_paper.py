@@ -12,6 +12,8 @@ import linksweep
 from linksweep.core.experiment import link
 from tests.documents import ROOT
 
+pytestmark = pytest.mark.timeout(7200)  # of all studies together
+
 SPIN = ["omega_x", "omega_y", "omega_z"]
 
 # Metz & Geffert 2004, Table 2: N, full VLBI errors, halved [mas/yr]
