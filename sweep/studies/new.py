@@ -45,13 +45,15 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         '# file = "runs.csv"  # a column for each parameter',
     ]
     if not experiment.deterministic:
+        alone, judged = experiment.draws_alone, bool(experiment.errors_of_headline())
+        takes = {"n_cat": experiment.outer_draw, "precision": judged, "max_n_sim": judged}
+        takes |= {"keep_samples": experiment.samples or alone, "common_random_numbers": experiment.shared and not alone}
         lines += ["", "[sampling]"]
         for key, entry in Sampling.model_fields.items():
-            words = str(entry.description).replace("catalogue", experiment.outer_draw or "point")
-            if not entry.examples:
-                lines.append(f"{key} = {_toml(entry.default)}  # {words}")
-            elif experiment.errors_of_headline():  # by which a precision is judged
-                lines.append(f"# {key} = {_toml(entry.examples[0])}  # {words}")
+            if takes.get(key, True):
+                words = str(entry.description).replace("catalogue", experiment.outer_draw or "point")
+                value = f"{key} = {_toml(entry.examples[0] if entry.examples else entry.default)}"
+                lines.append(f"{'# ' if entry.examples else ''}{value}  # {words}")
     lines += ["", "[fixed]  # any other parameter; these are the defaults"]
     for parameter in (one for one in experiment.parameters if one.name != name):
         words = " ".join(f"# {parameter.meaning}; {parameter.allowed()}".split())
