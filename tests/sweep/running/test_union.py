@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import check, dying, until_done
+from tests.sweep.opening import Stopping, check, dying, same, status_report, until_done
 from tests.tiers import examples
 
 CODE = """
@@ -165,3 +165,21 @@ def test_a_condition_that_is_none_is_refused_and_never_run(tmp_path, monkeypatch
 
 def abs_of(x: float) -> float:
     return abs(x)
+
+
+def test_points_that_are_computed_again_say_so_until_they_are_and_each_is_once(tmp_path):
+    calls = []
+
+    def f(x: float, *, rng):
+        calls.append(x)
+        return rng.normal(x)
+
+    study = {"axes": {"x": [1.0, 2.0, 3.0, 4.0]}, "sampling": {"n_sim": 1}, "store": tmp_path / "s.zarr"}
+    whole = linksweep.run(f, **study, pool="serial")
+    calls.clear()
+    with pytest.raises(KeyboardInterrupt):  # with no failure allowed each task is one block
+        linksweep.run(f, **study, pool="serial", redo="x > 1", progress=Stopping(2), max_failures=0)
+    [left] = status_report(tmp_path / "s.zarr")["failures"].values()
+    assert "x > 1" in left
+    same(linksweep.run(f, **study, pool="serial", redo="x > 1"), whole)
+    assert sorted(calls) == [2.0, 3.0, 4.0]

@@ -175,6 +175,15 @@ def test_points_are_known_by_the_curve_and_not_by_its_name(here):
     assert not np.array_equal(whole["sigma_spin"].sel(model=["small"]), new["sigma_spin"])
 
 
+def test_another_curve_as_fixed_value_is_another_study(here):
+    fixed = (("model = [", "# "), ("[fixed]", '[fixed]\nmodel = "small"'))
+    edited(here, *fixed)
+    run()
+    edited(here, *fixed, ("150.0", "151.0"))
+    with pytest.raises(SweepError, match=r"fixed\.model: 'sha256:"):
+        run()
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
