@@ -22,7 +22,7 @@ class Kind(NamedTuple):
 
 class GridFigure(NamedTuple):
     """A kind of figure of the results of a study: whether a quantity of a dataset can have it, and the function of
-    dataset, quantities and axes (``over``) that draws it, without a title.
+    dataset, quantities and axes (``over``) that draws it; `style.complete` adds title and legend.
     """
 
     possible: Callable[[Any, str], bool]

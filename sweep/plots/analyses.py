@@ -31,7 +31,6 @@ def sensitivity_figure(dataset: xr.Dataset) -> Figure:
     else:
         _marks(axes, dataset, kinds)
         axes.set_xlabel(effect)
-    style.legend(figure)
     return figure
 
 
@@ -43,8 +42,7 @@ def _marks(axes: Axes, dataset: xr.Dataset, kinds: list[str]) -> None:
         aside = 0.14 * (0.5 * (len(kinds) - 1) - number)
         look = style.marks(number, 4.5, elinewidth=1.0, label=WORDS[kind])
         axes.errorbar(one[kind].values, places + aside, xerr=error, **look)
-    axes.set_yticks(places, ["+".join(map(style.symbol, name.split("+"))) for name in names])
-    axes.set_ylim(-0.6, len(places) - 0.4)
+    style.name_ticks(axes, "y", ["+".join(map(style.symbol, name.split("+"))) for name in names])
     if "first" in kinds:
         low, high = axes.get_xlim()  # which include the errors of all marks
         axes.set_xlim(min(-0.02, low), max(1.02, high))
@@ -90,5 +88,4 @@ def scaling_figure(dataset: xr.Dataset) -> Figure:
         axes.set(xlabel="workers", ylabel=name)
     style.logarithmic(grid[0], "y", workers)
     grid[1].set_ylim(0.0, max(1.1, 1.05 * float(np.nanmax(dataset["efficiency"].values))))
-    style.legend(figure)
     return figure

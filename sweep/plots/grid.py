@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from matplotlib import dates
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
-from matplotlib.patheffects import AbstractPathEffect, withStroke
-from matplotlib.ticker import LogLocator, MaxNLocator
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 from matplotlib.transforms import ScaledTranslation
 from scipy.special import chdtri
 
@@ -29,7 +30,7 @@ from linksweep.sweep.plots import GridFigure, style
 from linksweep.sweep.studies.study import POINT
 
 MOST_PANELS = 24
-MOST_ACROSS = 4  # panels of one dimension side by side; more of them continue in further rows
+MOST_ACROSS = 4  # panels side by side; more of them continue in further rows
 FEW_POINTS = 300  # more points than this are drawn small and without errors
 MOST_MARKERS = 40  # more points on a line than this have no markers
 FEWEST_STEPS = 3  # of an axis, which then has colours of a ramp
@@ -157,6 +158,7 @@ def draw_panels(
         draw(axes, panel.part, panel.name)
         axes.set_label(panel.name)  # for the caption
         width, height = style.panel_size(axes)
+        width -= style.BESIDE_INCHES / across if one_unit else 0.0  # of the colour bar
         axes.set_title(style.in_lines(panel.title, width))
         # not label_outer: a neighbour may have a scale of its own, and that below may be missing
         has_y = number % across == 0 or panels[number - 1].shares != panel.shares
@@ -192,7 +194,7 @@ def _panels(
 
 def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     """Return the axis to draw along: the one asked for, or the longest numeric one, or the longest."""
-    numeric = quantity.numeric_axes(dataset, variable)
+    numeric = _ordered_axes(dataset, variable)
     axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in _ordered(dataset)]
     axes += [name for name in numeric if name not in axes]
     if over:  # names of components only if they are asked for
@@ -200,6 +202,13 @@ def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     if over and (len(over) > 1 or over[0] not in axes):
         raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {', '.join(axes)}")
     return over[0] if over else (numeric or sorted(axes, key=lambda n: -dataset[n].size))[0]
+
+
+def _ordered_axes(dataset: xr.Dataset, variable: str) -> list[str]:
+    """Return the axes of numbers of a variable, and its own of times, longest first."""
+    own = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
+    times = [d for d in own if dataset[d].dtype.kind == "M" and dataset[d].size > 1]
+    return sorted([*quantity.numeric_axes(dataset, variable), *times], key=lambda name: -dataset[name].size)
 
 
 def _ordered(dataset: xr.Dataset) -> list[str]:
@@ -213,11 +222,8 @@ def _lines_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
         figure.set_figheight(max(1.0 + 0.3 * figure.get_figwidth(), style.in_letters(20.0)))
         return figure
     axis = one_axis(dataset, variables[0], over)
-    figure = draw_panels(
-        dataset, variables, arrange(dataset, variables[0], [axis]), partial(draw_lines, over=axis, numbers={})
-    )
-    style.legend(figure)
-    return figure
+    draw = partial(draw_lines, over=axis, numbers={})
+    return draw_panels(dataset, variables, arrange(dataset, variables[0], [axis]), draw)
 
 
 def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, numbers: dict[str, int]) -> None:
@@ -238,9 +244,8 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
     numbers.update(zip(steps, range(len(steps)), strict=True))
     named = series_of(dataset, variable, dimension)
     seen = [one for _, one in named]
-    joined = (
-        _is_numeric(dataset[over]) and dimension != POINT and len(x) > 1 and not formatting.is_truth(dataset[variable])
-    )
+    joined = dataset[over].dtype.kind in "ifM" and dimension != POINT and len(x) > 1
+    joined = joined and not formatting.is_truth(dataset[variable])
     offsets = _offsets(dataset[variable], seen)
     for (name, one), offset in zip(named, offsets, strict=True):
         mark = style.series(numbers.setdefault(name, len(numbers)), len(steps))
@@ -262,7 +267,7 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
 def _steps(dataset: xr.Dataset, variable: str, *along: str) -> list[str]:
     """Return the names of the series of a variable in their order if they are values of one further axis of numbers."""
     left = [str(d) for d in dataset[variable].dims if d not in along and dataset.sizes[d] > 1]
-    if len(left) != 1 or not _is_numeric(dataset[left[0]]) or dataset.sizes[left[0]] < FEWEST_STEPS:
+    if len(left) != 1 or dataset[left[0]].dtype.kind not in "if" or dataset.sizes[left[0]] < FEWEST_STEPS:
         return []
     return [style.value_text(dataset, left[0], value) for value in np.sort(dataset[left[0]].values).tolist()]
 
@@ -286,20 +291,20 @@ def _name_ends(axes: Axes, ends: Mapping[str, float]) -> None:
 def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
     """Return the positions of the values of an axis or a parameter, and set the scale and ticks of ``which`` axis."""
     array = dataset[axis]
-    if _is_numeric(array):
+    if array.dtype.kind in "if":
         style.fit_scale(axes, which, array)
         return np.asarray(array.values.astype(float))
-    values = list(map(str, array.values.tolist()))
-    names = list(dict.fromkeys(values))
-    style.name_ticks(axes, which, [style.value_text(dataset, axis, name) for name in names])
+    if array.dtype.kind == "M":
+        getattr(axes, f"{which}axis_date")()
+        return np.asarray(dates.date2num(array.values))
+    values = array.values.tolist()
+    names, is_truth = list(dict.fromkeys(values)), formatting.is_truth(array)
+    texts = [style.SWITCH[name] if is_truth else style.value_text(dataset, axis, str(name)) for name in names]
+    style.name_ticks(axes, which, texts)
     places = np.array([names.index(value) for value in values], dtype=float)
     if array.dims == (POINT,):  # spread a little, so that points do not hide each other: golden steps keep them apart
         places += 0.5 * (np.arange(array.size) * 0.6180339887498949 % 1.0 - 0.5)
     return places
-
-
-def _is_numeric(axis: xr.DataArray) -> bool:
-    return axis.dtype.kind in "if"
 
 
 def _is_known(one: xr.Dataset, name: str) -> bool:
@@ -383,10 +388,9 @@ def _draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
         look = style.marks(number, 5.0, label=word, fillstyle="none" if word == style.PUBLISHED else "full")
         axes.errorbar(float(value), -number, xerr=error or None, elinewidth=1.2, **look)
         units = formatting.units_of(dataset[variable].attrs)
-        text = formatting.with_micro_signs(
-            formatting.with_unit(value, error if word == style.SIMULATED else 0.0, units)
-        )
-        axes.annotate(text, (value, -number), xytext=(0, 7), textcoords="offset points", ha="center")
+        text = formatting.with_unit(value, error if word == style.SIMULATED else 0.0, units)
+        above: dict[str, Any] = {"xytext": (0, 7), "textcoords": "offset points", "ha": "center"}
+        axes.annotate(formatting.with_micro_signs(text), (value, -number), **above)
     axes.set_yticks([-number for number in range(len(rows))], list(rows))
     axes.set_ylim(0.6 - len(rows), 0.7)
     axes.margins(x=0.35)
@@ -406,7 +410,6 @@ def _law_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) 
     series_of(dataset, variable, str(dataset[axis].dims[0]))  # which are not too many
     figure, (upper, lower) = style.new_figure(6.4, 5.2, 2, sharex=True, height_ratios=(3, 1))
     _draw_law(upper, lower, quantity.in_readable_units(dataset), variable, axis)
-    style.legend(figure)
     return figure
 
 
@@ -428,7 +431,8 @@ def _draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over
         error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
         law, fine = fits.power_law(x, y, errors, line.samples), np.geomspace(x.min(), x.max(), 100)
         curve, half, band = law(fine), law.relative_error(fine), {"color": look["color"], **style.BAND}
-        exponent = formatting.with_error(law.exponent, law.exponent_error).replace(" ± ", r"\pm")
+        known = law.exponent_error if law.exponent_error > 1e-9 else 0.0  # less is of rounding
+        exponent = formatting.with_error(law.exponent, known).replace(" ± ", r"\pm")
         fitted = _power(dataset, over, exponent)
         text = f"{words}: {fitted}" if words else style.SIMULATED if error.any() else style.COMPUTED
         upper.errorbar(x, y, yerr=error if error.any() else None, label=text, **look)
@@ -452,7 +456,7 @@ def _draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over
 def _power(dataset: xr.Dataset, over: str, exponent: str) -> str:
     """Return the axis to a power, as mathematics."""
     name = style.symbol(over, dataset[over].attrs)
-    base = name.strip("$") if name.startswith("$") else rf"\mathrm{{{name}}}"
+    base = name.strip("$") if name.startswith("$") else rf"\mathrm{{{name}}}".replace(" ", r"\ ")
     return f"${base}^{{{exponent}}}$"
 
 
@@ -505,7 +509,7 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
     ``limits`` are those of the colours, which all panels of a figure share.  Points without a value are left white.
     """
     dataset = dataset.sortby([x, y])
-    values = dataset[variable].transpose(dataset[y].dims[0], dataset[x].dims[0]).values
+    values = dataset[variable].transpose(dataset[y].dims[0], dataset[x].dims[0]).values.astype(float)
     low, high = float(limits.vmin or 0.0), float(limits.vmax or 0.0)
     across, up = dataset[x].values.astype(float), dataset[y].values.astype(float)
     cells = [_edges(places, style.is_logarithmic(dataset[name])) for name, places in ((x, across), (y, up))]
@@ -515,14 +519,16 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
     inside = [level for level in levels.tick_values(low, high) if low < level < high]
     is_smooth = inside and _is_smooth(np.log(values) if is_log else values, len(inside))
     if is_smooth and not formatting.is_truth(dataset[variable]):
-        dark: list[AbstractPathEffect] = [withStroke(linewidth=2.2, foreground="0.15")]
         # solid, also those of negative numbers
         contours = axes.contour(across, up, values, colors="white", levels=inside, linewidths=0.8, linestyles="solid")
         for artist in (contours, *axes.clabel(contours, fmt=style.number_text, fontsize="small")):
-            artist.set_path_effects(dark)
+            artist.set_path_effects([withStroke(linewidth=2.2, foreground="0.15")])
     for axis, which, name in ((axes.xaxis, "x", x), (axes.yaxis, "y", y)):
         style.fit_scale(axes, which, dataset[name])
-        if dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
+        if dataset[name].size <= 3:  # ticks at these alone
+            axis.set_ticks(dataset[name].values, list(map(style.number_text, dataset[name].values)))
+            axis.set_minor_locator(NullLocator())
+        elif dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
             axis.set_major_locator(MaxNLocator(integer=True))
     axes.set(xlabel=style.explained_label(dataset[x], x), ylabel=style.explained_label(dataset[y], y))
 
@@ -533,7 +539,7 @@ def _is_smooth(values: Array, levels: int) -> bool:
     """
     middles = [(one[2:] + one[:-2]) / 2.0 - one[1:-1] for one in (values, values.T)]
     largest = max(float(np.abs(one).max(initial=0.0)) for one in middles)  # NaN where a value is missing
-    return min(values.shape) > 1 and largest < 0.5 * float(np.ptp(values)) / (levels + 1)
+    return min(values.shape) > 2 and largest < 0.5 * float(np.ptp(values)) / (levels + 1)
 
 
 def _edges(places: Array, is_log: bool) -> Array:
@@ -555,14 +561,12 @@ def _accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:
     return f"errors (1σ) at most {100.0 * relative:.2g} % of the largest{words}" if np.isfinite(relative) else ""
 
 
-LINES = GridFigure(
-    lambda dataset, variable: bool(_ordered(dataset) or quantity.numeric_axes(dataset, variable)), _lines_figure
-)
+LINES = GridFigure(lambda d, name: bool(d[name].size == 1 or _ordered(d) or _ordered_axes(d, name)), _lines_figure)
 LAW = GridFigure(lambda dataset, variable: bool(quantity.numeric_axes(dataset, variable)), _law_figure)
 MAP = GridFigure(lambda d, variable: len({d[a].dims[0] for a in quantity.numeric_axes(d, variable)}) > 1, _map_figure)
 
 
-MOST_PARAMETERS, MOST_PAIRED, MOST_ACROSS = 12, 8, 4
+MOST_PARAMETERS, MOST_PAIRED = 12, 8
 FEW_CURVES = 12  # up to this many curves are drawn one by one
 
 # Two quantiles over the points, the opacity of the band between them, and its name.
@@ -588,7 +592,6 @@ def _points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str
         draw_lines(axes, dataset, variable, parameter, {})
         axes.set_label(variable)  # for the caption
         axes.set_ylabel(style.quantity_label(dataset, variable) if axes.get_subplotspec().is_first_col() else "")
-    style.legend(figure)
     return figure
 
 
@@ -625,9 +628,7 @@ def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
 
 def _curves_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     axis = one_axis(dataset, variables[0], over)
-    figure = draw_panels(dataset, variables, Layout(), partial(_draw_curves, over=axis))
-    style.legend(figure)
-    return figure
+    return draw_panels(dataset, variables, Layout(), partial(_draw_curves, over=axis))
 
 
 def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 
 from linksweep.core import missions
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, position
@@ -48,8 +47,7 @@ def prepare_sky(axes: Any, frame: SkyFrame = ICRS) -> None:
     axes.set_longitude_grid_ends(90.0)
     ticks = np.arange(-120.0, 121.0, 60.0)
     axes.set_xticks(ticks * DEGREE, [""] * len(ticks))
-    look: dict[str, Any] = {"fontsize": "x-small", "ha": "center", "va": "center", "zorder": 6}
-    look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
+    look: dict[str, Any] = {"fontsize": "x-small", "ha": "center", "va": "center", "zorder": 6, **style.HALO}
     for tick in ticks:  # text of its own, because labels of an axis lie below all that is drawn
         axes.text(tick * DEGREE, 0.04, f"{(frame.centre_deg - tick) % 360:.0f}°", **look)
     latitudes = np.arange(-60.0, 61.0, 30.0)
@@ -89,7 +87,6 @@ def sky_figure(dataset: xr.Dataset) -> Figure:
     broken = np.where(np.abs(np.diff(x, append=x[-1])) > 1.0, np.nan, plane_dec)
     axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
     axes.plot(x[:1], plane_dec[:1], "k+", label="Galactic centre", markersize=9.0, zorder=4)
-    style.legend(figure)
     style.complete(figure, str(dataset.attrs.get("title", "")))
     return figure
 
@@ -147,7 +144,6 @@ def accuracy_figure(dataset: xr.Dataset) -> Figure:
                 axes.fill_between(v, curve - error, curve + error, **look, **style.BAND)
         style.logarithmic(axes, "y", dataset[variable].values)
         axes.set(xlabel=style.label(dataset["v"], "v"), ylabel=style.label(dataset[variable], variable))
-    style.legend(figure)
     style.complete(figure, str(dataset.attrs.get("title", "")))
     return figure
 

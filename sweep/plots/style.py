@@ -20,6 +20,7 @@ from matplotlib.collections import QuadMesh
 from matplotlib.colors import LogNorm, to_hex
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis.quantity import COVARIANCE_SUFFIX
@@ -31,6 +32,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7
 MARKERS = "osD^vP*X"
 LINES: tuple[Any, ...] = ("solid", "dashed", "dashdot", "dotted", (0, (6, 1, 1, 1, 1, 1)), (0, (3, 1)))
 BAND: Mapping[str, Any] = {"alpha": 0.22, "linewidth": 0.0}
+HALO: Mapping[str, Any] = {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}  # of letters
 GUIDE: Mapping[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 3))}
 DASH: Mapping[str, Any] = {"linestyle": "none", "marker": "_", "markeredgewidth": 1.2}
 
@@ -49,7 +51,7 @@ TALK_MM = 250.0  # the default width of a figure in the style of a talk
 LETTER_WIDTH, PANEL_WIDTH, WIDE = 0.58, 14.0, 25.0
 BESIDE_INCHES = 0.5  # what the labels and ticks of a panel take of its width and height
 
-MASK = "\ue000\ue001"  # letters for private use, of which Unicode says that nobody else does
+MASK, BLANK = "\ue000\ue001", "\ue002"  # letters for private use, of which Unicode says that nobody else does
 _SYMBOL = re.compile(r"\$[^$]*\$")
 _width: ContextVar[float | None] = ContextVar("width", default=None)
 
@@ -131,12 +133,30 @@ def panel_size(axes: Axes) -> tuple[float, float]:
 def in_lines(text: str, inches: float, least: int = 12) -> str:
     """Return a text in lines that are as long as a width allows, but of at least ``least`` letters."""
     letters, symbols = max(int(inches / in_letters(LETTER_WIDTH)), least), iter(_SYMBOL.findall(text))
-    # a symbol counts as the letters that are seen of it, and stays in one piece
-    masked = _SYMBOL.sub(lambda symbol: MASK[0] + MASK[1] * (len(plain(symbol[0])) - 1), text)
+
+    def whole(part: re.Match[str]) -> str:
+        return part[0].replace(" ", BLANK) if len(part[0]) <= letters else part[0]
+
+    # a symbol counts as the letters that are seen of it, and stays in one piece; so does "NAME = VALUE UNIT", or what
+    # follows the name if that is too long
+    masked = _SYMBOL.sub(lambda symbol: MASK[0] + MASK[1] * (seen(symbol[0]) - 1), text)
+    for pieces in (r"[^ ,\n][^,=:\n]*(?: =|:) [^,\n]*", r"= [^,\n]*"):
+        masked = re.sub(pieces, whole, masked)
     lines = (
         textwrap.wrap(line, letters, break_long_words=False, break_on_hyphens=False) for line in masked.split("\n")
     )
-    return re.sub(f"{MASK[0]}{MASK[1]}*", lambda _: next(symbols), "\n".join("\n".join(line) for line in lines))
+    wrapped = "\n".join("\n".join(line) for line in lines).replace(BLANK, " ")
+    return re.sub(f"{MASK[0]}{MASK[1]}*", lambda _: next(symbols), wrapped)
+
+
+def seen(text: str) -> int:
+    """Return how many letters are seen of a text with mathematical markup.
+
+    Examples:
+        >>> seen(r"$\\epsilon_x$"), seen("no clip")
+        (2, 7)
+    """
+    return len(re.sub(r"[_^]", "", plain(re.sub(rf"\\(?:var)?(?:{GREEK})(?![a-z])", "x", text))))
 
 
 def require_format(path: Path) -> None:
@@ -160,7 +180,9 @@ def save(figure: Figure, path: Path, words: str = "") -> None:
 
 # Labels
 
+SWITCH = "no", "yes"  # what a truth value says as a parameter: "aberration: no"
 GREEK = "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|pi|rho|sigma|tau|phi|chi|psi|omega"
+_NUMBER = re.compile(r"[-+]?\d*\.?\d+(e[-+]?\d+)?")
 _NAME = re.compile(rf"({GREEK}|[a-zA-Z])(\d*)(?:_(\w+))?")
 
 
@@ -179,6 +201,21 @@ def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
     letter = rf"\{letter}" if len(letter) > 1 else letter
     below = "" if not index else f"_{{{index}}}" if len(index) == 1 else rf"_{{\mathrm{{{index}}}}}"
     return f"${letter}{below}{f'^{power}' if power else ''}$"
+
+
+def component_symbol(name: str) -> str:
+    """Return the symbol of a component, an unknown of a link: of a vector's component, of a harmonic with its degree
+    and order, or a name.
+    """
+    if vector := re.match(r"(epsilon|omega|glide|position_glide)_([xyz])", name):
+        block, axis = vector.groups()
+        letter = {"glide": "g", "position_glide": "G"}.get(block, rf"\{block}")
+        return rf"${letter}_{axis}$" + name[vector.end() :]
+    if harmonic := re.fullmatch(r"vsh_(?:position|motion)_([ts])_(\d+)_(\d+)(?:_(re|im))?", name):
+        kind, degree, order, part = harmonic.groups()
+        above = rf"^\mathrm{{{part.capitalize()}}}" if part else ""
+        return rf"${kind}_{{{degree},{order}}}{above}$"
+    return r"$\varpi_0$" if name == "parallax_zero_point" else symbol(name)
 
 
 def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:
@@ -213,7 +250,7 @@ def with_chosen_component(dataset: xr.Dataset) -> xr.Dataset:
     chosen = [n for n in map(str, dataset.coords) if not dataset[n].dims and f"{n}_unit" in dataset.coords]
     if not chosen:
         return dataset
-    inside = ", ".join(symbol(str(dataset[n].item())) for n in chosen)
+    inside = ", ".join(component_symbol(str(dataset[n].item())) for n in chosen)
     unit = str(dataset[f"{chosen[0]}_unit"].item()) if len(chosen) == 1 else ""
     changed = {}
     for name, array in dataset.data_vars.items():
@@ -226,11 +263,15 @@ def with_chosen_component(dataset: xr.Dataset) -> xr.Dataset:
 
 def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     """Return a value of an axis as a legend names it."""
-    if isinstance(value, str) and value not in ("", "none"):
+    if isinstance(value, str) and value.lower() not in ("", "none") and not _NUMBER.fullmatch(value):
         symbols = json.loads(dataset[axis].attrs.get("symbols", "{}"))
         is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))
-        return symbols.get(value) or (symbol(value) if is_name else value)
-    if value in ("", "none") or value != value:  # noqa: PLR0124 (missing: the parameter has no effect there)
+        return symbols.get(value) or (component_symbol(value) if is_name else value)
+    if dataset[axis].dtype.kind == "M":
+        return str(np.datetime_as_string(np.datetime64(value, "ns"), unit="auto"))
+    if formatting.is_truth(dataset[axis]) and value == value:  # noqa: PLR0124
+        return f"{symbol(axis, dataset[axis].attrs)}: {SWITCH[bool(value)]}"
+    if value in ("", "none", "None") or value != value:  # noqa: PLR0124 (missing: the parameter has no effect there)
         return f"no {symbol(axis, dataset[axis].attrs)}"
     unit = formatting.written(formatting.units_of(dataset[axis].attrs))
     return f"{symbol(axis, dataset[axis].attrs)} = {formatting.plain(value)} {unit}".rstrip()
@@ -330,12 +371,13 @@ def logarithmic(axes: Axes, which: str, values: Any) -> None:
     if whole or 0.0 < span < 100.0:
         axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: number_text(value) if value > 0.0 else ""))
         axis.set_minor_formatter(ticker.NullFormatter())
-    if 0.0 < span < 100.0:
-        # below a factor of eight, ticks at 1, 2 and 5 of each decade are too few
+        room = min(panel_size(axes)) / in_letters(1.0) if axes.get_gridspec() is not None else np.inf
+        # below a factor of eight, ticks at 1, 2 and 5 of each decade are too few, and below two those of equal ratios
         many = (1.0, 2.0, 5.0) if span > 8.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
-        few = (1.0, 3.0) if span > 10.0 else (1.0, 2.0, 5.0)
-        is_small = axes.get_gridspec() is not None and min(panel_size(axes)) < in_letters(13.0)
-        axis.set_major_locator(ticker.LogLocator(subs=few if is_small else many))
+        few = (1.0, 2.0, 5.0) if span <= 10.0 else (1.0, 3.0) if room > 7.0 else (1.0,)
+        subs = (1.0,) if span >= 100.0 else many if room > 13.0 else few
+        equal = ticker.MaxNLocator(8 if room > 13.0 else 4, steps=[1, 2, 2.5, 5, 10])
+        axis.set_major_locator(ticker.LogLocator(subs=subs, numticks=9) if span > 2.0 else equal)
 
 
 def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
@@ -343,10 +385,10 @@ def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
     # a report makes figures smaller, not their letters; beside an axis there is an inch
     room = 0.78 * panel_size(axes)[0] / len(names) if which == "x" else 1.1
     broken, look = [in_lines(name, room, 1) for name in names], dict[str, Any]()
-    longest = max(len(plain(line)) for text in broken for line in text.split("\n"))
+    longest = max(seen(line) for text in broken for line in text.split("\n"))
     if which == "x" and in_letters(LETTER_WIDTH) * longest > room:
-        broken, look = list(names), {"rotation": 45.0, "rotation_mode": "anchor", "ha": "right", "va": "center"}
-        look["rotation"] = 45.0 if room > in_letters(1.4) else 90.0
+        turned = 45.0 if room > in_letters(1.4) else 90.0
+        broken, look = list(names), {"rotation": turned, "rotation_mode": "anchor", "ha": "right", "va": "center"}
     getattr(axes, f"set_{which}ticks")(range(len(names)), broken, **look)
     axes.set(**{f"{which}lim": (-0.5, len(names) - 0.5)})
 
@@ -402,8 +444,8 @@ def panels_of(figure: Figure) -> list[Axes]:
 
 
 def complete(figure: Figure, title: str) -> None:
-    """Write the title of a figure, in lines that fit it, and give its panels the light grid and ticks that all pictures
-    have, except for maps, whose colours it would cover.
+    """Write the title of a figure, in lines that fit it, and the legend if it has none yet, and give its panels the
+    light grid and ticks that all pictures have, except for maps, whose colours it would cover.
     """
     for axes in panels_of(figure):
         if axes.name == "rectilinear" and not any(isinstance(one, QuadMesh) for one in axes.collections):
@@ -411,6 +453,8 @@ def complete(figure: Figure, title: str) -> None:
             axes.grid(alpha=0.25, linewidth=0.4)
             axes.set_axisbelow(True)
     figure.suptitle(in_lines(title, figure.get_figwidth(), 20), fontsize="medium")
+    if not figure.legends:
+        legend(figure)
 
 
 def legend_entries(figure: Figure) -> dict[str, Any]:
@@ -428,7 +472,7 @@ def legend(figure: Figure, least: int = 2, **options: Any) -> None:
     if len(entries) < least:
         return
     lines = [in_lines(text, figure.get_figwidth() - in_letters(5.0)) for text in entries]
-    longest = max(len(plain(line)) for text in lines for line in text.split("\n"))
+    longest = max(seen(line) for text in lines for line in text.split("\n"))
     columns = max(1, min(len(lines), int(figure.get_figwidth() / in_letters(4.5 + 0.46 * longest))))  # with their signs
     figure.legend(entries.values(), lines, loc="outside lower center", ncols=columns, frameon=False, **options)
     rows = math.ceil("\n".join(lines).count("\n") / columns) + 1

@@ -3,7 +3,6 @@
 Each raises SweepError, which says how to get it, where the dataset lacks what it shows.
 """
 
-import re
 from itertools import combinations
 from typing import Any
 
@@ -11,8 +10,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import Bbox
 from scipy.special import chdtrc, ndtri
 
@@ -40,20 +38,7 @@ def _readable(values: Array, unit: str) -> tuple[float, str]:
 
 
 def _symbols(dataset: xr.Dataset) -> list[str]:
-    return [_symbol(str(name)) for name in dataset["unknown"].values]
-
-
-def _symbol(unknown: str) -> str:
-    """Return the symbol of an unknown: of a vector's component, of a harmonic with its degree and order, or a name."""
-    if vector := re.match(r"(epsilon|omega|glide|position_glide)_([xyz])", unknown):
-        block, axis = vector.groups()
-        letter = {"glide": "g", "position_glide": "G"}.get(block, rf"\{block}")
-        return rf"${letter}_{axis}$" + unknown[vector.end() :]
-    if harmonic := re.fullmatch(r"vsh_(?:position|motion)_([ts])_(\d+)_(\d+)(?:_(re|im))?", unknown):
-        kind, degree, order, part = harmonic.groups()
-        above = rf"^\mathrm{{{part.capitalize()}}}" if part else ""
-        return rf"${kind}_{{{degree},{order}}}{above}$"
-    return r"$\varpi_0$" if unknown == "parallax_zero_point" else style.symbol(unknown)
+    return [style.component_symbol(str(name)) for name in dataset["unknown"].values]
 
 
 def _unknowns_by(dataset: xr.Dataset, key: str) -> dict[str, list[int]]:
@@ -86,10 +71,9 @@ def _name_points(axes: Axes, x: Array, y: Array, names: Array) -> None:
     """
     inside, taken = axes.get_window_extent(), list[Bbox]()
     look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5, "va": "center", "in_layout": False}
-    look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]
     for place, name in zip(zip(x, y, strict=True), names.tolist(), strict=True):
         for side, up, alignment in ((4, 0, "left"), (-4, 0, "right"), (0, 7, "center"), (0, -7, "center")):
-            text = axes.annotate(name, place, xytext=(side, up), ha=alignment, **look)
+            text = axes.annotate(name, place, xytext=(side, up), ha=alignment, **look, **style.HALO)
             box = text.get_window_extent()
             if np.array_equal(Bbox.union([box, inside]).extents, inside.extents) and not box.count_overlaps(taken):
                 taken.append(box)
@@ -121,10 +105,8 @@ def solution_figure(dataset: xr.Dataset) -> Figure:
             look = style.marks(number, 3.5, elinewidth=1.0, label=f"{kind} error")
             axes.errorbar(x, factor * values, yerr=factor * np.nan_to_num(errors[number]), **look)
         axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
-        names = [symbols[k] for k in panel]
-        upright = len(panel) > 12 or any("[" in name for name in names)
-        axes.set_xticks(range(len(panel)), names, rotation=90 if upright else 0)
-        axes.set(xlim=(-0.7, len(panel) - 0.3), ylabel=f"estimate [{unit}]")
+        style.name_ticks(axes, "x", [symbols[k] for k in panel])
+        axes.set_ylabel(f"estimate [{unit}]")
     style.legend(figure, least=1)
     return figure
 
@@ -144,7 +126,6 @@ def bin_figure(dataset: xr.Dataset) -> Figure:
     words = [f"below {b:g}" if np.isinf(a) else f"from {a:g}" if np.isinf(b) else f"{a:g} to {b:g}" for a, b in edges]
     style.name_ticks(axes, "x", words)
     axes.set(xlabel=str(dataset.attrs.get("bin_column", "bin")), ylabel=f"spin [{unit}]")
-    style.legend(figure)
     return figure
 
 
@@ -178,7 +159,6 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
     last.set_xlabel("sources dropped, one after the other" if any(dropped) else "iteration of the clip")
     words = "dashed: the step of the solution; bands: scaled errors"
     grid[0].set_title(style.in_lines(words, style.panel_size(grid[0])[0]))
-    style.legend(figure)
     return figure
 
 
@@ -198,7 +178,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     stretched = without.mean(axis=0) + np.sqrt(len(without) - 1.0) * (without - without.mean(axis=0))
     dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.6}
     dots |= {"markersize": float(np.clip(70.0 / np.sqrt(len(without)), 2.0, 9.0)), "rasterized": len(without) > 2000}
-    figure, grid = style.new_figure(10.0, 3.4 * len(vectors) + 0.5, len(vectors), 3, style.WIDE)
+    figure, grid = style.new_figure(10.0, 3.4 * len(vectors) + 0.5, len(vectors), 3)
     pairs = [pair for block in vectors.values() for pair in combinations(block, 2)]
     for axes, pair in zip(grid, map(list, pairs), strict=True):
         factor, unit = _readable(stretched[:, pair], str(dataset["unit"].values[pair[0]]))
@@ -214,7 +194,6 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
         axes.set(**{f"{which}label": f"{symbols[k]} [{unit}]" for which, k in zip("xy", pair, strict=True)})
         axes.margins(0.12)
         axes.autoscale_view()
-    style.legend(figure)
     return figure
 
 
@@ -243,7 +222,6 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
         lower.text(0.99, 0.93, f"{most:g}: or more", transform=lower.transAxes, ha="right", va="center", fontsize=7)
         lower.xaxis.set_major_locator(MaxNLocator(integer=True))
         lower.set_xlim(degree.min() - 0.5, degree.max() + 0.5)
-    style.legend(figure)
     return figure
 
 
@@ -264,7 +242,7 @@ def separation_figure(dataset: xr.Dataset) -> Figure:
     figure, (axes,) = style.new_figure(6.4, 4.2)
     words = ("before the fit, $X$", r"after the fit, $\sqrt{2\,Q_i/n_i}$")
     for number, (one, label) in enumerate(zip((before, after), words, strict=True)):
-        look = {"color": style.COLOURS[number], "linewidth": 1.2, "label": label}
+        look = {"color": style.COLOURS[number], "linestyle": style.LINES[number], "linewidth": 1.2, "label": label}
         axes.step([x[0], *np.sort(one)], [1.0, *(np.arange(n, 0, -1) / n)], **look)
     axes.plot(x, np.exp(-0.5 * x**2), color="black", linewidth=1.2, label="Rayleigh: the errors are right")
     limit = np.sqrt(2.0 * np.log(max(int(np.sum(count > 0.0)), 2)))
@@ -273,7 +251,6 @@ def separation_figure(dataset: xr.Dataset) -> Figure:
     style.logarithmic(axes, "y", np.array([1.0 / n, 1.0]))
     axes.set(xlim=(x[0], 1.1 * top), ylim=(0.7 / n, 1.3), xlabel="normalised separation")
     axes.set_ylabel(f"share of {n} sources beyond it")
-    style.legend(figure)
     return figure
 
 
@@ -302,7 +279,7 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
         axes.margins(0.08)
         axes.set_title(f"{some.sum()} kept" + (f", {gone.sum()} dropped" if np.any(gone) else ""))
     grid[0].set_ylabel("$Q_i/n_i$ (1 is expected)")
-    style.legend(figure)  # each panel is full of points
+    style.legend(figure)  # which makes the panels what they are when points are named
     surprise = chdtrc(np.maximum(count, 1.0), discrepancy)
     figure.draw_without_rendering()
     for axes, weight in zip(grid, share.T, strict=True):
@@ -329,9 +306,8 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
     for axes, words in ((left, "share of the weight"), (right, "Cook's distance")):
         axes.xaxis.set_major_locator(MaxNLocator(5 if figure.get_figwidth() > 6.0 else 2))
         axes.set_xlabel(words)
-    left.xaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
+    left.xaxis.set_major_formatter(lambda share, _: f"{100.0 * share:g} %")
     _name_bars(figure, left, dataset["source"].values[order].tolist())
-    style.legend(figure)
     return figure
 
 
@@ -447,7 +423,6 @@ def epoch_figure(dataset: xr.Dataset) -> Figure:
         axes.set_ylim(bottom=0.0)
     for stage, _, line in stages:
         axes.plot([], [], color="0.3", linestyle=line, linewidth=0.9, label=str(stage))
-    style.legend(figure)
     return figure
 
 

@@ -226,11 +226,13 @@ def _svg(figure: Figure) -> str:
 
 
 def _themed(colour: re.Match[str]) -> str:
-    """Return a colour for both themes: greys are inverted on dark, others become lighter."""
+    """Return a colour for both themes: greys are inverted on dark, others become lighter, so that the darkest of a ramp
+    has three times the luminance of the page.
+    """
     red, green, blue = (int(colour[0][i : i + 2], 16) for i in (1, 3, 5))
     dark = f"#{255 - red:02x}{255 - green:02x}{255 - blue:02x}"
     if not red == green == blue:
-        dark = f"color-mix(in oklab, {colour[0]} 75%, white)"
+        dark = f"color-mix(in oklab, {colour[0]} 65%, white)"
     return f"light-dark({colour[0]}, {dark})"
 
 
