@@ -131,7 +131,14 @@ def panel_size(axes: Axes) -> tuple[float, float]:
 
 
 def in_lines(text: str, inches: float, least: int = 12) -> str:
-    """Return a text in lines that are as long as a width allows, but of at least ``least`` letters."""
+    """Return a text in lines that are as long as a width allows, but of at least ``least`` letters.
+
+    Examples:
+        >>> print(in_lines("floor pm = 0 mas/yr, ratio = 1", 18.0 * in_letters(LETTER_WIDTH)))
+        floor pm
+        = 0 mas/yr,
+        ratio = 1
+    """
     letters, symbols = max(int(inches / in_letters(LETTER_WIDTH)), least), iter(_SYMBOL.findall(text))
 
     def whole(part: re.Match[str]) -> str:

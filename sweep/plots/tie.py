@@ -153,6 +153,7 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
     last.set_ylabel(r"$\chi^2$/dof")
     for axes in grid:
         axes.axvline(chosen, color="0.4", linestyle="dashed", linewidth=1.0)
+    last.xaxis.set_major_locator(MaxNLocator(integer=True))
     dropped = [str(name) for name in dataset["step_dropped"].values]
     if any(dropped) and len(steps) <= RANKED:
         last.set_xticks(steps, ["all", *dropped[1:]], rotation=90, fontsize=7)
@@ -219,7 +220,7 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
         upper.set_ylabel(rf"$\sqrt{{P_l}}$ of the {part}s [µas{'/yr' if part == 'motion' else ''}]")
         lower.axhline(3.0, color="0.4", linestyle="dashed", linewidth=1.0)
         lower.set(ylim=(-2.6, most + 0.8), ylabel=r"significance [$\sigma$]", xlabel="degree $l$")
-        lower.text(0.99, 0.93, f"{most:g}: or more", transform=lower.transAxes, ha="right", va="center", fontsize=7)
+        lower.set_yticks([0.0, 3.0, most], ["0", "3", f"≥ {most:g}"])
         lower.xaxis.set_major_locator(MaxNLocator(integer=True))
         lower.set_xlim(degree.min() - 0.5, degree.max() + 0.5)
     return figure

@@ -207,3 +207,39 @@ def test_figures_and_their_words_have_true_and_false(weighed, tmp_path, sweep, o
     words = (tmp_path / "a.txt").read_text()
     assert "stands: It is True at 3 of" in words
     assert "goes from 0" not in words
+
+
+def test_maps_of_truth_values_have_two_colours(tmp_path):
+    ds = linksweep.run(lambda x, y: x * y > 2.0, tmp_path / "s.zarr", axes={"x": [0.0, 1.0, 2.0], "y": [0.0, 2.0, 3.0]})
+    panel, bar = linksweep.plot(ds, "map").axes
+    assert panel.collections[0].get_array().tolist() == ds["result"].values.T.astype(float).tolist()
+    assert [text.get_text() for text in bar.get_yticklabels()] == ["False", "True"]
+
+
+DAYS = np.datetime64("2024-01-01", "ns") + np.arange(60) * np.timedelta64(1, "D")
+
+
+def tide(rate: float = 1.0):
+    return xr.DataArray(np.cos(rate * np.arange(60) / 9.0), {"day": DAYS}, ("day",), "height")
+
+
+def test_a_series_over_days_is_a_line_over_days(tmp_path):
+    ds = linksweep.run(tide, tmp_path / "s.zarr", axes={"rate": [1.0, 2.0]}, pool="serial")
+    [axes] = linksweep.plot(ds).axes
+    for line, values in zip(axes.lines, ds["height"].transpose("rate", "day").values, strict=False):
+        assert np.array_equal(np.diff(line.get_xdata()), np.ones(59))
+        assert np.array_equal(line.get_ydata(), values)
+    one = linksweep.plot(ds.isel(day=slice(0, 2)), over=["rate"])
+    assert {"2024-01-01", "2024-01-02"} <= set(one.axes[0].get_legend_handles_labels()[1])
+
+
+def limited(x: float, cut: float | None = None):
+    return x if cut is None else min(x, cut)
+
+
+def test_labels_that_are_no_names_say_of_which_axis_they_are(tmp_path):
+    ds = linksweep.run(
+        limited, tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 3.0], "cut": [None, 1.0, 2.5]}, pool="serial"
+    )
+    [axes] = linksweep.plot(ds).axes
+    assert {"no cut", "cut = 1.0", "cut = 2.5"} <= set(axes.get_legend_handles_labels()[1])
