@@ -296,7 +296,7 @@ def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
         return np.asarray(array.values.astype(float))
     if array.dtype.kind == "M":
         getattr(axes, f"{which}axis_date")()
-        return np.asarray(dates.date2num(array.values))
+        return np.asarray(dates.date2num(array.values))  # type: ignore[no-untyped-call]
     values = array.values.tolist()
     names, is_truth = list(dict.fromkeys(values)), formatting.is_truth(array)
     texts = [style.SWITCH[name] if is_truth else style.value_text(dataset, axis, str(name)) for name in names]
@@ -561,7 +561,7 @@ def _accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:
     return f"errors (1σ) at most {100.0 * relative:.2g} % of the largest{words}" if np.isfinite(relative) else ""
 
 
-LINES = GridFigure(lambda d, name: bool(d[name].size == 1 or _ordered(d) or _ordered_axes(d, name)), _lines_figure)
+LINES = GridFigure(lambda d, name: bool(_ordered(d) or _ordered_axes(d, name)), _lines_figure)
 LAW = GridFigure(lambda dataset, variable: bool(quantity.numeric_axes(dataset, variable)), _law_figure)
 MAP = GridFigure(lambda d, variable: len({d[a].dims[0] for a in quantity.numeric_axes(d, variable)}) > 1, _map_figure)
 
