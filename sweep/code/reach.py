@@ -27,7 +27,7 @@ from importlib.metadata import PackageNotFoundError, packages_distributions, ver
 from importlib.util import find_spec, resolve_name
 from itertools import chain
 from pathlib import Path
-from types import CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
+from types import CellType, CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -174,10 +174,10 @@ class Reach:
         called = [keys for name, keys in self._changes if name.startswith("__") or name in self._called]
         return set().union(*called)
 
-    def _follow(self, add: Callable[..., None], value: Any, label: str = "", *more: Any) -> None:
-        if (key := (add.__name__, id(value), label)) not in self._met:
+    def _follow(self, add: Callable[..., None], value: Any, *more: Any) -> None:
+        if (key := (add.__name__, id(value), *more[:1])) not in self._met:
             self._met[key] = value
-            self._todo.append((add, value, *filter(None, [label]), *more))
+            self._todo.append((add, value, *more))
 
     def _keep(self, label: str, text: str) -> None:
         if text:
@@ -341,14 +341,17 @@ class Reach:
         held = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
         held |= {name: value for name, value in vars(function).items() if not name.startswith("__")}
         text = "".join(self._refer(f"{label}.{k}", v) for k, v in (held | (function.__kwdefaults__ or {})).items())
-        text += self._text(nodes, names, function)
         if nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {code.co_firstlineno}"
             changes = [key for node in nodes for key in _changes(node, function)]
             keys = {home_of(key, names, names.get(key))[0] for key in changes}
             self._changes += [] if function.__name__ in MAKING else [(function.__name__, keys)]
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
-            text += str([(one.co_code, [c for c in one.co_consts if type(c) in PLAIN]) for one in _inside(code)])
+            text += self._text([ast.Name(name) for name in sorted(_names_in(code))], names, function)
+            for one in _inside(code):
+                constants = [self._form(c, {}) for c in one.co_consts if not isinstance(c, CodeType)]
+                text += f"{one.co_code.hex()} {constants}"
+        text += self._text(nodes, names, function)
         self._keep(f"function {label}", text)
 
     def _class(self, cls: type) -> None:
@@ -376,26 +379,24 @@ class Reach:
         """
         if function is None and self._is_running:  # runs while it is imported, before any root is called
             return ""
-        attributes = {one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute)}
+        self._called |= {one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute)}
         cells = _closure(function) if function else {}
         bound = self._imported(nodes, names) | cells
-        scope, wanted = ChainMap(bound, dict(names)), {*names} if function is None else _names_in(function.__code__)
-        chains = {one for node in nodes for one in _chains(node)} if nodes or not function else wanted
-        self._called |= attributes if nodes or not function else wanted
+        scope, wanted = ChainMap(bound, dict(names)), {*bound, *(_names_in(function.__code__) if function else names)}
         text = "".join(map(unparsed, nodes))
-        for whole in sorted(chains):
+        for whole in sorted({one for node in nodes for one in _chains(node)}):
             name, *path = whole.split(".")
             is_pythons = name not in scope or scope[name] is sys
             if function and whole in BY_NAME and is_pythons and names.get("__name__") in sys.modules:
                 self._follow(self._whole, sys.modules[names["__name__"]])
-            if name not in scope or name not in {*wanted, *bound}:
+            if name not in scope or name not in wanted:
                 continue
             value, home = scope[name], names
             while path and isinstance(value, ModuleType):
                 home, name = vars(value), path.pop(0)
                 value = self._attribute(value, name)
-            if path[:1] == ["__subclasses__"]:
-                value = [value, *value.__subclasses__()]
+            if isinstance(value, type) and path[:1] == ["__subclasses__"]:
+                value = [value, *type.__subclasses__(value)]
             if function and home is names and name in cells:
                 stands = self._refer(f"{name} of {label_of(function)}", value, names)
             else:
@@ -427,7 +428,7 @@ def home_of(name: str, names: Names, value: Any, hops: int = 9) -> tuple[str, Na
         index = _index(tree_of(names.get("__file__") or "", names))
         for node in index[ast.ImportFrom]:
             for module, alias in zip(modules(node, names.get("__package__")), node.names, strict=False):
-                original = name if alias.name == "*" and name not in index else alias.name
+                original = name if alias.name == "*" and not index[name] else alias.name
                 there = getattr(sys.modules.get(module), "__dict__", {})
                 if name == (alias.asname or original) and there.get(original, index) is value:
                     return home_of(original, there, value, hops - 1)
@@ -436,11 +437,8 @@ def home_of(name: str, names: Names, value: Any, hops: int = 9) -> tuple[str, Na
 
 def _closure(function: FunctionType) -> dict[str, Any]:
     """Return the names in a function's closure with their values."""
-    values: dict[str, Any] = {}
-    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
-        with suppress(ValueError):  # not filled yet
-            values[name] = cell.cell_contents
-    return values
+    cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
+    return {name: cell.cell_contents for name, cell in cells if cell != CellType()}  # this one is not filled yet
 
 
 def tree_of(filename: str, names: Names) -> ast.Module:
@@ -520,8 +518,8 @@ def _index(tree: ast.Module) -> Mapping[Any, list[Any]]:
         elif isinstance(node, ast.ImportFrom):
             index[ast.ImportFrom].append(node)
     for one in (one for one in tree.body if not isinstance(one, DEFINITIONS)):
-        aliases = {node.asname or node.name for node in ast.walk(one) if isinstance(node, ast.alias)}
-        for name in aliases | {node.id for node in ast.walk(one) if isinstance(node, ast.Name)}:
+        nodes = [node for node in ast.walk(one) if isinstance(node, ast.Name | ast.alias)]
+        for name in {node.id if isinstance(node, ast.Name) else node.asname or node.name for node in nodes}:
             index[name].append(one)
     return index
 

@@ -128,6 +128,7 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "lambdas in a line": "NAME_a, NAME_b = (lambda x: x * 2.0), (lambda x: x + CONSTANT)\n\ndef NAME(x):\n    return NAME_b(x)",
     "exec": "exec('def NAME(x):\\n    return x + CONSTANT')",
     "exec of a global": "D_NAME = {'K': CONSTANT}\nexec('def one(x):\\n    return x + K', D_NAME)\n\nNAME = D_NAME['one']",
+    "eval of a tuple": "NAME = eval('lambda x: x + (CONSTANT, 1.0)[0] if x in (1.0, 2.0) else x * CONSTANT')",
     "eval lambda": "NAME = eval('lambda x: x + CONSTANT')",
     "make dataclass": "import dataclasses\n\nC_NAME = dataclasses.make_dataclass('C_NAME', [('k', float, CONSTANT)])\n\ndef NAME(x):\n    return x + C_NAME().k",
     "conditional def": "if True:\n    def NAME(x):\n        return x + CONSTANT\nelse:\n    def NAME(x):\n        return x",
