@@ -30,6 +30,8 @@ COMMAND: list[str] = []
 
 _ADDRESS = re.compile(r"([a-z][a-z0-9+.-]*://)(?:[^\s?#'\"]*@)?([^\s/?#'\"]*)([^\s?#'\"]*)(?:[?#][^\s'\"]*)?", re.I)
 _TOKEN = re.compile(r"[A-Za-zµμ]+")
+# The u of micro before a unit, and not that of users.
+_MICRO = re.compile(r"\bu(?=(?:as|arcsec|rad|s|m|g|Hz|K|mol|J|W|N|V|A|Pa|eV|Jy|mag|pc)\b)")
 _END = re.compile(r" \(|, |; |: ")
 
 LEAST, MOST = 0.1, 1000.0  # a number from the first to below the second needs no other prefix
@@ -252,7 +254,7 @@ def written(unit: str) -> str:
     """
     text = unit.replace(" / ", "/")
     text = re.sub(r"^(\w+) (\w+)-1$", r"\1/\2", text)
-    return _TOKEN.sub(lambda token: _with_micro_sign(token[0]), text)
+    return _MICRO.sub("µ", text)
 
 
 def in_ascii(unit: str) -> str:
@@ -272,7 +274,7 @@ def with_micro_signs(sentence: str) -> str:
         >>> with_micro_signs("0.54 uas/yr of 28 users, 3 us")
         '0.54 µas/yr of 28 users, 3 µs'
     """
-    return re.sub(r"(?<=\d )[A-Za-z]+(?=[/\s.,;)]|$)", lambda token: _with_micro_sign(token[0]), sentence)
+    return re.sub(rf"(?<=\d ){_MICRO.pattern}", "µ", sentence)
 
 
 def _sizes(values: Any) -> list[float]:
@@ -316,19 +318,6 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
         return tuple(Prefixed(n, f) for n, f in others.items() if abs(float(whole.to(units.Unit(n))) / f - 1.0) < 1e-9)
     except (ValueError, TypeError, AttributeError):
         return ()
-
-
-def _with_micro_sign(token: str) -> str:
-    if not re.fullmatch(r"u[A-Za-z]+", token):
-        return token
-    if token not in ANGLES:
-        from astropy import units
-
-        try:
-            units.Unit(token)
-        except ValueError:
-            return token
-    return "µ" + token[1:]
 
 
 def with_unit(value: float, error: float = 0.0, unit: str = "") -> str:

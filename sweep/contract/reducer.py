@@ -177,7 +177,7 @@ def small_sample_factor(samples: ArrayLike) -> Array:
 def checked(
     who: str, returned: object, noun: str, expected: Mapping[str, tuple[int, ...]], beside: Sequence[str] = ()
 ) -> dict[str, Array]:
-    """Return what the function ``who`` has ``given`` as arrays of 64-bit floats of exactly the ``expected`` names and
+    """Return what the function ``who`` ``returned`` as arrays of 64-bit floats of exactly the ``expected`` names and
     shapes; names ``beside`` them are allowed, and ignored.
 
     The first axis of a shape counts points; it may be missing if there is only one.  Nothing is broadcast.
