@@ -29,6 +29,7 @@ from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.executing.children import KEEP_BYTES, ONE_THREAD
 from linksweep.sweep.executing.dask_driver import DaskDriver
 from linksweep.sweep.executing.pools import Resources, available_cores
+from linksweep.sweep.executing.process import set_environment
 from linksweep.sweep.executing.task import Executor, Place, Say
 from linksweep.sweep.interrupt import SIGNALS
 
@@ -211,7 +212,7 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
     with ExitStack() as stack:
         stack.enter_context(without_logs())
         scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True))
-        stack.enter_context(_environment_restored())
+        stack.callback(set_environment, dict(os.environ))  # Dask, too, adds to it before it starts workers
         stack.enter_context(dask.config.set({**OWN_CLUSTER, "temporary-directory": scratch}))
         dashboard = {"dashboard_address": "127.0.0.1:0"}
         defaults: dict[str, Any] = {}
@@ -235,18 +236,6 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
         stack.enter_context(_prompt_end(cluster))
         stack.enter_context(_lost_workers_replaced(cluster))
         yield cluster
-
-
-@contextmanager
-def _environment_restored() -> Iterator[None]:
-    """Take out again what we, and Dask before it starts workers, put into the environment of this process."""
-    before = dict(os.environ)
-    try:
-        yield
-    finally:
-        for name in os.environ.keys() - before.keys():
-            del os.environ[name]
-        os.environ.update(before)
 
 
 def _started(make: Callable[[], Any]) -> Any:

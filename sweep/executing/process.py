@@ -12,7 +12,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -76,9 +76,7 @@ class _Routes(io.TextIOBase):
                 with suppress(OSError):  # it may be gone
                     os.chdir(self._folder)
             if _environment() != self._environment:
-                for name in os.environ.keys() - self._variables.keys():
-                    del os.environ[name]
-                os.environ.update(self._variables)
+                set_environment(self._variables)
             sys.stdin, sys.stdout, sys.stderr = self._streams
             if warnings.filters != self._filters:
                 _set_filters(self._filters)
@@ -174,6 +172,13 @@ def _set_filters(filters: list[Any]) -> None:
     for action, message, category, module, line in filters:
         texts = [getattr(pattern, "pattern", pattern) or "" for pattern in (message, module)]
         warnings.filterwarnings(action, texts[0], category, texts[1], line, append=True)
+
+
+def set_environment(variables: Mapping[str, str]) -> None:
+    """Let these, and no others, be the variables of the environment of this process."""
+    for name in os.environ.keys() - variables.keys():
+        del os.environ[name]
+    os.environ.update(variables)
 
 
 def _environment() -> dict[Any, Any]:

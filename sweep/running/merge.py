@@ -187,18 +187,18 @@ def _differences(one: _Source, other: _Source, accept_code: bool) -> list[str]:
         for text in study_differences(attributes, other.study)
     ]
     numbers = ("n_sim", "n_cat", "precision", "max_n_sim")
-    pairs = [(key, getattr(one.study.sampling, key), getattr(other.study.sampling, key)) for key in numbers]
-    sentences += [f"sampling.{key}: {a} {was}, {b} {now}" for key, a, b in pairs if a != b]
+    known = [{f"sampling.{key}": getattr(s.study.sampling, key) for key in numbers} for s in (one, other)]
+    is_part = one.study.part is not None
+    if is_part and not accept_code:
+        for some, source in zip(known, (one, other), strict=True):
+            some |= {name: json.loads(source.attributes["versions"]).get(name) for name in DECIDING}
+    sentences += [f"{key}: {a} {was}, {known[1][key]} {now}" for key, a in known[0].items() if a != known[1][key]]
     codes = [records[-1]["code"] if (records := records_of(s.attributes)) else {} for s in (one, other)]
     if not accept_code and all(codes):
         sentences += code_differences(codes[0], codes[1], was, now)
-    if one.study.part is not None:
-        versions = [json.loads(source.attributes["versions"]) for source in (one, other)]
-        pairs = [] if accept_code else [(name, *(known.get(name) for known in versions)) for name in DECIDING]
-        sentences += [f"{name}: {a} {was}, {b} {now}" for name, a, b in pairs if a != b]
-        if not sentences and one.attributes["study_digest"] != other.attributes["study_digest"]:
-            sentences.append(f"the points are others {was} than {now}")
-    if one.study.part is None and (why := _why_other(one, other)):
+    if is_part and not sentences and one.attributes["study_digest"] != other.attributes["study_digest"]:
+        sentences.append(f"the points are others {was} than {now}")
+    if not is_part and (why := _why_other(one, other)):
         sentences.append(why)
     return sentences
 

@@ -367,20 +367,16 @@ def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) ->
     """Return the position in the grid that a published row refers to, or None if it is not in this grid."""
     study = grid.study
     settings = study.experiment.defaults() | dict(study.fixed)
-    for column, text in row.items():
-        if column not in outputs and column not in study.axes and not _same(settings[column], text):
-            return None
+    others = row.keys() - outputs.keys() - study.axes.keys()
+    if not all(_same(settings[name], row[name]) for name in others):
+        return None
     place = []
     for dimension, rows in grid.rows.items():
-        axes = grid.dimensions[dimension]
-        matches = [
-            i
-            for i, values in enumerate(rows)
-            if all(a not in row or _same(value, row[a]) for a, value in zip(axes, values, strict=True))
-        ]
-        if len(matches) != 1:
+        values = (dict(zip(grid.dimensions[dimension], some, strict=True)) for some in rows)
+        fits = [all(_same(one[name], row[name]) for name in one.keys() & row.keys()) for one in values]
+        if sum(fits) != 1:
             return None
-        place.append(matches[0])
+        place.append(fits.index(True))
     return tuple(place)
 
 

@@ -136,7 +136,11 @@ def study_differences(attributes: Mapping[str, Any], study: Study, keep: bool = 
         (f"fixed.{name}", old["fixed"].get(name, defaults.get(name)), new["fixed"].get(name, defaults.get(name)))
         for name in sorted({*old["fixed"], *new["fixed"]} - axes)
     ]
-    return [f"{key}: {was!r} in the store, {now!r} in the study" for key, was, now in pairs if was != now]
+    return _differing({key: (was, now) for key, was, now in pairs})
+
+
+def _differing(pairs: Mapping[str, tuple[Any, Any]]) -> list[str]:
+    return [f"{key}: {was!r} in the store, {now!r} in the study" for key, (was, now) in pairs.items() if was != now]
 
 
 def changed_points(attributes: Mapping[str, Any], study: Study) -> list[str]:
@@ -158,16 +162,11 @@ def changed_points(attributes: Mapping[str, Any], study: Study) -> list[str]:
     if changed is None:
         return []
     row, name = changed
-    before, after = table.get("origin", {}), study.points.origin
-    designs = [key for key in ("design", "n", "seed", "ranges") if key in before and before[key] != after.get(key)]
-    return [
-        f"points, row {row + 1}: {name} is {was[name][row]!r} in the store, {now[name][row]!r} in the study",
-        *(
-            f"points.{key}: {before[key]!r} in the store, {after[key]!r} in the study"
-            for key in designs
-            if key in before
-        ),
-    ]
+    pairs = {f"points, row {row + 1}: {name}": (was[name][row], now[name][row])}
+    for key, before in table.get("origin", {}).items():
+        if key in ("design", "n", "seed", "ranges"):
+            pairs[f"points.{key}"] = before, study.points.origin.get(key)
+    return _differing(pairs)
 
 
 @dataclass(frozen=True)

@@ -559,18 +559,19 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
 
 def holder(where: Where) -> Holder | None:
     """Return who holds the lock of a store, None where nobody does or its process is known to have ended."""
-    location = located(where)
-    with reading(location):
-        other = _parsed(location.parent.get(_lock_of(location)))
+    other = _in_lock(located(where))
     return None if other is None or other.state() == "has ended" else other
 
 
 def is_left_over(where: Where) -> bool:
     """Return whether a process that has ended left its lock: it was killed."""
-    location = located(where)
-    with reading(location):
-        other = _parsed(location.parent.get(_lock_of(location)))
+    other = _in_lock(located(where))
     return other is not None and other.state() == "has ended"
+
+
+def _in_lock(location: Location) -> Holder | None:
+    with reading(location):
+        return _parsed(location.parent.get(_lock_of(location)))
 
 
 def _take(location: Location, mine: Holder, break_lock: bool) -> None:
