@@ -15,14 +15,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.code.load import load_experiment
 from linksweep.sweep.contract import Experiment, Outcome, Point, SweepError, shown
-from linksweep.sweep.executing.process import (
-    Captured,
-    Deadlines,
-    TimeLimitError,
-    captured,
-    is_interruption,
-    undisturbed,
-)
+from linksweep.sweep.executing import process
 from linksweep.sweep.executing.task import (
     Call,
     Failure,
@@ -70,20 +63,20 @@ _dependence: dict[tuple[Who, float], str] = {}
 _agreed: set[Who] = set()
 
 
-def compute(task: Task | Call, deadlines: Deadlines | None = None) -> Any:
+def compute(task: Task | Call, deadlines: process.Deadlines | None = None) -> Any:
     """Return the result of a task; of a call its value and None, or None and what it raised."""
     if isinstance(task, Task):
         return run_task(task, deadlines)
     try:
-        with (deadlines or Deadlines()).within(task.time_limit_s):
+        with (deadlines or process.Deadlines()).within(task.time_limit_s):
             return task.function(*task.arguments), None
-    except TimeLimitError:
+    except process.TimeLimitError:
         return None, SweepError(f"a piece of the work took longer than the time limit of {task.time_limit_s:g} s")
     except Exception as error:  # raised again by the client
         return None, error
 
 
-def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
+def run_task(task: Task, deadlines: process.Deadlines | None = None) -> TaskResult:
     """Compute the blocks of a task, but begin no further one after `ENOUGH_S` or the task's ``enough_s``, whichever is
     longer; a point that raises is recorded and the rest goes on.
 
@@ -91,14 +84,14 @@ def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
     """
     begun = time.monotonic()
     results: list[TaskResult] = []
-    for result in run_units(task, deadlines or Deadlines()):
+    for result in run_units(task, deadlines or process.Deadlines()):
         results.append(result)
         if time.monotonic() - begun > max(ENOUGH_S, task.enough_s):
             break
     return joined(results)
 
 
-def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
+def run_units(task: Task, deadlines: process.Deadlines) -> Iterator[TaskResult]:
     """Yield the results of the units of a task in their order: of one, or of several that were computed in one call.
 
     They end with a point that took too long: its other blocks would too, and the rest is given out again.
@@ -117,7 +110,7 @@ def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
 class _Computing:
     """Calls the experiment of a task for its units, and says which point is to blame for what goes wrong."""
 
-    def __init__(self, task: Task, deadlines: Deadlines) -> None:
+    def __init__(self, task: Task, deadlines: process.Deadlines) -> None:
         self.task, self.who, self._deadlines = task, (task.experiment_reference, task.source_digest), deadlines
         self.experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
 
@@ -127,7 +120,7 @@ class _Computing:
         if self.experiment.vectorised and len(task.units) > 1 and (together := self._points_together()) is not None:
             yield together
             return
-        with captured() if task.caught else nullcontext(Captured()) as said:
+        with process.captured() if task.caught else nullcontext(process.Captured()) as said:
             several = takes_several(self.experiment, task)
             for units in alike(task.units) if several else [task.units]:
                 result = self._catalogues_together(units) if several else None
@@ -143,10 +136,10 @@ class _Computing:
         function that takes these.
         """
         limit = None if self.task.time_limit_s is None else self.task.time_limit_s * points
-        with undisturbed(self.task.seed_of(unit) ^ other), self._deadlines.within(limit):
+        with process.undisturbed(self.task.seed_of(unit) ^ other), self._deadlines.within(limit):
             yield
 
-    def _one_by_one(self, units: Sequence[PointBlock], said: Captured) -> Iterator[TaskResult]:
+    def _one_by_one(self, units: Sequence[PointBlock], said: process.Captured) -> Iterator[TaskResult]:
         """Yield the result of each of these units, with what was ``said`` meanwhile."""
         for unit in units:
             result = failed(len(unit.points))
@@ -170,10 +163,10 @@ class _Computing:
         try:
             with self._guarded(unit, len(rows)):
                 outcomes = experiment.compute(points, unit.block.n_sim, pairs, task.keep_samples)
-        except TimeLimitError:
+        except process.TimeLimitError:
             reason = too_long(task.time_limit_s or 0.0, traceback.format_exc())
         except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
-            if is_interruption(error) or not task.caught:
+            if process.is_interruption(error) or not task.caught:
                 raise
             reason = failure_of(error)
         else:
@@ -200,7 +193,7 @@ class _Computing:
                 pairs = list(chain.from_iterable(blocks))
                 outcomes = self.experiment.compute_catalogues(points, units[0].block.n_sim, pairs, n_cat)
         except BaseException as error:
-            if is_interruption(error):
+            if process.is_interruption(error):
                 raise
             return None
         return _succeeded(outcomes, time.perf_counter() - begun)
@@ -218,7 +211,7 @@ class _Computing:
         if wrong:
             return failed(len(points), Failure("exception", wrong))
         begun = time.perf_counter()
-        with captured() as said:
+        with process.captured() as said:
             try:
                 with self._guarded(units[0], len(points) + CHECKED):
                     outcomes = experiment.compute(points, 1, ())
@@ -227,7 +220,7 @@ class _Computing:
                         if wrong or len(points) > CHECKED:
                             _dependence[who] = wrong
             except BaseException as error:  # which point is to blame is found out one by one
-                if is_interruption(error):
+                if process.is_interruption(error):
                     raise
                 return None
             printed, seconds = said.taken(), time.perf_counter() - begun
@@ -249,10 +242,10 @@ class _Computing:
             with self._guarded(units[0], len(points), other=1):
                 second = self.experiment.compute(points, 1, ())
             how = next(filter(None, map(_difference, first, second)), "")
-        except TimeLimitError:
+        except process.TimeLimitError:
             return ""
         except BaseException as error:
-            if is_interruption(error):
+            if process.is_interruption(error):
                 raise
             how = f"and then raises {type(error).__name__}"
         if not how:
@@ -286,7 +279,7 @@ def _succeeded(outcomes: Sequence[Outcome], seconds: float) -> TaskResult:
     return result
 
 
-def _with_printed(result: TaskResult, printed: Captured | None) -> TaskResult:
+def _with_printed(result: TaskResult, printed: process.Captured | None) -> TaskResult:
     """Return a result with what was printed meanwhile, if anything was."""
     result.said |= {} if printed is None else {0: printed}
     return result

@@ -162,7 +162,7 @@ def changed_points(attributes: Mapping[str, Any], study: Study) -> list[str]:
     if changed is None:
         return []
     row, name = changed
-    pairs = {f"points, row {row + 1}: {name}": (was[name][row], now[name][row])}
+    pairs = {f"points, row {row + 1}, {name}": (was[name][row], now[name][row])}
     for key, before in table.get("origin", {}).items():
         if key in ("design", "n", "seed", "ranges"):
             pairs[f"points.{key}"] = before, study.points.origin.get(key)

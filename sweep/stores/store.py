@@ -31,21 +31,8 @@ from linksweep.sweep.contract import Outcome, Rows, SweepError, suggest
 from linksweep.sweep.contract.block import DIGEST_BYTES
 from linksweep.sweep.contract.large import is_large
 from linksweep.sweep.contract.reducer import EXACT_INT, LENGTH, MISSING_INT, lost_integers
-from linksweep.sweep.stores import integrity
+from linksweep.sweep.stores import integrity, large
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
-from linksweep.sweep.stores.large import (
-    CHUNK_NAMES,
-    FOLDER,
-    Files,
-    Stored,
-    ToStore,
-    file_of,
-    missing,
-    new_array,
-    read,
-    references,
-    written,
-)
 from linksweep.sweep.stores.ledger import REPAIR, DamagedError, Ledger, Record, path_of
 from linksweep.sweep.stores.location import RESULTS, Folder, Location, Where, holder, located, locked, reading, writing
 
@@ -192,20 +179,20 @@ class Store(OpenStore):
                 self.fail(digest, record)
 
     @property
-    def keep(self) -> ToStore:
+    def keep(self) -> large.ToStore:
         """What writes large arrays into this store from other processes, and leaves them where it cannot."""
-        return ToStore(str(getattr(self.location, "path", self.location)), self.attributes[STORE])
+        return large.ToStore(str(getattr(self.location, "path", self.location)), self.attributes[STORE])
 
     def kept(self, outcomes: Mapping[int, Outcome]) -> dict[int, Outcome]:
         """Return outcomes whose large arrays are in the store; raises SweepError where they cannot be."""
         with writing(self.location):
-            return written(outcomes, self.location)
+            return large.written(outcomes, self.location)
 
     def adopt(self, source: Location, rows: Rows) -> None:
         """Copy the chunks of rows of another store; raises SweepError as `large.read`."""
-        for chunk in references(rows) - self._ledger.chunks:
+        for chunk in large.references(rows) - self._ledger.chunks:
             with writing(self.location):
-                self.location.put(file_of(chunk), read(source, chunk))
+                self.location.put(large.file_of(chunk), large.read(source, chunk))
 
     def verify(self) -> None:
         """Raise SweepError where files of the ledger that opening did not read are damaged."""
@@ -216,9 +203,9 @@ class Store(OpenStore):
     def write(self, dataset: Any) -> None:
         """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
         generation = self.attributes["generation"] + 1
-        attributes, documents, chunks, large = encode(dataset, CHUNK_NAMES[generation % 2])
+        attributes, documents, chunks, linked = encode(dataset, large.CHUNK_NAMES[generation % 2])
         checksums = {key: integrity.checksum(content) for key, content in chunks.items()}
-        checksums |= {key: chunk.hex() for key, chunk in large.items()}
+        checksums |= {key: chunk.hex() for key, chunk in linked.items()}
         attributes |= {
             FORMAT_OF: FORMAT,
             ORIGIN: origin(self.location),
@@ -237,7 +224,7 @@ class Store(OpenStore):
             self.keep_copy(attributes)
             self.flush()
             self._delete(self._files - in_use - gone)
-            self.location.copy_all({key: file_of(chunk) for key, chunk in large.items()})
+            self.location.copy_all({key: large.file_of(chunk) for key, chunk in linked.items()})
             # Values first and the status last, for those who read without the root document.
             for is_status in (False, True):
                 self.location.put_all({k: c for k, c in chunks.items() if k.startswith("status/") == is_status})
@@ -275,7 +262,7 @@ class Store(OpenStore):
         """
         documents = {f"{name}/zarr.json" for name in arrays_of(self.root)}
         needed = {ROOT, *self._ledger.files, *documents, *chunk_checksums(self.root)}
-        needed |= {*map(file_of, self._ledger.chunks)}
+        needed |= {*map(large.file_of, self._ledger.chunks)}
         with reading(self.location):
             content = self.location.get(ROOT)
             gone = needed - set(self.location.keys())
@@ -361,7 +348,7 @@ def replace_store(where: Where, attributes: Mapping[str, Any]) -> OpenStore | No
     with writing(location):
         keys = location.keys()
         arrays = _of_arrays(keys, arrays_of(root))
-        ours = {*arrays, *(key for key in keys if key.partition("/")[0] == FOLDER)} - {MANIFEST}
+        ours = {*arrays, *(key for key in keys if key.partition("/")[0] == large.FOLDER)} - {MANIFEST}
         # If the process is killed after any of these, the old store has merely lost its results, then its blocks.
         put_root(location, emptied)
         for key in (MANIFEST, *sorted(ours)):
@@ -436,7 +423,7 @@ def find_root(location: Location) -> dict[str, Any] | None:
                 _check_format(json.loads(content or b"")["attributes"], where)
             if location.get(MANIFEST) is not None or any(mark in (content or b"") for mark in MARKS):
                 raise SweepError(
-                    f"{ROOT} and its copy in {FOLDER} are both damaged, so that nothing tells what the numbers mean; "
+                    f"{ROOT} and its copy in {large.FOLDER} are both damaged: nothing tells what the numbers mean; "
                     "bring one back from a backup, or run the study into a new store with -o",
                     where,
                 ) from error
@@ -544,7 +531,7 @@ def encode(
     Every chunk has a checksum, and none is left out for being empty, so that a missing one must have been lost.
     """
     files: dict[str, Any] = {}
-    large: dict[str, bytes] = {}
+    linked: dict[str, bytes] = {}
     labels = sorted(name for name in dataset.coords if name not in dataset.sizes)
     for name, variable in dataset.variables.items():
         values, attributes, how = variable.data, dict(variable.attrs), dict[str, Any]()
@@ -561,20 +548,20 @@ def encode(
         elif FILL in variable.encoding:
             attributes[FILL] = variable.encoding[FILL]
         how |= {"dtype": values.dtype, "dimension_names": variable.dims, "attributes": attributes}
-        array = new_array(files, name, values.shape, chunk_key_encoding=chunk_names, **how)
-        if not isinstance(values, Stored):
+        array = large.new_array(files, name, values.shape, chunk_key_encoding=chunk_names, **how)
+        if not isinstance(values, large.Stored):
             array[...] = values
             continue
         # The first point is written as a missing one: all others that are missing have the same chunks.
-        array[(0,) * (values.chunks.ndim - 1)] = missing(values.dtype)
+        array[(0,) * (values.chunks.ndim - 1)] = large.missing(values.dtype)
         empty = dict(files)
         for file, first, chunk in values.files(name, chunk_names):
             files[file] = empty[first]
-            large |= {file: chunk} if any(chunk) else {}
-    contents = {key: bytes(buffer.to_bytes()) for key, buffer in files.items() if key not in large}
+            linked |= {file: chunk} if any(chunk) else {}
+    contents = {key: bytes(buffer.to_bytes()) for key, buffer in files.items() if key not in linked}
     contents.pop(ROOT)  # of arrays alone
     documents = {str(name): json.loads(contents.pop(f"{name}/zarr.json")) for name in dataset.variables}
-    return dict(dataset.attrs), documents, contents, large
+    return dict(dataset.attrs), documents, contents, linked
 
 
 def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
@@ -588,13 +575,13 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
 
     dask_arrays_only_where_imported()
     later = _large_chunks(root, location)
-    large = {key.partition("/")[0] for key in later}
+    lazy = {key.partition("/")[0] for key in later}
     expected = {key: checksum for key, checksum in chunk_checksums(root).items() if key not in later}
     contents = location.get_all(expected)
     problems = {key: integrity.problem_of(contents[key], checksum) for key, checksum in expected.items()}
     if damaged := {key: problem for key, problem in problems.items() if problem}:
         raise ValueError("; ".join(f"{key}: {problem}" for key, problem in damaged.items()))
-    files = Files(lambda key: read(location, later[key]))
+    files = large.Files(lambda key: large.read(location, later[key]))
     files |= {key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None}
     files[ROOT] = cpu.Buffer.from_bytes(json.dumps(root).encode())
     try:
@@ -602,7 +589,7 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
             # Zarr-python#3709: consolidated metadata is not in the v3 specification yet.
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
-            dataset: xr.Dataset = opened.drop_vars(large).load().assign({name: opened[name] for name in large})
+            dataset: xr.Dataset = opened.drop_vars(lazy).load().assign({name: opened[name] for name in lazy})
             gaps = [n for n, d in arrays_of(root).items() if d["data_type"] == "int64" and dataset[n].dtype.kind == "f"]
             if any((np.abs(dataset[name].values) >= EXACT_INT).any() for name in gaps):
                 # Xarray has rounded them.
@@ -630,9 +617,9 @@ def _large_chunks(root: Mapping[str, Any], location: Location) -> dict[str, byte
     documents = arrays_of(root)
     axes = len(documents.get("status", {}).get("shape", ()))
     names = {n for n, d in documents.items() if d.get("data_type") == "float64" and is_large(d["shape"][axes:])}
-    there = set(location.keys(f"{FOLDER}/")) if names else set()
+    there = set(location.keys(f"{large.FOLDER}/")) if names else set()
     chunks = {k: bytes.fromhex(c) for k, c in chunk_checksums(root).items() if k.partition("/")[0] in names}
-    return {key: chunk for key, chunk in chunks.items() if file_of(chunk) in there}
+    return {key: chunk for key, chunk in chunks.items() if large.file_of(chunk) in there}
 
 
 def chunk_checksums(root: Mapping[str, Any]) -> dict[str, str]:

@@ -48,9 +48,9 @@ def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path)
     more = run(model, store, points={"x": [1.0, 2.0, 3.0]})
     assert calls == [(1.0, 1), (2.0, 1), (3.0, 1)]
     before = OpenStore(store).attributes["generation"]
-    with pytest.raises(SweepError, match=r"row 2: x is 2.0 in the store, 2.5 in the study"):
+    with pytest.raises(SweepError, match=r"row 2, x: 2.0 in the store, 2.5 in the study"):
         run(model, store, points={"x": [1.0, 2.5, 3.0, 4.0]})
-    with pytest.raises(SweepError, match=r"row 1: k is 1 in the store, 4 in the study"):
+    with pytest.raises(SweepError, match=r"row 1, k: 1 in the store, 4 in the study"):
         run(model, store, points={"x": [1.0, 2.0, 3.0, 4.0], "k": [4, 1, 1, 1]})
     assert OpenStore(store).attributes["generation"] == before
     assert run(model, store, points={"x": [1.0]}).y.values.tolist() == more.y.values[:1].tolist()
