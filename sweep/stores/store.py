@@ -423,7 +423,7 @@ def find_root(location: Location) -> dict[str, Any] | None:
                 _check_format(json.loads(content or b"")["attributes"], where)
             if location.get(MANIFEST) is not None or any(mark in (content or b"") for mark in MARKS):
                 raise SweepError(
-                    f"{ROOT} and its copy in {large.FOLDER} are both damaged: nothing tells what the numbers mean; "
+                    f"{ROOT} and its copy in {large.FOLDER} are both damaged, and nothing tells what the numbers mean; "
                     "bring one back from a backup, or run the study into a new store with -o",
                     where,
                 ) from error
