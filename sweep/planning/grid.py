@@ -126,9 +126,9 @@ class Grid:
             some = indices[start : start + AT_ONCE]
             digests = self.digests(some)
             streams = self._digests(some, self._shared) if self._shared else digests
-            for index, digest, stream, *combination in zip(
-                some.tolist(), digests, streams, *self._along(some), strict=True
-            ):
+            places = zip(self.rows.values(), self._places(some), strict=True)
+            along = [map(rows.__getitem__, numbers) for rows, numbers in places]  # the values, point by point
+            for index, digest, stream, *combination in zip(some.tolist(), digests, streams, *along, strict=True):
                 parameters = self._fixed.copy()
                 parameters.update(zip(self._names, itertools.chain.from_iterable(combination), strict=True))
                 yield GridPoint(index, parameters, digest, stream)
@@ -184,11 +184,6 @@ class Grid:
             if texts:
                 entries.append((name, dimension_of.get(name), [texts.get((type(v), v)) for v in values[name]]))
         return entries
-
-    def _along(self, indices: NDArray[np.intp]) -> list[Iterator[tuple[Value, ...]]]:
-        """Return the values on the axes of each dimension, point by point."""
-        places = zip(self.rows.values(), self._places(indices), strict=True)
-        return [map(rows.__getitem__, along) for rows, along in places]
 
     def _places(self, indices: NDArray[np.intp]) -> list[list[int]]:
         """Return where along each dimension the points at ``indices`` are."""

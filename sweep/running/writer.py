@@ -70,13 +70,8 @@ def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | No
         different.append(f"part: {asked} of other points or realisations in the store than in the study")
     if different:
         ways = "" if keep else ", or --keep (keep=True), with which constants that differ become axes"
-        raise SweepError(
-            [
-                f"holds results of a different study, which would be mixed up; give another store with -o{ways}",
-                *different,
-            ],
-            str(opened.location),
-        )
+        words = f"holds results of a different study, which would be mixed up; give another store with -o{ways}"
+        raise SweepError([words, *different], str(opened.location))
     return opened
 
 
@@ -94,19 +89,6 @@ def hold(store: Store, study: Study) -> None:
     if not study.experiment.undeclared:
         width = study.experiment.samples_width if study.keeps_samples else 0
         store.hold(study.experiment.reducer.dtype, width)
-
-
-def check_points(opened: OpenStore, study: Study) -> None:
-    """Raise SweepError where rows of a study's table of points differ from those of a store."""
-    if changed := changed_points(opened.attributes, study):
-        raise SweepError(
-            [
-                "holds a table of other points; a table may only grow at its end: give another store with -o, or "
-                "--fresh replaces this one",
-                *changed,
-            ],
-            str(opened.location),
-        )
 
 
 def attributes_of(plan: Plan) -> dict[str, Any]:
@@ -143,15 +125,15 @@ def _differing(pairs: Mapping[str, tuple[Any, Any]]) -> list[str]:
     return [f"{key}: {was!r} in the store, {now!r} in the study" for key, (was, now) in pairs.items() if was != now]
 
 
-def changed_points(attributes: Mapping[str, Any], study: Study) -> list[str]:
-    """Say how a study's table of points differs from that of a store; nothing where one only has more rows at its end,
-    or where either has no table.
+def check_points(opened: OpenStore, study: Study) -> None:
+    """Raise SweepError where rows of a study's table of points differ from those of a store: it may only have more rows
+    at its end.
     """
-    document = json.loads(attributes.get("study_document", "{}"))
+    document = json.loads(opened.attributes.get("study_document", "{}"))
     table = document.get("points") or {}
     old: dict[str, list[Any]] = table.get("columns", {})
     if study.points is None or not old or UNITED in table.get("origin", {}):
-        return []
+        return
     names = [name for name in dict.fromkeys([*old, *study.points.names]) if name not in table.get("labels", ())]
     settings = study.experiment.defaults()
     rows = min(len(next(iter(old.values()))), len(study.axes[study.points.names[0]]))
@@ -159,14 +141,14 @@ def changed_points(attributes: Mapping[str, Any], study: Study) -> list[str]:
     now = {name: study.axes.get(name) or rows * [study.fixed.get(name, settings[name])] for name in names}
     now = {name: [str(value) if isinstance(value, Named) else value for value in now[name]] for name in names}
     changed = next(((i, n) for i in range(rows) for n in names if was[n][i] != now[n][i]), None)
-    if changed is None:
-        return []
-    row, name = changed
-    pairs = {f"points, row {row + 1}, {name}": (was[name][row], now[name][row])}
-    for key, before in table.get("origin", {}).items():
-        if key in ("design", "n", "seed", "ranges"):
-            pairs[f"points.{key}"] = before, study.points.origin.get(key)
-    return _differing(pairs)
+    if changed is not None:
+        row, name = changed
+        pairs = {f"points, row {row + 1}, {name}": (was[name][row], now[name][row])}
+        for key, before in table.get("origin", {}).items():
+            if key in ("design", "n", "seed", "ranges"):
+                pairs[f"points.{key}"] = before, study.points.origin.get(key)
+        rule = "a table may only grow at its end: give another store with -o, or --fresh replaces this one"
+        raise SweepError([f"holds a table of other points; {rule}", *_differing(pairs)], str(opened.location))
 
 
 @dataclass(frozen=True)
