@@ -352,7 +352,7 @@ def _watching(study: Study, progress: Progress | None) -> AbstractContextManager
     if progress is not None:
         return nullcontext(progress)
     if in_notebook():
-        return nullcontext(NotebookProgress(study))
+        return NotebookProgress(study, bar=False)
     if sys.stderr is not None and sys.stderr.isatty():
         return TerminalProgress(study)
     return nullcontext(Silent())

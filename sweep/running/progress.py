@@ -9,7 +9,6 @@ from array import array
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from html import escape
 from typing import Any, TextIO
 
 import numpy as np
@@ -112,35 +111,7 @@ class Eta:
         return max(needed - max(now - last, 0.0), 0.5 * needed)
 
 
-class _Watch:
-    """What every way to show a run knows of it: when it began, its points by outcome, and the time left."""
-
-    def __init__(self, study: Study) -> None:
-        self._study = study
-        self._begun: float | None = None
-
-    def start(self, survey: Survey, where: str, workers: int | None = None) -> None:
-        """Begin: there is so much to do, at the place that ``where`` names."""
-        self._begun = self._shown = time.monotonic()
-        self._where = where
-        self._eta = Eta(survey.pending.cost, workers)
-        total = survey.total.points
-        self._count = FailureCount(self._study, total, total - survey.pending.points, survey.failed)
-
-    def _take(self, result: TaskResult, taken: Taken) -> list[str]:
-        """Count a task's result; return a sentence for each new reason to fail."""
-        cold = float(result.seconds[0]) if result.cold else 0.0
-        self._eta.extend(taken.more.cost)
-        seconds = float(result.seconds.sum())
-        self._eta.take(time.monotonic(), taken.done.cost, seconds, cold, len(result.seconds))
-        return self._count.take(taken.ended, taken.failed)
-
-    def _left(self) -> list[str]:
-        left = self._eta.left(time.monotonic())
-        return [] if left is None else [f"about {in_words(left)} left"]
-
-
-class TerminalProgress(_Watch):
+class TerminalProgress:
     """Shows points done, time left and speed: in a ``bar`` if there is a terminal, else in a line now and then.
 
     To a file of ``events`` it appends a line of JSON for each: started, points, failed, written and, at the end of the
@@ -148,8 +119,8 @@ class TerminalProgress(_Watch):
     """
 
     def __init__(self, study: Study, bar: bool = True, events: TextIO | None = None) -> None:
-        super().__init__(study)
-        self._events, self._failures = events, 0
+        self._study, self._events, self._failures = study, events, 0
+        self._begun: float | None = None
         self._once = study.experiment.deterministic
         self._console = Console(file=getattr(sys.stderr, "unescaped", sys.stderr))
         self._with_bar = bar and self._console.is_terminal
@@ -172,8 +143,10 @@ class TerminalProgress(_Watch):
 
     def start(self, survey: Survey, where: str, workers: int | None = None) -> None:
         """Say what there is to do and where it is done."""
-        super().start(survey, where, workers)
         total, pending = survey.total, survey.pending
+        self._begun = self._shown = time.monotonic()
+        self._eta = Eta(pending.cost, workers)
+        self._count = FailureCount(self._study, total.points, total.points - pending.points, survey.failed)
         self._write("started", points=total.points, done=self._count.done, failed=survey.failed, where=where)
         self._work = pending.cost
         kept = f", {self._count.done:,} of them in the store already" if self._count.done else ""
@@ -193,15 +166,18 @@ class TerminalProgress(_Watch):
 
     def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
         """Count what was done, and what more there is to do."""
-        for sentence in self._take(result, taken):
+        for sentence in self._count.take(taken.ended, taken.failed):
             SENTENCES.warning(sentence)
+        seconds, cold = float(result.seconds.sum()), float(result.seconds[0]) if result.cold else 0.0
+        self._eta.extend(taken.more.cost)
+        self._eta.take(time.monotonic(), taken.done.cost, seconds, cold, len(result.seconds))
         self._work += taken.more.cost
         self._done += taken.done
-        self._busy += float(result.seconds.sum())
+        self._busy += seconds
         points = [point for work in works for point in work.points]
-        for point, seconds in zip(points[result.cold :], result.seconds[result.cold :].tolist(), strict=True):
+        for point, took in zip(points[result.cold :], result.seconds[result.cold :].tolist(), strict=True):
             self._seconds.extend([0.0] * (point.index + 1 - len(self._seconds)))
-            self._seconds[point.index] += seconds
+            self._seconds[point.index] += took
         for row, said in result.said.items():
             place = describe(self._study, points[row].parameters)
             self._warned.update(said.warnings)
@@ -219,9 +195,15 @@ class TerminalProgress(_Watch):
             SENTENCES.debug("%s: failed (%s)", place, failure.kind)
             RECORD.error("%s: failed (%s): %s\n%s", place, failure.kind, failure.message, failure.traceback)
         now = time.monotonic()
-        if now - self._shown > min(max(LINE_FIRST_S, LINE_SHARE * self._elapsed()), LINE_LAST_S):
+        if now - self._shown > self._pause():
             self._shown = now
-            (SENTENCES if self._bar is None else RECORD).info(self._line())
+            self._show(self._line())
+
+    def _pause(self) -> float:
+        return min(max(LINE_FIRST_S, LINE_SHARE * self._elapsed()), LINE_LAST_S)
+
+    def _show(self, line: str) -> None:
+        (SENTENCES if self._bar is None else RECORD).info(line)
 
     def written(self) -> None:
         """Remove the bar: all results are on disk."""
@@ -310,7 +292,9 @@ class TerminalProgress(_Watch):
         """Return how far the run is: points, time left, speed.  What matters most comes first: a terminal cuts it."""
         percent = 100.0 * self._done.cost / self._work if self._work > 0.0 and not self._once else None
         share = "" if percent is None else f" ({percent:.0f} % of the work)"
-        return ", ".join([f"{self._count}{share}", *self._left(), self._speed(self._elapsed())])
+        left = self._eta.left(time.monotonic())
+        time_left = [] if left is None else [f"about {in_words(left)} left"]
+        return ", ".join([f"{self._count}{share}", *time_left, self._speed(self._elapsed())])
 
     def _drawn(self) -> Table:
         """Return the bar and its line, with what failed in red and the first reason as far as there is room."""
@@ -339,43 +323,34 @@ def in_notebook() -> bool:
     return shell is not None and hasattr(shell, "kernel")
 
 
-class NotebookProgress(_Watch):
-    """Shows a bar, points done and failed, and the time left, in a line below the cell that runs."""
+class NotebookProgress(TerminalProgress):
+    """Shows how far a run is in a line below the cell that runs; of what is told otherwise, only warnings."""
 
     _handle: Any = None
 
     def start(self, survey: Survey, where: str, workers: int | None = None) -> None:
         """Show that work begins."""
         super().start(survey, where, workers)
-        self._show()
-
-    def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
-        """Count a task's results."""
-        self._take(result, taken)
-        if time.monotonic() - self._shown > NOTEBOOK_S:
-            self._show()
+        self._show(f"{self._count}, {where}")
 
     def written(self) -> None:
         """Show the end."""
-        self._show(["done" if self._count.done == self._count.points else "ended"])
+        super().written()
+        self._show(f"{self._count}, {'done' if self._count.done == self._count.points else 'ended'}")
 
     def say(self, text: str) -> None:
         """Show a warning; other sentences are for terminals."""
         if text.startswith("warning"):
             print(harmless(text), file=sys.stderr)
 
-    def _show(self, state: Sequence[str] = ()) -> None:
-        from IPython.display import HTML, display
+    def _pause(self) -> float:
+        return NOTEBOOK_S
 
-        self._shown = time.monotonic()
-        count, points = self._count, str(self._count)
-        words = [escape(word) for word in state or self._left() or [self._where]]
-        if failed := count.failed_in_words:
-            words = [*([escape(count.reason)] if count.reason else []), *words]
-            points = points.replace(failed, f'<span style="color: #d03030">{failed}</span>')
-        bar = f'<progress value="{count.done}" max="{max(1, count.points)}"></progress>'
-        line = HTML(f"{bar} {', '.join([points, *words])}")
+    def _show(self, line: str) -> None:
+        from IPython.display import Pretty, display
+
+        shown = Pretty(harmless(line))
         if self._handle is None:
-            self._handle = display(line, display_id=True)
+            self._handle = display(shown, display_id=True)
         else:
-            self._handle.update(line)
+            self._handle.update(shown)

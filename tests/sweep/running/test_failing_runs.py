@@ -77,8 +77,7 @@ def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch
     monkeypatch.setattr(display, "display", show)
     for _ in range(2):  # the second time nothing is left to do
         run_study(odd_study(), tmp_path / "s.zarr", SERIAL, progress.NotebookProgress(odd_study()))
-        assert re.search(r"9 done, <span [^>]*>9 failed</span> of 18 points, (.*, )?ended$", shown[-1])
-    assert any("ValueError: no &lt;sun&gt; at 1" in line for line in shown)
+        assert shown[-1].endswith("9 done, 9 failed of 18 points, ended")
     run_study(odd_study(1), tmp_path / "one.zarr", SERIAL, progress.NotebookProgress(odd_study(1)))
     assert shown[-1].endswith("1/1 points, done")
 
