@@ -6,7 +6,7 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from itertools import chain, groupby
 from typing import Any
 
@@ -130,14 +130,9 @@ class _Computing:
                 else:
                     yield _with_printed(result, printed)
 
-    @contextmanager
-    def _guarded(self, unit: PointBlock, points: int, other: int = 0) -> Iterator[None]:
-        """Call the experiment for so many points in this block; ``other`` random numbers of the process are drawn by a
-        function that takes these.
-        """
-        limit = None if self.task.time_limit_s is None else self.task.time_limit_s * points
-        with process.undisturbed(self.task.seed_of(unit) ^ other), self._deadlines.within(limit):
-            yield
+    def _limit(self, points: int) -> float | None:
+        """Return the seconds that so many points may take."""
+        return None if self.task.time_limit_s is None else self.task.time_limit_s * points
 
     def _one_by_one(self, units: Sequence[PointBlock], said: process.Captured) -> Iterator[TaskResult]:
         """Yield the result of each of these units, with what was ``said`` meanwhile."""
@@ -161,7 +156,7 @@ class _Computing:
         pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
         points = [experiment.defaults() | unit.points[row] for row in rows]
         try:
-            with self._guarded(unit, len(rows)):
+            with process.undisturbed(task.seed_of(unit)), self._deadlines.within(self._limit(len(rows))):
                 outcomes = experiment.compute(points, unit.block.n_sim, pairs, task.keep_samples)
         except process.TimeLimitError:
             reason = too_long(task.time_limit_s or 0.0, traceback.format_exc())
@@ -188,7 +183,7 @@ class _Computing:
         points = [self.experiment.defaults() | point for point in units[0].points]
         begun = time.perf_counter()
         try:
-            with self._guarded(units[0], len(points)):
+            with process.undisturbed(self.task.seed_of(units[0])):  # without a limit: see `takes_several`
                 blocks = (generators_of(self.task.seed, unit.stream, unit.block) for unit in units)
                 pairs = list(chain.from_iterable(blocks))
                 outcomes = self.experiment.compute_catalogues(points, units[0].block.n_sim, pairs, n_cat)
@@ -213,7 +208,8 @@ class _Computing:
         begun = time.perf_counter()
         with process.captured() as said:
             try:
-                with self._guarded(units[0], len(points) + CHECKED):
+                limit = self._limit(len(points) + CHECKED)
+                with process.undisturbed(self.task.seed_of(units[0])), self._deadlines.within(limit):
                     outcomes = experiment.compute(points, 1, ())
                     if who not in _dependence:
                         wrong = dependence(experiment, points, outcomes, [unit.stream for unit in units])
@@ -239,7 +235,9 @@ class _Computing:
             return ""
         points = [self.experiment.defaults() | unit.points[0] for unit in units]
         try:
-            with self._guarded(units[0], len(points), other=1):
+            # Other random numbers than at first, if it takes those of the process.
+            again = self.task.seed_of(units[0]) ^ 1
+            with process.undisturbed(again), self._deadlines.within(self._limit(len(points))):
                 second = self.experiment.compute(points, 1, ())
             how = next(filter(None, map(_difference, first, second)), "")
         except process.TimeLimitError:
