@@ -106,6 +106,15 @@ def test_values_between_points_are_interpolated_to_the_error_that_was_asked_for(
     assert ds.sizes["x"] <= 0.1 / np.diff(ds.x.values).min() * 10  # not all of it
 
 
+def test_points_get_realisations_until_the_noise_between_them_is_below_the_error():
+    """Two errors of a value less what its neighbours say of it; realisations grow by factors of four."""
+    goal = {"axes": {"x": [0.0, 0.5, 1.0]}, "sampling": {"n_sim": 60, "seed": 3}, "pool": "serial"}
+    ds = linksweep.refine(noisy, until="error < 0.01", variable="y_mean", max_realisations=10**6, **goal)
+    noise = 2.0 * np.linalg.norm(ds.y_mean_mc_error * [0.5, 1.0, 0.5])
+    assert noise < 0.01 < 2.0 * noise
+    assert ds.sizes["x"] == 3  # a line has no use for more points
+
+
 @pytest.mark.slow
 def test_values_on_both_sides_of_a_step_are_not_interpolated():
     fixed = {"root": 0.618, "is_step": True}

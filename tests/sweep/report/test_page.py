@@ -16,6 +16,7 @@ from linksweep import SweepError
 from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.report.page import explorer, pictures, report_of, report_page, residuals, section
+from tests.tiers import slow
 
 
 def grid(value, status=None, **others):
@@ -74,7 +75,7 @@ def test_what_is_missing_is_said_and_does_not_count():
     assert completeness(grid(VALUES)) == []
 
 
-@pytest.mark.parametrize("undone", [Status.MISSING, Status.FAILED])
+@pytest.mark.parametrize("undone", [Status.MISSING, slow(Status.FAILED)])
 def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
     """Neither on a page nor in a notebook, a caption or a terminal."""
     dataset = dataset_of("algorithm")

@@ -222,6 +222,14 @@ def test_texts_that_are_no_right_ascension_are_named(text):
         read("ra", ["12 34 56", text], name="x")
 
 
+@pytest.mark.parametrize(
+    ("quantity", "values"), [("ra", [[1.0, 2.0]]), ("ra", [1j]), ("pmra", ["1.5"]), ("dec_error", ["a"])]
+)
+def test_columns_that_hold_no_numbers_are_refused(quantity, values):
+    with pytest.raises(SweepError, match=f"'{quantity}' does not hold numbers"):
+        read(quantity, values)
+
+
 def test_degrees_marked_as_such_are_not_hours_and_hours_are_no_declination():
     assert read("ra", ["187d30m00s"])[0] == 187.5
     with pytest.raises(SweepError, match="in row 1"):

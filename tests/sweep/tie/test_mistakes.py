@@ -198,7 +198,8 @@ PAIRS = [
 ]
 
 
-@pytest.mark.parametrize("pair", [PAIRS[0], *map(slow, PAIRS[1:])])
+@pytest.mark.slow
+@pytest.mark.parametrize("pair", PAIRS)
 def test_two_mistakes_at_once_are_both_named(tmp_path, pair):
     tables = dict(zip(("satellite", "reference"), sky(12, 3), strict=True))
     for mistake in pair:

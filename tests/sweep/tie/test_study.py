@@ -14,6 +14,7 @@ from linksweep import SweepError, load_study
 from linksweep.sweep.cli.group import main
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie
 from tests.core.tie.made import MAS, Objects, gaia, gaia_table, noise, parse_unknowns, spin_block, stars
+from tests.tiers import slow
 
 
 def point(study, **changes):
@@ -207,7 +208,7 @@ def test_what_cannot_be_computed_is_said(changes, words):
 # Options of the command that say where it runs and what it prints; a study gives these errors, reference - satellite.
 ABOUT_OUTPUT = {
     *("workers", "pool", "scheduler", "tls_ca", "tls_cert", "tls_key", "cluster", "time_limit", "memory_limit"),
-    *("errors", "resamples", "seed", "sign", "no_sources", "output", "figures", "as_json"),
+    *("dashboard", "errors", "resamples", "seed", "sign", "no_sources", "output", "figures", "as_json"),
 }
 
 
@@ -276,7 +277,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [case if case in ("jitter", "where there") else slow(case) for case in CASES])
 def test_a_study_has_what_the_command_has_with_each_option(tmp_path, monkeypatch, case):
     monkeypatch.chdir(tmp_path)
     gaia("satellite.ecsv", stars(20, 3))
