@@ -4,10 +4,11 @@ The corrections of common mistakes are applied to the rows one after the other, 
 mistake that was made is the one whose correction brings chi2 down to the level of good tables.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import combinations, product
+from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import FIRST, HALF_SPAN, SECOND, Astrometry, by_errors, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, source_sums
 from linksweep.core.tie.solution import Solution, discrepancies, solve
+from linksweep.core.unknowns import POSITION, Block, Objects, Unknowns
 
 # chi2 over its expectation above and below which it is said first, and above which a link is not given unasked. Radio
 # stars, many of which are binaries, have 7.
@@ -54,6 +56,14 @@ LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0, "mas/yr2": 300.0, "mas/yr3": 300.0
 
 # Shifts of epochs (years) from which the best is looked for.
 STARTS = (0.0, *(sign * years for years in (2.0, 5.0, 10.0, 20.0, 50.0, 100.0) for sign in (1.0, -1.0)))
+
+
+def _motions(objects: Objects) -> Array:
+    return np.stack([objects.pmra, objects.pmdec])[None]
+
+
+# A shift of the epochs of positions, in years.
+EPOCHS = Block("epochs", ("years",), POSITION, False, _motions)
 
 Rows = tuple[int, ...]
 # Errors below it are hardly right, mas or mas/yr.
@@ -229,9 +239,10 @@ def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio:
         causes = [cause for cause in causes if not cause.hides and cause.ratio < least]
     elif not causes or min(cause.ratio for cause in causes) > GOOD:
         worst, left = _outliers(problem, ratio)
-        causes += _exchanged(problem, names, tables, ratio)
+        exchanged = _exchanged(problem, _worst(problem), names, tables)
+        causes += [Cause(words, after) for words, _, one in exchanged if explains(after := _ratio(one), ratio)]
         if len(worst):
-            listed = ", ".join(str(name) for name in names[worst])
+            listed = _listed(names, worst)
             alone = f"without {listed} it is {left:.2g} times its expectation; "
             for part in _of_sources(problem, tables, worst, listed):
                 causes += [cause for cause in _causes(problem, part, ratio) if cause.ratio < GOOD]
@@ -239,7 +250,8 @@ def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio:
         else:
             for part in [*_by_kind(problem, tables), *_by_epoch(problem, tables)]:
                 causes += _causes(problem, part, ratio)
-            causes = causes or list(_two(problem, tables, ratio))
+            if not causes or min(cause.ratio for cause in causes) > GOOD:
+                causes = list(_two(problem, names, tables, ratio)) or causes
     said = likely(causes, 30.0 / max(1, int(np.sum(problem.rows.present))))
     return f"{alone}{said}" if said == UNEXPLAINED else said
 
@@ -286,11 +298,10 @@ def explains(corrected: float, ratio: float) -> bool:
 
 def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
     """Yield the mistakes in a part whose correction brings chi2 down to the level of good tables."""
-    for words, hides, change in _corrections(problem, part.table):
-        trial = _applied(problem, part, change)
+    for words, hides, trial in _trials(problem, [part]):
         # errors that are too small are so for all sources
         if explains(corrected := _ratio(trial), ratio) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
-            yield Cause(words.format(part.words), corrected, hides)
+            yield Cause(words, corrected, hides)
     shift, corrected = _shift(problem, part)
     if explains(corrected, ratio):
         early = "early" if shift > 0.0 else "late"
@@ -304,20 +315,38 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
             yield Cause(f"epochs of {part.words} {all_equal if len(epochs) == 1 else single}", along, 1)
 
 
-def _two(problem: Problem, tables: Sequence[str], ratio: float) -> Iterator[Cause]:
-    """Yield two mistakes: those whose corrections help most, each with one after whose correction all is well."""
-    trials = [
-        (left, words.format(part.words), trial)
-        for part in _wholes(problem, tables)
-        for words, hides, change in _corrections(problem, part.table)
-        if not hides
-        and (trial := _applied(problem, part, change)) is not None
-        and (left := _ratio(trial)) < 0.9 * ratio
-    ]
-    for left, words, trial in sorted(trials, key=lambda one: one[0])[:TWICE]:
-        for part in _wholes(trial, tables):
-            seconds = (cause for cause in _causes(trial, part, left) if cause.ratio < GOOD and not cause.hides)
-            yield from (Cause(f"{words}, and {cause.words}", cause.ratio) for cause in seconds)
+def _two(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> Iterator[Cause]:
+    """Yield two mistakes: those whose corrections help most, each with one after whose correction all is well.
+
+    Epochs that are far off hide how much a correction helps, so that it is tried with epochs free too.
+    """
+
+    def left(trial: Problem) -> float:
+        return min(_ratio(trial), _ratio(_freed_epochs(trial)))
+
+    free, wholes = _freed_epochs(problem), _wholes(problem, tables)
+    worst, _ = _outliers(free, _ratio(free))
+    few = _of_sources(problem, tables, worst, _listed(names, worst)) if len(worst) else ()
+    trials = [*_trials(problem, [*wholes, *few]), *_exchanged(problem, _worst(free), names, tables)]
+    best = sorted(((left(trial), words, trial) for words, hides, trial in trials if not hides), key=itemgetter(0))
+    for after, words, trial in best[:TWICE]:
+        if after < 0.9 * left(problem):
+            for cause in (cause for part in wholes for cause in _causes(trial, part, _ratio(trial))):
+                if cause.ratio < GOOD and not cause.hides:
+                    yield Cause(f"{words}, and {cause.words}", cause.ratio)
+
+
+def _freed_epochs(problem: Problem) -> Problem:
+    """Return the problem with a shift of all epochs among its unknowns, which moves stars along their motions."""
+    return replace(problem, unknowns=Unknowns((*problem.unknowns.blocks, EPOCHS)))
+
+
+def _trials(problem: Problem, parts: Iterable[_Part]) -> Iterator[tuple[str, int, Problem]]:
+    """Yield mistakes in parts, how much their corrections hide, and the problem when they are corrected."""
+    for part in parts:
+        for words, hides, change in _corrections(problem, part.table):
+            if (trial := _applied(problem, part, change)) is not None:
+                yield words.format(part.words), hides, trial
 
 
 def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Change]]:
@@ -497,16 +526,24 @@ def _outliers(problem: Problem, ratio: float) -> tuple[Indices, float]:
     return np.zeros(0, dtype=np.int64), np.nan
 
 
-def _exchanged(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> Iterator[Cause]:
-    """Yield pairs of the sources that fit worst whose rows belong to one another."""
+def _worst(problem: Problem) -> list[int]:
+    """Return the sources that fit worst."""
     sums = source_sums(problem)
-    worst = np.argsort(-_each(sums, solve(sums)))[:6].tolist()
+    return [int(k) for k in np.argsort(-_each(sums, solve(sums)))[:6]]
+
+
+def _exchanged(
+    problem: Problem, worst: Sequence[int], names: NDArray[Any], tables: Sequence[str]
+) -> Iterator[tuple[str, int, Problem]]:
+    """Yield, as `_trials`, pairs of sources whose rows belong to one another."""
     for part in _wholes(problem, tables)[1:]:
         for pair in combinations(worst, 2):
             place = np.arange(len(problem.satellite))
             place[list(pair)] = pair[::-1]
             source = np.where(part.at, place[problem.source], problem.source)
-            left = _ratio(replace(problem, source=source))
-            if explains(left, ratio):
-                one, other = names[list(pair)]
-                yield Cause(f"the names {one} and {other} exchanged in {part.words}", left)
+            words = f"the names {' and '.join(map(str, names[list(pair)]))} exchanged in {part.words}"
+            yield words, 0, replace(problem, source=source)
+
+
+def _listed(names: NDArray[Any], sources: Indices) -> str:
+    return ", ".join(map(str, names[sources]))

@@ -17,11 +17,16 @@ from linksweep.sweep.tables.reader import MISSING
 
 Flags = NDArray[np.bool_]
 
-# Column names of quantities, best first, in any case. _RA and _DE are last because VizieR computes them for an epoch of
-# its own.
+# Column names of quantities, best first, in any case. VizieR computes those that begin with _.
 NAMES: Mapping[str, tuple[str, ...]] = {
-    "ra": ("ra", "RAdeg", "RArad", "ra_icrs", "raj", "_RA"),
-    "dec": ("dec", "DEdeg", "DErad", "dec_icrs", "DE_ICRS", "decj", "_DE"),
+    "ra": (
+        *("ra", "RAdeg", "RArad", "RA_ICRS", "RAICRS", "raj", "RAJ2000"),
+        *("_RA", "_RA.icrs", "_RA_icrs", "_RAJ2000"),
+    ),
+    "dec": (
+        *("dec", "DEdeg", "DErad", "dec_icrs", "DE_ICRS", "DEICRS", "decj", "DEJ2000", "DecJ2000"),
+        *("_DE", "_DE.icrs", "_DE_icrs", "_DEJ2000"),
+    ),
     "parallax": ("parallax", "plx", "px"),
     "pmra": ("pmra", "pm_ra_cosdec", "pm_ra"),
     "pmdec": ("pmdec", "pm_dec", "pmDE"),
@@ -61,6 +66,12 @@ MJD_FROM, JD_FROM, JD_OF_MJD = 15000.0, 2.3e6, 2400000.5
 
 # A table with these columns is of the Gaia archive, whose ra is in degrees.
 GAIA_MARKS = {"source_id", "ref_epoch"}
+
+# J2000 in the name of a position is the equinox, and may be the epoch too, to which VizieR moves what it computes. The
+# description of a column says the epoch like "at Ep=2016.0", its metadata in the Gaia archive like "J2016.0".
+_MAYBE_J2000 = re.compile(r"^_|2000$")
+_STATED = re.compile(r"Ep(?:och)?\W{1,4}J?(\d{4}(?:\.\d+)?)")
+SAME_EPOCH = 0.01
 
 # Units of angles that are text, and whether these are hours.
 SEXAGESIMAL = {"deg": False, "d:m:s": False, "hourangle": True, "h": True, "h:m:s": True}
@@ -263,7 +274,20 @@ class Columns:
             self.check(np.isnan(years), f"no epoch (column {name!r})")
             wrong = f"an epoch (column {name!r}) that is no Julian year, MJD or JD from {EPOCHS[0]:g} to {EPOCHS[1]:g}"
             self.check((years < EPOCHS[0]) | (years > EPOCHS[1]), wrong)
+        if "ra" not in self.columns and self.has("ra"):
+            ra, stated = str(self.name("ra")), self.stated_epoch()
+            whose = "may be of 2000" if stated is None else f"is of {stated:g}, as its description says"
+            different = _MAYBE_J2000.search(ra) if stated is None else np.any(np.abs(years - stated) > SAME_EPOCH)
+            if different:
+                say = f"give the epoch, or name the column, ra={ra}, if its positions are of {name!r}"
+                self.problems.append(f"column {ra!r} {whose}, or of the epochs in {name!r}: {say}")
         return years
+
+    def stated_epoch(self) -> float | None:
+        """Return the epoch that the description of the right ascensions says, in Julian years; None for none."""
+        column = self.table[self.name("ra")] if self.has("ra") else None
+        said = _STATED.search(f"{getattr(column, 'description', '')} {getattr(column, 'meta', '')}")
+        return None if said is None else float(said[1])
 
     def integers(self, quantity: str, may_miss: bool = False) -> NDArray[np.int64]:
         """Return a column of integers, 0 where it is missing."""

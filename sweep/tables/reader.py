@@ -10,6 +10,7 @@ import re
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -53,25 +54,26 @@ PREFACE_LINES = 100_000
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _RULE = re.compile(r"[-=+]+")
 _CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
+# Name and description of a column in VizieR's TSV.
+_MEANINGS = re.compile(r"^#Column\t(\S+)\t\S+\t([^\t\n]*)", re.MULTILINE)
 # How tables spell units out; dates are numbers of days.
 _WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr", "hms": "h:m:s", "dms": "d:m:s"}
 _BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
 
 
-def read_table(path: Path, repeated: bool = False, texts: Collection[str] = ()) -> Any:
+def read_table(path: Path, texts: Collection[str] = ()) -> Any:
     """Return the table in a file as an astropy Table, its columns with units where the file gives them.
 
     Missing values are masked, or NaN.  The format follows from the content, not from the name.  RAdeg and DEdeg (deg)
-    are added to a table with the columns RAh, RAm, RAs and DE-, DEd, DEm, DEs of CDS.  With ``repeated`` text may have
-    several columns of a name, of which the first one counts, as Gaia's epoch astrometry in CSV has.  Columns of
-    delimited text that ``texts`` names are texts, also where they could be numbers.  Raises SweepError that names the
-    file, and the row where there is one, for what cannot be read.
+    are added to a table with the columns RAh, RAm, RAs and DE-, DEd, DEm, DEs of CDS.  Columns of delimited text that
+    ``texts`` names are texts, also where they could be numbers.  Raises SweepError that names the file, and the row
+    where there is one, for what cannot be read.
     """
     try:
         content = path.read_bytes()
         with warnings.catch_warnings():  # about units and headers that do not matter for the columns that are used
             warnings.simplefilter("ignore")
-            table = _read(path, content, repeated, texts)
+            table = _read(path, content, texts)
             _add_degrees(table)
         return table
     except OSError as error:
@@ -103,7 +105,7 @@ def _by_astropy(form: str, source: Any, **options: Any) -> Any:
         return Table.read(source, format=form, **options)
 
 
-def _read(path: Path, content: bytes, repeated: bool, texts: Collection[str]) -> Any:
+def _read(path: Path, content: bytes, texts: Collection[str]) -> Any:
     packed = next((unpack for mark, unpack in _PACKED.items() if content.startswith(mark)), None)
     if packed is not None:
         try:
@@ -122,10 +124,10 @@ def _read(path: Path, content: bytes, repeated: bool, texts: Collection[str]) ->
         return _votable(content)
     if start.startswith(b"# %ecsv"):
         return _ecsv(content)
-    return _text(path, content, repeated, texts)
+    return _text(path, content, texts)
 
 
-def _text(path: Path, content: bytes, repeated: bool, texts: Collection[str]) -> Any:
+def _text(path: Path, content: bytes, texts: Collection[str]) -> Any:
     if b"\0" in content[:4096]:
         raise SweepError("is neither a table format that is known nor text")
     try:
@@ -144,7 +146,7 @@ def _text(path: Path, content: bytes, repeated: bool, texts: Collection[str]) ->
         return _cds(path, text, readme)
     if _HIP2.match(text):
         return _hipparcos(text)
-    return _delimited(text, repeated, texts)
+    return _delimited(text, texts)
 
 
 def _require_one(tables: Sequence[str]) -> None:
@@ -176,27 +178,8 @@ def _votable(content: bytes) -> Any:
 
 
 def _ecsv(content: bytes) -> Any:
-    """Read the header with astropy and the rows with pandas, which takes a twentieth of the time."""
-    end = re.match(rb"(#.*\n)*", content).end()  # type: ignore[union-attr]  # it matches nothing, too
-    if b"subtype:" in content[:end]:  # arrays, of which there would have to be one
-        return _by_astropy("ascii.ecsv", content.decode("utf-8", "replace"))
-    names, _, body = content[end:].partition(b"\n")
-    header = content[:end].decode("utf-8", "replace")
-    table = _by_astropy("ascii.ecsv", header + names.decode("utf-8", "replace") + "\n")
-    plain = "__serialized_columns__" not in table.meta and all(
-        type(column).__name__ == "Column" and column.ndim == 1 and column.dtype.kind in "fiubU"
-        for column in table.columns.values()
-    )
-    delimiter = "," if re.search(r"^# delimiter: *','", header, re.MULTILINE) else " "
-    if not plain or (delimiter == " " and b'"' in body):
-        gaps = {"fill_values": [("", "0"), ("null", "0")]} if plain else {}
-        return _by_astropy("ascii.ecsv", content.decode("utf-8", "replace"), **gaps)
-    rows = _rows(body, table.colnames, delimiter, [column.dtype for column in table.columns.values()])
-    for name, column in table.columns.items():
-        for attribute in ("unit", "description", "format"):
-            setattr(rows[name], attribute, getattr(column, attribute))
-    rows.meta = table.meta
-    return rows
+    engine = "pyarrow" if find_spec("pyarrow") else "io.ascii"  # which takes ten times as long
+    return _by_astropy("ecsv", io.BytesIO(content), engine=engine, null_values=["", "null"])
 
 
 def _icrf(text: str) -> Any:
@@ -231,7 +214,7 @@ def _hipparcos(text: str) -> Any:
 # ---- delimited text (CSV, TSV as VizieR sends it, `;` or blanks): names and units above, then rows with gaps
 
 
-def _delimited(text: str, repeated: bool, texts: Collection[str]) -> Any:
+def _delimited(text: str, texts: Collection[str]) -> Any:
     """Return the table in delimited text; missing values are masked.
 
     Lines that begin with # are comments; the names of the columns stand in the first other line, or in the last comment
@@ -239,27 +222,26 @@ def _delimited(text: str, repeated: bool, texts: Collection[str]) -> Any:
     """
     content = text.replace("\r\n", "\n").replace("\r", "\n").encode()
     names, units, delimiter, start = _layout(content)
-    if repeated:
-        names = [f"{name} {k}" if name in names[:k] else name for k, name in enumerate(names)]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise SweepError(f"two columns are called {', '.join(map(repr, twice))}")
-    table = _rows(content[start:], names, delimiter, texts=texts)
+    different = [f"{name} {k}" if name in names[:k] else name for k, name in enumerate(names)]
+    table = _rows(content[start:], different, delimiter, texts)
+    for name, column in zip(names, different, strict=True):
+        if column != name:  # Gaia's epoch astrometry has one twice
+            if list(map(str, table[name])) != list(map(str, table[column])):
+                raise SweepError(f"two columns are called {name!r}")
+            table.remove_column(column)
     for name, unit in zip(names, units, strict=True):
         if unit:
             table[name].unit = _unit(unit)
+    for name, meaning in _MEANINGS.findall(text):
+        if name in table.colnames:
+            table[name].description = meaning
     return table
 
 
-def _rows(
-    body: bytes,
-    names: Sequence[str],
-    delimiter: str,
-    dtypes: Sequence[Any] | None = None,
-    texts: Collection[str] = (),
-) -> Any:
-    """Return rows of text as an astropy Table with these columns, of the given types or of types that fit the text.
+def _rows(body: bytes, names: Sequence[str], delimiter: str, texts: Collection[str]) -> Any:
+    """Return rows of text as an astropy Table with these columns, of types that fit the text.
 
-    Raises SweepError for a row with more or fewer columns, or with what is not of its type.
+    Raises SweepError for a row with more or fewer columns.
     """
     import pandas as pd
 
@@ -268,7 +250,6 @@ def _rows(
     first = _fields(body[:4096].split(b"\n")[0].decode(), delimiter)
     decimal_commas = delimiter in (";", "\t") and any(re.fullmatch(r"[+-]?\d+,\d+", field) for field in first)
     _check_widths(body, len(names), delimiter)
-    known = dict(enumerate(dtypes)) if dtypes else {k: np.str_ for k, name in enumerate(names) if name in texts}
     try:
         frame = pd.read_csv(
             io.BytesIO(body),
@@ -282,40 +263,31 @@ def _rows(
             float_precision="round_trip",
             decimal="," if decimal_commas else ".",
             low_memory=False,
-            dtype={k: _nullable(np.dtype(dtype)) for k, dtype in known.items()},
+            dtype={k: "string" for k, name in enumerate(names) if name in texts},
             dtype_backend="numpy_nullable",  # integers beside gaps keep all digits, such as those of Gaia's source_id
         )
     except pd.errors.EmptyDataError:
         frame = pd.DataFrame({k: pd.array([], dtype="Float64") for k in range(len(names))})
     except (ValueError, OverflowError) as error:
         raise SweepError(f"cannot be read as delimited text: {' '.join(str(error).split())}") from error
-    return from_frame(frame.set_axis(list(names), axis=1), dtypes)
+    return from_frame(frame.set_axis(list(names), axis=1))
 
 
-def _nullable(dtype: Any) -> str:
-    """Return the name of the pandas type that stands for a NumPy type and allows missing values.
-
-    Floats have NaN for these: pandas rounds text that it reads as its own `Float64`.
-    """
-    numbers = {"i": "Int", "u": "UInt", "f": "float"}
-    return {"b": "boolean", "U": "string"}.get(dtype.kind) or f"{numbers[dtype.kind]}{8 * dtype.itemsize}"
-
-
-def from_frame(frame: Any, dtypes: Sequence[Any] | None = None) -> Any:
+def from_frame(frame: Any) -> Any:
     """Return a frame of columns that allow gaps as an astropy Table, masked there; text is fixed-width."""
     from astropy.table import Column, MaskedColumn, Table
 
     table = Table()
-    for k, (name, column) in enumerate(frame.items()):
+    for name, column in frame.items():
         missing = column.isna().to_numpy(dtype=bool)
-        kind = np.dtype(dtypes[k] if dtypes else getattr(column.dtype, "numpy_dtype", "U"))
+        kind = np.dtype(getattr(column.dtype, "numpy_dtype", "U"))
         if kind.kind in "fiub":
             values: Any = column.to_numpy(dtype=kind, na_value=np.nan if kind.kind == "f" else 0)
         else:
             texts = ("" if gone else text for text, gone in zip(column, missing, strict=True))
             decoded = [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in texts]
             values = np.array(decoded, dtype=np.str_)
-        if dtypes is None and len(values) and missing.all():
+        if len(values) and missing.all():
             values = np.full(len(values), np.nan)
         table[name] = MaskedColumn(values, mask=missing) if missing.any() else Column(values)
     return table

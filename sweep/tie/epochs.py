@@ -88,7 +88,7 @@ def read_observations(path: Path) -> Any:
         raise SweepError("needs gaiasupdate to be read: install linksweep[epochs]", str(path)) from error
     finally:
         socket.setdefaulttimeout(waiting)
-    table = read_file(built_in(path), repeated=True)
+    table = read_file(built_in(path))
     table.rename_columns(table.colnames, [re.sub("(?<=[a-z0-9])([A-Z])", r"_\1", n).lower() for n in table.colnames])
     if missing := [name for name in ("source_id", *NEEDED) if name not in table.colnames]:
         raise SweepError(f"no column {', '.join(missing)}, which epoch astrometry of Gaia has", str(path))

@@ -218,7 +218,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     correlations = _correlations(read, whole, notes)
     if correlations is None and np.any(np.all(present, axis=0)):
         notes.append("no correlations of the five parameters: they count as 0")
-    epoch = _epochs(read, options)
+    epoch = _epochs(read, options, notes)
     if options.parallax_zero_point:
         values[2] -= _zero_points(read, epoch, notes)
     exact = errors[0] < 10.0 * MAS
@@ -461,25 +461,23 @@ def _correlations(read: Columns, present: Flags, notes: list[str]) -> Array | No
     return correlations
 
 
-def _epochs(read: Columns, options: TableOptions) -> Array:
+def _epochs(read: Columns, options: TableOptions, notes: list[str]) -> Array:
     """Return the Julian years of the rows, NaN for positions that hold at any."""
-    if options.extragalactic:
-        if options.epoch is not None:
-            read.problems.append("positions of quasars hold at any epoch: give no epoch, or not --extragalactic")
-        return np.full(len(read), np.nan)
-    if options.epoch is None and read.has("ref_epoch"):
+    epoch, any_epoch = options.epoch, options.extragalactic or read.table.meta.get("extragalactic") is True
+    if options.extragalactic and epoch is not None:
+        read.problems.append("positions of quasars hold at any epoch: give no epoch, or not --extragalactic")
+    if epoch is None and not options.extragalactic and read.has("ref_epoch"):
         return read.epochs()
-    epoch = options.epoch
-    if epoch is None and read.table.meta.get("extragalactic") is not True:
-        if _is_hipparcos(read):
-            epoch = HIPPARCOS_EPOCH
-        elif read.has("ra"):
-            said = "no column ref_epoch; give the epochs in one, or with --satellite-epoch or --reference-epoch"
-            if read.has("source_id"):
-                said += (
-                    f" ({', '.join(f'{name} is of {one.epoch:g}' for name, one in RELEASES.items() if name < 'dr5')})"
-                )
-            read.problems.append(f"{said}, or say of quasars --extragalactic satellite or --extragalactic reference")
+    stated = HIPPARCOS_EPOCH if _is_hipparcos(read) else read.stated_epoch()
+    if not any_epoch and stated not in (None, epoch):
+        instead = "" if epoch is None else f", not of {epoch:g}"
+        notes.append(f"positions are of {stated:g}{instead}, says column {read.name('ra')!r}")
+        epoch = stated if epoch is None else epoch
+    if epoch is None and not any_epoch and read.has("ra"):
+        said = "no column ref_epoch; give the epochs in one, or with --satellite-epoch or --reference-epoch"
+        if read.has("source_id"):
+            said += f" ({', '.join(f'{name} is of {one.epoch:g}' for name, one in RELEASES.items() if name < 'dr5')})"
+        read.problems.append(f"{said}, or say of quasars --extragalactic satellite or --extragalactic reference")
     return np.full(len(read), np.nan if epoch is None else epoch)
 
 

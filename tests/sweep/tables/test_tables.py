@@ -146,6 +146,11 @@ def test_ecsv_is_what_astropy_reads_and_gaias_null_is_a_gap(tmp_path):
     assert (found["ra"].tolist(), found["n"].tolist()) == ([1.5, None], [None, 3])
 
 
+def test_a_column_that_is_there_twice_counts_once(tmp_path):
+    table = read_table(written(tmp_path, "t.csv", "ra,ok,ok,n\n1,t,t,\n2,,,3\n"))
+    assert table.colnames == ["ra", "ok", "n"]
+
+
 def test_parquet_with_gaps(tmp_path):
     pa = pytest.importorskip("pyarrow")
     from pyarrow import parquet

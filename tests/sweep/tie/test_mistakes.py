@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from astropy.table import Table, vstack
 from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError, tie
@@ -194,6 +196,7 @@ def test_a_mistake_is_named(tmp_path, mistake, n, seed):
 PAIRS = [
     ("mu_alpha", "a quarter year late there"),
     ("motions exchanged", "motions in arcsec there"),
+    ("a century early there", "one star reversed"),
     ("mu_alpha there", "motions exchanged"),
 ]
 
@@ -207,6 +210,29 @@ def test_two_mistakes_at_once_are_both_named(tmp_path, pair):
         change(tables[side], np.random.default_rng(1))
     found = solved(tmp_path, **tables)
     assert all(re.search(MISTAKES[mistake][2], found[0]) for mistake in pair), found
+
+
+OFF = ["half a year late", "a century early", "a century early there", "positions of 2000", "a quarter year late there"]
+VALUES = ["mu_alpha", "mu_alpha there", "motions exchanged there", "motions reversed", "one motion reversed"]
+VALUES += [
+    "motions exchanged",
+    "parallax in arcsec",
+    "motions in arcsec",
+    "motions in arcsec there",
+    "one star reversed",
+]
+
+
+@pytest.mark.slow
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(epochs=st.sampled_from(OFF), other=st.sampled_from(VALUES), seed=st.integers(1, 99))
+def test_epochs_that_are_off_and_another_mistake_are_both_named_or_none(tmp_path_factory, epochs, other, seed):
+    tables = dict(zip(("satellite", "reference"), sky(10, seed), strict=True))
+    for mistake in (other, epochs):
+        side, change, _ = MISTAKES[mistake]
+        change(tables[side], np.random.default_rng(seed))
+    found = solved(tmp_path_factory.mktemp("pair"), **tables)[0]
+    assert "no known mistake" in found or all(re.search(MISTAKES[one][2], found) for one in (epochs, other)), found
 
 
 @pytest.mark.parametrize(("n", "seed"), [(5, 1), slow(20, 2), slow(60, 3)])

@@ -19,6 +19,7 @@ from tests.core.tie.made import (
     NAMES,
     PAIRS,
     gaia,
+    gaia_table,
     propagated,
     seen_by_satellite,
     stars,
@@ -348,7 +349,7 @@ def test_what_is_no_epoch_is_refused_with_its_row_and_once(tmp_path, epoch, mess
 def test_a_satellite_without_positions_is_refused(tmp_path):
     path = gaia(tmp_path / "a.ecsv", stars(6))
     table = Table.read(path)
-    table.rename_columns(["ra", "dec"], ["_RA.icrs", "_DE.icrs"])
+    table.rename_columns(["ra", "dec"], ["l", "b"])
     table.remove_columns(["ra_error", "dec_error"])
     table.write(tmp_path / "b.ecsv")
     with pytest.raises(
@@ -357,6 +358,48 @@ def test_a_satellite_without_positions_is_refused(tmp_path):
         tie(tmp_path / "b.ecsv", path)
     with pytest.raises(SweepError, match=r"nothing in the tables determines .*rows: 6 three-parameter"):
         tie(path, tmp_path / "b.ecsv", "orientation")
+
+
+POSITIONS = [("RA_ICRS", "DE_ICRS"), ("_RA.icrs", "_DE.icrs"), ("RAJ2000", "DEJ2000"), ("_RAJ2000", "_DEJ2000")]
+
+
+@pytest.mark.parametrize(("ra", "dec"), POSITIONS)
+@pytest.mark.parametrize("form", ["tsv", "vot", "ecsv"])
+def test_names_of_vizier_are_read_and_j2000_is_no_epoch_unless_that_is_said(tmp_path, ra, dec, form):
+    """Its descriptions say the epochs of positions; without one J2000 is the equinox, and may be the epoch."""
+    made, path = stars(6), tmp_path / f"t.{form}"
+    table = gaia_table(made)[[*NAMES, *(f"{name}_error" for name in NAMES), "ref_epoch"]]
+    names = [ra, dec, "Plx", "pmRA", "pmDE"]
+    table.rename_columns(table.colnames, [*names, *(f"e_{name}" for name in names), "Epoch"])
+
+    def written(stated, *absent):
+        some = table[[name for name in table.colnames if name not in absent]]
+        some[ra].description, some[ra].unit, some[dec].unit = f"Right ascension{stated}", "deg", "deg"
+        if form == "tsv":
+            lines = [f"#Column\t{ra}\t(F15.11)\tRight ascension{stated}\t[ucd=pos.eq.ra;meta.main]"]
+            rows = ["\t".join(map(str, row)) for row in some]
+            units = "\t".join("deg" if name in (ra, dec) else " " for name in some.colnames)
+            path.write_text("\n".join([*lines, "\t".join(some.colnames), units, *rows]))
+        else:
+            some.write(path, overwrite=True, **({"format": "votable"} if form == "vot" else {}))
+        return path
+
+    read = read_table(written(" (ICRS) at Ep=2000.0", "Epoch"))
+    np.testing.assert_allclose(read.astrometry.values, made.values, rtol=1e-14)
+    np.testing.assert_allclose(read.astrometry.errors, made.errors, rtol=1e-12)
+    assert set(read.astrometry.epoch) == {2000.0}
+    assert any(f"positions are of 2000, says column {ra!r}" in note for note in read.notes)
+    with pytest.raises(SweepError, match=f"column {ra!r} is of 2000, as its description says, or of the epochs in"):
+        read_table(written(" at Epoch=J2000, proper motions taken into account"))
+    with pytest.raises(SweepError, match="no column ref_epoch"):
+        read_table(written("", "Epoch"))
+    if ra == "RA_ICRS":
+        assert set(read_table(written("")).astrometry.epoch) == {2016.0}
+    else:
+        with pytest.raises(SweepError, match=f"column {ra!r} may be of 2000, or of the epochs in 'Epoch'"):
+            read_table(written(" (FK5, Equinox=J2000.0)"))
+    for options, epoch in ((TableOptions(epoch=2000.0), 2000.0), (TableOptions(columns={"ra": ra}), 2016.0)):
+        assert set(read_table(written(""), options).astrometry.epoch) == {epoch}
 
 
 def test_names_are_the_same_however_they_are_stored(tmp_path):
