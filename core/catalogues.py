@@ -398,11 +398,7 @@ BRIGHTEST_GALAXY_MAG, SMALLEST_V_MAX = 9.0, 11.0
 
 
 def galaxies(
-    rng: np.random.Generator,
-    n_obj: int,
-    faint_limit_mag: float,
-    sky: Sky,
-    bright_limit_mag: float | None = None,
+    rng: np.random.Generator, n_obj: int, faint_limit_mag: float, sky: Sky, bright_limit_mag: float | None = None
 ) -> Catalogue:
     """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint limit,
     and at the bright one if there is any.

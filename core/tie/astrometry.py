@@ -7,6 +7,7 @@ Differences are reference - satellite everywhere; angles are radians and proper 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import combinations
 from typing import Any
 
 import erfa
@@ -15,9 +16,11 @@ from numpy.typing import NDArray
 
 from linksweep.core.frames import ARCSEC, Array, Flags, Indices, triad
 
-# The two parameters of each correlation, in the order of the Gaia archive.
-PAIRS = tuple((i, j) for i in range(5) for j in range(i + 1, 5))
-FIRST, SECOND = np.array(PAIRS).T
+# The two parameters of each correlation: those of the five in the order of the Gaia archive, then those with
+# accelerations, and with a semi-axis.
+ALL_PAIRS = tuple(sorted(combinations(range(10), 2), key=lambda pair: (pair[1] >= 5) + (pair[1] >= 9)))
+PAIRS = ALL_PAIRS[:10]
+FIRST, SECOND = np.array(ALL_PAIRS).T
 
 # What the path of a star may have beside them: acceleration (rad/yr2), its derivative (rad/yr3) at the epoch, and the
 # semi-axis of an orbit (rad) whose other elements are known.
@@ -37,16 +40,16 @@ class Astrometry:
     """N sets of (ra, dec, parallax, pmra, pmdec) with errors; NaN is a missing value.
 
     ``values`` and ``errors`` (5, N) in rad and rad/yr (pmra is mu_alpha*, the error of ra that of alpha*);
-    ``correlations`` (10, N) in the order of `PAIRS`, or None for none; ``epoch`` (N,) in Julian years, NaN where the
-    position has none (that of an extragalactic source holds at any epoch); ``radial_velocity`` (N,) in km/s, NaN where
-    unknown; ``names`` (N,); ``columns`` are further numbers by name; ``apparent`` (N,) marks positions of a single
-    epoch, which the parallax displaces; ``frame`` (N,) is 0 for rows in the reference's frame and the number of a
-    mission, from 1, for those in a frame of its own; ``shared`` (N,) is the part of the errors of a position (rad) that
-    is that of its ``calibrator`` (N,), and which the rows of a source with this calibrator have in common.
+    ``correlations`` (10, N) in the order of `PAIRS`, more with further parameters, or None for none; ``epoch`` (N,) in
+    Julian years, NaN where the position has none (that of an extragalactic source holds at any epoch);
+    ``radial_velocity`` (N,) in km/s, NaN where unknown; ``names`` (N,); ``columns`` are further numbers by name;
+    ``apparent`` (N,) marks positions of a single epoch, which the parallax displaces; ``frame`` (N,) is 0 for rows in
+    the reference's frame and the number of a mission, from 1, for those in a frame of its own; ``shared`` (N,) is the
+    part of the errors of a position (rad) that is that of its ``calibrator`` (N,), and which the rows of a source with
+    this calibrator have in common.
 
     ``further`` (2, 5, N) are values and errors of the parameters `FURTHER` of stars whose paths are not straight, zero
-    for those that a star lacks, with their correlations (10, 5, N) with all ten; ``orbit`` (7, N) and
-    ``averaged`` (N,) as in `bends`.
+    for those that a star lacks; ``orbit`` (7, N) and ``averaged`` (N,) as in `bends`.
     """
 
     values: Array
@@ -61,7 +64,6 @@ class Astrometry:
     calibrator: NDArray[np.str_] = None  # type: ignore[assignment]  # none by default
     shared: Array = None  # type: ignore[assignment]  # zero by default
     further: Array | None = None
-    further_correlations: Array | None = None
     orbit: Array | None = None
     averaged: Array | None = None
 
@@ -101,14 +103,9 @@ class Astrometry:
             sigma = np.concatenate([sigma, self.further[1].T], axis=1)
         covariance = np.zeros((len(self), *2 * sigma.shape[1:]))
         covariance[:, range(sigma.shape[1]), range(sigma.shape[1])] = sigma**2
-        if self.correlations is not None:
-            for correlation, (i, j) in zip(self.correlations, PAIRS, strict=True):
-                covariance[:, i, j] = covariance[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
-        if self.further is not None and self.further_correlations is not None:
-            covariance[:, :, 5:] = (
-                np.moveaxis(self.further_correlations, -1, 0) * sigma[:, :, None] * sigma[:, None, 5:]
-            )
-            covariance[:, 5:, :5] = covariance[:, :5, 5:].swapaxes(1, 2)
+        correlations = () if self.correlations is None else self.correlations
+        for correlation, (i, j) in zip(correlations, ALL_PAIRS, strict=False):
+            covariance[:, i, j] = covariance[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
         return covariance
 
 
@@ -119,9 +116,15 @@ def by_errors(covariance: Array) -> tuple[Array, Array]:
     return errors, np.moveaxis(covariance, 0, -1) / (safe[:, None] * safe)
 
 
+def of_five(table: Astrometry) -> Astrometry:
+    """Return a table without further parameters."""
+    correlations = table.correlations if table.correlations is None else table.correlations[: len(PAIRS)]
+    return replace(table, further=None, correlations=correlations)
+
+
 def joined(*tables: Astrometry) -> Astrometry:
     """Return the rows of some tables as one, without names, radial velocities and further columns."""
-    none = np.zeros((len(PAIRS), sum(map(len, tables))))
+    none = np.zeros((len(PAIRS), sum(map(len, tables))))  # the rows of a link have no further parameters
     names = ("values", "errors", "epoch", "correlations", "apparent", "frame", "calibrator", "shared")
     whole = [replace(t, correlations=none[:, : len(t)]) if t.correlations is None else t for t in tables]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in whole], axis=-1) for name in names}
@@ -131,14 +134,11 @@ def joined(*tables: Astrometry) -> Astrometry:
 def with_variance(table: Astrometry, variance: Array) -> Astrometry:
     """Return a table with variances (5, N) added to those of its errors; covariances do not change."""
     errors = np.sqrt(table.errors**2 + variance)
-    correlations, every = table.correlations, table.further_correlations
-    with np.errstate(invalid="ignore", divide="ignore"):
-        shrunk = np.where(errors > 0.0, table.errors / errors, 1.0)
-    if correlations is not None:
-        correlations = np.array([c * shrunk[i] * shrunk[j] for c, (i, j) in zip(correlations, PAIRS, strict=True)])
-    if every is not None:
-        every = np.concatenate([every[:5] * shrunk[:, None], every[5:]])
-    return replace(table, errors=errors, correlations=correlations, further_correlations=every)
+    if (correlations := table.correlations) is not None:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            shrunk = np.concatenate([np.where(errors > 0.0, table.errors / errors, 1.0), np.ones((5, len(table)))])
+        correlations = np.array([c * shrunk[i] * shrunk[j] for c, (i, j) in zip(correlations, ALL_PAIRS, strict=False)])
+    return replace(table, errors=errors, correlations=correlations)
 
 
 def positive_definite(matrices: Array, least: float = 0.0) -> Flags:

@@ -17,7 +17,7 @@ from scipy.special import chdtr, chdtrc, chdtri
 
 from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import FIRST, HALF_SPAN, SECOND, Astrometry, by_errors, kinds
+from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, by_errors, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, source_sums
 from linksweep.core.tie.solution import Solution, discrepancies, solve
 from linksweep.core.unknowns import POSITION, Block, Objects, Unknowns
@@ -439,7 +439,7 @@ def _freed(problem: Problem, turned: bool) -> Change:
         covariance[seen, :2, :2] += np.eye(2) * np.nan_to_num(star.values[2, seen, None, None]) ** 2
         errors, correlations = by_errors(covariance)
         return replace(
-            rows, errors=np.where(rows.present, errors, rows.errors), correlations=correlations[FIRST, SECOND]
+            rows, errors=np.where(rows.present, errors, rows.errors), correlations=correlations[*np.array(PAIRS).T]
         )
 
     return change

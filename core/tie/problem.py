@@ -32,9 +32,6 @@ BLOCK = 4096
 # Sources that are taken out of the tables at a time, which bounds the memory beyond that of the tables.
 GATHERED = 64 * BLOCK
 
-# The smallest determinant of a scaled 2 x 2 matrix at which its root is taken.
-REGULAR = 1e-6
-
 
 @dataclass(frozen=True)
 class NormalSums:

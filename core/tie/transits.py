@@ -131,12 +131,12 @@ class Transits:
             "epoch": np.full(len(rows), self.epoch),
             "correlations": between[FIRST, SECOND],
             "further": np.array([paths.values[:, 5:COLOUR].T, error[5:]]),
-            "further_correlations": between[:, 5:],
             "orbit": self.orbit,
         }
         for name, new in arrays.items():
-            before = getattr(table, name)
-            arrays[name] = np.zeros((*new.shape[:-1], len(table))) if before is None else before.copy()
+            arrays[name] = np.zeros((*new.shape[:-1], len(table)))
+            if (before := getattr(table, name)) is not None:
+                arrays[name][: len(before)] = before
             arrays[name][..., rows] = new
         return replace(table, **arrays)
 

@@ -13,7 +13,7 @@ from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array
 from linksweep.sweep.contract import Parameter, SweepError
 from linksweep.sweep.search import crossmatch
 from linksweep.sweep.search.options import SearchOptions
-from linksweep.sweep.tables.columns import EPOCHS, Columns, unit_of
+from linksweep.sweep.tables.columns import EPOCHS, Columns
 from linksweep.sweep.tables.options import Pairs, by_table, number
 from linksweep.sweep.tables.reader import read_table
 from linksweep.sweep.tables.where import conditions, rows_where
@@ -27,7 +27,6 @@ MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
 NUMBERS = ("ra", "dec", "ra_error", "dec_error", *MOTIONS, "ref_epoch", *MAGNITUDES)
 TYC = ("TYC1", "TYC2", "TYC3")
 QUANTITIES = (*NUMBERS, *TYC, "TYC", "PGC", "source_id", "name")
-WITH_UNITS = tuple(quantity for quantity in NUMBERS if unit_of(quantity))
 
 TYC_LIMITS = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
 """Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3."""

@@ -19,7 +19,7 @@ from linksweep.sweep.tables.file import TableFile
 from linksweep.sweep.tables.options import declared, parameter
 from linksweep.sweep.tie import setup
 from linksweep.sweep.tie.forecast import released
-from linksweep.sweep.tie.link import FIELD_OF, Link, solve_link, spectrum
+from linksweep.sweep.tie.link import FIELDS, Link, solve_link, spectrum
 from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, ForecastOptions, Options
 from linksweep.sweep.tie.setup import DECLARED, Setup
 
@@ -32,7 +32,6 @@ COMPONENTS = _STORED.labels
 UNITS = _STORED.units
 ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
 
-FIELDS = tuple(FIELD_OF.values())
 FIELD_UNITS = tuple("mas2/yr2" if field.startswith("motion") else "mas2" for field in FIELDS)
 HIGHEST_STORED = 10
 MOST_BINS = 10
@@ -168,11 +167,8 @@ def powers(unknowns: Unknowns, estimate: Array, covariance: Array) -> Array:
     """Return the power of each field and degree of an estimate in rad, its mean for noise alone, and the
     probability that noise is as significant; shape (3, fields, degrees), in mas2 and mas2/yr2, NaN if not solved for.
     """
-    stored = np.full((3, *POWER_SHAPE), np.nan)
-    for one in spectrum(unknowns, estimate / MAS, covariance / MAS**2):
-        if one.degree <= HIGHEST_STORED:
-            stored[:, FIELDS.index(one.field), one.degree - 1] = one.power, one.noise, one.probability
-    return stored
+    made = spectrum(unknowns, estimate / MAS, covariance / MAS**2)[[0, 1, 3], :, :HIGHEST_STORED]
+    return np.pad(made, ((0, 0), (0, 0), (0, HIGHEST_STORED - made.shape[2])), constant_values=np.nan)
 
 
 def by_bins(unknowns: Unknowns, values: Array) -> Array:
@@ -228,7 +224,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     problem = whole.problem
     if not point["correlations"]:
         both = problem.satellite, problem.rows
-        ours, rows = (replace(one, correlations=None, further_correlations=None) for one in both)
+        ours, rows = (replace(one, correlations=None) for one in both)
         problem = replace(problem, satellite=ours, rows=rows)
         whole = replace(whole, problem=problem)
     matched = np.unique(problem.source)
@@ -463,11 +459,7 @@ def unused(point: Point) -> dict[str, str]:
     reference, limits = point["reference"] is not None, point["g_min"] is not None or point["g_max"] is not None
     needs = (
         (reference, "there is no reference", "reference_.*|positions|by|aberration"),
-        (
-            reference or point["zero_motion"],
-            "there are no rows of a reference",
-            "known_.*|jitter|truth|accept_misfit",
-        ),
+        (reference or point["zero_motion"], "there are no rows of a reference", "known_.*|jitter|truth|accept_misfit"),
         (point["release"] != TABLE, "it is for a release", "from_release"),
         (point["n_new"] > 0, "it is for n_new above 0", "new_.*|goal|candidates"),
         (limits, "it is for g_min or g_max", "magnitude"),

@@ -23,12 +23,7 @@ if TYPE_CHECKING:
 EPOCHS = (1900.0, 2100.0)
 
 
-def forecast(
-    satellite: str | Path,
-    reference: str | Path,
-    unknowns: str | None = None,
-    **options: Any,
-) -> "xr.Dataset":
+def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None = None, **options: Any) -> "xr.Dataset":
     """Predict the formal errors of a link with further observations, and the sources to observe first.
 
     Args:

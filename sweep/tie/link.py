@@ -4,7 +4,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import chdtrc
@@ -56,6 +56,7 @@ FIELD_OF = {
     "spin": "motion toroidal",
     "glide": "motion spheroidal",
 }
+FIELDS = tuple(FIELD_OF.values())
 
 
 @dataclass(frozen=True)
@@ -98,8 +99,6 @@ def solve_link(
     """
     if not errors or any(name not in ERRORS for name in errors):
         raise SweepError(f"errors {', '.join(errors)!r}: must be among {', '.join(ERRORS)}")
-    if resamples < 2:
-        raise SweepError(f"{resamples} resamples: must be at least 2")
     unknowns, effect, noise = setup.problem.unknowns, None, None
     try:
         with threadpool_limits(1):  # bitwise the same on any number of cores; products of blocks are small
@@ -232,44 +231,30 @@ def _covariances(
     return covariances, notes
 
 
-class Power(NamedTuple):
-    """Power of one degree l of a field (mas^2 or mas^2/yr^2), its mean for noise alone, c'V^-1 c, which
-    for noise alone is a chi2 of 2 l + 1 degrees of freedom, and the probability that noise is as significant.
+def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> Array:
+    """Return of each of `FIELDS` and each degree the power (mas^2 or mas^2/yr^2), its mean for noise alone, c'V^-1 c,
+    which for noise alone is a chi2 of 2 l + 1 degrees of freedom, and the probability that noise is as significant;
+    shape (4, fields, degrees), NaN for what is not among the unknowns.  Rotations and glides are of degree 1; there is
+    no degree without harmonics.
     """
-
-    field: str
-    degree: int
-    power: float
-    noise: float
-    chi2: float
-    probability: float
-
-
-def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> list[Power]:
-    """Return the power of each degree among the unknowns (rotations, glides: degree 1); none without harmonics."""
-    if not any(isinstance(block, Harmonics) for block in unknowns.blocks):
-        return []
-    powers = []
-    for block in unknowns.blocks:
-        part = unknowns.part(block.name)
-        x, v = estimate[part], covariance[part, part]
-        if isinstance(block, Harmonics):
-            start, where = 0, "motion" if block.rate else "position"
-            for kind, degree in block.parts:
-                weights = np.array([1.0, *[2.0] * (2 * degree)])  # order 0, then both parts of each other order
-                piece = slice(start, start + len(weights))
-                field = f"{where} {'toroidal' if kind == 't' else 'spheroidal'}"
-                powers.append(_power(field, degree, weights, x[piece], v[piece, piece]))
-                start = piece.stop
-        elif block.name in FIELD_OF and len(x) == 3:
-            powers.append(_power(FIELD_OF[block.name], 1, np.full(3, VECTOR_POWER), x, v))
+    harmonics = [block for block in unknowns.blocks if isinstance(block, Harmonics)]
+    highest = max((degree for block in harmonics for _, degree in block.parts), default=0)
+    powers = np.full((4, len(FIELDS), highest), np.nan)
+    for block in unknowns.blocks if harmonics else ():
+        start, parts = unknowns.part(block.name).start, list[tuple[str, int, Array]]()
+        if isinstance(block, Harmonics):  # order 0, then both parts of each other order
+            names = {"t": "toroidal", "s": "spheroidal"}
+            field = "motion" if block.rate else "position"
+            parts = [(f"{field} {names[kind]}", n, np.array([1.0, *[2.0] * (2 * n)])) for kind, n in block.parts]
+        elif block.name in FIELD_OF and len(block.labels) == 3:
+            parts = [(FIELD_OF[block.name], 1, np.full(3, VECTOR_POWER))]
+        for field, degree, weights in parts:
+            piece = slice(start, start + len(weights))
+            start, x, v = piece.stop, estimate[piece], covariance[piece, piece]
+            chi2 = float(x @ np.linalg.solve(v, x)) if np.any(v) else np.nan  # a table linked to itself has errors of 0
+            power = weights @ x**2, weights @ np.diag(v), chi2, chdtrc(2 * degree + 1, chi2)
+            powers[:, FIELDS.index(field), degree - 1] = power
     return powers
-
-
-def _power(field: str, degree: int, weights: Array, x: Array, v: Array) -> Power:
-    chi2 = float(x @ np.linalg.solve(v, x)) if np.any(v) else np.nan  # a table linked to itself has errors of 0
-    probability = float(chdtrc(2 * degree + 1, chi2))
-    return Power(field, degree, float(weights @ x**2), float(weights @ np.diag(v)), chi2, probability)
 
 
 # ---- from tables to a dataset
@@ -499,15 +484,15 @@ def _of_steps(link: Link, sign: float) -> dict[str, Any]:
 
 def _of_harmonics(link: Link, main: Array) -> dict[str, Any]:
     powers = spectrum(link.setup.problem.unknowns, link.solution.estimate / MAS, main)
-    if not powers:
+    there = np.isfinite(powers[0])
+    if not np.any(there):
         return {}
-    degrees, names = (sorted({getattr(power, name) for power in powers}) for name in ("degree", "field"))
-    table = np.full((4, len(names), len(degrees)), np.nan)
-    for field, degree, *numbers in powers:
-        table[:, names.index(field), degrees.index(degree)] = numbers
-    variables = zip(("power", "power_noise", "power_chi2", "power_probability"), table, strict=True)
-    labels = {"degree": ("degree", degrees), "field": ("field", names)}
-    return labels | {name: (("field", "degree"), values) for name, values in variables}
+    fields = sorted(np.flatnonzero(there.any(axis=1)), key=FIELDS.__getitem__)
+    degrees = np.flatnonzero(there.any(axis=0))
+    names = ("power", "power_noise", "power_chi2", "power_probability")
+    labels = {"degree": ("degree", degrees + 1), "field": ("field", [FIELDS[k] for k in fields])}
+    table = powers[:, np.array(fields)[:, None], degrees]
+    return labels | {name: (("field", "degree"), values) for name, values in zip(names, table, strict=True)}
 
 
 def _of_amplitudes(unknowns: Unknowns, estimate: Array, covariances: Array) -> dict[str, Any]:

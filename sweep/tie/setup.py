@@ -21,6 +21,7 @@ from linksweep.core.tie.astrometry import (
     joined,
     kinds,
     named_rows,
+    of_five,
     propagated,
     with_variance,
 )
@@ -220,7 +221,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
             rows = _taken(table.astrometry, matched.rows)
             far = far_rows(left, table, matched)
             notes += [*table.named_notes(), *match_notes(left, table, matched, rows), *far]
-        rows = with_jitter(replace(rows, further=None, further_correlations=None), jitter_of(jitter, name, missions))
+        rows = with_jitter(of_five(rows), jitter_of(jitter, name, missions))
         if name is not None:
             rows = replace(rows, frame=np.full(len(rows), frame))
         elif options.aberration:
@@ -473,11 +474,6 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
     ):
         if len(numbers):
             notes.append(f"{named_rows(numbers)} of {name}: {what}")
-    new = ~np.isin(matched.rows, [*exact, *nearly])
-    several = new & (np.bincount(matched.source[new])[matched.source] > 1)
-    epochs = rows.epoch[rows.present[0]]
-    if np.any(several & rows.present[0]) and len(epochs) > 2 and np.all(epochs == epochs[0]):
-        notes.append(f"{name}: all positions have the epoch {epochs[0]:g}, although sources have several: is it right?")
     return notes
 
 

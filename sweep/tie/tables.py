@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from linksweep.core.frames import DEGREE, MAS, Array, Flags
 from linksweep.core.tie import mistakes
 from linksweep.core.tie.astrometry import (
-    FIRST,
+    ALL_PAIRS,
     FURTHER,
     HALF_SPAN,
     PAIRS,
-    SECOND,
     Astrometry,
     by_errors,
     kinds,
@@ -32,7 +31,6 @@ from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tables.columns import (
     ACCELERATIONS,
-    ALL_PAIRS,
     CORRELATIONS,
     GAIA_MARKS,
     Columns,
@@ -89,6 +87,7 @@ _DESIGNATION = re.compile(r"Gaia E?(DR\d)\b", re.IGNORECASE)
 ZERO_POINT = ("phot_g_mean_mag", "nu_eff_used_in_astrometry", "pseudocolour", "ecl_lat", "astrometric_params_solved")
 
 _ELEMENT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan", re.IGNORECASE)
+_ELEMENT_OF_HIPPARCOS = re.compile(r"[+-]?\d*\.\d\d")  # of six characters, which may touch
 
 _BUILT_IN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
 
@@ -232,12 +231,11 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         values=values,
         errors=errors,
         epoch=epoch,
-        correlations=None if correlations is None else correlations[: len(PAIRS)],
+        correlations=correlations,
         radial_velocity=_radial_velocity(read, notes),
         columns={name: read.numbers(name) for name in read.names if read.kind(name) in "fiu"},
         apparent=(positions == "single-epoch") & np.isfinite(epoch),
         further=further,
-        further_correlations=None if further is None else _matrices(correlations, len(read), 5 + len(FURTHER))[:, 5:],
         averaged=None if further is None else _averaged(read, epoch, further, options, notes),
         **_calibrators(read, notes),
     )
@@ -414,21 +412,13 @@ def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions
     return np.full(len(epoch), HALF_SPAN if how == "mean" else 0.0)
 
 
-def _elements(read: Columns, name: str) -> Array:
-    """Return the correlations (36, N) in a column of vectors, upper triangles by columns; NaN beyond their end."""
-    vectors = np.full((36, len(read)), np.nan)
+def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str]) -> Array:
+    """Return the numbers (size, N) in a column of arrays, or of texts of such numbers; NaN beyond their end."""
+    vectors = np.full((size, len(read)), np.nan)
     for k, cell in enumerate(read.table[name]):
-        numbers: Any = _ELEMENT.findall(cell) if isinstance(cell, str) else np.ma.filled(np.ma.ravel(cell), np.nan)
-        vectors[: len(numbers[:36]), k] = numbers[:36]
-    return vectors[[j * (j - 1) // 2 + i for i, j in ALL_PAIRS]]
-
-
-def _matrices(correlations: Array | None, n: int, size: int) -> Array:
-    """Return the correlations (K, K, N) of the first parameters of the five and `FURTHER`."""
-    matrices = np.broadcast_to(np.eye(size)[..., None], (size, size, n)).copy()
-    for row, (i, j) in zip(() if correlations is None else correlations, ALL_PAIRS, strict=False):
-        matrices[i, j] = matrices[j, i] = row
-    return matrices
+        numbers: Any = number.findall(cell) if isinstance(cell, str) else np.ma.filled(np.ma.ravel(cell), np.nan)
+        vectors[: len(numbers[:size]), k] = numbers[:size]
+    return vectors
 
 
 def _correlations(read: Columns, present: Flags, notes: list[str]) -> Array | None:
@@ -437,13 +427,14 @@ def _correlations(read: Columns, present: Flags, notes: list[str]) -> Array | No
     """
     if _is_hipparcos(read) and (elements := _hipparcos_elements(read)) is not None:
         return hipparcos_correlations(elements)
-    pairs = ALL_PAIRS[: len(PAIRS)] if len(present) == 5 else ALL_PAIRS
+    pairs = ALL_PAIRS[: len(PAIRS) if len(present) == 5 else len(CORRELATIONS)]
     names = [read.name(name) for name in CORRELATIONS][: len(pairs)]
     if not any(names) and not read.has("corr_vec"):
         return None
     correlations = np.array([np.zeros(len(read)) if name is None else read.numbers(name) for name in names])
     if from_vector := read.has("corr_vec") and not any(names[10:] or names):
-        names, correlations = ["corr_vec"] * len(pairs), _elements(read, str(read.name("corr_vec")))[: len(pairs)]
+        names, correlations = ["corr_vec"] * len(pairs), _vectors(read, str(read.name("corr_vec")), 36, _ELEMENT)
+        correlations = correlations[[j * (j - 1) // 2 + i for i, j in pairs]]  # upper triangles, by columns
     elif len(pairs) > 10 and not any(names[10:]):
         notes.append("no correlations of the accelerations: they count as 0, although they are large")
     absent = []
@@ -456,7 +447,10 @@ def _correlations(read: Columns, present: Flags, notes: list[str]) -> Array | No
         row[~(both & np.isfinite(row))] = 0.0
     zero = f"; there is no column {', '.join(absent)}, which counts as 0:" if absent else ""
     zero += "; of corr_vec, the columns of the upper triangle one after the other," if from_vector else ""
-    good = positive_definite(np.moveaxis(_matrices(correlations, len(read), len(present)), -1, 0))
+    matrices = np.tile(np.eye(len(present)), (len(read), 1, 1))
+    for row, (i, j) in zip(correlations, pairs, strict=True):
+        matrices[:, i, j] = matrices[:, j, i] = row
+    good = positive_definite(matrices)
     read.check(~good, f"correlations that are impossible (not positive definite){zero}")
     return correlations
 
@@ -534,16 +528,9 @@ def _hipparcos_elements(read: Columns) -> Array | None:
             return np.array([read.numbers(f"{stem}{k}") for k in range(1, 16)])
     if "UW" not in read.names:
         return None
-    column = np.asarray(read.table["UW"])
-    if column.ndim == 2:
-        return np.asarray(column, dtype=np.float64).T
-    texts = map(str, column)
-    try:  # fifteen numbers of six characters, which may touch
-        rows = [t.split() if len(t.split()) == 15 else [t[i : i + 6] for i in range(0, 90, 6)] for t in texts]
-        return np.array(rows, dtype=np.float64).T
-    except ValueError:
-        read.problems.append("column 'UW' does not hold fifteen numbers")
-        return None
+    elements = _vectors(read, "UW", 15, _ELEMENT_OF_HIPPARCOS)
+    read.check(np.isnan(elements[-1]), "no fifteen numbers in column 'UW'")
+    return np.nan_to_num(elements, nan=1.0)
 
 
 def hipparcos_correlations(elements: Array) -> Array:
@@ -556,4 +543,4 @@ def hipparcos_correlations(elements: Array) -> Array:
     for (row, column), element in zip(places, elements, strict=True):
         upper[:, row, column] = element
     half = np.linalg.inv(upper)
-    return np.asarray(by_errors(half @ half.swapaxes(1, 2))[1][FIRST, SECOND])
+    return np.asarray(by_errors(half @ half.swapaxes(1, 2))[1][*np.array(PAIRS).T])
