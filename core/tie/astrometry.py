@@ -193,19 +193,10 @@ def propagated(values: Array, radial_velocity: Array | None, epoch: Array, new_e
     distant = parallax <= 0.0
     velocity = np.zeros(len(moving)) if radial_velocity is None else np.nan_to_num(radial_velocity[moving])
     velocity[distant] = 0.0
+    start, end = ((years[moving] - 2000.0) * DAYS_PER_YEAR for years in (epoch, new_epoch))
+    path = ra, dec, pmra / np.cos(dec), pmdec, np.maximum(parallax, 0.0) / ARCSEC, velocity
     # the ufunc itself, because erfa.pmsafe warns about every distance that it has to assume
-    ra2, dec2, motion_ra, motion_dec, parallax2, _, _ = erfa.ufunc.pmsafe(
-        ra,
-        dec,
-        pmra / np.cos(dec),
-        pmdec,
-        np.maximum(parallax, 0.0) / ARCSEC,
-        velocity,
-        J2000,
-        (epoch[moving] - 2000.0) * DAYS_PER_YEAR,
-        J2000,
-        (new_epoch[moving] - 2000.0) * DAYS_PER_YEAR,
-    )
+    ra2, dec2, motion_ra, motion_dec, parallax2, _, _ = erfa.ufunc.pmsafe(*path, J2000, start, J2000, end)
     known = np.isfinite(values[:, moving])
     # at an assumed distance the parallax that comes back is not that of the star
     near = ~distant & (np.abs(parallax2 * ARCSEC - parallax) < 0.1 * np.abs(parallax))

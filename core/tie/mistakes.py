@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import combinations, product
-from operator import itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,6 +33,9 @@ GOOD = 3.0
 
 # How many corrections are tried together with every other one.
 TWICE = 3
+
+# Sessions that are examined one by one.
+MOST_SESSIONS = 12
 
 # Of more sources, or with larger normal equations, only some sources are examined.
 MOST_SOURCES, MOST_NUMBERS = 2000, 10_000_000
@@ -198,25 +200,25 @@ def _wholes(problem: Problem, tables: Sequence[str]) -> list[_Part]:
     return [satellite, *(_Part(name, f"the {name}", frame == k) for k, name in enumerate(tables) if np.any(frame == k))]
 
 
-def _by_kind(problem: Problem, tables: Sequence[str]) -> list[_Part]:
-    kind_of_row = kinds(problem.rows)
+def _alike(problem: Problem, tables: Sequence[str], labels: NDArray[np.str_], words: str) -> list[_Part]:
+    """Return the rows of each table that have the same label (R,)."""
     return [
-        _Part(part.table, f"the {kind} rows of {part.words}", part.at & (kind_of_row == kind))
+        _Part(part.table, words.format(label, part.words), part.at & (labels == label))
         for part in _wholes(problem, tables)[1:]
-        for kind in np.unique(kind_of_row[part.at])
+        for label in np.unique(labels[part.at])
     ]
 
 
-def _by_epoch(problem: Problem, tables: Sequence[str]) -> Iterator[_Part]:
-    """Yield the rows of each session, if there are not too many."""
-    epochs = np.round(problem.rows.epoch, 2)
-    for part in _wholes(problem, tables)[1:]:
-        each = np.unique(epochs[part.at & np.isfinite(epochs)])
-        if 1 < len(each) <= 12:
-            for epoch in each:
-                at = part.at & (epochs == epoch)
-                if np.count_nonzero(at) > 2:
-                    yield _Part(part.table, f"the rows of {part.words} at {epoch:.2f}", at)
+def _by_kind(problem: Problem, tables: Sequence[str]) -> list[_Part]:
+    return _alike(problem, tables, kinds(problem.rows), "the {} rows of {}")
+
+
+def _by_epoch(problem: Problem, tables: Sequence[str]) -> list[_Part]:
+    """Return the rows of each session, if there are not too many."""
+    epochs = problem.rows.epoch
+    parts = _alike(problem, tables, np.char.mod("%.2f", epochs), "the rows of {1} at {0}")
+    parts = [part for part in parts if np.all(np.isfinite(epochs[part.at]))]
+    return [part for part in parts if np.count_nonzero(part.at) > 2] if 1 < len(parts) <= MOST_SESSIONS else []
 
 
 def _of_sources(problem: Problem, tables: Sequence[str], sources: Indices, listed: str) -> Iterator[_Part]:
@@ -328,7 +330,7 @@ def _two(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: fl
     worst, _ = _outliers(free, _ratio(free))
     few = _of_sources(problem, tables, worst, _listed(names, worst)) if len(worst) else ()
     trials = [*_trials(problem, [*wholes, *few]), *_exchanged(problem, _worst(free), names, tables)]
-    best = sorted(((left(trial), words, trial) for words, hides, trial in trials if not hides), key=itemgetter(0))
+    best = sorted(((left(trial), words, trial) for words, hides, trial in trials if not hides), key=lambda one: one[0])
     for after, words, trial in best[:TWICE]:
         if after < 0.9 * left(problem):
             for cause in (cause for part in wholes for cause in _causes(trial, part, _ratio(trial))):

@@ -65,15 +65,8 @@ class NormalSums:
 
     def scaled(self, factors: Array | Flags) -> Self:
         """Return the same with the weight of each source multiplied by a factor (G,)."""
-        each = factors[:, None, None]
-        return replace(
-            self,
-            normal=self.normal * each,
-            right=self.right * factors[:, None],
-            squares=self.squares * factors,
-            expected=self.expected * factors,
-            spread=self.right_covariance * each**2,
-        )
+        weighted = self._mapped(lambda array: array * factors.reshape(-1, *[1] * (array.ndim - 1)))
+        return replace(weighted, count=self.count, spread=self.right_covariance * factors[:, None, None] ** 2)
 
     def plus(self, other: Self) -> Self:
         """Return the sums of both, group by group."""

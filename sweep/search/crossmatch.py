@@ -191,24 +191,12 @@ def merge_galaxies(
         if links:
             link = pd.concat(links)
             galaxy, entry = link["galaxy"].to_numpy(), link["entry"].to_numpy()
-            link = link.assign(
-                name=names[entry],
-                entry_dec=where.dec[entry],
-                entry_ra=where.ra[entry],
-                known=known[galaxy],
-                mine=identifier[entry],
-            )
+            link = link.assign(name=names[entry], known=known[galaxy], mine=identifier[entry])
+            link = link.assign(entry_dec=where.dec[entry], entry_ra=where.ra[entry])
             # neither side is linked yet, and at most one has an identifier
             free = ~np.isin(galaxy, label) & (label[entry] < 0) & ((link["known"] == 0) | (link["mine"] == 0))
-            order = [
-                "offset",
-                "dec",
-                "ra",
-                "entry_dec",
-                "entry_ra",
-                "mine",
-                "known",
-            ]  # the place of a row decides nothing
+            # the place of a row decides nothing
+            order = ["offset", "dec", "ra", "entry_dec", "entry_ra", "mine", "known"]
             best = one_to_one(link[free].sort_values(order).drop_duplicates(["galaxy", "name"]), "galaxy", "name")
             galaxy, entry = best["galaxy"].to_numpy(), best["entry"].to_numpy()
             label[entry] = galaxy

@@ -154,28 +154,16 @@ def match_columns(result: Matches) -> pd.DataFrame:
     star = star.iloc[matches["star"]].reset_index(drop=True)
     galaxy = galaxy.iloc[starts[matches["catalogue"]] + matches["entry"]].reset_index(drop=True)
     reasons = matches.reasons.columns.to_numpy()
-    columns = {
-        **{name: star[name] for name in (*TYC, "source_id") if name in star},
-        "PGC": matches["identifier"],
-        **{STAR_MOTIONS.get(name, name): star[name] for name in NUMBERS if name in star},
-        "class": matches["class"],
-        "reason": [",".join(reasons[doubts]) or "none" for doubts in matches.reasons.to_numpy()],
-        "offset": matches["offset"] / ARCSEC,
-        "offset_ra": matches["d_ra"] / ARCSEC,
-        "offset_dec": matches["d_dec"] / ARCSEC,
-        "offset_sigma": matches["n_sigma"],
-        "n_near": matches["n_near"],
-        "n_rival": matches["n_rival"],
-        "galaxy_table": galaxy["table"],
-        "galaxy_row": galaxy["row"],
-        **({"galaxy_name": galaxy["name"]} if "name" in galaxy else {}),
-        "galaxy_ra": galaxy["ra"],
-        "galaxy_dec": galaxy["dec"],
-        "found_in": [",".join(galaxy_tables[there]) for there in matches.found_in],
-        "star_table": star["table"],
-        "star_row": star["row"],
-    }
-    return pd.DataFrame(columns)
+    columns = {name: star[name] for name in (*TYC, "source_id") if name in star} | {"PGC": matches["identifier"]}
+    columns |= {STAR_MOTIONS.get(name, name): star[name] for name in NUMBERS if name in star}
+    found = {name: matches[name] for name in ("class", "n_near", "n_rival")} | {"offset_sigma": matches["n_sigma"]}
+    found |= {"reason": [",".join(reasons[doubts]) or "none" for doubts in matches.reasons.to_numpy()]}
+    found |= {"found_in": [",".join(galaxy_tables[there]) for there in matches.found_in]}
+    offsets = {"offset": "offset", "offset_ra": "d_ra", "offset_dec": "d_dec"}
+    found |= {name: matches[column] / ARCSEC for name, column in offsets.items()}
+    found |= {f"galaxy_{name}": galaxy[name] for name in ("table", "row", "name", "ra", "dec") if name in galaxy}
+    found |= {f"star_{name}": star[name] for name in ("table", "row")}
+    return pd.DataFrame(columns | {name: found[name] for name in MATCH_COLUMNS if name in found})
 
 
 def _together(tables: Sequence[pd.DataFrame], paths: Sequence[Path]) -> pd.DataFrame:

@@ -17,16 +17,12 @@ from linksweep.sweep.tables.reader import MISSING
 
 Flags = NDArray[np.bool_]
 
-# Column names of quantities, best first, in any case. VizieR computes those that begin with _.
+# How names of positions end, best first; VizieR computes those that begin with _.
+_ENDS = ("", "deg", "rad", "_icrs", "icrs", ".icrs", "j", "j2000", "_j2000")
+# Column names of quantities, best first, in any case.
 NAMES: Mapping[str, tuple[str, ...]] = {
-    "ra": (
-        *("ra", "RAdeg", "RArad", "RA_ICRS", "RAICRS", "raj", "RAJ2000"),
-        *("_RA", "_RA.icrs", "_RA_icrs", "_RAJ2000"),
-    ),
-    "dec": (
-        *("dec", "DEdeg", "DErad", "dec_icrs", "DE_ICRS", "DEICRS", "decj", "DEJ2000", "DecJ2000"),
-        *("_DE", "_DE.icrs", "_DE_icrs", "_DEJ2000"),
-    ),
+    "ra": tuple(f"{mark}ra{end}" for mark in ("", "_") for end in _ENDS),
+    "dec": tuple(f"{mark}{stem}{end}" for mark in ("", "_") for end in _ENDS for stem in ("dec", "de")),
     "parallax": ("parallax", "plx", "px"),
     "pmra": ("pmra", "pm_ra_cosdec", "pm_ra"),
     "pmdec": ("pmdec", "pm_dec", "pmDE"),

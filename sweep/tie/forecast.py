@@ -13,14 +13,12 @@ from linksweep.core.tie.noise import ESTIMATE
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import inverted
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.tables.options import number
 from linksweep.sweep.tie.options import FORECAST, TABLE, ForecastOptions, Options
-from linksweep.sweep.tie.setup import Setup, listed, set_up
+from linksweep.sweep.tie.setup import DECLARED, Setup, listed, set_up
 
 if TYPE_CHECKING:
     import xarray as xr
-
-
-EPOCHS = (1900.0, 2100.0)
 
 
 def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None = None, **options: Any) -> "xr.Dataset":
@@ -95,12 +93,9 @@ def released(
 def _epochs(plan: ForecastOptions) -> list[float]:
     """Return the epochs of new positions; raises SweepError for what is no list of years, and for none to choose."""
     try:
-        epochs = [float(year) for year in listed(plan.add)]
-    except ValueError:
-        raise SweepError(f"add = {plan.add!r}: must be a list of Julian years") from None
-    for epoch in epochs:
-        if not EPOCHS[0] <= epoch <= EPOCHS[1]:
-            raise SweepError(f"new epoch {epoch:g}: must be a Julian year from {EPOCHS[0]:g} to {EPOCHS[1]:g}")
+        epochs = [DECLARED["epoch"].parse(number(year)) for year in listed(plan.add)]
+    except ValueError as error:
+        raise SweepError(f"add: {error}") from None
     if plan.number and not epochs:
         raise SweepError(f"{plan.number} sources to choose, but no epochs to observe them at")
     return epochs

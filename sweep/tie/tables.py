@@ -309,13 +309,14 @@ def _errors(read: Columns, parameter: str, options: TableOptions, notes: list[st
     name, column = read.name(quantity), read.name(parameter)
     if column in read.names and read.table[name].unit is None and quantity not in read.units:
         unit, of_value = UNITS[parameter], read.table[column].unit
+        said, other = "", of_value
         if parameter in ("ra", "dec"):
-            if read.kind(column) in "USO":
-                taken = f"{name!r} has no unit and is taken as {unit}; else say --unit {quantity}="
-                notes.append(f"{column!r} is sexagesimal; {taken}{'s' if parameter == 'ra' else 'arcsec'}")
+            said, other = "sexagesimal" * (read.kind(column) in "USO"), "s" if parameter == "ra" else "arcsec"
         elif of_value is not None and of_value.is_equivalent(unit) and not np.isclose(of_value.to(unit), 1.0):
-            say = f"say --unit {quantity}={of_value} (or {unit})"
-            read.problems.append(f"column {column!r} is in {of_value}, and {name!r} has no unit; {say}")
+            said = f"in {of_value}"
+        if said:
+            say = f"say --unit {quantity}={unit} (or {other})"
+            read.problems.append(f"column {column!r} is {said}, and {name!r} has no unit; {say}")
     errors = _in_radians(read, quantity, options)
     read.check(errors < 0.0, f"a negative {name}")
     if options.zero_errors == "error":
