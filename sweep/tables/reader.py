@@ -9,8 +9,7 @@ import lzma
 import re
 import warnings
 from collections.abc import Collection, Iterator, Sequence
-from contextlib import contextmanager
-from importlib.util import find_spec
+from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -178,8 +177,12 @@ def _votable(content: bytes) -> Any:
 
 
 def _ecsv(content: bytes) -> Any:
-    engine = "pyarrow" if find_spec("pyarrow") else "io.ascii"  # which takes ten times as long
-    return _by_astropy("ecsv", io.BytesIO(content), engine=engine, null_values=["", "null"])
+    from astropy.table import Table
+
+    with suppress(Exception):  # without pyarrow, or with what the other reader explains; that takes ten times as long
+        return Table.read(io.BytesIO(content), format="ecsv", engine="pyarrow", null_values=["", "null"])
+    gaps = [("", "0"), ("null", "0")]
+    return _by_astropy("ascii.ecsv", content.decode("utf-8", "replace"), fill_values=gaps)
 
 
 def _icrf(text: str) -> Any:

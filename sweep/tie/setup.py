@@ -325,10 +325,10 @@ def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | No
     if kind in ("", "name"):
         pairs += [(a, b) for a in satellite.names for b in reference.names if a != b]
     releases: tuple[str, ...] = ()
-    if kind in ("", "name"):
-        of_pairs = [(_release(satellite, a), _release(reference, b)) for a, b in pairs]
-        releases = next((both for both in of_pairs if all(both) and both[0] != both[1]), ())
-        pairs = [pair for pair, both in zip(pairs, of_pairs, strict=True) if not all(both) or both[0] == both[1]]
+    for a, b in pairs if kind in ("", "name") else ():
+        both = satellite.releases.get(a, ""), reference.releases.get(b, "")
+        if all(both) and both[0] != both[1]:
+            pairs, releases = [pair for pair in pairs if pair != (a, b)], releases or both
     for pair in pairs:
         matched = _by_name(satellite, reference, pair, strict=kind == pair[0] or pair[0].casefold() in SOURCE_NAMES)
         if len(matched.rows):
@@ -338,16 +338,6 @@ def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | No
     said = [", ".join(f"{name} like {one[0]!r}" for name, one in t.names.items()) for t in (satellite, reference)]
     there = f"{satellite.path} has {said[0] or 'none'}, {reference.path} {said[1] or 'none'}"
     raise SweepError(f"match by {by!r}: no name is in both tables; columns of names: {there}")
-
-
-def _release(table: AstrometricTable, column: str) -> str:
-    """Return the release of Gaia whose identifiers a column of names has, as these or the table's epochs say; ''
-    for other names.
-    """
-    if (said := table.releases.get(column)) or column.casefold() != "source_id":
-        return said or ""
-    near = releases_at(table.astrometry.epoch[np.all(table.astrometry.present, axis=0)])  # positions are of any epoch
-    return next(iter(table.releases.values()), "") or (near[0] if len(near) == 1 else "")
 
 
 def _by_name(satellite: AstrometricTable, reference: AstrometricTable, pair: tuple[str, str], strict: bool) -> Match:

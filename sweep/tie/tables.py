@@ -251,8 +251,8 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
 
 
 def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Array) -> dict[str, str]:
-    """Return the release of Gaia by column of its designations; rows of two are a problem, as are five-parameter rows
-    at the ``epochs`` of two.
+    """Return the release of Gaia by column of its designations, and that of source_id, which is theirs or that of the
+    ``epochs`` of five-parameter rows; rows of two are a problem.
     """
     releases = {}
     for name, column in names.items():
@@ -265,7 +265,9 @@ def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Arra
             )
     if len(there := set(releases_at(epochs)) - {"dr5"}) > 1 and {*read.names} >= GAIA_MARKS:
         read.problems.append(f"rows have the epochs of {' and '.join(sorted(there))}, each in a frame of its own")
-    return releases
+    near = releases_at(epochs)
+    release = next(iter(releases.values()), near[0] if len(near) == 1 else "")
+    return {name: release for name in names if name.casefold() == "source_id"} | releases
 
 
 def _used(read: Columns) -> str:
@@ -469,7 +471,7 @@ def _epochs(read: Columns, options: TableOptions, notes: list[str]) -> Array:
         notes.append(f"positions are of {stated:g}{instead}, says column {read.name('ra')!r}")
         epoch = stated if epoch is None else epoch
     if epoch is None and not any_epoch and read.has("ra"):
-        said = "no column ref_epoch; give the epochs in one, or with --satellite-epoch or --reference-epoch"
+        said = "no column ref_epoch; give the epochs in one, or with --satellite-epoch, --reference-epoch or --epoch"
         if read.has("source_id"):
             said += f" ({', '.join(f'{name} is of {one.epoch:g}' for name, one in RELEASES.items() if name < 'dr5')})"
         read.problems.append(f"{said}, or say of quasars --extragalactic satellite or --extragalactic reference")
