@@ -156,14 +156,14 @@ def match_columns(result: Matches) -> pd.DataFrame:
     reasons = matches.reasons.columns.to_numpy()
     columns = {name: star[name] for name in (*TYC, "source_id") if name in star} | {"PGC": matches["identifier"]}
     columns |= {STAR_MOTIONS.get(name, name): star[name] for name in NUMBERS if name in star}
-    found = {name: matches[name] for name in ("class", "n_near", "n_rival")} | {"offset_sigma": matches["n_sigma"]}
-    found |= {"reason": [",".join(reasons[doubts]) or "none" for doubts in matches.reasons.to_numpy()]}
-    found |= {"found_in": [",".join(galaxy_tables[there]) for there in matches.found_in]}
+    of_match = {name: matches[name] for name in ("class", "n_near", "n_rival")} | {"offset_sigma": matches["n_sigma"]}
+    of_match |= {"reason": [",".join(reasons[doubts]) or "none" for doubts in matches.reasons.to_numpy()]}
+    of_match |= {"found_in": [",".join(galaxy_tables[there]) for there in matches.found_in]}
     offsets = {"offset": "offset", "offset_ra": "d_ra", "offset_dec": "d_dec"}
-    found |= {name: matches[column] / ARCSEC for name, column in offsets.items()}
-    found |= {f"galaxy_{name}": galaxy[name] for name in ("table", "row", "name", "ra", "dec") if name in galaxy}
-    found |= {f"star_{name}": star[name] for name in ("table", "row")}
-    return pd.DataFrame(columns | {name: found[name] for name in MATCH_COLUMNS if name in found})
+    of_match |= {name: matches[column] / ARCSEC for name, column in offsets.items()}
+    of_match |= {f"galaxy_{name}": galaxy[name] for name in ("table", "row", "name", "ra", "dec") if name in galaxy}
+    of_match |= {f"star_{name}": star[name] for name in ("table", "row")}
+    return pd.DataFrame(columns | {name: of_match[name] for name in MATCH_COLUMNS if name in of_match})
 
 
 def _together(tables: Sequence[pd.DataFrame], paths: Sequence[Path]) -> pd.DataFrame:

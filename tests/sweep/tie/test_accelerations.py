@@ -10,14 +10,9 @@ from scipy.linalg import block_diag
 
 import linksweep
 from linksweep import SweepError
-<<<<<<< HEAD
-from linksweep.sweep.tie.tables import ALL_PAIRS, TableOptions, read_table
-from tests.core.tie.made import DEGREE, MAS, NAMES, gaia, propagated, seen_by_satellite, stars
-=======
 from linksweep.sweep.tables.columns import ALL_PAIRS
 from linksweep.sweep.tie.tables import TableOptions, read_table
-from tests.core.tie.made import ARCSEC, DEGREE, MAS, NAMES, gaia, propagated, seen_by_satellite, stars
->>>>>>> 7c4d972c (Correlations with further parameters stand behind those of the five; the spectrum of harmonics is an array)
+from tests.core.tie.made import DEGREE, MAS, NAMES, gaia, propagated, seen_by_satellite, stars
 from tests.sweep.tie.test_against_least_squares import turned
 from tests.tiers import slow
 
