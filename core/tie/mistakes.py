@@ -323,16 +323,19 @@ def _two(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: fl
     Epochs that are far off hide how much a correction helps, so that it is tried with epochs free too.
     """
 
-    def left(trial: Problem) -> float:
-        return min(_ratio(trial), _ratio(_freed_epochs(trial)))
+    wholes, free = _wholes(problem, tables), _freed_epochs(problem)
+    determined = np.isfinite(_ratio(free))  # motions alone say nothing of epochs
+    free = free if determined else problem
 
-    free, wholes = _freed_epochs(problem), _wholes(problem, tables)
-    worst, _ = _outliers(free, _ratio(free))
+    def left(trial: Problem) -> float:
+        return _ratio(_freed_epochs(trial) if determined else trial)
+
+    worst, _ = _outliers(free, left(problem))
     few = _of_sources(problem, tables, worst, _listed(names, worst)) if len(worst) else ()
     trials = [*_trials(problem, [*wholes, *few]), *_exchanged(problem, _worst(free), names, tables)]
     best = sorted(((left(trial), words, trial) for words, hides, trial in trials if not hides), key=lambda one: one[0])
     for after, words, trial in best[:TWICE]:
-        if after < 0.9 * left(problem):
+        if after < 0.9 * _ratio(free):
             for cause in (cause for part in wholes for cause in _causes(trial, part, _ratio(trial))):
                 if cause.ratio < GOOD and not cause.hides:
                     yield Cause(f"{words}, and {cause.words}", cause.ratio)
