@@ -322,7 +322,6 @@ def _two(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: fl
 
     Epochs that are far off hide how much a correction helps, so that it is tried with epochs free too.
     """
-
     wholes, free = _wholes(problem, tables), _freed_epochs(problem)
     determined = np.isfinite(_ratio(free))  # motions alone say nothing of epochs
     free = free if determined else problem
