@@ -360,6 +360,17 @@ def test_a_satellite_without_positions_is_refused(tmp_path):
         tie(path, tmp_path / "b.ecsv", "orientation")
 
 
+def test_errors_beside_positions_as_text_need_a_unit(tmp_path):
+    (tmp_path / "t.csv").write_text("name,epoch,RA,Dec,e_RA,e_Dec\nA,2015.5,1 2 3.4,-5 6 7.8,0.1,0.2\n")
+    with pytest.raises(SweepError, match="column 'RA' is sexagesimal, and 'e_RA' has no unit") as refused:
+        read_table(tmp_path / "t.csv")
+    assert "--unit dec_error=mas" in str(refused.value)
+    errors = read_table(
+        tmp_path / "t.csv", TableOptions(units={"ra_error": "ms", "dec_error": "mas"})
+    ).astrometry.errors
+    np.testing.assert_allclose(errors[:2, 0] / MAS, [1.5 * np.cos(np.radians(5.1021667)), 0.2], rtol=1e-6)
+
+
 POSITIONS = [("RA_ICRS", "DE_ICRS"), ("_RA.icrs", "_DE.icrs"), ("RAJ2000", "DEJ2000"), ("_RAJ2000", "_DEJ2000")]
 
 
