@@ -288,7 +288,7 @@ class Differences:
         return size[:, :, None, :, None] * np.diag([1.0, 1.0, 0.0, 0.0, 0.0])[:, None]
 
     def whole(self, star_covariance: Array) -> Array:
-        """Return the covariance of the differences of each row with ``star`` (R, 5, 5), that of its source."""
+        """Return the covariance of the differences of each row; ``star_covariance`` (R, 5, 5) is that of its source."""
         return np.asarray(self.covariance + self.partials @ star_covariance @ self.partials.swapaxes(1, 2))
 
 
