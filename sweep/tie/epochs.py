@@ -2,6 +2,7 @@
 
 import io
 import json
+import logging
 import re
 import socket
 from collections.abc import Mapping, Sequence
@@ -142,6 +143,7 @@ def with_observations(
     """
     import pandas as pd
 
+    handlers = logging.root.handlers[:]
     frame = pd.concat([read_observations(Path(file)) for file in files], ignore_index=True)
     from gaiasupdate.constants import DR4_REFERENCE_EPOCH
     from gaiasupdate.solver import estimate_excess_noise
@@ -187,6 +189,7 @@ def with_observations(
         doubt = misfit(transits)
     except LinkError as error:
         raise SweepError(str(error), where) from error
+    logging.root.handlers[:] = handlers  # gaiasupdate logs in such a way that Python adds one, which repeats our lines
     digests = {str(file): digest_of(built_in(Path(file))) for file in files}
     epochs = Epochs(transits, paths, rows, digests, doubt, notes)
     return replace(left, astrometry=transits.in_place(paths, left.astrometry, rows)), epochs
