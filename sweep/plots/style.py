@@ -145,9 +145,9 @@ def in_lines(text: str, inches: float, least: int = 12) -> str:
         return part[0].replace(" ", BLANK) if len(part[0]) <= letters else part[0]
 
     # a symbol counts as the letters that are seen of it, and stays in one piece; so does "NAME = VALUE UNIT", or what
-    # follows the name if that is too long
+    # follows the name if that is too long, and a unit
     masked = _SYMBOL.sub(lambda symbol: MASK[0] + MASK[1] * (seen(symbol[0]) - 1), text)
-    for pieces in (r"[^ ,\n][^,=:\n]*(?: =|:) [^,\n]*", r"= [^,\n]*"):
+    for pieces in (r"[^ ,\n][^,=:\n]*(?: =|:) [^,\n]*", r"= [^,\n]*", r"\[[^]\n]*\]"):
         masked = re.sub(pieces, whole, masked)
     lines = (
         textwrap.wrap(line, letters, break_long_words=False, break_on_hyphens=False) for line in masked.split("\n")
@@ -382,8 +382,8 @@ def logarithmic(axes: Axes, which: str, values: Any) -> None:
         # below a factor of eight, ticks at 1, 2 and 5 of each decade are too few, and below two those of equal ratios
         many = (1.0, 2.0, 5.0) if span > 8.0 else (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0)
         few = (1.0, 2.0, 5.0) if span <= 10.0 else (1.0, 3.0) if room > 7.0 else (1.0,)
-        subs = (1.0,) if span >= 100.0 else many if room > 13.0 else few
-        equal = ticker.MaxNLocator(8 if room > 13.0 else 4, steps=[1, 2, 2.5, 5, 10])
+        subs = (1.0,) if span >= 100.0 else many if room > 12.0 else few
+        equal = ticker.MaxNLocator(8 if room > 12.0 else 4, steps=[1, 2, 2.5, 5, 10])
         axis.set_major_locator(ticker.LogLocator(subs=subs, numticks=9) if span > 2.0 else equal)
 
 
@@ -474,8 +474,11 @@ def legend_entries(figure: Figure) -> dict[str, Any]:
 
 
 def legend(figure: Figure, least: int = 2, **options: Any) -> None:
-    """Draw the legend of a figure below its panels, which it never covers, if there are ``least`` things to explain."""
-    entries = legend_entries(figure)
+    """Draw the legend of a figure below its panels, which it never covers, if there are ``least`` things to explain
+    that are not named beside an axis.
+    """
+    beside = {text.get_text() for axes in panels_of(figure) for text in axes.get_yticklabels()}
+    entries = {text: handle for text, handle in legend_entries(figure).items() if text not in beside}
     if len(entries) < least:
         return
     lines = [in_lines(text, figure.get_figwidth() - in_letters(5.0)) for text in entries]
