@@ -338,9 +338,9 @@ class Reach:
             self._keep(f"function {label}", ", ".join(forms))
             return
         nodes, values = definitions_of(function), function.__defaults__ or ()
-        held = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
-        held |= {name: value for name, value in vars(function).items() if not name.startswith("__")}
-        text = "".join(self._refer(f"{label}.{k}", v) for k, v in (held | (function.__kwdefaults__ or {})).items())
+        by_name = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
+        by_name |= {name: value for name, value in vars(function).items() if not name.startswith("__")}
+        text = "".join(self._refer(f"{label}.{k}", v) for k, v in (by_name | (function.__kwdefaults__ or {})).items())
         if nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {code.co_firstlineno}"
             changes = [key for node in nodes for key in _changes(node, function)]

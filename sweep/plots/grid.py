@@ -206,8 +206,8 @@ def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
 
 def _ordered_axes(dataset: xr.Dataset, variable: str) -> list[str]:
     """Return the axes of numbers of a variable, and its own of times, longest first."""
-    own = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
-    times = [d for d in own if dataset[d].dtype.kind == "M" and dataset[d].size > 1]
+    further = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
+    times = [d for d in further if dataset[d].dtype.kind == "M" and dataset[d].size > 1]
     return sorted([*quantity.numeric_axes(dataset, variable), *times], key=lambda name: -dataset[name].size)
 
 
