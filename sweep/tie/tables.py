@@ -465,7 +465,8 @@ def _epochs(read: Columns, options: TableOptions, notes: list[str]) -> Array:
         read.problems.append("positions of quasars hold at any epoch: give no epoch, or not --extragalactic")
     if epoch is None and not options.extragalactic and read.has("ref_epoch"):
         return read.epochs()
-    stated = HIPPARCOS_EPOCH if _is_hipparcos(read) else read.stated_epoch()
+    # positions alone may be of quasars, or of a single epoch
+    stated = HIPPARCOS_EPOCH if _is_hipparcos(read) else read.stated_epoch() if read.has("pmra") else None
     if not any_epoch and stated not in (None, epoch):
         instead = "" if epoch is None else f", not of {epoch:g}"
         notes.append(f"positions are of {stated:g}{instead}, says column {read.name('ra')!r}")
