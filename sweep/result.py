@@ -1,8 +1,8 @@
 """Results of every kind as one thing: what a dataset is, its tables, and how it is saved and opened.
 
 This is the one place that tells kinds of datasets apart.  A kind has a module that makes its tables, which is imported
-when they are first wanted, with three functions of the dataset: ``tables`` for reading, ``notes``, the sentences below
-them, and ``records``, the one table for programs.
+when they are first wanted, with functions of the dataset: ``headline``, what it says in sentences, ``tables`` for
+reading, ``notes``, the sentences below them, and ``records``, the one table for programs.
 """
 
 import json
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 ResultKind = Literal["grid", "law", "crossings", "sensitivity", "scaling", "tie", "forecast"]
 
 # Stores of these kinds are one dataset, without a study and its ledger, which has the name of its kind as ``result``.
-STORED_TABLES: tuple[ResultKind, ...] = ("tie", "forecast")
+STORED_TABLES: tuple[ResultKind, ...] = ("tie", "forecast", "law", "crossings", "sensitivity", "scaling")
 
 # Variables and attributes that only datasets of one kind have.  The first counts: outputs of a study may have any name.
 MARKS: dict[str, ResultKind] = {
@@ -54,7 +54,7 @@ class Result:
 
     @property
     def is_stored_table(self) -> bool:
-        """Whether it is a link or a forecast of tables, and not derived from a study."""
+        """Whether it is one dataset that shows itself, and not the grid of a study."""
         return self.kind in STORED_TABLES
 
     @property
@@ -75,6 +75,10 @@ class Result:
         if "sensitivity_method" in about:
             return f"sensitivity of {about['output']}, by {about['sensitivity_method']}"
         return ""
+
+    def headline(self) -> list[str]:
+        """Return what it says in sentences; not of the grid of a study, of which the answer says that."""
+        return list(self._made("headline"))
 
     def tables(self) -> list[Table]:
         """Return its tables for reading."""
@@ -103,11 +107,12 @@ class Result:
         """
         require_free(path)
         # it warns that text and consolidated metadata have no final specification in Zarr 3
-        write_at_once(path, lambda new: self.dataset.to_zarr(new, mode="w", zarr_format=3))
+        named = self.dataset.assign_attrs(result=self.kind)
+        write_at_once(path, lambda new: named.to_zarr(new, mode="w", zarr_format=3))
 
     def _made(self, what: str) -> Any:
-        module = "tie.result" if self.is_stored_table else "analysis.derived"
-        module = "analysis.results_table" if self.kind == "grid" else module
+        modules = {"grid": "analysis.results_table", "tie": "tie.result", "forecast": "tie.result"}
+        module = modules.get(self.kind, "analysis.derived")
         return getattr(import_module(f"linksweep.sweep.{module}"), what)(self.dataset)
 
 
@@ -122,7 +127,7 @@ def write_at_once(path: Path, write: Callable[[Path], Any]) -> None:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 write(Path(folder) / path.name)
-            (Path(folder) / path.name).rename(path)
+            (Path(folder) / path.name).replace(path)
     except OSError as error:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
@@ -145,7 +150,7 @@ def open_result(where: Any, running: bool = False) -> Result:
 
 
 def stored_table(where: Any) -> Result | None:
-    """Return a stored link or forecast, loaded into memory; None for anything else, such as the store of a study.
+    """Return a store that is one dataset, loaded into memory; None for anything else, such as the store of a study.
 
     Raises SweepError for one that is damaged.
     """

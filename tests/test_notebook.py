@@ -15,6 +15,8 @@ for pool in ("serial", "threads", "processes"):
     print(pool, on.end.values.tolist() == [growth(r)["end"] for r in (0.0, 0.1)])
 """
 
+MISTAKE = """linksweep.run(growth, axes={"rte": [0.0]})"""
+
 OTHER_CODE = """
 scale = 3.0
 linksweep.run(growth, axes={"rate": [0.0, 0.1]}, store="serial.zarr", pool="serial", progress=False)
@@ -23,11 +25,11 @@ linksweep.run(growth, axes={"rate": [0.0, 0.1]}, store="serial.zarr", pool="seri
 
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory):
-    """What each cell of the page, and of `ON_POOLS` and `OTHER_CODE`, shows in a kernel."""
+    """What each cell of the page, and of `ON_POOLS`, `MISTAKE` and `OTHER_CODE`, shows in a kernel."""
     pytest.importorskip("ipykernel")
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
     folder = tmp_path_factory.mktemp("notebook")
-    sources = [*code("function-notebook.md", "python"), ON_POOLS, OTHER_CODE]
+    sources = [*code("function-notebook.md", "python"), ON_POOLS, MISTAKE, OTHER_CODE]
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source) for source in sources])
     kernel = folder / "kernels" / "here"
     kernel.mkdir(parents=True)
@@ -52,14 +54,15 @@ def said(shown):
 
 
 def test_cells_show_datasets_and_pictures(outputs):
-    results, picture, more, *_ = outputs
-    assert not [output for output in (*results, *picture, *more) if output["output_type"] == "error"]
+    results, answer, picture, more, *_ = outputs
+    assert not [output for output in (*results, *answer, *picture, *more) if output["output_type"] == "error"]
     assert "text/html" in data(results)
+    assert "text/html" in data(answer)
     assert "image/png" in data(picture)
 
 
 def test_a_function_of_a_cell_runs_on_every_pool(outputs):
-    assert said(outputs[-2]).split() == ["serial", "True", "threads", "True", "processes", "True"]
+    assert said(outputs[-3]).split() == ["serial", "True", "threads", "True", "processes", "True"]
 
 
 def test_changed_code_is_refused_in_words_of_python(outputs):
@@ -67,3 +70,10 @@ def test_changed_code_is_refused_in_words_of_python(outputs):
     assert error["ename"] == "SweepError"
     assert "value __main__.scale is 2.0 in the store, 3.0 now" in error["evalue"]
     assert "accept_code=True" in error["evalue"]
+
+
+def test_a_mistake_is_shown_as_its_sentence(outputs):
+    [error] = outputs[-2]
+    [sentence] = error["traceback"]
+    assert sentence == f"SweepError: {error['evalue']}"
+    assert "rte" in sentence

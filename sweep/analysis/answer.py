@@ -3,7 +3,7 @@
 from __future__ import annotations  # names of xarray, which is imported only where it computes
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from string import Formatter
 from typing import TYPE_CHECKING
@@ -59,9 +59,9 @@ def said_first(dataset: xr.Dataset) -> list[str]:
     return list(dict.fromkeys([*with_errors, *names])) if with_errors else []
 
 
-def answers(dataset: xr.Dataset) -> list[Answer]:
+def answers(dataset: xr.Dataset, decided: Mapping[str, str] | None = None) -> list[Answer]:
     """Return what the results say about each headline quantity, or about each of its components if it has any; nothing
-    before a point is done.
+    before a point is done.  ``decided`` has sentences, by quantity, in place of those on what changes it.
     """
     made: list[Answer] = []
     dataset = quantity.without_running(dataset)
@@ -78,7 +78,7 @@ def answers(dataset: xr.Dataset) -> list[Answer]:
             made.append(Answer(variable, meaning, [_with_errors(dataset, variable, errors)]))
             continue
         for name, unit, part in _components(dataset, variable):
-            made.append(Answer(name, meaning, list(_sentences(part, variable, unit))))
+            made.append(Answer(name, meaning, list(_sentences(part, variable, unit, (decided or {}).get(name)))))
     return made
 
 
@@ -130,7 +130,7 @@ def _range_of(values: Array, unit: str) -> str:
     return f"{' to '.join(ends)} {formatting.in_ascii(chosen.unit)}".rstrip()
 
 
-def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
+def _sentences(part: xr.Dataset, variable: str, unit: str, decided: str | None) -> Iterator[str]:
     """Yield sentences about a variable in a unit."""
     axes, components = quantity.axes_of(part), quantity.own_dimensions(part, variable)
     array, error = part[variable].transpose(*axes, *components), quantity.standard_error(part, variable)
@@ -142,13 +142,16 @@ def _sentences(part: xr.Dataset, variable: str, unit: str) -> Iterator[str]:
     if formatting.is_truth(array):
         points = formatting.counted(int(known.sum()), "point")
         yield f"It is True at {int(values[known].sum()):,} of {points}."
+        yield from filter(None, [decided])
         return
     errors = np.zeros(values.shape) if error is None else error.transpose(*axes, *components).values
     yield _range(part, array, errors, unit)
     if components:
         return
     status, values = part["status"].values, np.where(known, values, np.nan)
-    if not np.isin(status, [Status.MISSING, Status.FAILED]).any():
+    if decided:
+        yield decided
+    elif not np.isin(status, [Status.MISSING, Status.FAILED]).any():
         yield from _what_changes_it(axes, values, unit)
     for words in quantity.unknown_parts(part, variable):
         sentence = words.removeprefix(f"{variable}: ")

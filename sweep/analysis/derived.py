@@ -16,6 +16,8 @@ from linksweep.sweep.analysis import quantity
 from linksweep.sweep.formatting import described, prefixed, rounded, units_of, with_error
 from linksweep.sweep.table_writer import Column, Table
 
+LEAST_SHARE = 1.0  # of a result, in percent, that a sentence names
+
 
 def derived(
     grid: xr.Dataset,
@@ -35,6 +37,18 @@ def derived(
         array = np.array(values, dtype=object if name == "conclusion" else float)
         variables[name] = tuple(dims), array.reshape(shape), attributes
     return grid.assign(variables).assign_attrs(**about, notes=json.dumps(list(notes)))
+
+
+def headline(result: xr.Dataset) -> list[str]:
+    """Return in a sentence which parameters decide a result, if these are indices of one number at each point."""
+    if "first" not in result or result["first"].ndim != 1 or result.sizes["parameter"] < 2:
+        return []
+    names, shares, errors = result.parameter.values, *(100.0 * result[n].values for n in ("first", "first_error"))
+    known = [k for k in np.argsort(-shares).tolist() if shares[k] >= LEAST_SHARE]
+    words = [f"{names[k]} {shares[k]:.0f}{f' ± {errors[k]:.0f}' if errors[k] >= 0.5 else ''} %" for k in known]
+    if "total" in result and (rest := 100.0 - shares.sum()) >= LEAST_SHARE:
+        words.append(f"several together {rest:.0f} %")
+    return [f"What decides it: {', '.join(words)}."] if words else []
 
 
 def tables(result: xr.Dataset) -> list[Table]:

@@ -32,6 +32,10 @@ class SweepError(Exception):
         where = f"{harmless(self.where)}: " if self.where else ""
         return "\n".join(f"{where}{problem}" for problem in self.problems)
 
+    def _render_traceback_(self) -> list[str]:
+        """Return what IPython shows in place of a traceback, which would be that of linksweep."""
+        return [f"{type(self).__name__}: {self}"]
+
 
 class _Short(reprlib.Repr):
     """A repr of bounded length and depth, also of integers so large that Python refuses to print them."""

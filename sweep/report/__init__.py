@@ -44,7 +44,7 @@ def card(dataset: xr.Dataset) -> Card:
     """Return the card of a study's results, a link or a forecast; raises SweepError for any other dataset."""
     result = Result(dataset)
     if result.is_stored_table:
-        return Card(result.title, "", [], dataset, result.written("text"))
+        return Card(result.title, "", result.headline(), dataset, result.written("text"))
     question, sentences = str(dataset.attrs.get("question", "")), [*completeness(dataset), *answer_in_short(dataset)]
     return Card(result.title, question, sentences, dataset)
 

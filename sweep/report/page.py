@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import math
-import os
 import re
 import warnings
 from collections import Counter
@@ -20,7 +19,6 @@ from dataclasses import replace
 from importlib import metadata, resources
 from pathlib import Path
 from typing import Any, NamedTuple
-from uuid import uuid4
 
 import matplotlib as mpl
 import numpy as np
@@ -45,15 +43,15 @@ from linksweep.sweep.formatting import (
     prefixed,
     units_of,
     with_micro_signs,
-    with_unit,
     written,
 )
 from linksweep.sweep.planning.point_status import Status, count_status
 from linksweep.sweep.plots import KINDS, grid, style
 from linksweep.sweep.plots import figure as drawing
-from linksweep.sweep.result import Result, open_result
+from linksweep.sweep.result import Result, open_result, write_at_once
+from linksweep.sweep.running.failures import reasons_of
 from linksweep.sweep.stores.location import Where, located
-from linksweep.sweep.studies.record import CITATION
+from linksweep.sweep.studies.record import CITATION, FUNCTION
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
 from linksweep.sweep.table_writer import Table
 
@@ -121,7 +119,7 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
 def link_pictures(result: Result, number: int) -> list[Picture]:
     """Return all figures that a link or a forecast can have; ``number`` as for `pictures`."""
     kinds = KINDS[result.kind].items()
-    made = [drawn(result.dataset, one.caption, f"{number}-{kind}", kind=kind) for kind, one in kinds]
+    made = [drawn(result.dataset, one.caption or result.title, f"{number}-{kind}", kind=kind) for kind, one in kinds]
     return [one for one in made if one.svg]  # of the others the dataset lacks something
 
 
@@ -156,6 +154,14 @@ def drawn(
         about = drawing.description(figure, dataset)
         return Picture(name, svg, 72.0 * figure.get_figwidth(), "", words, about, narrow)
     except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
+        own = quantity.own_dimensions(dataset, variables[0]) if "status" in dataset and variables else []
+        sizes = {str(d): n for d, n in dataset["status"].sizes.items() if n > 1 and d != POINT} if own else {}
+        if longest := max(sizes, key=lambda d: sizes[d], default=""):  # fewer curves may fit into one picture
+            some = np.linspace(0, sizes[longest] - 1, (sizes[longest] + 1) // 2).round().astype(int)
+            thinner = dataset.isel({longest: some})
+            values = first_of([quantity.place_in_words({longest: v}) for v in thinner[longest].values.tolist()], 5)
+            name = f"{name.partition(f', only {longest}=')[0]}, only {values}"
+            return drawn(thinner, name, salt, variables, kind, add)
         return Picture(name, problem=" ".join(str(error).split()))
 
 
@@ -185,11 +191,6 @@ def _varies(array: xr.DataArray) -> bool:
         return False
     finite = array.values[np.isfinite(array.values)]
     return bool(finite.size and finite.min() < finite.max())
-
-
-def _is_known(array: xr.DataArray | None) -> bool:
-    """Return whether there are numbers: without errors of observation a prediction is 0."""
-    return array is not None and bool(np.nan_to_num(array.values).any())
 
 
 @contextmanager
@@ -246,8 +247,7 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
     value is missing.
     """
     dataset = style.with_scales(dataset)
-    views: list[dict[str, Any]] = []
-    left_out, used = [], 0
+    views, left_out, used = list[dict[str, Any]](), list[str](), 0
     for name in dict.fromkeys([*first, *quantity.quantities(dataset)]):
         if not np.isfinite(dataset[name].values).any():
             continue
@@ -265,12 +265,13 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
 def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
     """Return a quantity and what belongs to it and is known, all with its own dimensions."""
     value = dataset[name]
-    others = {"error": quantity.error_bar(dataset, name)}
-    others["predicted"] = dataset.get(quantity.prediction_name(dataset, name))
+    predicted = quantity.prediction_name(dataset, name)
+    others = {"error": quantity.error_bar(dataset, name), "predicted": dataset.get(predicted)}
     others |= {suffix: dataset.get(f"{name}_{suffix}") for suffix in ("published", "published_rounding")}
     known = {n: part for n, part in others.items() if part is not None and set(part.dims) <= set(value.dims)}
-    parts = {n: part.broadcast_like(value).transpose(*value.dims) for n, part in known.items() if _is_known(part)}
-    return {"value": value, **parts}
+    # without errors of observation a prediction is 0
+    numbers = {n: part for n, part in known.items() if np.nan_to_num(part.values).any()}
+    return {"value": value} | {n: part.broadcast_like(value).transpose(*value.dims) for n, part in numbers.items()}
 
 
 def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) -> dict[str, Any]:
@@ -341,13 +342,12 @@ def report_of(stores: Sequence[Where]) -> str:
 
 def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
     """Return one HTML page about named datasets of results, the same for the same datasets."""
-    sections: list[dict[str, Any]] = []
-    room = MOST_NUMBERS
+    sections, room = list[dict[str, Any]](), MOST_NUMBERS
     for number, (name, dataset) in enumerate(datasets):
         try:
             result = Result(dataset)
-            is_link = result.is_stored_table
-            one = link_section(name, result, number) if is_link else section(name, dataset, number, room)
+            alone = result.is_stored_table
+            one = link_section(name, result, number) if alone else section(name, dataset, number, room)
         except SweepError as error:
             raise SweepError(error.problems, error.where or name) from error
         sections.append(one)
@@ -359,14 +359,12 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
         scripts = ["\n".join(Resources(mode="inline", **options).js_raw), *scripts, template_file("explorer.js")]
     comparisons = [comparison for one in sections for comparison in one.get("comparisons", ())]
     versions = list(dict.fromkeys(one["version"] for one in sections))
-    cited: list[str] = []
-    ours = False
+    cited, ours = list[str](), False
     for _, dataset in datasets:
         if str(dataset.attrs.get("experiment", "linksweep.")).startswith("linksweep."):
             cited, ours = [*cited, citations(versions[0])[0]], True
         else:
             cited += json.loads(dataset.attrs.get(CITATION, "[]"))
-    message = "If you use these results, please cite what made them."
     return MARK + template("page.html.j2").render(
         sections=sections,
         explored=explored,
@@ -376,7 +374,7 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
         style=Markup(template_file("page.css")),
         scripts=[Markup(script) for script in scripts],
         cite=list(dict.fromkeys([*cited, *(citations(version)[1] for version in versions)])),
-        cite_message=_citation_file()["message"] if ours else message,
+        cite_message=_citation_file()["message"] if ours else "If you use these results, please cite what made them.",
     )
 
 
@@ -405,14 +403,7 @@ def check_output(path: Path) -> None:
 def write_report(page: str, path: Path) -> None:
     """Write a page, whole or not at all, to a new file or over an earlier report; raises SweepError if it cannot."""
     check_output(path)
-    partial = path.with_name(f".{path.name}.{uuid4().hex}")
-    try:
-        partial.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n")
-        os.replace(partial, path)
-    except OSError as error:
-        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
-    finally:
-        partial.unlink(missing_ok=True)
+    write_at_once(path, lambda new: new.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n"))
 
 
 def citations(version: str) -> tuple[str, str]:
@@ -471,30 +462,35 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
     explored, numbers, left_out = explorer(quantity.in_readable_units(final), names, room)
     failures, versions = (json.loads(about.get(name, "{}")) for name in ("failures", "versions"))
     title = str(about.get("title", store))
-    figures = pictures(
-        dataset, list(dict.fromkeys([*answer.said_first(dataset), *names, *quantity.array_outputs(dataset)])), number
-    )
+    shown = dict.fromkeys([*answer.said_first(dataset), *names, *quantity.array_outputs(dataset)])
+    figures = pictures(dataset, list(shown), number)
     tables = {}
     for table in results_table.tables_with_errors(final, MOST_ROWS):
         meaning = dataset[table.title.split()[0]].attrs["long_name"]
         tables[f"{table.title}, {meaning}, with every kind of error"] = _sortable(table)
-    for name in names if POINT_TABLE in about and len(quantity.varied_parameters(dataset)) > 1 else ():
-        if dataset[name].squeeze().ndim == 1:  # one number at each point
+    decided = {}
+    for name in names if {POINT_TABLE, FUNCTION} & about.keys() else ():
+        if not quantity.own_dimensions(dataset, name):  # one number at each point
             with suppress(SweepError):
-                indices = sensitivity(final.squeeze(), name)
-                tables[f"S{derived.notes(indices)[0][1:]}"] = _sortable(derived.tables(indices)[0])
-                picture = drawn(indices.assign_attrs(title=""), f"sensitivity of {name}", f"{number}-{name}")
-                figures.append(picture)
+                part, without = _without_gaps(final.squeeze(), name)
+                indices = sensitivity(part, name)
+                decided[name] = " ".join(derived.headline(indices)).replace(":", f"{without}:", 1)
+                if POINT_TABLE in about and indices["first"].ndim == 1 < indices["first"].size:
+                    tables[f"S{derived.notes(indices)[0][1:]}"] = _sortable(derived.tables(indices)[0])
+                    picture = drawn(indices.assign_attrs(title=""), f"sensitivity of {name}", f"{number}-{name}")
+                    figures.append(picture)
     warnings = filter(None, [*results_table.warnings_of(dataset), results_table.condition_warning(dataset)])
     return {
         "store": store,
         "title": title,
         "question": str(about.get("question", "")),
+        "description": str(about.get("description", "")),
         "gaps": answer.completeness(dataset),
         "short": list(map(with_micro_signs, answer.answer_in_short(dataset))),
         "head": list(map(with_micro_signs, answer.conclusion_in_words(dataset))),  # the box says the rest
         "answers": [
-            replace(one, sentences=list(map(with_micro_signs, one.sentences))) for one in answer.answers(dataset)
+            replace(one, sentences=list(map(with_micro_signs, one.sentences)))
+            for one in answer.answers(dataset, decided)
         ],
         "changed": str(about.get("study_overrides", "")),
         "comparisons": comparisons,
@@ -511,12 +507,28 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         "comparison": _sortable(compare.table(sorted(comparisons, key=_severity))) if comparisons else None,
         "notes": [*warnings, *compare.notes(comparisons), *compare.remarks(dataset)],
         "failures": failures,
+        "reasons": reasons_of(failures).in_words(),
         "failures_not_named": count_status(dataset["status"].values)[Status.FAILED] - len(failures),
         "provenance": _provenance("study", about) | {name: f"version {one}" for name, one in versions.items()},
         # a run from Python has no file
         "study": about.get("study") or json.dumps(json.loads(about.get("study_document", "{}")), indent=1),
         "version": str(versions.get("linksweep", "unknown")),
     }
+
+
+def _without_gaps(dataset: xr.Dataset, name: str) -> tuple[xr.Dataset, str]:
+    """Return the part of a grid in which a quantity is known everywhere, which lacks as few values of one axis as
+    possible, and words on what it lacks; raises SweepError if every one has gaps.
+    """
+    gaps = ~xr.apply_ufunc(np.isfinite, dataset[name])
+    whole = {str(d): ~gaps.any([other for other in gaps.dims if other != d]).values for d in gaps.dims}
+    axis = max(whole, key=lambda d: whole[d].mean(), default="")
+    if not axis or not whole[axis].any():
+        raise SweepError(f"{name} is known at too few points")
+    gone = np.flatnonzero(~whole[axis]).tolist()
+    lacking = [quantity.place_in_words(quantity.place_at(dataset, {axis: i})) for i in gone]
+    words = f" (without {first_of(lacking, 3)}, where some are missing)" if lacking else ""
+    return dataset.isel({axis: whole[axis]}), words
 
 
 def _severity(c: compare.Comparison) -> tuple[int, float]:
@@ -527,36 +539,29 @@ def _severity(c: compare.Comparison) -> tuple[int, float]:
     return SEVERITY.index(c.verdict), -abs(c.difference) / c.allowance if known else 0.0
 
 
-# Links of real tables and forecasts
+# Links of real tables, forecasts, and what is derived from results
 
 
 def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
-    """Return what the template shows of a link or a forecast, the ``number``-th of a page."""
+    """Return what the template shows of a link, a forecast or anything derived, the ``number``-th of a page."""
     first, *others = result.tables()
-    answers = [answer.Answer("What it is", "", list(filter(None, first.title.splitlines())))]
-    if notes := [note.removeprefix("note: ") for note in result.notes()]:
-        answers.append(answer.Answer("Warnings", "", [note[0].upper() + note[1:] for note in notes]))
+    lines = [line for line in first.title.splitlines() if line and line != result.title]
+    notes = [note[:1].upper() + note[1:] for note in (note.removeprefix("note: ") for note in result.notes())]
     return {
         "store": store,
         "title": result.title,
-        "head": [_result_in_words(result.dataset)] if "estimate" in result.dataset else [],
-        "answers": answers,
+        "head": list(map(with_micro_signs, result.headline())),
+        "answers": [
+            answer.Answer(name, "", texts) for name, texts in (("What it is", lines), ("Warnings", notes)) if texts
+        ],
         "pictures": link_pictures(result, number),
         "explorer": {"quantities": []},
         "results": _sortable(first),
-        "caption": "Every unknown, with every kind of error",
-        "tables": {table.title: _sortable(table) for table in others},
-        "provenance": _provenance("link", result.dataset.attrs),
+        "caption": "Every unknown, with every kind of error" if result.kind == "tie" else "All numbers",
+        "tables": {table.title.removesuffix(":"): _sortable(table) for table in others},
+        "provenance": _provenance("link" if "satellite" in result.dataset.attrs else "study", result.dataset.attrs),
         "version": metadata.version("linksweep"),
     }
-
-
-def _result_in_words(link: xr.Dataset) -> str:
-    """Return the unknowns of a link with the first kind of their errors."""
-    columns = link["unknown"], link["estimate"], link["errors"][0], link["unit"]
-    rows = zip(*(one.values.tolist() for one in columns), strict=True)
-    texts = first_of([f"{name} = {with_unit(*row)}" for name, *row in rows], 6)
-    return with_micro_signs(f"{texts} ({link['error_kind'][0].item()} errors)")
 
 
 # What sections have in common

@@ -41,6 +41,9 @@ GOOD_NAME = re.compile(r"[A-Za-z_][\w.+-]{0,59}", re.ASCII)
 STATEMENTS = ("sampling", "grid", "exclude", "claim", "conclusion", "figure")
 """The sections that are read last: they are about the axes and the experiment."""
 
+LONGEST_TITLE = 120
+"""Characters of the beginning of a docstring that is a title."""
+
 Mentioned = Callable[..., Any] | Experiment
 
 
@@ -209,12 +212,16 @@ class _Reader:
         checked = _read_form({"title": "", **statements}, problems, context)
         problems.report()
         assert isinstance(checked, Form), "what is wrong has been reported"
-        # the docstring of a function, unless a terminal or a figure would take some of it for something else
-        call = getattr(experiment, "call", None) if form.title == experiment.name else None
-        summary = ((inspect.isfunction(call) and inspect.getdoc(call)) or "").partition("\n")[0].rstrip(".")
+        call = getattr(experiment, "call", None)
+        docstring = (inspect.isfunction(call) and inspect.getdoc(call)) or ""
+        summary, *rest = re.split(r"(?<=\.)\n|\n\n", docstring, maxsplit=1)
+        summary = " ".join(summary.split()).rstrip(".")
+        if len(summary) > LONGEST_TITLE or not summary.isprintable() or "$" in summary or form.title != experiment.name:
+            summary, rest = "", [docstring]  # a terminal or a figure would take some of it for something else
         return Study(
             name=self.path.stem,
-            title=summary if summary.isprintable() and summary and "$" not in summary else form.title,
+            title=summary or form.title,
+            description="".join(rest).strip("\n"),
             question=form.question or "",
             experiment_reference=absolute_reference(form.experiment, self.folder),
             experiment=experiment.keeping_samples() if checked.sampling.keep_samples else experiment,

@@ -153,6 +153,7 @@ def provenance(study: Study) -> dict[str, Any]:
     attributes: dict[str, Any] = {
         "title": study.title,
         "question": study.question or None,
+        "description": study.description or None,
         "study_name": study.name,
         "study": study.text,
         "study_overrides": " ".join(study.overrides),

@@ -73,6 +73,7 @@ class Study:
         overrides: what the command line changed.
         document: what a store needs to make the study again: with overrides, and with absolute paths of files.
         part: the part of its work that is computed, None for all.
+        description: what the docstring of a function says, without its title.
     """
 
     name: str
@@ -96,6 +97,10 @@ class Study:
     overrides: tuple[str, ...] = ()
     document: Mapping[str, Any] = field(default_factory=dict, repr=False)
     part: Part | None = None
+    description: str = ""
+
+    def __repr__(self) -> str:
+        return f"<Study {self.name} over {', '.join(self.axes) or 'one point'}: {self.title!r}>"
 
     @property
     def dimensions(self) -> dict[str, tuple[str, ...]]:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.formatting import in_three_digits, prefixed, rounded, with_unit
 from linksweep.sweep.table_writer import Column, Table
 
 if TYPE_CHECKING:
@@ -15,6 +16,39 @@ STEPS_SHOWN, UNKNOWNS_SHOWN = 10, 6  # how many steps of a clip a table has at l
 # By how unknowns of positions begin: those of motions, which move them in a year.
 RATES = {"epsilon_": "omega_", "position_glide_": "glide_", "vsh_position_": "vsh_motion_"}
 META = ("sign", "epoch", "clip", "epoch_of_forecast", "release")  # attributes in the head of an ECSV table
+
+
+def headline(result: "xr.Dataset") -> list[str]:
+    """Return in a sentence how far a link turns and flows, with the components of these vectors and other unknowns; of
+    a forecast the RMS error of each block of unknowns, now and with new observations.
+    """
+    units = dict(zip(result.block.values.tolist(), result.unit.values.tolist(), strict=True))
+    parts = [(name, unit, np.flatnonzero(result.block.values == name)) for name, unit in units.items()]
+    if "estimate" in result:
+        words = ", ".join(filter(None, (_block_in_words(result, *part) for part in parts)))
+        return [f"{words[:1].upper()}{words[1:]}; {result.error_kind.values[0]} errors."] if words else []
+    errors = dict(zip(result.stage.values.tolist(), result.error.values, strict=True))
+    if "step_source" in result:
+        errors[f"the {result.sizes['step'] - 1} chosen"] = result.step_error.values[-1]
+    sentences = []
+    for name, unit, its in parts:
+        texts = [f"{s} {in_three_digits(np.sqrt(np.mean(e[its] ** 2)).item(), unit)}" for s, e in errors.items()]
+        sentences.append(f"RMS error of the {name.replace('_', ' ')}: {', '.join(texts)}.")
+    return sentences
+
+
+def _block_in_words(link: "xr.Dataset", block: str, unit: str, its: Any) -> str:
+    """Return the length of a vector with its components, or a single unknown; '' for others, which have a table."""
+    names, values = link.unknown.values[its], link.estimate.values[its]
+    if [str(name)[-2:] for name in names] != ["_x", "_y", "_z"]:
+        single = with_unit(values[0], link.errors.values[0, its[0]], unit)
+        return f"{names[0]} {single}" if len(names) == 1 else ""
+    length, covariance = float(np.linalg.norm(values)), link.covariances.values[0][np.ix_(its, its)]
+    error = float(np.sqrt(values @ covariance @ values)) / (length or 1.0)
+    factor = prefixed(length, unit).factor
+    components = ", ".join(rounded(factor * v, factor * error) for v in values.tolist())
+    name = "turned by" if block == "orientation" else block.replace("_", " ")
+    return f"{name} {with_unit(length, error, unit)} ({components})"
 
 
 def tables(result: "xr.Dataset") -> list[Table]:

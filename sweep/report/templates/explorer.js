@@ -1,5 +1,6 @@
 "use strict";
-// The view of a grid: choose a quantity, the axis along x, the axis of the series, and a value for each other axis.
+// The view of a grid, as lines or as a map: choose a quantity, the axes, and a value for each other axis; a range of an
+// axis, brushed in the plot or typed, holds for every view of the grid and for its tables.
 (() => {
   const MOST_SERIES = 14;
   const COLOURS = 7;
@@ -18,6 +19,12 @@
   };
   const nan = (value) => (value === null || value === undefined ? NaN : value);
   const shown = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "");
+  const within = (value, [low, high]) => // numbers in tables have more digits than those here
+    (low === null || value >= low - 1e-6 * Math.abs(low)) && (high === null || value <= high + 1e-6 * Math.abs(high));
+  const least = (values) => values.reduce((a, b) => (Number.isFinite(b) && b < a ? b : a), Infinity);
+  const largest = (values) => values.reduce((a, b) => (Number.isFinite(b) && b > a ? b : a), -Infinity);
+  const untouched = () => ({ quantity: 0, fixed: {}, x: "", series: "", scale: "", scaleX: "", kind: "", ranges: {} });
+  const explorers = [];
 
   const colour = (element, name) => {
     const probe = document.createElement("span");
@@ -39,7 +46,7 @@
   // How far ascending places are at most from equal steps, as a share of their range.
   const unevenness = (places) => {
     const [first, last] = [places[0], places.at(-1)];
-    return Math.max(...places.map((place, i) => Math.abs((place - first) / (last - first) - i / (places.length - 1))));
+    return largest(places.map((place, i) => Math.abs((place - first) / (last - first) - i / (places.length - 1))));
   };
 
   // The rule of the figures: whatever is nearer to equal steps.
@@ -53,50 +60,101 @@
   // Over less than two decades BokehJS labels a logarithmic axis as a linear one: 5, 10, 15, 20.
   const labelShort = (axis, grid, values) => {
     const known = values.filter((value) => value > 0);
-    const [low, high] = [Math.min(...known), Math.max(...known)].map(Math.log10);
+    const [low, high] = [least(known), largest(known)].map(Math.log10);
     if (!(high - low < 2)) return;
     const powers = Array.from({ length: 4 }, (_, i) => Math.floor(low) - 1 + i);
     const ticks = (digits) => powers.flatMap((power) => digits.map((digit) => Number(`${digit}e${power}`)));
     axis.ticker = grid.ticker = new Bokeh.FixedTicker({ ticks: ticks([1, 2, 5]), minor_ticks: ticks([3, 4, 6, 7, 8, 9]) });
   };
 
+  const named = (axis, grid, names) => {
+    axis.ticker = grid.ticker = new Bokeh.FixedTicker({ ticks: [...names.keys()] });
+    axis.major_label_overrides = new Map(names.entries());
+    axis.major_label_policy = new Bokeh.NoOverlap();
+  };
+
+  // Where each value of an axis is in a map: between lower and upper edge; names are one apart.
+  const cells = (axis, log) => {
+    const [there, back] = log ? [Math.log, Math.exp] : [Number, Number];
+    const known = axis.values.map((value, i) => [axis.numeric ? there(value) : i, i]).filter(([, i]) => axis.values[i] !== null);
+    known.sort(([a], [b]) => a - b);
+    const edges = known.slice(1).map(([at], k) => (at + known[k][0]) / 2);
+    const half = (at, edge) => (edge === undefined ? 0.5 : Math.abs(edge - at));
+    const [[first], [last]] = [known[0], known.at(-1)];
+    const all = [first - half(first, edges[0]), ...edges, last + half(last, edges.at(-1))];
+    return new Map(known.map(([at, i], k) => [i, [all[k], at, all[k + 1]].map(back)]));
+  };
+
+  const sourceOf = (columns, rows) =>
+    new Bokeh.ColumnDataSource({ data: Object.fromEntries(Object.entries(columns).map(([name, make]) => [name, rows.map(make)])) });
+
   class Explorer {
     constructor(element) {
       this.element = element;
       this.data = JSON.parse(document.getElementById(element.dataset.explorer).textContent);
-      this.choice = { quantity: 0, fixed: {}, x: "", series: "", scale: "" };
+      this.choice = untouched();
       this.turn = 0;
-      this.recall();
       this.settle();
+      this.first = JSON.stringify(this.choice);
+      this.recall();
+      if (JSON.stringify(this.choice) !== this.first) element.scrollIntoView();
       this.draw();
+      window.addEventListener("popstate", () => {
+        const before = JSON.stringify(this.choice);
+        this.recall();
+        if (JSON.stringify(this.choice) !== before) this.draw();
+      });
       document.addEventListener("theme", () => this.draw());
       window.addEventListener("beforeprint", () => this.showTools(false));
       window.addEventListener("afterprint", () => this.showTools(true));
     }
 
-    // The choice is kept in the address, so that a view can be linked to.
+    // The choice is kept in the address, so that a view can be linked to, and gone back to.
     recall() {
-      const own = new URLSearchParams(window.location.hash.slice(1)).get(this.element.id);
-      if (!own) return;
+      const hash = window.location.hash.slice(1);
+      if (hash && !hash.includes("=")) return; // a place in the page: the view stays
+      this.choice = JSON.parse(this.first);
       try {
-        const found = JSON.parse(own);
+        const found = JSON.parse(new URLSearchParams(hash).get(this.element.id));
         const quantity = this.data.quantities.findIndex((one) => one.name === found.quantity);
-        if (quantity >= 0) this.choice = { ...this.choice, ...found, quantity, fixed: { ...found.fixed } };
-      } catch { /* an address that somebody has changed: the first view */ }
+        const ranges = Object.entries(found.ranges ?? {}).filter(([name, range]) => this.axis(name)?.numeric && Array.isArray(range));
+        if (quantity >= 0) this.choice = { ...untouched(), ...found, quantity, fixed: { ...found.fixed }, ranges: Object.fromEntries(ranges) };
+      } catch { /* none, or an address that somebody has changed: the first view */ }
+      this.settle();
     }
 
     remember() {
-      const all = new URLSearchParams(window.location.hash.includes("=") ? window.location.hash.slice(1) : "");
-      all.set(this.element.id, JSON.stringify({ ...this.choice, quantity: this.quantity.name }));
-      window.history.replaceState(null, "", `#${all}`);
+      const all = new URLSearchParams();
+      for (const one of explorers) {
+        const own = JSON.stringify({ ...one.choice, quantity: one.quantity.name }, (key, value) => (value === "" ? undefined : value));
+        if (JSON.stringify(one.choice) !== one.first) all.set(one.element.id, own);
+      }
+      const address = String(all) ? `#${all}` : window.location.pathname + window.location.search;
+      if (`#${all}` !== window.location.hash) window.history.pushState(null, "", address);
+    }
+
+    change(name) {
+      this.settle();
+      this.remember();
+      this.draw();
+      this.element.querySelector(`[name="${CSS.escape(name)}"]`)?.focus();
+    }
+
+    // Whether a place along a dimension is in the ranges that were chosen, but for those of some axes.
+    inside(dim, i, ...except) {
+      return Object.entries(this.choice.ranges).every(([name, range]) => {
+        const axis = this.axis(name);
+        return axis.dim !== dim || except.includes(name) || within(axis.values[i] ?? NaN, range);
+      });
     }
 
     // The first view is at the middle of a numeric axis: at its end there may be nothing to see.
     index(dim) {
       const known = this.choice.fixed[dim];
-      if (known !== undefined && known < this.size(dim)) return known;
       const axis = this.axis(dim);
-      return axis.numeric ? Math.floor(axis.values.length / 2) : 0;
+      if (axis.values[known] !== undefined && this.inside(dim, known)) return known;
+      const some = [...axis.values.keys()].filter((i) => this.inside(dim, i));
+      return some[axis.numeric ? Math.floor(some.length / 2) : 0] ?? 0;
     }
 
     // The quantity with its component and the unit of this one, or with all units if several components are shown.
@@ -118,43 +176,61 @@
 
     // Restrict the choice to the axes of this quantity, with the longest numeric one along x.
     settle() {
+      const { choice } = this;
       const axes = this.axesOf(this.quantity.dims);
-      const known = (name) => axes.some((axis) => axis.name === name);
-      if (!known(this.choice.x)) {
-        const candidates = axes.filter((axis) => axis.numeric && axis.values.length > 1);
-        const longest = (candidates.length ? candidates : axes).slice().sort((a, b) => b.values.length - a.values.length);
-        this.choice.x = longest.length ? longest[0].name : "";
+      if (!axes.some((axis) => axis.name === choice.x)) {
+        const numeric = axes.filter((axis) => axis.numeric && axis.values.length > 1);
+        choice.x = (numeric.length ? numeric : axes).toSorted((a, b) => b.values.length - a.values.length)[0]?.name ?? "";
       }
-      const dim = this.choice.x ? this.axis(this.choice.x).dim : "";
-      if (this.choice.series && (!known(this.choice.series) || this.axis(this.choice.series).dim === dim)) this.choice.series = "";
-      if (!this.choice.series && !this.choice.noSeries) {
-        const other = axes.find((axis) => axis.name === axis.dim && axis.dim !== dim && axis.values.length > 1 && axis.values.length <= MOST_SERIES && axis.name !== this.quantity.unit_dim);
-        this.choice.series = other ? other.name : "";
-      }
+      const others = this.others();
+      if (!others.length) choice.kind = "";
+      if (others.some((axis) => axis.name === choice.series)) return;
+      const apart = others.filter((axis) => axis.dim !== this.axis(choice.x).dim);
+      const few = apart.filter((axis) => axis.name === axis.dim && axis.values.length > 1 && axis.values.length <= MOST_SERIES && axis.name !== this.quantity.unit_dim);
+      const [other] = choice.kind === "map" ? [...apart, ...others] : choice.noSeries ? [] : few;
+      choice.series = other?.name ?? "";
+    }
+
+    // The axes of numbers that the plot shows: along x, and in a map along y.
+    numeric() {
+      return [this.choice.x, ...(this.choice.kind === "map" ? [this.choice.series] : [])].map((name) => this.axis(name)).filter((axis) => axis?.numeric);
+    }
+
+    // What may be along y of a map, or the series of lines: points of a table have no series, and are a map as dots.
+    others() {
+      const x = this.axis(this.choice.x) ?? {};
+      const isMap = this.choice.kind === "map";
+      return this.axesOf(this.quantity.dims).filter((axis) => axis.name !== x.name && (axis.dim !== x.dim || (isMap && axis.numeric)));
+    }
+
+    control(element, name, label, change) {
+      const box = document.createElement("label");
+      box.append(label, element);
+      element.name = name;
+      element.addEventListener("change", () => {
+        change(element.value);
+        setTimeout(() => this.change(document.activeElement?.name || name)); // the next control has the focus by then
+      });
+      return box;
+    }
+
+    // Both ends of the range of an axis; an empty one is open.
+    ends(axis) {
+      const range = this.choice.ranges[axis.name] ?? [null, null];
+      return ["from", "to"].map((word, end) => {
+        const input = document.createElement("input");
+        Object.assign(input, { type: "number", step: "any", placeholder: end ? largest(axis.values) : least(axis.values), value: range[end] ?? "" });
+        return this.control(input, `${word}-${axis.name}`, end ? "to" : `${labelled(axis)} from`, (value) => {
+          this.choice.ranges[axis.name] = range.with(end, value === "" ? null : Number(value));
+          if (this.choice.ranges[axis.name].every((one) => one === null)) delete this.choice.ranges[axis.name];
+        });
+      });
     }
 
     select(name, label, options, current, change) {
-      const box = document.createElement("label");
-      box.append(label);
       const select = document.createElement("select");
-      select.name = name;
-      for (const [value, text] of options) {
-        const option = document.createElement("option");
-        option.value = value;
-        option.textContent = text;
-        option.selected = String(value) === String(current);
-        select.append(option);
-      }
-      select.addEventListener("change", () => {
-        change(select.value);
-        this.settle();
-        this.remember();
-        this.draw();
-        const again = [...this.element.querySelectorAll("select")].find((other) => other.name === name);
-        if (again) again.focus();
-      });
-      box.append(select);
-      return box;
+      select.append(...options.map(([value, text]) => new Option(text, value, false, String(value) === String(current))));
+      return this.control(select, name, label, change);
     }
 
     controls() {
@@ -163,23 +239,40 @@
       const boxes = [
         this.select("quantity", "Quantity", this.data.quantities.map((one, i) => [i, one.unit_dim ? one.name : labelled(one)]), choice.quantity, (v) => { choice.quantity = Number(v); }),
       ];
+      const scales = [["", "automatic"], ["linear", "linear"], ["log", "logarithmic"]];
+      const isMap = choice.kind === "map";
+      if (axes.length > 1) boxes.push(this.select("kind", "Show as", [["", "lines"], ["map", "map"]], choice.kind, (v) => { choice.kind = v; }));
       if (axes.length) {
+        const x = this.axis(choice.x);
         boxes.push(this.select("x", "Along x", axes.map((axis) => [axis.name, labelled(axis)]), choice.x, (v) => { choice.x = v; }));
-        const along = this.axis(choice.x).dim;
-        const others = axes.filter((axis) => axis.dim !== along);
+        const others = this.others().map((axis) => [axis.name, labelled(axis)]);
         if (others.length) {
-          const options = [["", "none"], ...others.map((axis) => [axis.name, labelled(axis)])];
-          boxes.push(this.select("series", "Series", options, choice.series, (v) => { choice.series = v; choice.noSeries = v === ""; }));
+          const options = isMap ? others : [["", "none"], ...others];
+          boxes.push(this.select("series", isMap ? "Along y" : "Series", options, choice.series, (v) => { choice.series = v; choice.noSeries = v === ""; }));
         }
         for (const dim of this.fixedDims()) {
           const axis = this.axis(dim);
-          const options = axis.values.map((value, i) => [i, String(value)]);
+          const options = axis.values.map((value, i) => [i, String(value)]).filter(([i]) => this.inside(dim, i));
           boxes.push(this.select(`fixed-${dim}`, `${labelled(axis)} =`, options, this.index(dim), (v) => { choice.fixed[dim] = Number(v); }));
         }
+        if (x.numeric && least(x.values) > 0) boxes.push(this.select("scaleX", "Scale of x", scales, choice.scaleX, (v) => { choice.scaleX = v; }));
+        boxes.push(this.select("scale", isMap ? "Scale of colours" : "Scale of y", scales, choice.scale, (v) => { choice.scale = v; }));
+        for (const axis of this.numeric()) boxes.push(...this.ends(axis));
       }
-      const scales = [["", "automatic"], ["linear", "linear"], ["log", "logarithmic"]];
-      boxes.push(this.select("scale", "Scale of y", scales, choice.scale, (v) => { choice.scale = v; }));
+      if (Object.keys(choice.ranges).length) {
+        const all = document.createElement("button");
+        Object.assign(all, { type: "button", name: "all", textContent: "All points" });
+        all.addEventListener("click", () => { choice.ranges = {}; this.change("x"); });
+        boxes.push(all);
+      }
       this.element.querySelector(".controls").replaceChildren(...boxes);
+    }
+
+    // What is known at a place along the dimensions, the other ones at the values chosen.
+    at(places) {
+      const flat = this.quantity.dims.reduce((sum, dim) => sum * this.size(dim) + (places[dim] ?? this.fixed[dim]), 0);
+      const part = (name) => (this.quantity[name] ? nan(this.quantity[name][flat]) : NaN);
+      return { value: part("value"), error: part("error"), predicted: part("predicted"), published: part("published") };
     }
 
     fixedDims() {
@@ -187,26 +280,18 @@
       return this.quantity.dims.filter((dim) => !used.includes(dim));
     }
 
-    // The numbers of one series: columns in the order of x; a value that is missing is left out or breaks a line.
+    // The numbers of one series, or of one row of a map, in the order of x; of a table of points a map has one row.
     columns(number) {
-      const { choice, quantity } = this;
-      const x = choice.x ? this.axis(choice.x) : null;
-      const series = choice.series ? this.axis(choice.series) : null;
-      const count = x ? x.values.length : 1;
+      const [x, other] = [this.choice.x, this.choice.series].map((name) => this.axis(name) ?? { values: [""] });
+      const alone = other.dim === x.dim;
       const rows = [];
-      for (let i = 0; i < count; i += 1) {
-        let flat = 0;
-        for (const dim of quantity.dims) {
-          let index = this.index(dim);
-          if (x && dim === x.dim) index = i;
-          else if (series && dim === series.dim) index = number;
-          flat = flat * this.size(dim) + Math.min(index, this.size(dim) - 1);
-        }
-        const at = (part) => (quantity[part] ? nan(quantity[part][flat]) : NaN);
-        rows.push({ x: x ? x.values[i] : "", i, value: at("value"), error: at("error"), predicted: at("predicted"), published: at("published"), rounding: at("published_rounding") });
-      }
-      if (x && x.numeric) rows.sort((a, b) => a.x - b.x);
-      return rows.filter((row) => row.x !== null);
+      x.values.forEach((place, i) => {
+        if (place === null || !this.inside(x.dim, i, ...this.shown)) return;
+        const j = alone ? i : number;
+        const alpha = this.inside(x.dim, i) && this.inside(other.dim, j) ? 1 : 0.15;
+        rows.push({ x: place, i, j, alpha, ...this.at({ [other.dim]: j, [x.dim]: i }) });
+      });
+      return x.numeric ? rows.sort((a, b) => a.x - b.x) : rows;
     }
 
     async draw() {
@@ -214,62 +299,48 @@
       const turn = this.turn;
       this.controls();
       const { choice, quantity } = this;
+      const isMap = choice.kind === "map";
       const x = choice.x ? this.axis(choice.x) : null;
-      const series = choice.series ? this.axis(choice.series) : null;
-      const total = series ? series.values.length : 1;
-      const drawn = Math.min(total, MOST_SERIES);
+      const series = choice.series ? this.axis(choice.series) : null; // in a map that along y
+      this.fixed = Object.fromEntries(quantity.dims.map((dim) => [dim, this.index(dim)]));
+      this.shown = isMap ? [x.name, series.name] : [choice.x];
+      const apart = series && series.dim !== x.dim;
+      const numbers = apart ? [...series.values.keys()].filter((i) => this.inside(series.dim, i, ...this.shown)) : [0];
+      const drawn = isMap ? numbers : numbers.slice(0, MOST_SERIES);
       const numeric = x !== null && x.numeric;
       const factors = x && !numeric ? this.factors(x) : [""];
-      const everything = Array.from({ length: drawn }, (_, number) => this.columns(number));
+      const everything = drawn.map((number) => this.columns(number));
       const flat = everything.flat();
-      const positive = flat.every((row) => !(row.value <= 0));
       const scale = choice.scale || quantity.scale || (isLogarithmic(flat.map((row) => row.value)) && !quantity.unit.match(/^(mag|dB|dex)$/) ? "log" : "linear");
-      const logY = scale === "log" && positive;
-      const logX = numeric && x.logarithmic;
-      const ink = colour(this.element, "ink");
-      const line = colour(this.element, "line");
-      const page = colour(this.element, "page");
+      const logValue = scale === "log" && flat.every((row) => !(row.value <= 0));
+      const logX = numeric && least(x.values) > 0 && (choice.scaleX ? choice.scaleX === "log" : x.logarithmic);
+      const logY = isMap ? series.logarithmic : logValue;
+      const [ink, line, page] = ["ink", "line", "page"].map((name) => colour(this.element, name));
       const figure = Bokeh.Plotting.figure({
         height: 416,
         sizing_mode: "stretch_width",
         tools: "pan,box_zoom,wheel_zoom,reset,save",
-        x_axis_type: numeric ? (logX ? "log" : "linear") : "auto",
+        x_axis_type: numeric || isMap ? (logX ? "log" : "linear") : "auto",
         y_axis_type: logY ? "log" : "linear",
-        ...(numeric ? {} : { x_range: new Bokeh.FactorRange({ factors }) }),
+        ...(numeric || isMap ? {} : { x_range: new Bokeh.FactorRange({ factors }) }),
         x_axis_label: plain(x ? labelled(x) : ""),
-        y_axis_label: plain(this.labelOf(quantity)),
+        y_axis_label: plain(isMap ? labelled(series) : this.labelOf(quantity)),
         background_fill_color: page, // a transparent figure shows what was painted before its last layout
         border_fill_color: page,
         outline_line_color: line,
       });
       figure.toolbar.logo = null;
       figure.toolbar.active_scroll = null;
-      if (quantity.truth) {
-        [...figure.yaxis][0].ticker = [...figure.ygrid][0].ticker = new Bokeh.FixedTicker({ ticks: [0, 1] });
-        [...figure.yaxis][0].major_label_overrides = new Map([[0, "False"], [1, "True"]]);
-      }
-      if (logX) labelShort([...figure.xaxis][0], [...figure.xgrid][0], x.values);
-      if (logY) labelShort([...figure.yaxis][0], [...figure.ygrid][0], flat.map((row) => row.value));
+      const along = { x: [[...figure.xaxis][0], [...figure.xgrid][0]], y: [[...figure.yaxis][0], [...figure.ygrid][0]] };
+      if (quantity.truth && !isMap) named(...along.y, ["False", "True"]);
+      if (isMap && !numeric) named(...along.x, factors);
+      if (isMap && !series.numeric) named(...along.y, this.factors(series));
+      if (logX) labelShort(...along.x, x.values);
+      if (logY) labelShort(...along.y, isMap ? series.values : flat.map((row) => row.value));
       this.dress(figure, ink, line);
-      const legend = [];
-      const values = [];
-      this.drawn = [];
-      everything.forEach((rows, number) => {
-        const name = series ? String(series.values[number]) : quantity.name;
-        const parts = this.series(figure, rows, { name, number, numeric, joined: numeric && x.ordered && !quantity.truth, factors, logY });
-        this.drawn[number] = parts.kinds;
-        if (parts.renderers.length) legend.push(new Bokeh.LegendItem({ label: plain(series ? `${series.name} = ${name}` : name), renderers: parts.renderers }));
-        values.push(...parts.values);
-      });
-      for (const [part, text] of [["predicted", "predicted"], ["published", "published"], ["error", "one-sigma error"]]) {
-        const renderers = everything.flatMap((_, number) => this.drawn[number]?.[part] ?? []);
-        if (renderers.length) legend.push(new Bokeh.LegendItem({ label: text, renderers: [this.sign(figure, part, renderers, ink, x, factors)] }));
-      }
-      this.hover(figure, values, x);
-      if (legend.length > 1 || quantity.predicted || quantity.published) {
-        const box = new Bokeh.Legend({ items: legend, click_policy: "hide", orientation: "horizontal", location: "left", ncols: this.element.clientWidth < 500 ? 1 : 4, background_fill_alpha: 0, border_line_alpha: 0, label_text_color: ink, label_text_font_size: "12px", inactive_fill_alpha: 0.5 });
-        figure.add_layout(box, "below");
-      }
+      this.brush(figure);
+      if (isMap) this.map(figure, flat, x, series, { logX, logY, logValue, ink });
+      else this.lines(figure, everything, x, series, { drawn, numeric, factors, logY, ink });
       const target = document.createElement("div");
       const view = await Bokeh.Plotting.show(figure, target);
       if (turn !== this.turn) { // a later choice was drawn meanwhile
@@ -279,9 +350,88 @@
       this.element.querySelector(".plot").replaceChildren(target);
       if (this.view) forget(this.view);
       this.view = view;
-      this.note(flat, total, drawn, logY);
+      this.note(flat, numbers.length, drawn.length, logValue);
+      this.filter();
       this.element.dataset.drawn = this.isDark() ? "dark" : "light";
       this.element.dataset.turn = String(turn);
+    }
+
+    lines(figure, everything, x, series, { drawn, numeric, factors, logY, ink }) {
+      const { quantity } = this;
+      const legend = [];
+      const kinds = [];
+      everything.forEach((rows, k) => {
+        const number = drawn[k];
+        const name = series ? String(series.values[number]) : quantity.name;
+        kinds.push(this.series(figure, rows, { name, number, numeric, joined: numeric && x.ordered && !quantity.truth, factors, logY }));
+        const renderers = Object.values(kinds[k]).flat();
+        if (renderers.length) legend.push(new Bokeh.LegendItem({ label: plain(series ? `${series.name} = ${name}` : name), renderers }));
+      });
+      for (const [part, text] of [["predicted", "predicted"], ["published", "published"], ["error", "one-sigma error"]]) {
+        const renderers = kinds.flatMap((one) => one[part]);
+        if (renderers.length) legend.push(new Bokeh.LegendItem({ label: text, renderers: [this.sign(figure, part, renderers, ink, x, factors)] }));
+      }
+      this.hover(figure, kinds.flatMap((one) => one.value), x);
+      if (legend.length > 1 || quantity.predicted || quantity.published) {
+        const box = new Bokeh.Legend({ items: legend, click_policy: "hide", orientation: "horizontal", location: "left", ncols: this.element.clientWidth < 500 ? 1 : 4, background_fill_alpha: 0, border_line_alpha: 0, label_text_color: ink, label_text_font_size: "12px", inactive_fill_alpha: 0.5 });
+        figure.add_layout(box, "below");
+      }
+    }
+
+    // Cells of a grid, or dots of a table of points, in colours of the quantity.
+    map(figure, rows, x, y, { logX, logY, logValue, ink }) {
+      const [alongX, alongY] = [cells(x, logX), cells(y, logY)];
+      const known = rows.filter((row) => Number.isFinite(row.value) && alongX.has(row.i) && alongY.has(row.j));
+      const columns = { ...this.texts(), number: (row) => row.value, place: (row) => String(x.values[row.i]), name: (row) => String(y.values[row.j]) };
+      ["left", "x", "right"].forEach((name, k) => { columns[name] = (row) => alongX.get(row.i)[k]; });
+      ["bottom", "y", "top"].forEach((name, k) => { columns[name] = (row) => alongY.get(row.j)[k]; });
+      const source = sourceOf(columns, known);
+      const [low, high] = this.quantity.truth ? [0, 1] : [least(source.data.number), largest(source.data.number)];
+      const mapper = new Bokeh[logValue ? "LogColorMapper" : "LinearColorMapper"]({ palette: Bokeh.Palettes.Cividis256, low, high });
+      const [fill, alpha] = [{ field: "number", transform: mapper }, { field: "alpha" }];
+      const look = { source, fill_color: fill, line_color: null, fill_alpha: alpha };
+      const [left, right, bottom, top, atX, atY] = ["left", "right", "bottom", "top", "x", "y"].map((field) => ({ field }));
+      const drawn = x.dim === y.dim ? figure.scatter(atX, atY, { ...look, size: 9 }) : figure.quad(left, right, bottom, top, look);
+      this.hover(figure, [drawn], x);
+      const place = this.element.clientWidth < 500 ? "below" : "right";
+      const text = { title_text_color: ink, major_label_text_color: ink, title_text_font_style: "normal", background_fill_alpha: 0 };
+      figure.add_layout(new Bokeh.ColorBar({ color_mapper: mapper, title: plain(this.labelOf(this.quantity)), ...text }), place);
+    }
+
+    // Dragging in the plot chooses the range of the values under it, on every axis of numbers that it shows.
+    brush(figure) {
+      const axes = this.numeric();
+      const along = (axis) => (axis.name === this.choice.x ? "x" : "y");
+      if (!axes.length) return;
+      const tool = new Bokeh.BoxSelectTool({ dimensions: axes.length > 1 ? "both" : along(axes[0]) === "x" ? "width" : "height", description: "Choose a range" });
+      figure.add_tools(tool);
+      figure.toolbar.active_drag = tool;
+      figure.on_event("selectiongeometry", ({ geometry, final }) => {
+        if (!final) return;
+        for (const axis of axes) {
+          const range = [geometry[`${along(axis)}0`], geometry[`${along(axis)}1`]];
+          const under = axis.values.filter((value) => value !== null && within(value, range));
+          if (under.length) this.choice.ranges[axis.name] = [least(under), largest(under)];
+        }
+        this.change("all");
+      });
+    }
+
+    // The tables beside the view show what is inside, too.
+    filter() {
+      for (const table of this.element.parentElement.querySelectorAll("table.sortable")) {
+        const heads = [...table.tHead.rows[0].cells].map((cell) => cell.textContent);
+        const tests = Object.entries(this.choice.ranges).map(([name, range]) => [heads.indexOf(labelled(this.axis(name))), range]).filter(([column]) => column >= 0);
+        const rows = [...table.tBodies[0].rows];
+        for (const row of rows) row.hidden = !tests.every(([column, range]) => within(Number(row.cells[column].dataset.value ?? NaN), range));
+        const kept = rows.filter((row) => !row.hidden).length;
+        table.caption.dataset.brushed = tests.length ? `${this.inWords()}: ${kept} of ${rows.length} rows. ` : "";
+      }
+    }
+
+    inWords() {
+      const texts = Object.entries(this.choice.ranges).map(([name, [low, high]]) => `${name} ${low === null ? "" : `from ${low} `}${high === null ? "" : `to ${high}`}`.trim());
+      return texts.length ? `Only ${texts.join(", ")}` : "";
     }
 
     showTools(visible) {
@@ -296,7 +446,8 @@
     // A name that occurs twice along an axis gets its position as a number.
     factors(axis) {
       const names = axis.values.map((value) => (value === null ? "missing" : plain(value)));
-      return names.map((name, i) => (names.indexOf(name) === i ? name : `${name} (${i + 1})`));
+      const first = new Map(names.map((name, i) => [name, i]).reverse());
+      return names.map((name, i) => (first.get(name) === i ? name : `${name} (${i + 1})`));
     }
 
     dress(figure, ink, line) {
@@ -316,56 +467,32 @@
       const tint = colour(this.element, `series-${number % COLOURS}`);
       const marker = MARKERS[(number + Math.floor(number / COLOURS)) % MARKERS.length];
       const place = (row) => (numeric ? row.x : factors[row.i]);
-      const at = (part, others = {}) => {
-        const kept = rows.filter((row) => Number.isFinite(row[part]) && !(logY && row[part] <= 0));
-        const source = { x: kept.map(place), y: kept.map((row) => row[part]) };
-        for (const [key, make] of Object.entries(others)) source[key] = kept.map(make);
-        return new Bokeh.ColumnDataSource({ data: source });
-      };
       const lowest = (centre, half) => (logY && centre - half <= 0 ? centre / 10 : centre - half);
-      const renderers = [];
-      const values = [];
-      const main = at("value", {
+      const columns = {
+        ...this.texts(),
+        x: place,
         name: () => name,
         place: (row) => (row.x === "" ? "" : String(row.x)),
-        value: (row) => (this.quantity.truth ? ["False", "True"][row.value] : withError(row.value, row.error)),
-        predicted: (row) => shown(row.predicted),
-        published: (row) => shown(row.published),
         low: (row) => lowest(row.value, row.error > 0 ? row.error : 0),
         high: (row) => row.value + (row.error > 0 ? row.error : 0),
-      });
-      const kinds = { predicted: [], published: [], error: [] };
+      };
+      const kinds = { line: [], predicted: [], error: [], value: [], published: [] };
       const heights = rows.map((row) => (logY && row.value <= 0 ? NaN : row.value));
       if (joined && heights.filter(Number.isFinite).length > 1) {
-        renderers.push(figure.line(rows.map(place), heights, { line_color: tint, line_width: 1, line_alpha: 0.55 }));
+        kinds.line.push(figure.line(rows.map(place), heights, { line_color: tint, line_width: 1, line_alpha: 0.55 }));
       }
-      if (this.quantity.predicted) { // known at the points alone
-        const predicted = at("predicted");
-        if (predicted.data.x.length) {
-          const dash = figure.scatter({ field: "x" }, { field: "y" }, { source: predicted, marker: "dash", size: 22, line_color: tint, line_width: 2 });
-          renderers.push(dash);
-          kinds.predicted.push(dash);
-        }
-      }
-      if (this.quantity.error && main.data.x.length) {
-        const segments = figure.segment({ field: "x" }, { field: "low" }, { field: "x" }, { field: "high" }, { source: main, line_color: tint, line_width: 1.5 });
-        renderers.push(segments);
-        kinds.error.push(segments);
-      }
-      if (main.data.x.length) {
-        const points = figure.scatter({ field: "x" }, { field: "y" }, { source: main, marker, size: 7, fill_color: tint, line_color: tint });
-        renderers.push(points);
-        values.push(points);
-      }
-      if (this.quantity.published) {
-        const published = at("published");
-        if (published.data.x.length) {
-          const open = figure.scatter({ field: "x" }, { field: "y" }, { source: published, marker, size: 14, fill_alpha: 0, line_color: tint, line_width: 1.5 });
-          renderers.push(open);
-          kinds.published.push(open);
-        }
-      }
-      return { renderers, values, kinds };
+      const put = (kind, part, draw, style) => {
+        const kept = rows.filter((row) => Number.isFinite(row[part]) && !(logY && row[part] <= 0));
+        const source = sourceOf({ ...columns, y: (row) => row[part] }, kept);
+        if (kept.length) kinds[kind].push(draw({ source, line_color: tint, line_alpha: { field: "alpha" }, ...style }));
+      };
+      const [atX, atY, low, high] = ["x", "y", "low", "high"].map((field) => ({ field }));
+      const mark = (style) => figure.scatter(atX, atY, style);
+      put("predicted", "predicted", mark, { marker: "dash", size: 22, line_width: 2 }); // known at the points alone
+      if (this.quantity.error) put("error", "value", (style) => figure.segment(atX, low, atX, high, style), { line_width: 1.5 });
+      put("value", "value", mark, { marker, size: 7, fill_color: tint, fill_alpha: { field: "alpha" } });
+      put("published", "published", mark, { marker, size: 14, fill_alpha: 0, line_width: 1.5 });
+      return kinds;
     }
 
     // One sign in the legend for what all series have: theirs would be drawn over one another.  It is drawn nowhere else.
@@ -381,6 +508,16 @@
       return one;
     }
 
+    // What the source of a plot has for every row beside its place.
+    texts() {
+      return {
+        alpha: (row) => row.alpha,
+        value: (row) => (this.quantity.truth ? ["False", "True"][row.value] : withError(row.value, row.error)),
+        predicted: (row) => shown(row.predicted),
+        published: (row) => shown(row.published),
+      };
+    }
+
     hover(figure, renderers, x) {
       const rows = [[this.choice.series || "quantity", "@name"]];
       if (x) rows.push([labelled(x), "@place"]);
@@ -389,19 +526,25 @@
       figure.add_tools(new Bokeh.HoverTool({ renderers, tooltips: rows.map(([name, value]) => [plain(name).replaceAll("@", "＠").replaceAll("$", "＄"), value]) }));
     }
 
-    note(flat, total, drawn, logY) {
-      const parts = [];
-      if (this.quantity.meaning) parts.push(`${this.quantity.name}: ${this.quantity.meaning}.`);
-      if (this.quantity.error) parts.push("Bars are one-sigma errors.");
-      if (this.quantity.predicted) parts.push("Dashes are predicted.");
-      if (this.quantity.published) parts.push("Published values are large open symbols.");
-      if (drawn < total) parts.push(`The first ${drawn} of ${total} series are drawn; exchange x and series to see all.`);
+    note(flat, total, drawn, logValue) {
+      const { choice, quantity } = this;
+      const fixed = this.fixedDims().filter((dim) => this.size(dim) > 1).map((dim) => `${dim} = ${this.axis(dim).values[this.fixed[dim]]}`);
       const gone = flat.filter((row) => !Number.isFinite(row.value)).length;
-      if (gone) parts.push(`${gone} of ${flat.length} values are missing and not drawn.`);
-      if ((this.choice.scale || this.quantity.scale) === "log" && !logY) parts.push("There are values that are not above zero: the scale stays linear.");
-      this.element.querySelector(".status").textContent = parts.join(" ");
+      const isMap = choice.kind === "map";
+      const sentences = [
+        fixed.length && `At ${fixed.join(", ")}.`,
+        this.inWords() && `${this.inWords()}.`,
+        quantity.meaning && `${quantity.name}: ${quantity.meaning}.`,
+        !isMap && quantity.error && "Bars are one-sigma errors.",
+        !isMap && quantity.predicted && "Dashes are predicted.",
+        !isMap && quantity.published && "Published values are large open symbols.",
+        drawn < total && `The first ${drawn} of ${total} series are drawn; exchange x and series, or show a map, to see all.`,
+        gone && `${gone} of ${flat.length} values are missing and not drawn.`,
+        (choice.scale || quantity.scale) === "log" && !logValue && "There are values that are not above zero: the scale stays linear.",
+      ].filter(Boolean);
+      this.element.querySelector(".status").textContent = sentences.join(" ");
     }
   }
 
-  for (const element of document.querySelectorAll("[data-explorer]")) new Explorer(element);
+  for (const element of document.querySelectorAll("[data-explorer]")) explorers.push(new Explorer(element));
 })();

@@ -144,11 +144,13 @@ def function(docstring):
     [
         ("A cup of coffee that cools.\n\n    The room has 20 degrees.\n", None, "A cup of coffee that cools"),
         ("A cup of coffee that cools.", "Coffee", "Coffee"),
+        ("A cup of coffee\n    that cools.\n    The room has 20 degrees.", None, "A cup of coffee that cools"),
         ("What $x costs.", None, "f"),
         (None, None, "f"),
     ],
 )
-def test_the_title_is_the_first_line_of_the_docstring(tmp_path, docstring, title, shown):
+def test_the_title_is_the_first_sentence_of_the_docstring(tmp_path, docstring, title, shown):
     store = tmp_path / "s.zarr"
     dataset = linksweep.run(function(docstring), store, axes={"start": [30.0, 50.0]}, title=title, pool="serial")
     assert dataset.attrs["title"] == linksweep.open(store).attrs["title"] == shown
+    assert ("20 degrees" in dataset.attrs.get("description", "")) == ("20 degrees" in (docstring or ""))

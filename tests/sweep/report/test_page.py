@@ -244,3 +244,64 @@ def test_differences_from_a_prediction_are_in_errors_and_have_no_unit(factor):
     assert "units" not in found.attrs
     np.testing.assert_allclose(found.values, (values - 5.0 * factor) / error, rtol=1e-12)
     assert residuals(grid(values, **errors), "share") is None
+
+
+CHIRP = '''
+import numpy as np
+import xarray as xr
+
+
+def chirp(a: float, b: float, window: str, n: int = 9):
+    """Measure the peak of a chirp,
+    which a window lowers.
+
+    The text of <i>all</i> paragraphs.
+
+    Args:
+        a: its rate.
+    """
+    if b == 3.0:
+        raise ValueError(f"undefined at {a}")
+    time = np.linspace(0.0, 1.0, n)
+    curve = xr.DataArray(a * time, {"time": time})
+    return {"peak": 3.0 * a + b, "early": a > 4.0, "curve": curve}
+'''
+
+
+@pytest.fixture(scope="module")
+def chirp(tmp_path_factory):
+    """The page about a function with curves, of which a quarter of the points fail."""
+    folder = tmp_path_factory.mktemp("chirp")
+    (folder / "chirp.py").write_text(CHIRP)
+    axes = {"a": np.arange(1.0, 10.0), "b": [0.0, 1.0, 2.0, 3.0], "window": ["hann", "box", "none"]}
+    linksweep.run(f"{folder}/chirp.py:chirp", folder / "c.zarr", axes=axes, pool="serial", progress=False)
+    return report_of([folder / "c.zarr"])
+
+
+@pytest.mark.slow
+def test_the_docstring_is_title_and_text(chirp):
+    assert "<h1>Measure the peak of a chirp, which a window lowers</h1>" in chirp
+    assert '<p class="description">The text of &lt;i&gt;all&lt;/i&gt; paragraphs.</p>' in chirp
+    assert re.search(r"<pre[^>]*>Args:\n    a: its rate.</pre>", chirp)
+
+
+@pytest.mark.slow
+def test_every_output_says_what_decides_it(chirp):
+    """The variances of 3 a over 1 to 9 and of b over 0, 1, 2 are 60 and 2 / 3."""
+    sentence = r"What decides it \(without b=3, where some are missing\): a (\d+)[^,<]*%"
+    peak, early = map(float, re.findall(sentence, chirp))
+    assert peak == pytest.approx(100.0 * 60.0 / (60.0 + 2.0 / 3.0), abs=0.6)
+    assert early == 100.0
+    assert "What changes it" not in chirp
+
+
+@pytest.mark.slow
+def test_curves_of_many_points_have_a_figure_that_says_which(chirp):
+    assert re.search(r"<figcaption>curve, only a=1, a=\d, ", chirp)
+    assert "No figure of" not in chirp
+
+
+@pytest.mark.slow
+def test_failures_are_said_once_for_each_reason(chirp):
+    assert re.findall(r"<li>(27 like ValueError: undefined at )", chirp)
+    assert "<summary>Every point that failed (27)</summary>" in chirp

@@ -115,7 +115,7 @@ def drawn(driver):
     script = """
       const plots = [...Bokeh.index.roots].map((view) => view.model).filter((model) => model.type === "Figure");
       const [plot] = plots;
-      const points = plot.renderers.filter((r) => r.glyph.type === "Scatter" && "value" in r.data_source.data);
+      const points = plot.renderers.filter((r) => r.glyph.type === "Scatter" && r.glyph.size.value === 7);
       const legend = plot.below.find((part) => part.type === "Legend");
       return {
         x: plot.below.find((part) => part.type.endsWith("Axis")).axis_label,
@@ -261,6 +261,67 @@ def test_a_view_stands_in_the_address(show, store_of):
     wait_for_turn(driver, 1)
     assert drawn(driver)["x"] == "v_max [mag]"
     assert complaints(driver) == []
+
+
+def rows_shown(driver):
+    """The rows of the table of results that are shown, as their values of v_max."""
+    rows = "[...document.querySelector('#results-1 tbody').rows].filter((row) => row.offsetParent)"
+    return driver.execute_script(f"return {rows}.map((row) => Number(row.cells[1].dataset.value))")
+
+
+def enter(driver, name, text):
+    """Type into a field and go on with Tab, as one does without a mouse; return the name of what has the focus then."""
+    from selenium.webdriver.common.keys import Keys
+
+    turn = int(driver.find_element("css selector", "[data-explorer]").get_attribute("data-turn"))
+    driver.find_element("name", name).send_keys(text, Keys.TAB)
+    wait_for_turn(driver, turn + 1)
+    return driver.switch_to.active_element.get_attribute("name")
+
+
+def test_a_range_holds_for_map_and_table_and_can_be_gone_back_from(show, store_of):
+    driver = show([store_of("quasars")])
+    assert enter(driver, "from-v_max", "15") == "to-v_max"
+    enter(driver, "to-v_max", "16.5")
+    assert rows_shown(driver) == [15.0, 15.5, 16.0, 16.5] * 2
+    choose(driver, "kind", "map")
+    script = """
+      const [plot] = [...Bokeh.index.roots].map((view) => view.model).filter((model) => model.type === "Figure");
+      const {data} = plot.renderers.find((r) => r.glyph.type === "Quad").data_source;
+      return [...data.left].map((left, i) => [left, data.right[i], data.number[i], data.alpha[i]]);
+    """
+    cells = driver.execute_script(script)
+    values = 1000.0 * linksweep.open(store_of("quasars"))["sigma_spin"].transpose("model", "v_max").values
+    assert [number for *_, number, _ in cells] == pytest.approx(values.ravel().tolist(), rel=1e-6)
+    assert [(left + right) / 2.0 for left, right, _, alpha in cells if alpha == 1.0] == rows_shown(driver)
+    choose(driver, "x", "model")
+    driver.back()
+    wait_for_turn(driver, 5)
+    assert driver.execute_script(script) == cells
+    driver.back()
+    wait_for_turn(driver, 6)
+    assert drawn(driver)["x"] == "v_max [mag]"
+    driver.find_element("name", "all").click()
+    wait_for_turn(driver, 7)
+    assert len(rows_shown(driver)) == 26
+    assert complaints(driver) == []
+
+
+def test_dragging_in_the_plot_chooses_a_range(show, store_of):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    driver = show([store_of("quasars")])
+    plot = driver.find_element("css selector", ".plot")
+    driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", plot)
+    ActionChains(driver).move_to_element_with_offset(plot, -200, 0).click_and_hold().move_by_offset(
+        150, 0
+    ).move_by_offset(150, 0).release().perform()
+    wait_for_turn(driver, 2)
+    low, high = (float(driver.find_element("name", f"{end}-v_max").get_attribute("value")) for end in ("from", "to"))
+    known = linksweep.open(store_of("quasars"))["v_max"].values
+    assert set(rows_shown(driver)) == set(known[(known >= low) & (known <= high)]) < set(known)
+    assert {low, high} < set(known)
+    assert "ranges" in driver.current_url
 
 
 def test_pictures_and_tables_are_saved(show, store_of, tmp_path):

@@ -95,14 +95,39 @@ def test_chi2_is_a_headline_result(store, page):
     assert max(float(row["chi2_ratio"]) for row in results) > 5.0  # errors are three times too small
 
 
+def head_of(store, sweep):
+    """The sentences at the head of the page about a store."""
+    assert sweep("report", store, "-o", store.with_suffix(".html"))[0] == 0
+    return re.search(r'class="headline">(.*?)</div>', store.with_suffix(".html").read_text())[1]
+
+
 def test_the_head_of_a_link_is_its_result(tmp_path, sweep):
     assert sweep("tie", "psrpi-de200", "timing-de200", "--unknowns", "orientation", "-o", tmp_path / "t.zarr")[0] == 0
-    assert sweep("report", tmp_path / "t.zarr", "-o", tmp_path / "t.html")[0] == 0
-    link, page = linksweep.open(tmp_path / "t.zarr"), (tmp_path / "t.html").read_text()
-    head = re.search(r'class="headline"><p>(.*?)</p>', page)[1]
-    values = {
-        name: (float(value), float(error)) for name, value, error in re.findall(r"(\w+) = (\S+) ± (\S+) mas", head)
-    }
-    for k, name in enumerate(link["unknown"].values.tolist()):
-        assert values[name] == pytest.approx((link.estimate[k].item(), link.errors[0, k].item()), abs=0.06)
-    assert f"({link['error_kind'][0].item()} errors)" in head
+    link, head = linksweep.open(tmp_path / "t.zarr"), head_of(tmp_path / "t.zarr", sweep)
+    length, error, *components = map(float, re.findall(r"-?[\d.]+\d", head))
+    estimate, covariance = link["estimate"].values, link["covariance"].values
+    assert components == pytest.approx(estimate.tolist(), abs=0.006)
+    assert length == pytest.approx(np.linalg.norm(estimate), abs=0.006)
+    drawn = np.random.default_rng(1).multivariate_normal(estimate, covariance, 4000)
+    assert error == pytest.approx(np.linalg.norm(drawn, axis=1).std(), rel=0.05)
+    assert f"{link['error_kind'][0].item()} errors" in head
+
+
+def test_the_head_of_a_forecast_is_what_observing_brings(tmp_path, sweep):
+    options = ("--unknowns", "orientation,spin", "--add", "2026", "--choose", "2", "--for", "spin")
+    assert sweep("forecast", "psrpi", "psrpi", *options, "-o", tmp_path / "f.zarr")[0] == 0
+    plan, head = linksweep.open(tmp_path / "f.zarr"), head_of(tmp_path / "f.zarr", sweep)
+    stages = [*plan["error"].values, plan["step_error"].values[-1]]
+    expected = [1e3 * np.sqrt(np.mean(errors[plan["block"].values == "spin"] ** 2)) for errors in stages]
+    assert list(map(float, re.findall(r"([\d.]+) µas/yr", head))) == pytest.approx(expected, rel=5e-3)
+
+
+@pytest.mark.parametrize("command", [("scaling", "quasars", "--workers", "1", "--repetitions", "1"), ("sensitivity",)])
+def test_what_a_command_writes_can_be_shown_and_reported(store_of, tmp_path, sweep, command):
+    more = ("--set", "n_cat=1", "--set", "n_sim=2") if command[0] == "scaling" else (store_of("quasars"),)
+    assert sweep(*command, *more, "-o", tmp_path / "m.zarr")[0] == 0
+    shown = sweep("show", tmp_path / "m.zarr", "--json")
+    assert shown[0] == 0
+    assert sweep("report", tmp_path / "m.zarr", "-o", tmp_path / "m.html")[0] == 0
+    [table] = tables_of((tmp_path / "m.html").read_text()).values()
+    assert len(table) == 2
