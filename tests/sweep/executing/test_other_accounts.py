@@ -36,7 +36,7 @@ OWN = Security.temporary()
 os.setgroups([])
 os.setgid(account)
 os.setuid(account)
-TRIES_S = 5
+TRIES_S = 20
 PAGES = ("", "status", "health", "info/main/workers.html", "json/counts.json")
 got = []
 

@@ -5,6 +5,7 @@ import json
 import pytest
 
 import linksweep
+from linksweep import SweepError
 from tests.sweep.opening import Stopping, check, files_of, open_dataset, run, status_report
 
 
@@ -64,6 +65,9 @@ def test_a_smaller_study_is_answered_while_another_process_holds_the_lock(tmp_pa
     (tmp_path / "s.zarr.lock").write_text(json.dumps(lock))
     part = linksweep.run(coins | {"axes": coins["axes"] | {"metal": ["tin"]}}, store, pool="serial")
     assert part["share"].values.tolist() == whole["share"].sel(metal=["tin"]).values.tolist()
+    for asked, more in (({}, {"fresh": True}), ({"axes": coins["axes"] | {"coins": [1, 5, 20, 30]}}, {})):
+        with pytest.raises(SweepError, match="--break-lock"):
+            linksweep.run(coins | asked, store, pool="serial", **more)
 
 
 @pytest.mark.parametrize("change", ["title", "lost", "damaged", "moved"])
