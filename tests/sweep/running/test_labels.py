@@ -93,7 +93,6 @@ def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_
     assert got == expected if texts else [float(cell) for cell in expected if cell] == [c for c in got if c == c]  # noqa: PLR0124
     run(folder / "grown.zarr", {"x": columns["x"][:first], "label": ["another"] * len(columns["x"][:first])}, "label")
     run(folder / "grown.zarr", columns, "label")
-    run(folder / "grown.zarr", {"x": columns["x"][:1]})  # without labels, those there are stay
     for k in range(1, number + 1):
         run(folder / "parts.zarr", columns, "label", part=f"{k}/{number}")
     merge(sorted(folder.glob("parts.zarr.part-*")), folder / "parts.zarr")
@@ -106,6 +105,7 @@ def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_
 
 def test_points_beside_a_table_have_no_labels(tmp_path):
     run(tmp_path / "s.zarr", {"x": [1.0, 2.0], "star": ["a", "b"]}, "star")
+    run(tmp_path / "s.zarr", {"x": [1.0]})
     run(tmp_path / "s.zarr", axes={"x": [2.0, 9.0]})
     ds = linksweep.open(tmp_path / "s.zarr")
     rows = list(zip(ds.x.values.tolist(), ds.star.values.tolist(), strict=True))

@@ -82,11 +82,10 @@ def test_blocks_add_up_whoever_computed_them(tmp_path):
     for part in (1, 2):
         linksweep.run(draws, tmp_path / "s", part=f"{part}/2", **how)
     merged = merge(sorted(tmp_path.glob("s.part-*")), tmp_path / "s")
-    few = linksweep.run(draws, tmp_path / "t", **{**how, "sampling": {"n_sim": 100}})
+    linksweep.run(draws, tmp_path / "t", **{**how, "sampling": {"n_sim": 100}})
     more = linksweep.run(draws, tmp_path / "t", **how)
     for ds in (merged, more):
         assert all(ds.wall_time.sel(x=x) >= 600 * 5e-5 * x for x in (1.0, 3.0))
-    assert (more.wall_time > few.wall_time).all()
     same(merged, more)
     # the same points took another time, and are the same numbers
     again = merge([tmp_path / "s", tmp_path / "t"], tmp_path / "u")
