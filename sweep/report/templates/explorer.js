@@ -388,8 +388,7 @@
       const source = sourceOf(columns, known);
       const [low, high] = this.quantity.truth ? [0, 1] : [least(source.data.number), largest(source.data.number)];
       const mapper = new Bokeh[logValue ? "LogColorMapper" : "LinearColorMapper"]({ palette: Bokeh.Palettes.Cividis256, low, high });
-      const [fill, alpha] = [{ field: "number", transform: mapper }, { field: "alpha" }];
-      const look = { source, fill_color: fill, line_color: null, fill_alpha: alpha };
+      const look = { source, fill_color: { field: "number", transform: mapper }, fill_alpha: { field: "alpha" }, line_color: null };
       const [left, right, bottom, top, atX, atY] = ["left", "right", "bottom", "top", "x", "y"].map((field) => ({ field }));
       const drawn = x.dim === y.dim ? figure.scatter(atX, atY, { ...look, size: 9 }) : figure.quad(left, right, bottom, top, look);
       this.hover(figure, [drawn], x);
