@@ -230,7 +230,7 @@ def test_every_file_may_be_damaged(history, step):
                 run(document, store)
             assert any(file in problem for problem in told.value.problems), file
             assert repair(store)
-            assert located(f"{store}.damaged").get(file) == damaged.get(file)
+            assert not damaged or located(f"{store}.damaged").get(file) == damaged[file]
             after = check(store)
             assert not after.identity | after.ledger, file
         for dataset in (run(document, store), linksweep.open(store)):
