@@ -11,6 +11,7 @@ from astropy.table import MaskedColumn, Table
 from click.testing import CliRunner
 
 import linksweep
+from linksweep import SweepError
 from linksweep.sweep.cli import main
 from linksweep.sweep.search.outputs import LETTERS, galaxy_table, sky_map
 from tests.documents import commands
@@ -349,3 +350,12 @@ def test_the_table_is_read_back_as_it_was_written(tmp_path):
     letters = [LETTERS[name] for name in classes]
     for name, values in zip(back.colnames, (*whole, ra, dec, letters), strict=True):
         np.testing.assert_array_equal(back[name], values)
+
+
+def test_a_galaxy_without_pgc_number_or_with_a_long_one_does_not_fit():
+    with pytest.raises(SweepError) as error:
+        table_of([(1, 13, 1, 0, 0.0, 0.0, "certain"), (1, 14, 1, 100_000, 0.0, 0.0, "certain")])
+    assert error.value.problems == [
+        "TYC 1-13-1 has no PGC number",
+        "TYC 1-14-1: PGC = 100000 does not fit bytes 14-18, at most 99999",
+    ]
