@@ -21,6 +21,7 @@ from linksweep.core.frames import (
     stored_differences,
     triad,
 )
+from tests.core.reference import design_matrix, solve
 
 ROUNDING = 1e-15  # a few units in the last place of numbers of order 1
 MILLI_ROTATION = (np.array([1.0, -2.0, 0.5]) * MAS, np.array([0.3, 0.7, -1.1]) * MAS)
@@ -176,3 +177,18 @@ def test_triad_from_erfa_position_and_velocity(ra, dec):
     pv = erfa.s2pv(ra, dec, 1.0, 1.0 / np.cos(dec), 1.0, 0.0)
     np.testing.assert_allclose(pv["p"], r, atol=1e-15)
     np.testing.assert_allclose(pv["v"] - q, Rotation.from_rotvec([0, 0, ra]).apply([0, 1, 0]), atol=1e-15)
+
+
+SECOND_ORDER = 0.01 * MICROARCSEC  # epsilon^2 is 0.005 microarcsec, and partly averages out
+
+
+def link(reference, satellite):
+    y = differences(reference, satellite)
+    return solve(design_matrix(*reference), y, np.full_like(y, MAS))
+
+
+def test_link_of_fk5_and_hipparcos_recovers_the_published_vectors():
+    fk5, hipparcos = fk5_and_hipparcos()
+    solution = link(fk5, hipparcos)
+    np.testing.assert_allclose(solution.estimate, np.concatenate([EPSILON, OMEGA]), rtol=0.0, atol=SECOND_ORDER)
+    assert np.sqrt(np.mean(solution.residuals**2)) < 2 * SECOND_ORDER
