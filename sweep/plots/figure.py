@@ -223,11 +223,10 @@ def description(figure: Figure, dataset: xr.Dataset) -> str:
     signs += [label.removeprefix(style.AT_END) for label in labels if label.startswith(style.AT_END)]
     bars = [axes.get_ylabel() for axes in figure.axes if axes not in panels and axes.get_ylabel()]
     drawn = (" against ".join(filter(None, [_label(axes, "y"), _label(axes, "x")])) or "a picture" for axes in panels)
+    titles = formatting.first_of([title for axes in panels if (title := axes.get_title())], MOST_PANELS, "; ")
     parts = [
         formatting.first_of(list(dict.fromkeys(drawn)), MOST_PANELS, "; "),
-        f"{len(panels)} panels: {formatting.first_of([a.get_title() for a in panels], MOST_PANELS, '; ')}"
-        if len(panels) > 1
-        else "",
+        ": ".join(filter(None, [f"{len(panels)} panels", titles])) if len(panels) > 1 else "",
         f"colours: {' and '.join(bars)}" if bars else "",
         f"legend: {', '.join(signs)}" if len(signs) > 1 else "",
     ]
