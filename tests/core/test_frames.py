@@ -192,3 +192,39 @@ def test_link_of_fk5_and_hipparcos_recovers_the_published_vectors():
     solution = link(fk5, hipparcos)
     np.testing.assert_allclose(solution.estimate, np.concatenate([EPSILON, OMEGA]), rtol=0.0, atol=SECOND_ORDER)
     assert np.sqrt(np.mean(solution.residuals**2)) < 2 * SECOND_ORDER
+
+
+def test_space_motion_of_astropy_is_the_velocity_on_the_triad():
+    """One year of motion at 10 pc, where the speed is 1e-4 of light's and its square is left out."""
+    ra, dec, pmra, pmdec = sky(300, mean_pm=500.0 * MAS)
+    pm = {"pm_ra_cosdec": pmra * units.rad / units.yr, "pm_dec": pmdec * units.rad / units.yr}
+    star = SkyCoord(
+        ra * units.rad, dec * units.rad, distance=10 * units.pc, radial_velocity=0 * units.km / units.s, **pm
+    )
+    moved = star.apply_space_motion(dt=1 * units.yr)
+    p, q, r = triad(ra, dec)
+    step = triad(*position(r + p * pmra + q * pmdec)).r - triad(moved.ra.rad, moved.dec.rad).r
+    assert np.abs(step).max() < 0.01 * MICROARCSEC  # (v/c)^2 of a motion is 1e-8 of 2 arcsec
+
+
+def noisy_link(epsilon, sigma, n_obj=200):
+    """Return the link of a noisy satellite with equal weights, and the vectors of both catalogues."""
+    rng = np.random.default_rng(11)
+    ra, dec, *_ = sky(n_obj, 12)
+    still = np.zeros(n_obj)
+    ra_sat, dec_sat, _, _ = satellite_catalogue(ra, dec, still, still, epsilon, np.zeros(3))
+    noise = np.zeros((4, n_obj))
+    noise[:2] = sigma * rng.standard_normal((2, n_obj))
+    y = exact_differences(ra, dec, still, still, epsilon, np.zeros(3)) - noise
+    sat = triad(ra_sat, dec_sat)
+    solution = solve(design_matrix(ra, dec, still, still), y, np.full_like(y, MAS), "equal")
+    return solution.estimate[:3], triad(ra, dec).r, sat.r + sat.p * noise[0] + sat.q * noise[1]
+
+
+@pytest.mark.parametrize("sigma", [0.0, 1.0, 30.0])
+def test_orientation_equals_the_best_exact_rotation(sigma):
+    epsilon = np.array([1.0, -2.0, 0.5]) * MAS
+    estimate, reference, satellite = noisy_link(epsilon, sigma * MAS)
+    exact, _ = Rotation.align_vectors(reference.T, satellite.T)
+    np.testing.assert_allclose(estimate, exact.as_rotvec(), rtol=0.0, atol=0.01 * MICROARCSEC)
+    assert sigma == 0.0 or np.abs(estimate - epsilon).max() > 1.0 * MICROARCSEC  # the noise is really there

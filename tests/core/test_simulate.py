@@ -1,5 +1,6 @@
 """A block of realisations: what it recovers, how large its errors are, and that it is the plain loop made fast."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -226,3 +227,18 @@ def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covari
         part = slice(4 * k, 4 * k + 4)
         whole[part, part] = correlation[k] * np.outer(sigma[k], sigma[k]) * MAS**2
     np.testing.assert_allclose(found, np.diag(gain @ whole @ gain.T), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("reference", "few", "many"), [({}, 2, 8), slow(NOISY, 2, 4)], ids=["fixed", "noisy"])
+def test_memory_does_not_grow_with_the_number_of_realisations(reference, few, many):
+    physics = physics_of(n_obj=200, **reference)
+
+    def peak(chunks):
+        run(physics, 1, keep=False)
+        tracemalloc.start()
+        run(physics, chunks * ROWS, keep=False)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    assert peak(many) < 1.05 * peak(few)

@@ -20,6 +20,7 @@ from tests.core.points import (
     pattern_field,
     point,
     results,
+    rms,
     run,
     scenario,
     set_up,
@@ -229,3 +230,11 @@ def test_solving_for_the_glide_leaves_no_leak_and_finds_minus_the_satellites(con
     found = leaks(10, n_obj=50, sky_contrast=contrast, solve_glide=True)
     np.testing.assert_allclose(found[:, :6], 0.0, atol=1e-9)
     np.testing.assert_allclose(found[:, 6:] * np.linalg.norm(GLIDE), np.tile(-GLIDE, (10, 1)), rtol=1e-9)
+
+
+def test_the_size_of_a_pattern_is_its_rms_over_the_sky():
+    catalogue = sky(100_000)
+    pattern = scenario(point(motion_field="t_2_0=2,s_3_1_im=-1", motion_field_size=0.25)).systematics.pattern
+    lengths = np.sum(pattern_field(pattern, catalogue.ra, catalogue.dec) ** 2, axis=0)
+    assert np.sqrt(lengths.mean()) / MAS == pytest.approx(0.25, rel=0.01)
+    assert rms(pattern) / MAS == pytest.approx(0.25, rel=1e-12)

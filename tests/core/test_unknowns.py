@@ -6,7 +6,7 @@ from scipy.special import sph_harm_y
 
 from linksweep.core.fields import terms, toroidal
 from linksweep.core.fields import turned as quarter_turn
-from linksweep.core.frames import MAS
+from linksweep.core.frames import MAS, position, triad, turned
 from linksweep.core.unknowns import Objects, parse_unknowns
 from tests.core.reference import design_matrix
 
@@ -116,3 +116,29 @@ def test_a_spin_for_each_bin_acts_in_its_bin_alone():
 def test_a_wrong_line_is_refused(text, bins, message):
     with pytest.raises(ValueError, match=message):
         parse_unknowns(text, bins, {"g": np.array([5.0, np.nan])})
+
+
+def test_the_fields_are_finite_and_right_at_the_poles():
+    ra, dec = np.array([0.3, 0.3]), np.array([0.5 * np.pi, -0.5 * np.pi])
+    near = toroidal(4, ra, dec * (1.0 - 1e-9))
+    np.testing.assert_allclose(toroidal(4, ra, dec), near, atol=1e-7)
+
+
+def test_a_turned_sky_has_a_field_of_the_same_degree_and_power():
+    objects = sky(400, seed=3)
+    coefficients = np.random.default_rng(5).normal(size=7)
+    part = slice(8, 15)  # degree 3
+    field = np.tensordot(coefficients, toroidal(3, objects.ra, objects.dec)[part], axes=1)
+    from scipy.spatial.transform import Rotation
+
+    matrix = Rotation.from_rotvec([0.4, -1.0, 0.7]).as_matrix()
+    p, q, r = triad(objects.ra, objects.dec)
+    ra, dec = position(turned(matrix, r))
+    new = triad(ra, dec)
+    vector = turned(matrix, p * field[0] + q * field[1])
+    seen = np.concatenate([np.sum(new.p * vector, axis=0), np.sum(new.q * vector, axis=0)])
+    design = toroidal(3, ra, dec)[part].reshape(7, -1).T
+    found, *_ = np.linalg.lstsq(design, seen, rcond=None)
+    np.testing.assert_allclose(design @ found, seen, atol=1e-12)
+    power = np.array([1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0])
+    assert power @ found**2 == pytest.approx(power @ coefficients**2, rel=1e-12)

@@ -264,3 +264,21 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     status, shown, err = sweep("status", "s.zarr", cwd=tmp_path)
     assert status == 0, err
     assert shown.count("of sweep refine") == len(report["rounds"]) == 2
+
+
+@pytest.mark.slow
+def test_the_crossing_of_the_quasars_is_that_of_the_full_grid(sweep, tmp_path):
+    few = ["quasars", "--set", "n_sim=20", "--set", "n_cat=30", "--axis", "model=amex"]
+    goal = ["--find", "sigma_spin < 0.6", "--within", "0.02"]
+    status, out, err = sweep("refine", *few, "--axis", "v_max=14:16:0.5", *goal, "--json", "-o", "r.zarr", cwd=tmp_path)
+    assert status == 0, err
+    status, _, err = sweep("run", *few, "--axis", "v_max=14:16:0.02", "-o", "full.zarr", cwd=tmp_path)
+    assert status == 0, err
+    first, last = (
+        float(linksweep.find(linksweep.open(tmp_path / name), "sigma_spin < 0.6", over="v_max")[which].item())
+        for name, which in (("full.zarr", "first"), ("full.zarr", "last"))
+    )
+    mine = float(linksweep.find(linksweep.open(tmp_path / "r.zarr"), "sigma_spin < 0.6", over="v_max")["first"].item())
+    assert first - 0.02 <= mine <= last + 0.02
+    report = json.loads(out)
+    assert report["spent"] <= 0.2 * report["full"]

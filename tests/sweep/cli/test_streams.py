@@ -95,3 +95,17 @@ def test_a_message_that_no_file_can_hold_is_escaped_and_bounded(store, tmp_path)
     code, _, err = shell("", *run)
     assert (code, "Traceback" in err) == (1, False)
     assert said in (tmp_path / "run.log").read_text()
+
+
+@pytest.mark.slow
+def test_a_run_whose_table_cannot_be_printed_is_kept(link_study, tmp_path):
+    run = ("run", link_study, "--set", "n_sim=10", "--set", "n_cat=1", "-o", tmp_path / "s.zarr", "--quiet")
+    assert shell(">/dev/full", *run) == (2, "", SAID)
+    assert linksweep.open(tmp_path / "s.zarr").attrs["complete"] == 1
+
+
+@pytest.mark.slow
+def test_a_run_with_closed_streams_writes_into_no_file_of_its_store(link_study, tmp_path):
+    run = ("run", link_study, "--set", "n_sim=10", "--set", "n_cat=1", "-o", tmp_path / "s.zarr")
+    assert shell("<&- >&- 2>&-", *run) == (0, "", "")
+    assert shell("", "check", tmp_path / "s.zarr")[0] == 0

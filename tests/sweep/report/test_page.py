@@ -305,3 +305,10 @@ def test_curves_of_many_points_have_a_figure_that_says_which(chirp):
 def test_failures_are_said_once_for_each_reason(chirp):
     assert re.findall(r"<li>(27 like ValueError: undefined at )", chirp)
     assert "<summary>Every point that failed (27)</summary>" in chirp
+
+
+def test_incomplete_results_say_so_first(results):
+    status = results["status"].copy()
+    status[{"v_max": 0}] = 0
+    card = linksweep.answer(results.assign(status=status))
+    assert card.sentences[0].startswith("Incomplete: ")

@@ -468,3 +468,31 @@ def test_studies_and_forecasts_have_the_errors_of_the_transits(tmp_path):
     np.testing.assert_allclose(found.estimate.values[0, :6], link.estimate.values)
     np.testing.assert_allclose(found.error_formal.values[0, :6], formal)
     np.testing.assert_allclose(found.sigma.values[0, :6], formal, rtol=0.25)
+
+
+def shifts(seed, models, folder, bend=0.2):
+    """Return how far links are from the truth in their errors: with catalogue rows, and with observations (6,)."""
+    sky = drawn(seed, models, n_transits=20, ccds=4, bend=bend)
+    right = linked(folder, sky, epoch=EPOCH, form="fits", **models_of(folder, sky, models))
+    wrong = linksweep.tie(
+        folder / "gaia.ecsv", folder / "vlbi.ecsv", "orientation,spin", errors="formal", accept_misfit=True
+    )
+    truth = np.array([*EPSILON, *OMEGA]) / MAS
+    return [((link.estimate - truth) / link.error).values for link in (wrong, right)]
+
+
+@pytest.mark.parametrize("number", [2, slow(200)])
+def test_a_star_that_accelerates_does_not_bias_the_link(tmp_path, number):
+    """The five parameters of its row do, by several errors: in one direction, because its acceleration is the same."""
+    models = ["7", "5", "5", "5", "9", "5"]
+    wrong, right = np.moveaxis([shifts(seed, models, tmp_path) for seed in range(number)], 1, 0)
+    assert np.sqrt(np.mean(wrong**2)) > 5.0
+    assert np.sqrt(np.mean(right**2)) == pytest.approx(1.0, abs=1.5 / np.sqrt(number))
+    assert np.all(np.abs(right.mean(axis=0)) < 4.0 / np.sqrt(number))
+
+
+@pytest.mark.parametrize("models", [["5"] * 5, ["7", "5", "9", "5", "7"]])
+def test_nothing_is_suspected_of_good_observations(tmp_path, models):
+    sky = drawn(3, models, bend=0.2)
+    link = linked(tmp_path, sky, form="fits", **models_of(tmp_path, sky, models))
+    assert link.attrs["misfit"] == ""

@@ -12,6 +12,7 @@ from scipy.optimize import minimize
 
 import linksweep
 from linksweep import SweepError
+from linksweep.core.tie.forecast import Simulation
 from linksweep.core.tie.noise import estimated, noises
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import solve
@@ -251,3 +252,15 @@ def test_calibrators_without_good_errors_are_refused(tmp_path, column, said):
     other = gaia(tmp_path / "b.ecsv", stars(12, 1), **columns)
     with pytest.raises(SweepError, match=said):
         linksweep.tie(one, other)
+
+
+def test_draws_have_the_errors_that_calibrators_share(tmp_path):
+    tables = with_calibrators(tmp_path, 3)
+    from linksweep.sweep.tie.options import Options
+    from linksweep.sweep.tie.setup import set_up
+
+    problem = set_up(tables.satellite, tables.reference, Options("orientation,spin", positions="mean")).problem
+    expected = solve(source_sums(problem)).covariance
+    draws = Simulation(problem, np.zeros(6)).draws(600, np.random.default_rng(1))
+    found = np.array([solve(one.sums).estimate for one in draws])
+    np.testing.assert_allclose(np.diag(np.cov(found.T)), np.diag(expected), rtol=0.25)

@@ -1,5 +1,6 @@
 """Millions of quasars by row groups: the numbers of the whole table, the same bits on any workers, in little memory."""
 
+import tracemalloc
 from contextlib import closing
 
 import numpy as np
@@ -129,3 +130,23 @@ def test_workers_for_tables_that_are_solved_at_once_are_refused(tmp_path):
     for satellite, options in ((path, {}), (path, {"missions": {"other": path}}), ("icrf3", {})):
         with pytest.raises(SweepError, match="workers are for Parquet tables"):
             tie(satellite, "zero-motion", workers=2, **options)
+
+
+@pytest.mark.slow
+def test_without_sources_memory_hardly_grows_with_their_number(tmp_path, by_groups):
+    """20 bytes and no more of each source: an array of numbers takes 8."""
+
+    def peak(n):
+        path = quasars(tmp_path / f"{n}.parquet", n, 2000)
+        options = {"unknowns": "spin", "clip": "median:50", "errors": "cells", "per_source": False}
+        tracemalloc.start()
+        link = tie(path, "zero-motion", **options)
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found, link
+
+    peak(2000)  # imports
+    (small, _), (large, link) = peak(2000), peak(10_000)
+    assert (large - small) / 8_000 < 40.0
+    assert "source" not in link.dims
+    assert "row" not in link.dims

@@ -303,3 +303,29 @@ def test_a_study_has_what_the_command_has_with_each_option(tmp_path, monkeypatch
     np.testing.assert_allclose(results.sigma_predicted.values[:6], formal, rtol=1e-9)
     plain = linksweep.tie("satellite.ecsv", "reference.ecsv", "orientation,spin", accept_misfit=True)
     assert not np.allclose(plain.estimate, link.estimate[:6], rtol=1e-6)
+
+
+X, Y, Z = range(3)
+
+
+X, Y, Z = range(3)
+
+
+X, Y, Z = range(3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weights", ["covariance", "equal"])
+def test_draws_scatter_as_the_closed_form_says(weights):
+    found = results(point("pulsar-timing", weights=weights), 2000)
+    solved = slice(X, Z + 1)
+    off = np.abs(found["sigma"] - found["sigma_predicted"])[solved] / found["sigma_mc_error"][solved]
+    assert off.max() < 4.5
+    assert (
+        abs(found["sigma_orientation"] - found["sigma_orientation_predicted"])
+        < 4.5 * (found["sigma_orientation_mc_error"])
+    )
+    assert np.abs(found["coverage"][solved] - 0.6827).max() < 4.5 * found["coverage_mc_error"][solved].max()
+    assert np.abs(found["bias"] / found["bias_mc_error"])[solved].max() < 4.5
+    assert abs(found["chi2_ratio_drawn"] - 1.0) < 4.5 * found["chi2_ratio_drawn_mc_error"]
+    assert np.all(np.isnan(found["sigma"][3:]))
