@@ -306,7 +306,8 @@ def plot(
         kind: "lines", "law", "map", "scatter", "points", "pairs" or "scaling"; for a link "solution", "residuals",
             "separations", "weight", "ranking", "jackknife", "trajectory", "spectrum" or "bins"; for a forecast "epochs"
             or "ranking".  By default the kind that suits the dataset.
-        variables: names of outputs, one column of panels each; the main result by default.
+        variables: names of outputs, one column of panels each; the main result by default.  Here and below one name
+            may be a string.
         over: the axis along which curves are drawn, the two axes of a map, or the two components of a scatter plot.
         log: axes and quantities with a logarithmic axis.
         linear: those with a linear one.  All others have what the study says, or what the spacing of their values
@@ -329,7 +330,8 @@ def plot(
     """
     from linksweep.sweep.plots.figure import draw_figure
 
-    return draw_figure(dataset, kind, variables, over, log, linear)
+    names = ([one] if isinstance(one, str) else one for one in (variables, over, log, linear))
+    return draw_figure(dataset, kind, *names)
 
 
 def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], options: dict[str, Any]) -> Study:

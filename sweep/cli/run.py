@@ -263,7 +263,7 @@ def run(
     verify: int = opt("At the end compute so many points again.", type=click.IntRange(0), default=0),
     part: "Part | None" = options.PART,
 ) -> None:
-    """Run STUDY (a built-in name or a TOML file) into a Zarr store, and print the table.
+    """Run STUDY (a built-in name, a TOML file or FILE.py:FUNCTION) into a Zarr store, and print the table.
 
     After an interruption the same command resumes where it stopped.  The store keeps and shows the points of earlier
     runs too: values of axes add up.
@@ -435,17 +435,22 @@ def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> N
 def _print_status(report: Mapping[str, Any], store: str) -> None:
     """Print for people how far a run is."""
     from linksweep.sweep.planning.point_status import progress_in_words
+    from linksweep.sweep.planning.union import EARLIER
     from linksweep.sweep.running.failures import reasons_of
 
     points, made, part = report["points"], report["provenance"], f" of part {report['part']}" if report["part"] else ""
     unfinished = points["missing"]
     total = points["done"] + points["failed"] + unfinished
-    state = f"running, {report['running']}" if report["running"] else "stopped" if unfinished else "finished"
+    has_gaps = unfinished and not report["running"] and EARLIER in made.get("study_overrides", "")
+    state = "incomplete" if has_gaps else "stopped" if unfinished else "finished"
+    state = f"running, {report['running']}" if report["running"] else state
     group.print_styled(report["title"], bold=True)
     share = ""
     if unfinished and "realisations" in report:
         share = f", {100 * report['realisations_done'] // report['realisations']} % of the realisations"
     group.print_wrapped(f"{state}: {progress_in_words(points['done'], points['failed'], total, part)}{share}")
+    if has_gaps:
+        group.print_wrapped("of several runs: points of the grid that none has asked for are missing")
     for key in ("note", "lost_parts"):
         if key in report:
             group.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")
@@ -466,7 +471,8 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
         group.print_wrapped(f"by {report['command']}", later="   ")
     nexts = {
         f"sweep watch {store}": report["running"],
-        "the same command goes on": unfinished and not report["running"],
+        "the same command goes on": unfinished and not report["running"] and not has_gaps,
+        "the same command, or one with the values that are missing": has_gaps,
         f"sweep run --retry {store}": points["failed"] and not report["running"],
         f"sweep show {store}": report["complete"],
     }

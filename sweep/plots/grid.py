@@ -255,7 +255,7 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
         axes.plot([], [], color=colour, label=style.PREDICTED, markersize=WIDEST_DASH, **style.DASH)
     if any(_is_known(one, f"{variable}_published") for one in seen):
         axes.plot([], [], color="0.15", **OPEN, label=style.PUBLISHED)
-    if any(offsets):
+    if any(offsets) and not (joined and len(x) > MOST_MARKERS):
         axes.plot([], [], linestyle="none", label=style.MOVED)
     style.fit_scale(axes, "y", dataset[variable])
     axes.set(xlabel=style.axis_label(dataset, over), ylabel=style.quantity_label(dataset, variable))

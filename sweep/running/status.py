@@ -287,7 +287,9 @@ class Watched:
 
     def _take(self, opened: OpenStore, points: _Points, content: bytes | None) -> None:
         manifest = integrity.newest(content, manifest_of(opened.root))
-        self._keep(ledger.read_failures(self.location, manifest))
+        failed = ledger.read_failures(self.location, manifest)
+        is_shown = points.find(_numbers(failed)[:, 0]) >= 0  # others have left the dataset
+        self._keep({digest: failed[digest] for digest, shown in zip(failed, is_shown, strict=True) if shown})
         new = [part for part in manifest.parts if part.rows.name not in self._parts]
         keys = zip(new, ledger.read_keys(self.location, new), strict=True)
         known = self._parts | {part.rows.name: points.blocks(one) for part, one in keys}

@@ -239,8 +239,8 @@ def _conditions(text: str, texts: Collection[str]) -> dict[str, Any]:
     """Return an entry of [[exclude]] written as ``kernel=linear,gamma>1``."""
     conditions: dict[str, Any] = {}
     for part in text.split(","):
-        condition = re.fullmatch(r"\s*([\w.-]+)\s*([=<>])\s*(.+?)\s*", part)
-        if condition is None or (condition[2] == "=" and condition[1] in conditions):
+        condition = re.fullmatch(r"\s*([\w.-]+)\s*(==|[=<>])\s*([^=<>].*?)\s*", part)
+        if condition is None or (condition[2] in ("=", "==") and condition[1] in conditions):
             raise SweepError("must be written NAME=VALUE, NAME>NUMBER or NAME<NUMBER, several with commas between them")
         value = parse_value(condition[3], is_text=condition[1] in texts)
         rule = {"<": "below", ">": "above"}.get(condition[2])

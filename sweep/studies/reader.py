@@ -214,7 +214,7 @@ class _Reader:
         assert isinstance(checked, Form), "what is wrong has been reported"
         call = getattr(experiment, "call", None)
         docstring = (inspect.isfunction(call) and inspect.getdoc(call)) or ""
-        summary, *rest = re.split(r"(?<=\.)\n|\n\n", docstring, maxsplit=1)
+        summary, *rest = re.split(r"(?<=[.!?])\s+(?=[A-Z])|\n\n", docstring, maxsplit=1)
         summary = " ".join(summary.split()).rstrip(".")
         if len(summary) > LONGEST_TITLE or not summary.isprintable() or "$" in summary or form.title != experiment.name:
             summary, rest = "", [docstring]  # a terminal or a figure would take some of it for something else

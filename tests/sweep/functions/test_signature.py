@@ -145,6 +145,7 @@ def function(docstring):
         ("A cup of coffee that cools.\n\n    The room has 20 degrees.\n", None, "A cup of coffee that cools"),
         ("A cup of coffee that cools.", "Coffee", "Coffee"),
         ("A cup of coffee\n    that cools.\n    The room has 20 degrees.", None, "A cup of coffee that cools"),
+        ("A cup, e.g. of coffee, that cools. The room has 20 degrees.", None, "A cup, e.g. of coffee, that cools"),
         ("What $x costs.", None, "f"),
         (None, None, "f"),
     ],

@@ -39,6 +39,19 @@ def test_a_single_point_that_was_stopped(coins, tmp_path, sweep):
     assert 0 < done < wanted == 20_000
 
 
+def test_points_that_nobody_asked_for_and_failures_that_left_a_store_are_told(sweep, tmp_path):
+    (tmp_path / "f.py").write_text("def f(a: int, b: int = 1):\n    return a // (a - 3) + b\n")
+    runs = (["--axis", "a=1:5:1"], ["--axis", "a=7", "--axis", "b=2"], ["--axis", "a=1,2", "--only"])
+    said = []
+    for options in runs:
+        sweep("run", "f.py:f", *options, "-o", "s.zarr", "-q", "--pool", "serial", cwd=tmp_path)
+        said.append([" ".join(sweep(look, "s.zarr", cwd=tmp_path)[1].split()) for look in ("status", "watch")])
+    assert "finished: 4 of 5 points done, 1 failed" in said[0][0]
+    assert "incomplete: 5 of 12 points done, 1 failed" in said[1][0]
+    assert "the same command goes on" not in said[1][0]
+    assert ["ZeroDivisionError" in watched for _, watched in said] == [True, True, False]
+
+
 def test_all_failed_points_are_counted_and_a_terminal_says_why(sweep, tmp_path):
     (tmp_path / "f.py").write_text(
         "def f(a: int):\n    if a > 1:\n        raise ValueError('even' if a % 2 == 0 else 'odd')\n    return a\n"
