@@ -11,7 +11,7 @@ from typing import Any
 
 from linksweep.sweep.code.load import Code, SourceFunction
 from linksweep.sweep.code.reach import version_of
-from linksweep.sweep.contract import Experiment, Named, Output, Parameter, SweepError, shown
+from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, shown
 from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record
 from linksweep.sweep.studies.part import PART
@@ -109,10 +109,18 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
     def nothing(*_arguments: Any, **_named: Any) -> Any:
         raise SweepError("the record of an experiment computes nothing")
 
-    names, costs = record.get("cost_axes", ()), record.get("costs", {})
-    cost: Any = nothing if "costs" not in record else lambda point: costs[sorted_json([point[name] for name in names])]
+    names, costs = record.get("cost_axes", ()), {key: float(one) for key, one in record.get("costs", {}).items()}
+    if unknown := {*names} - {parameter.name for parameter in parameters}:
+        raise ValueError(f"costs by {shown(min(unknown))}, which is no parameter")
+
+    def cost(point: Point) -> float:
+        key = sorted_json([point[name] for name in names])
+        return costs[key] if key in costs else nothing()
+
     outputs, samples = (tuple(_made(Output, o) for o in record[key]) for key in ("outputs", "sample_outputs"))
-    more = {} if costs == {sorted_json([]): 1.0} else {"cost": cost}  # all points cost the same: that is the default
+    more: dict[str, Any] = (
+        {} if costs == {sorted_json([]): 1.0} else {"cost": cost}
+    )  # all points cost the same: that is the default
     return Experiment(
         **{key: _tuples(record[key]) for key in _SAME},
         parameters=parameters,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from astropy.table import Table as AstropyTable
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
 
 import linksweep
@@ -66,6 +66,7 @@ runs = st.lists(st.tuples(lengths, lengths), min_size=1, max_size=4)
 )
 @given(runs=runs, parts=st.integers(0, 3))
 def test_whatever_the_order_a_dataset_has_the_values_of_each_point(tmp_path_factory, runs, parts):
+    assume(any((k, n) != (9, 9) for ks, ns in runs for k in ks for n in ns))  # no lengths are known where all fail
     folder = tmp_path_factory.mktemp("ragged")
     for ks, ns in runs:
         linksweep.run(walk, folder / "s", axes={"k": ks, "n": ns}, pool="serial", max_failures="100%")

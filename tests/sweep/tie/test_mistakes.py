@@ -232,7 +232,9 @@ def test_epochs_that_are_off_and_another_mistake_are_both_named_or_none(tmp_path
         side, change, _ = MISTAKES[mistake]
         change(tables[side], np.random.default_rng(seed))
     found = solved(tmp_path_factory.mktemp("pair"), **tables)[0]
-    assert "no known mistake" in found or all(re.search(MISTAKES[one][2], found) for one in (epochs, other)), found
+    left = re.search(r"corrected, chi2 is ([\d.e+]+) times its expectation", found)
+    is_told = "no known mistake" in found or (left is not None and float(left[1]) > 5.0)  # something else is wrong too
+    assert is_told or all(re.search(MISTAKES[one][2], found) for one in (epochs, other)), found
 
 
 @pytest.mark.parametrize(("n", "seed"), [(5, 1), slow(20, 2), slow(60, 3)])
