@@ -441,9 +441,11 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     points, made, part = report["points"], report["provenance"], f" of part {report['part']}" if report["part"] else ""
     unfinished = points["missing"]
     total = points["done"] + points["failed"] + unfinished
-    has_gaps = unfinished and not report["running"] and EARLIER in made.get("study_overrides", "")
-    state = "incomplete" if has_gaps else "stopped" if unfinished else "finished"
-    state = f"running, {report['running']}" if report["running"] else state
+    is_left = unfinished and not report["running"]
+    has_gaps = is_left and EARLIER in made.get("study_overrides", "")
+    state = "incomplete" if has_gaps else "stopped" if is_left else "finished"
+    if report["running"]:
+        state = f"running, {report['running']}"
     group.print_styled(report["title"], bold=True)
     share = ""
     if unfinished and "realisations" in report:
@@ -471,7 +473,7 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
         group.print_wrapped(f"by {report['command']}", later="   ")
     nexts = {
         f"sweep watch {store}": report["running"],
-        "the same command goes on": unfinished and not report["running"] and not has_gaps,
+        "the same command goes on": is_left and not has_gaps,
         "the same command, or one with the values that are missing": has_gaps,
         f"sweep run --retry {store}": points["failed"] and not report["running"],
         f"sweep show {store}": report["complete"],

@@ -318,7 +318,9 @@ def sendable(reference: str, digest: str | None = None) -> "LocalFiles | Live | 
 
     Raises SweepError for a function of this session that cannot be pickled.
     """
-    getattr(sources := sources_of(reference, digest), "pickled", None)  # what can fail is done here, once
+    sources = sources_of(reference, digest)
+    if isinstance(sources, Live):
+        sources.pickled  # noqa: B018 (what can fail is done here, once)
     return sources
 
 

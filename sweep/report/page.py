@@ -154,8 +154,8 @@ def drawn(
         about = drawing.description(figure, dataset)
         return Picture(name, svg, 72.0 * figure.get_figwidth(), "", words, about, narrow)
     except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
-        own = quantity.own_dimensions(dataset, variables[0]) if "status" in dataset and variables else []
-        sizes = {str(d): n for d, n in dataset["status"].sizes.items() if n > 1 and d != POINT} if own else {}
+        is_curve = "status" in dataset and variables and quantity.own_dimensions(dataset, variables[0])
+        sizes = {str(d): n for d, n in dataset["status"].sizes.items() if n > 1 and d != POINT} if is_curve else {}
         if longest := max(sizes, key=lambda d: sizes[d], default=""):  # fewer curves may fit into one picture
             some = np.linspace(0, sizes[longest] - 1, (sizes[longest] + 1) // 2).round().astype(int)
             thinner = dataset.isel({longest: some})

@@ -66,7 +66,8 @@ class _Points:
     def __init__(self, attributes: Mapping[str, Any], where: str) -> None:
         self.study = study = recorded_study(attributes, where)
         self.grid = Grid(study)
-        plan, share = Plan(self.grid), share_of(Plan(self.grid))
+        plan = Plan(self.grid)
+        share = share_of(plan)
         indices = self.grid.indices() if share is None else np.array(list(share), dtype=np.intp)
         self.is_adaptive = study.sampling.precision is not None
         self.noun = "points" if study.experiment.deterministic else "realisations"
