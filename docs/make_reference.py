@@ -5,8 +5,8 @@ from pathlib import Path
 from linksweep.core.experiment import link
 from linksweep.sweep.contract import Output, Parameter
 from linksweep.sweep.studies import built_in_studies
-from linksweep.sweep.studies.form import Sampling
 from linksweep.sweep.studies.reader import load_study
+from linksweep.sweep.studies.study import Sampling
 
 INTRODUCTION = """# Studies, parameters and results
 

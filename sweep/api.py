@@ -21,10 +21,8 @@ from linksweep.sweep.running.progress import NotebookProgress, TerminalProgress,
 from linksweep.sweep.running.reproduce import verify as verified
 from linksweep.sweep.running.run import Progress, Silent, run_study
 from linksweep.sweep.stores.location import Where, default_store, located, store_named
-from linksweep.sweep.studies.document import reference_in
-from linksweep.sweep.studies.part import Part
-from linksweep.sweep.studies.reader import live_study, load_study, study_of_function
-from linksweep.sweep.studies.study import Study
+from linksweep.sweep.studies.reader import live_study, load_study, reference_in, study_of_function
+from linksweep.sweep.studies.study import Part, Study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

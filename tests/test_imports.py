@@ -57,7 +57,7 @@ ONLY_IN = {
     },
     "astropy": {
         *(
-            "linksweep.sweep.contract.units",
+            "linksweep.sweep.contract.declaration",
             "linksweep.sweep.tables",
             "linksweep.sweep.table_writer",
             "linksweep.sweep.formatting",

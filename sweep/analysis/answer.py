@@ -14,8 +14,7 @@ from linksweep.sweep import formatting
 from linksweep.sweep.analysis import compare, quantity
 from linksweep.sweep.contract import Array, SweepError
 from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.studies.form import Conclusion, ConclusionValue
-from linksweep.sweep.studies.study import POINT
+from linksweep.sweep.studies.study import POINT, Conclusion, ConclusionValue
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -24,8 +24,7 @@ from linksweep.sweep.planning.refined import REFINED, Round, point_at, refined, 
 from linksweep.sweep.running.writer import find_store, open_store
 from linksweep.sweep.stores.location import Where, locked
 from linksweep.sweep.stores.store import OpenStore
-from linksweep.sweep.studies.form import is_number
-from linksweep.sweep.studies.study import Study
+from linksweep.sweep.studies.study import Study, is_number
 
 SURE = 3.0  # errors by which a value must be beyond a limit for its side to be decided
 SHARE = 0.2  # of the realisations of the full grid are spent at most, unless the user says otherwise

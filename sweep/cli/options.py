@@ -23,7 +23,7 @@ from linksweep.sweep.studies import built_in_studies
 
 if TYPE_CHECKING:
     from linksweep.sweep.stores.location import Location
-    from linksweep.sweep.studies.part import Part
+    from linksweep.sweep.studies.study import Part
 
 FILE = click.Path(path_type=Path)
 """The type of the path of a file or folder, which need not exist."""
@@ -184,7 +184,7 @@ def json_or(table_format: str, as_json: bool) -> str:
 
 @parsed
 def _part(text: str) -> "Part":
-    from linksweep.sweep.studies.part import Part
+    from linksweep.sweep.studies.study import Part
 
     return Part.of_task(os.environ) if text == "array" else Part.parsed(text)
 
@@ -243,7 +243,7 @@ class AskedStudy:
 def load_trusted(study: str, trust: bool, *overrides: Any) -> "linksweep.Study":
     """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""
     from linksweep.sweep.stores.integrity import ROOT
-    from linksweep.sweep.studies.document import find_study, reference_in
+    from linksweep.sweep.studies.reader import find_study, reference_in
 
     # Before anything is read: a study or a function inside a store came with the store, from whoever sent that.
     place = find_study(study) if (function := reference_in(study)) is None else Path(function.rpartition(":")[0])
@@ -274,7 +274,7 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool
     from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES, array_outputs, select, with_running
     from linksweep.sweep.planning.point_status import Status
     from linksweep.sweep.stores.store import open_dataset
-    from linksweep.sweep.studies.document import parse_places
+    from linksweep.sweep.studies.reader import parse_places
 
     places = parse_places(at)
     dataset = with_running(open_dataset(store, running))

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from linksweep.sweep.running.failures import MaxFailures
     from linksweep.sweep.running.results import Labelled
     from linksweep.sweep.stores.location import Location
-    from linksweep.sweep.studies.part import Part
+    from linksweep.sweep.studies.study import Part
 
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 
@@ -629,7 +629,7 @@ def submit(
     from linksweep.sweep.planning.grid import make_grid
     from linksweep.sweep.running.merge import require_free
     from linksweep.sweep.stores.location import Folder
-    from linksweep.sweep.studies.document import Overrides
+    from linksweep.sweep.studies.reader import Overrides
 
     study, store = asked.load()
     make_grid(study)  # its mistakes are named here, not in a hundred logs

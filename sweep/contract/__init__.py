@@ -3,18 +3,9 @@
 This package and NumPy are all that an experiment needs; the platform knows nothing of what is inside one.
 """
 
-from linksweep.sweep.contract.errors import FEW, DefinitionError, SweepError, nearest, shown, suggest
-from linksweep.sweep.contract.experiment import Experiment, GeneratorPair
-from linksweep.sweep.contract.parameter import Function, Kind, Named, Output, Parameter, Point, Value
-from linksweep.sweep.contract.reducer import (
-    FEWEST_SAMPLES,
-    Array,
-    NotFiniteError,
-    Outcome,
-    ResultError,
-    Rows,
-    small_sample_factor,
-)
+from linksweep.sweep.contract.declaration import *
+from linksweep.sweep.contract.experiment import *
+from linksweep.sweep.contract.rows import *
 
 __all__ = [
     "FEW",

@@ -10,11 +10,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from linksweep.sweep.contract import parameter as declaration
-from linksweep.sweep.contract.errors import SweepError, shown, suggest
-from linksweep.sweep.contract.parameter import Output, Parameter, Point, Value
-from linksweep.sweep.contract.reducer import Array, Outcome, Reducer, Rows, Sums, check_finite, checked
-from linksweep.sweep.contract.units import unit_problem
+from linksweep.sweep.contract import declaration
+from linksweep.sweep.contract.declaration import Output, Parameter, Point, SweepError, Value, shown, suggest
+from linksweep.sweep.contract.rows import Array, Outcome, Reducer, Rows, Sums, check_finite, checked
 
 # The generators of a block's realisations and of their catalogue.
 GeneratorPair = tuple[np.random.Generator, np.random.Generator]
@@ -335,7 +333,7 @@ def _problems(experiment: Experiment) -> list[str]:
         problems += [f"parameter {parameter.name!r}: {text}" for text in texts]
     for output in (*outputs, *samples):
         alike = [other.name for other in outputs if (other.dims, other.unit) == (output.dims, output.unit)]
-        texts = [*_of_no_function(output), *filter(None, [unit_problem(output.unit)])]
+        texts = [*_of_no_function(output), *filter(None, [declaration.unit_problem(output.unit)])]
         texts += declaration.named("dims", output.dims, list(labels), "dimension with labels in coordinates")
         texts += declaration.named("errors", output.errors, alike, "output with its dimensions and unit")
         problems += [f"output {output.name!r}: {text}" for text in texts]

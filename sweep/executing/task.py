@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.code.load import source_digest
 from linksweep.sweep.contract import NotFiniteError, Outcome, ResultError, SweepError
-from linksweep.sweep.contract.block import Block
+from linksweep.sweep.contract.rows import Block
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.executing.process import Captured
 from linksweep.sweep.planning.plan import Work

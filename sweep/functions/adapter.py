@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Experiment, GeneratorPair, Kind, Named, Output, Parameter, Point, SweepError, shown
-from linksweep.sweep.contract.parameter import name_problem, named, packages_problems, parameter_problems
-from linksweep.sweep.contract.reducer import Array, Outcome, Reducer, ResultError, Rows
-from linksweep.sweep.contract.units import unit_problem
+from linksweep.sweep.contract import declaration as rules
+from linksweep.sweep.contract.rows import Array, Outcome, Reducer, ResultError, Rows
 from linksweep.sweep.functions import results
 from linksweep.sweep.functions.results import Layout
 from linksweep.sweep.functions.statistics import Moments, drawn, quantile_of, statistic_problem
@@ -255,12 +254,12 @@ def _checked(function: Callable[..., Any], declaration: Declaration) -> "Functio
     problems: list[str] = []
     made = _read_signature(function, problems)
     for parameter in made.parameters:
-        texts = [name_problem(parameter.name), *parameter_problems(parameter)]
+        texts = [rules.name_problem(parameter.name), *rules.parameter_problems(parameter)]
         problems += [f"parameter {parameter.name!r}: {text}" for text in texts if text]
     outputs = [one for one in declaration.outputs if isinstance(one, Output)]
     problems += [f"outputs: {shown(one)} is no Output" for one in declaration.outputs if not isinstance(one, Output)]
     problems += _problems_of_outputs(outputs, made)
-    problems += packages_problems(declaration.packages)
+    problems += rules.packages_problems(declaration.packages)
     tolerance = declaration.tolerance
     if type(tolerance) not in (int, float) or not 0.0 <= tolerance < 1.0:
         problems.append(f"tolerance = {shown(tolerance)}: must be a number from 0 to below 1")
@@ -268,7 +267,9 @@ def _checked(function: Callable[..., Any], declaration: Declaration) -> "Functio
         problems.append(f"tolerance = {shown(tolerance)}: is for vectorised functions; declare vectorised=True")
     if not isinstance(declaration.deterministic, bool):
         problems.append(f"deterministic = {shown(declaration.deterministic)}: must be True or False")
-    problems += named("shared", declaration.shared, [parameter.name for parameter in made.parameters], "parameter")
+    problems += rules.named(
+        "shared", declaration.shared, [parameter.name for parameter in made.parameters], "parameter"
+    )
     if declaration.shared and not made.rng:
         problems.append("shared: it takes no rng, and so it draws no random numbers")
     if declaration.vectorised and made.rng:
@@ -285,7 +286,7 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
     coordinates: dict[str, results.Coordinate] = {}
     for number, output in enumerate(outputs):
         dims, coords = output.dims, output.coords or {}
-        texts = [unit_problem(output.unit), *map(statistic_problem, output.statistics)]
+        texts = [rules.unit_problem(output.unit), *map(statistic_problem, output.statistics)]
         if output.name in [earlier.name for earlier in outputs[:number]]:
             texts.append("is declared twice")
         if output.statistics and not made.rng:
@@ -308,7 +309,7 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
             except ResultError as error:
                 texts.append(str(error))
                 continue
-            texts.append(unit_problem(coordinate.unit))
+            texts.append(rules.unit_problem(coordinate.unit))
             if coordinates.setdefault(dim, coordinate) != coordinate:
                 texts.append(f"the coordinate {dim!r} has other values than in another output")
         yield from (f"output {shown(output.name)}: {text}" for text in texts if text)

@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, shown, suggest
-from linksweep.sweep.contract.large import REFERENCE, chunk_grid, is_large
-from linksweep.sweep.contract.parameter import name_problem
-from linksweep.sweep.contract.reducer import LENGTH, beyond_floats, not_finite, padded
-from linksweep.sweep.contract.units import is_quantity, same_unit
+from linksweep.sweep.contract.declaration import is_quantity, name_problem, same_unit
+from linksweep.sweep.contract.rows import LENGTH, REFERENCE, beyond_floats, chunk_grid, is_large, not_finite, padded
 
 Type = Literal["float", "int", "bool", "text", "datetime"]
 

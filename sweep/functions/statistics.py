@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, Outcome, Output, ResultError, Rows, reducer, shown, suggest
+from linksweep.sweep.contract import Array, Outcome, Output, ResultError, Rows, shown, suggest
+from linksweep.sweep.contract.rows import FEWEST_SAMPLES, small_sample_factor
 from linksweep.sweep.functions.results import NUMBERS, Field, Layout, as_row, layout_differences
 
 MOMENTS = 6
@@ -79,7 +80,7 @@ def unknown(name: str, field: Field) -> str:
         return f"below {fewest_for(level)} realisations, and where values repeat around the quantile"
     if name == "count" or field.type == "bool":
         return ""
-    fewest = reducer.FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
+    fewest = FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
     return f"below {fewest} realisations, and where all are alike or one outweighs all others"
 
 
@@ -131,13 +132,13 @@ def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array,
         # m2 has its largest value, for this mean and these extremes, where nothing lies between them
         two_values = (m2 >= (1.0 - SAME) * count * (mean - low) * (high - mean)) | binary
         skewness = m3**2 / m2**3  # squared, over the number of realisations
-        fewest = reducer.FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
+        fewest = FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
         known = (extent > 0.0) & (skewness <= ONE_DECIDES) & (count >= fewest) | binary
         variance = m2 / (count - 1.0)
         std = np.sqrt(variance)
         if name == "mean":
             value, of_two = mean, of_share
-            error = np.sqrt(variance / count * reducer.small_sample_factor(count) * (1.0 + 6.0 * skewness))
+            error = np.sqrt(variance / count * small_sample_factor(count) * (1.0 + 6.0 * skewness))
         else:
             value, of_two = std, _of_two_values(share, of_share, std / extent)
             error = std * _relative(moments, n)

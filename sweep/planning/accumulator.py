@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Experiment, Rows
-from linksweep.sweep.contract.block import DIGEST_BYTES, Block, BlockRows, ledger_key
-from linksweep.sweep.contract.reducer import check_finite, converted
+from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, BlockRows, check_finite, converted, ledger_key
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
 from linksweep.sweep.planning.parts import share_of
 from linksweep.sweep.planning.plan import NOTHING, Groups, Plan, PlanSize, Survey, Work, cost_together, wanted_parts

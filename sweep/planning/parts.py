@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract.block import Block, BlockRows, ledger_key
+from linksweep.sweep.contract.rows import Block, BlockRows, ledger_key
 from linksweep.sweep.planning.plan import MOST_SHARING, Plan
 from linksweep.sweep.planning.point_status import Status
 

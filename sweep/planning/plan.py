@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linksweep.sweep.contract import GeneratorPair, Rows, SweepError, Value
-from linksweep.sweep.contract.block import Block
+from linksweep.sweep.contract.rows import Block
 from linksweep.sweep.planning.grid import Grid, GridPoint, PointCache
 from linksweep.sweep.studies.study import Study
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Value, shown
 from linksweep.sweep.planning.grid import MAX_POINTS, Grid, all_but
-from linksweep.sweep.studies.form import Sampling
 from linksweep.sweep.studies.points import MAX_VALUES, labels_of, require_distinct
-from linksweep.sweep.studies.study import POINT, PointTable, Study
+from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
 from linksweep.sweep.tables.file import sorted_json
 
 # A grid of more points than this becomes a table where fewer than one in so many of its points are there.

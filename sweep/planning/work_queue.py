@@ -11,7 +11,7 @@ from itertools import accumulate
 import numpy as np
 
 from linksweep.sweep.contract import Array
-from linksweep.sweep.contract.block import Block
+from linksweep.sweep.contract.rows import Block
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
 from linksweep.sweep.planning.plan import MOST_SHARING, TARGET, Plan, Work

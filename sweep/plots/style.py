@@ -25,7 +25,7 @@ from matplotlib.patheffects import withStroke
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis.quantity import COVARIANCE_SUFFIX
 from linksweep.sweep.contract import Array, SweepError, shown, suggest
-from linksweep.sweep.studies.form import FigureForm
+from linksweep.sweep.studies.study import FigureForm
 
 # Safe for the colour-blind.  Source: Okabe & Ito 2008.
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7f7f7f", "#000000")

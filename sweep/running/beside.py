@@ -6,7 +6,7 @@ from collections.abc import Set
 from dataclasses import dataclass, replace
 
 from linksweep.sweep.contract import Named, SweepError
-from linksweep.sweep.contract.block import DIGEST_BYTES
+from linksweep.sweep.contract.rows import DIGEST_BYTES
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.union import united

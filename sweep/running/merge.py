@@ -17,8 +17,7 @@ import xarray as xr
 
 from linksweep.sweep.code.load import code_differences
 from linksweep.sweep.contract import Experiment, SweepError
-from linksweep.sweep.contract.block import DIGEST_BYTES
-from linksweep.sweep.contract.reducer import converted, lost_integers, same_rows
+from linksweep.sweep.contract.rows import DIGEST_BYTES, converted, lost_integers, same_rows
 from linksweep.sweep.executing.versions import DECIDING
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.functions.adapter import layout_of_record
@@ -36,9 +35,8 @@ from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
 from linksweep.sweep.stores.ledger import Ledger, Record
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
 from linksweep.sweep.stores.store import CODE, OpenStore, Store, is_new
-from linksweep.sweep.studies.part import LOST, PART, Part, in_ranges
 from linksweep.sweep.studies.record import RECORD, recorded_study
-from linksweep.sweep.studies.study import Study
+from linksweep.sweep.studies.study import LOST, PART, Part, Study, in_ranges
 
 # The attribute of a store made of others: JSON of where their results come from.
 MERGED = "merged"

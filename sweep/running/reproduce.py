@@ -25,11 +25,9 @@ from linksweep.sweep.running.code import differences_of_code
 from linksweep.sweep.running.run import Session
 from linksweep.sweep.stores.location import Folder, Where, located
 from linksweep.sweep.stores.store import OpenStore, was_written_here
-from linksweep.sweep.studies.document import parse_places, parse_value
-from linksweep.sweep.studies.form import DEFAULT_EXPERIMENT
-from linksweep.sweep.studies.reader import study_of_attributes
+from linksweep.sweep.studies.reader import parse_places, parse_value, study_of_attributes
 from linksweep.sweep.studies.record import as_recorded
-from linksweep.sweep.studies.study import POINT, Study
+from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Study
 
 MOST_NAMED = 10
 

@@ -12,9 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, SweepError
-from linksweep.sweep.contract.block import Block, ledger_key
-from linksweep.sweep.contract.large import REFERENCE
-from linksweep.sweep.contract.reducer import LENGTH, MISSING_INT, Reducer, Sums
+from linksweep.sweep.contract.rows import LENGTH, MISSING_INT, REFERENCE, Block, Reducer, Sums, ledger_key
 from linksweep.sweep.formatting import ERRORS, RAGGED, TRUTH, described, short_meaning
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
@@ -23,8 +21,7 @@ from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.stores.large import Stored
 from linksweep.sweep.stores.location import Location
 from linksweep.sweep.stores.store import FILL, RUNNING, dask_arrays_only_where_imported, finished, with_gaps
-from linksweep.sweep.studies.form import printed_rounding
-from linksweep.sweep.studies.study import POINT
+from linksweep.sweep.studies.study import POINT, printed_rounding
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.contract.block import Block, ledger_key
+from linksweep.sweep.contract.rows import Block, ledger_key
 from linksweep.sweep.formatting import in_words, per_second
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.parts import share_of
@@ -28,8 +28,8 @@ from linksweep.sweep.stores.integrity import MANIFEST, ROOT
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Location, Where, holder, located, reading
 from linksweep.sweep.stores.store import UNFINISHED, OpenStore, find_root, is_new, manifest_of
-from linksweep.sweep.studies.part import LOST, PART, Part, in_ranges
 from linksweep.sweep.studies.record import recorded_study
+from linksweep.sweep.studies.study import LOST, PART, Part, in_ranges
 
 # Attributes of a store without which its points are others.
 ASKED = (integrity.STORE, "study_document", "study_digest", PART)

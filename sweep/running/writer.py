@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from linksweep.sweep.contract import Experiment, Named, Rows, SweepError
-from linksweep.sweep.contract.block import Block, ledger_key
-from linksweep.sweep.contract.reducer import lost_integers
+from linksweep.sweep.contract.rows import Block, ledger_key, lost_integers
 from linksweep.sweep.executing.task import Failure, TaskResult, failure_of
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.planning.accumulator import Accumulator
@@ -31,9 +30,8 @@ from linksweep.sweep.running.results import Labelled, assemble, assemble_samples
 from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.store import RESCUED, OpenStore, Store, free_beside
-from linksweep.sweep.studies.part import PART
 from linksweep.sweep.studies.record import RECORD, provenance, recorded
-from linksweep.sweep.studies.study import Study
+from linksweep.sweep.studies.study import PART, Study
 from linksweep.sweep.tables.file import content_digest
 
 # Most failed points that a dataset names in its attributes; its status counts all.

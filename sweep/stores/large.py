@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Outcome, Rows, SweepError
-from linksweep.sweep.contract.large import REFERENCE, chunk_grid, chunk_shape
-from linksweep.sweep.contract.reducer import MISSING_INT
+from linksweep.sweep.contract.rows import MISSING_INT, REFERENCE, chunk_grid, chunk_shape
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT, STORE
 from linksweep.sweep.stores.location import Location, located, reading

@@ -18,8 +18,7 @@ from numcodecs import zstd
 from numpy.typing import ArrayLike, NDArray
 
 from linksweep.sweep.contract import Array, Rows, SweepError
-from linksweep.sweep.contract.block import KEY_BYTES, BlockRows
-from linksweep.sweep.contract.reducer import converted
+from linksweep.sweep.contract.rows import KEY_BYTES, BlockRows, converted
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import MANIFEST, File, LedgerPart, Manifest, noting
 from linksweep.sweep.stores.large import FILE, FOLDER, file_of, references

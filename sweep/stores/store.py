@@ -28,9 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Outcome, Rows, SweepError, suggest
-from linksweep.sweep.contract.block import DIGEST_BYTES
-from linksweep.sweep.contract.large import is_large
-from linksweep.sweep.contract.reducer import EXACT_INT, LENGTH, MISSING_INT, lost_integers
+from linksweep.sweep.contract.rows import DIGEST_BYTES, EXACT_INT, LENGTH, MISSING_INT, is_large, lost_integers
 from linksweep.sweep.stores import integrity, large
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
 from linksweep.sweep.stores.ledger import REPAIR, DamagedError, Ledger, Record, path_of

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter
 
 from linksweep.sweep.contract import Experiment, Parameter
-from linksweep.sweep.studies.form import Form, Sampling
+from linksweep.sweep.studies.study import Form, Sampling
 
 Schema = dict[str, Any]
 

@@ -10,10 +10,10 @@ import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from os import PathLike
 from pathlib import Path, PurePath
@@ -24,12 +24,9 @@ import numpy as np
 from linksweep.sweep.code.load import Code
 from linksweep.sweep.code.reach import reach_of
 from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, nearest, shown, suggest
-from linksweep.sweep.contract.parameter import LABEL, name_problem
-from linksweep.sweep.contract.units import factor_between, is_quantity
+from linksweep.sweep.contract.declaration import LABEL, factor_between, is_quantity, name_problem
 from linksweep.sweep.formatting import first_of
-from linksweep.sweep.studies.document import KeyPath, Problems
-from linksweep.sweep.studies.form import PointsForm, Sampling, number_at
-from linksweep.sweep.studies.study import POINT, PointTable
+from linksweep.sweep.studies.study import POINT, PointsForm, PointTable, Sampling, number_at
 from linksweep.sweep.tables.columns import rows_listed
 from linksweep.sweep.tables.file import table_file
 from linksweep.sweep.tables.reader import read_table
@@ -54,7 +51,70 @@ PLAIN = frozenset("biufU")
 
 NO_MARKS: Mapping[int, Any] = {}
 
+MAX_PROBLEMS = 50
+"""After this many problems of one study no more are looked for."""
+
+KeyPath = tuple[str | int, ...]
+"""Keys and indices that lead to a value of the document."""
+
 Cells = Mapping[str, list[Any]]
+
+
+def _lines_of_keys(text: str) -> dict[KeyPath, int]:
+    """Return the 1-based line of every key of a TOML text, as far as patterns find it: the parser gives no lines."""
+    table: KeyPath = ()
+    counts: dict[str, int] = {}
+    lines: dict[KeyPath, int] = {}
+    for number, whole in enumerate(text.split("\n"), 1):
+        line = whole[:200]  # a key is at the beginning; the patterns are slow on a long line
+        if header := re.match(r"\s*(\[\[?)\s*([\w.\"' -]+?)\s*\]\]?\s*(?:#.*)?$", line):
+            counts[header[2]] = index = counts.get(header[2], -1) + 1
+            table = tuple(part.strip(" \"'") for part in header[2].split("."))
+            table = (*table, index) if header[1] == "[[" else table
+            lines[table] = number
+        elif entry := re.match(r"\s*([\w.\"'-]+)\s*=", line):
+            lines[*table, *entry[1].replace('"', "").replace("'", "").split(".")] = number
+    return lines
+
+
+class Problems:
+    """Takes problems of a study by their place in its document, so that all are reported at once.
+
+    ``where`` names the study, ``text`` is the text of its file, and ``options`` says which option of the command line
+    gave the value at a place.
+    """
+
+    def __init__(self, where: str, text: str = "", options: Mapping[KeyPath, str] | None = None) -> None:
+        self.where, self.text, self.options = where, text, {} if options is None else options
+        self.sentences: list[str] = []
+
+    @cached_property
+    def _lines(self) -> dict[KeyPath, int]:
+        return _lines_of_keys(self.text)
+
+    def add(self, place: KeyPath, message: str) -> None:
+        """Take one problem; raises SweepError where there are too many."""
+        if len(self.sentences) >= MAX_PROBLEMS:
+            raise SweepError([*self.sentences, "... and perhaps more problems like these"], self.where)
+        around = [place[:n] for n in range(len(place), 0, -1)]  # the value, and the tables that it is in
+        sources = [self.options[table] for table in around if self.options.get(table)]
+        sources += [f"line {self._lines[table]}" for table in around if table in self._lines]
+        key = ".".join(str(p) if re.fullmatch(r"[\w-]{1,60}", str(p)) else shown(p) for p in place)
+        self.sentences.append(f"{key}{f' ({sources[0]})' if sources else ''}: {message}")
+
+    @contextmanager
+    def at(self, place: KeyPath, before: str = "") -> Iterator[None]:
+        """Take the message of a ValueError or SweepError as problems of a place, with the text ``before`` it."""
+        try:
+            yield
+        except (SweepError, ValueError) as error:
+            for problem in error.problems if isinstance(error, SweepError) else [error]:
+                self.add(place, f"{before}{problem}")
+
+    def report(self) -> None:
+        """Raise SweepError with all problems, if there are any."""
+        if self.sentences:
+            raise SweepError(self.sentences, self.where)
 
 
 class Values:

@@ -14,9 +14,8 @@ from linksweep.sweep.code.reach import version_of
 from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, shown
 from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record
-from linksweep.sweep.studies.part import PART
 from linksweep.sweep.studies.reader import study_of_attributes
-from linksweep.sweep.studies.study import POINT_TABLE, Study
+from linksweep.sweep.studies.study import PART, POINT_TABLE, Study
 from linksweep.sweep.tables.file import content_digest, sorted_json
 
 RECORD = "experiment_record"

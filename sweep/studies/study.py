@@ -1,15 +1,646 @@
-"""What a study is once it was read and checked."""
+"""The sections of a study file, each with the checks of what stands in it; and the `Study` that comes of them."""
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from decimal import Decimal, InvalidOperation
+from itertools import count, groupby
+from string import Formatter
+from typing import Annotated, Any, Literal, Self
 
-from linksweep.sweep.contract import Experiment, Value
-from linksweep.sweep.studies.form import Claim, Conclusion, Condition, PublishedForm, Sampling
-from linksweep.sweep.studies.part import Part
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from linksweep.sweep.contract import Experiment, Named, Value, shown, suggest
+from linksweep.sweep.contract.declaration import HUGE, bound_in_words
+from linksweep.sweep.formatting import ESCAPED, first_of
 from linksweep.sweep.tables.file import content_digest
+
+DEFAULT_EXPERIMENT = "linksweep.core.experiment:link"
+"""The experiment of a study that names none; any store may name it, as it comes with linksweep."""
+
+MOST_SIMS = 1_000_000
+"""`Sampling.max_n_sim` where a study says nothing: enough for an error of 0.04 % of an RMS."""
+
+FORMATS = ("", "error", "%")
+"""What may follow a name in a sentence: nothing for the number, ``:error`` for its error beside it, ``:%`` for percent.
+"""
+
+
+@dataclass(frozen=True)
+class Context:
+    """What sections of a study are checked against, once its experiment and its axes are known.
+
+    ``axes`` may hold None for an axis that is itself wrong; ``known`` are all parameters that the study sets.
+    ``changed`` are those that the command line changed: a claim that no longer fits them is not a mistake of the study,
+    and is left for the comparison to report.
+    """
+
+    experiment: Experiment
+    axes: Mapping[str, tuple[Value, ...] | None]
+    zipped: Sequence[Sequence[str]]
+    known: frozenset[str]
+    changed: frozenset[str]
+
+    def values(self, name: str) -> tuple[Value, ...] | None:
+        """Return the values of an axis, None where they are not known, or may be others than the study means.
+
+        Raises ValueError where there is no such axis.
+        """
+        if name in self.changed:
+            return None
+        if name not in self.axes:
+            known = [axis for axis in self.axes if axis in self.experiment.defaults()]
+            raise ValueError(f"{shown(name)} is not an axis{suggest(name, known) if known else '; the study has none'}")
+        return self.axes[name]
+
+    def partners(self, name: str) -> Sequence[str]:
+        """Return the axes that advance together with one."""
+        return next((group for group in self.zipped if name in group), [name])
+
+
+def _checked(check: Callable[[Any, Context], Any]) -> AfterValidator:
+    """Return a validator that checks a value against a `Context`, and takes it as it is where there is none."""
+    return AfterValidator(lambda value, info: value if info.context is None else check(value, info.context))
+
+
+def _each(check: Callable[[str, Any, Context], Any]) -> AfterValidator:
+    """Return a validator that checks each entry of a table by its name against a `Context`."""
+
+    def check_all(table: dict[str, Any], context: Context) -> dict[str, Any]:
+        entries, errors = dict[str, Any](), list[InitErrorDetails]()
+        for name, raw in table.items():
+            try:
+                entries[name] = check(name, raw, context)
+            except ValueError as error:
+                # A validator of the values of a table does not know their keys, so places are given here.
+                kind = PydanticCustomError("value_error", "{error}", {"error": str(error)})
+                errors.append(InitErrorDetails(type=kind, loc=(name,), input=raw))
+        if errors:
+            raise ValidationError.from_exception_data("study", errors)
+        return entries
+
+    return _checked(check_all)
+
+
+def is_number(x: object) -> bool:
+    """Return whether x is a finite number that a study may contain."""
+    return isinstance(x, (int, float)) and not isinstance(x, bool) and abs(x) < HUGE
+
+
+def number_at(key: str, table: Mapping[str, Any]) -> Any:
+    """Return the number in a table of a study; raises ValueError where it is none, or not finite."""
+    if not is_number(table[key]):
+        raise ValueError(f"{key} = {shown(table[key])}: must be a finite number{bound_in_words(table[key])}")
+    return table[key]
+
+
+def printed_rounding(text: str) -> float:
+    """Return half a unit of the last digit of a number as printed: 0.005 for '0.60'; NaN for any other text."""
+    try:
+        exponent = Decimal(text).as_tuple().exponent
+    except InvalidOperation:
+        return math.nan
+    return float(f"5e{exponent - 1}") if isinstance(exponent, int) else math.nan
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One clause of an exclusion: the parameter's value is in ``among``, or not in it if ``without``, or above and
+    below the bounds that are given.
+    """
+
+    name: str
+    among: tuple[Value, ...] | None = None
+    without: bool = False
+    above: float | None = None
+    below: float | None = None
+
+    def holds(self, value: Any) -> bool:
+        """Return whether a parameter's value meets the condition."""
+        if self.among is not None:
+            return (value in self.among) != self.without
+        is_number = isinstance(value, int | float)
+        return is_number and (self.above is None or value > self.above) and (self.below is None or value < self.below)
+
+
+def _condition(name: str, written: Any, context: Context) -> Condition:
+    parameter = context.experiment.parameter(name)
+    rule: dict[str, Any] = written if isinstance(written, dict) else {"equal": written}
+    if not rule or rule.keys() - {"above", "below", "equal", "in"}:
+        raise ValueError(f"unknown condition {shown(list(rule))}; allowed are above, below, equal, in")
+    listed = [rule["equal"]] if "equal" in rule else rule.get("in")
+    if listed is not None:
+        if not isinstance(listed, list) or len(rule) > 1:
+            raise ValueError("'in' takes a list, and 'in' or 'equal' stands alone")
+        return Condition(name, among=tuple(parameter.parse(raw) for raw in listed))
+    if parameter.kind not in ("float", "int"):
+        raise ValueError(f"{name} has no order: use equal or in")
+    if parameter.default is None and name not in context.known:
+        raise ValueError(f"{name} has no value to compare: it is neither an axis nor fixed, and has no default")
+    above, below = (float(number_at(key, rule)) if key in rule else None for key in ("above", "below"))
+    return Condition(name, above=above, below=below)
+
+
+def _place(name: str, raw: Any, context: Context) -> Value:
+    """Return the value of an axis as the grid has it."""
+    values = context.values(name)
+    value = context.experiment.parameter(name).parse(raw)
+    if values is not None and value not in values:
+        listed = first_of([shown(one) for one in values], 20)
+        raise ValueError(f"{shown(value)} is not on the axis, which has {listed}")
+    return value.name if isinstance(value, Named) else value
+
+
+def _variable(name: str, context: Context) -> str:
+    outputs = {output.name: output for output in context.experiment.outputs}
+    if name not in outputs or name in context.axes:
+        raise ValueError(f"{shown(name)} is no output{suggest(name, list(outputs))}")
+    if len(dims := outputs[name].dims) > 1:
+        raise ValueError(f"{name} has the dimensions {', '.join(dims)}; at most one is allowed")
+    return name
+
+
+def _over(name: str, context: Context) -> str:
+    values = context.values(name)
+    if values is not None and (len(values) < 2 or not all(is_number(value) and value > 0 for value in values)):
+        raise ValueError(f"{shown(name)} needs at least two numbers, all above 0, for a power law")
+    return name
+
+
+def _drawn(name: str, context: Context) -> str:
+    experiment = context.experiment
+    known = [*experiment.defaults(), *(output.name for output in experiment.outputs), *experiment.coordinates]
+    if name not in known and not experiment.undeclared:
+        raise ValueError(f"{shown(name)} is neither a parameter nor an output{suggest(name, known)}")
+    return name
+
+
+def _drawn_log(name: str, context: Context) -> str:
+    values = context.axes.get(_drawn(name, context)) if name not in context.changed else None
+    if wrong := [value for value in values or () if not is_number(value) or value <= 0]:
+        raise ValueError(f"{name} = {shown(wrong[0])}: a logarithmic axis has only numbers above zero")
+    return name
+
+
+def _drawn_at(name: str, raw: Any, context: Context) -> Any:
+    labels = context.experiment.coordinates.get(name)
+    if labels is None:
+        return raw if context.experiment.undeclared and name not in context.axes else _place(name, raw, context)
+    if raw not in labels:
+        raise ValueError(f"{shown(raw)} is none of {', '.join(map(str, labels))}")
+    return raw
+
+
+def _zip(group: list[str], context: Context) -> list[str]:
+    known = [name for name, values in context.axes.items() if values is not None]  # others may hold control characters
+    for name in group:
+        if name not in context.axes:
+            raise ValueError(f"{shown(name)} is not an axis{suggest(name, known) if known else ''}")
+    lengths = {name: len(values) for name in group if (values := context.axes[name]) is not None}
+    if len(group) < 2 or len(set(group)) < len(group) or len(set(lengths.values())) > 1:
+        sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
+        raise ValueError(f"{shown(group)}: name two or more axes with the same number of values; {sizes}")
+    return group
+
+
+def _plain(text: str) -> str:
+    if hidden := next((c for c in text if ord(c) in ESCAPED or "\ud800" <= c <= "\udfff"), None):
+        raise ValueError(f"{shown(text)} holds the control character U+{ord(hidden):04X}, which a terminal would obey")
+    return text
+
+
+def _as_printed(text: str) -> str:
+    if not math.isfinite(printed_rounding(text)) or not math.isfinite(float(text)):
+        raise ValueError(f"{shown(text)}: must be a number as printed, in quotes, like '0.60'")
+    return text
+
+
+def _sentence(text: str) -> str:
+    ways = "{name}, {name:error} or {name:%} stands for a value, and {{ for a brace"
+    try:
+        for _, name, written, conversion in Formatter().parse(text):
+            if name is not None and (conversion or (written or "") not in FORMATS or not name.isidentifier()):
+                raise ValueError(f"{shown(name)} is no value")
+    except ValueError as error:  # of stray braces too
+        raise ValueError(f"{shown(text)}: {error}; {ways}") from error
+    return text
+
+
+Seed = Annotated[int, Field(ge=0, lt=2**64)]
+Count = Annotated[int, Field(ge=1, le=10**9)]
+Tolerance = Annotated[float, Field(gt=0.0, lt=1.0)]
+Text = Annotated[str, AfterValidator(_plain)]
+"""A sentence for people, in one line."""
+
+Places = Annotated[dict[str, Any], _each(_place)]
+"""Values of axes, which are a place of the grid."""
+
+
+class Section(BaseModel):
+    """A table of the study file: unknown keys and values of another type are errors.
+
+    Without a `Context` only its form is checked.
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class Sampling(Section):
+    """How many realisations: ``n_sim`` for each of ``n_cat`` catalogues, from one ``seed``.
+
+    With a ``precision`` a point gets at least ``n_sim`` and at most ``max_n_sim``, until the relative Monte-Carlo error
+    of its headline results is below the precision.  With ``common_random_numbers`` points that differ only in
+    parameters that do not change the random numbers draw the same ones.
+    """
+
+    n_sim: Count = Field(1000, description="realisations of each catalogue")
+    n_cat: Count = Field(1, description="catalogues of each point, an outer draw that realisations share")
+    seed: Seed = Field(0, description="same seed, same numbers, on any machine layout")
+    keep_samples: bool = Field(False, description="keep every single estimate too")
+    precision: Tolerance | None = Field(
+        None,
+        description="relative error of the headline results at which a point stops, after n_sim at least",
+        examples=[0.01],
+    )
+    max_n_sim: Count | None = Field(None, description="but not more than these", examples=[MOST_SIMS])
+    common_random_numbers: bool = Field(
+        False, description="let points share what they can: ratios and exponents have far less noise"
+    )
+
+    @property
+    def most(self) -> int:
+        """The most realisations of a catalogue, for a point that must reach a precision."""
+        return max(self.n_sim, MOST_SIMS) if self.max_n_sim is None else self.max_n_sim
+
+    @model_validator(mode="after")
+    def _no_contradiction(self, info: ValidationInfo) -> Self:
+        if info.context is None:
+            return self
+        experiment: Experiment = info.context.experiment
+        if experiment.deterministic:
+            if keys := ", ".join(sorted(self.model_fields_set)):
+                raise ValueError(f"{experiment.name} takes no rng and is evaluated once: leave out {keys}")
+            return self
+        if experiment.draws_alone and experiment.shared and "common_random_numbers" not in self.model_fields_set:
+            self.common_random_numbers = True
+        precise, most, keeps = self.precision is not None, self.max_n_sim, experiment.samples or experiment.draws_alone
+        judged, beyond = experiment.errors_of_headline(), most is not None and most < self.n_sim
+        wrong = {
+            "n_cat: it has no outer draw that realisations share": self.n_cat > 1 and not experiment.outer_draw,
+            "keep_samples: it has no samples to keep": self.keep_samples and not keeps,
+            "common_random_numbers: no parameter leaves its random numbers unchanged": (
+                self.common_random_numbers and not experiment.shared
+            ),
+            "max_n_sim: has an effect only with a precision, which is not set": most is not None and not precise,
+            f"max_n_sim = {most}: must be at least n_sim = {self.n_sim}": precise and beyond,
+            "precision: points would keep different numbers with keep_samples": precise and self.keep_samples,
+            "precision: no headline result X has an error X_mc_error to judge by": precise and not judged,
+        }
+        if sentences := [sentence for sentence, is_so in wrong.items() if is_so]:
+            raise ValueError(f"not with {experiment.name}: {'; '.join(sentences)}")
+        return self
+
+
+class Quantity(Section, frozen=True):
+    """A number that the grid gives, of one component of an output."""
+
+    variable: Annotated[str, _checked(_variable)]
+    component: str | None = None
+
+    @property
+    def places(self) -> dict[str, dict[str, Any]]:
+        """The places of the grid that it names, by their keys."""
+        return {key: place for key, place in self if isinstance(place, dict)}
+
+    @model_validator(mode="after")
+    def _has_component(self, info: ValidationInfo) -> Self:
+        if info.context is not None:
+            (output,) = (one for one in info.context.experiment.outputs if one.name == self.variable)
+            labels = info.context.experiment.coordinates[output.dims[0]] if output.dims else ()
+            if self.component not in (labels or (None,)):
+                wanted = f"one of {', '.join(labels)}" if labels else f"left out: {self.variable} is one number"
+                raise ValueError(f"component = {shown(self.component)}: must be {wanted}")
+        return self
+
+
+class Slope(Quantity, frozen=True):
+    """The exponent p of variable ~ over**p along an axis."""
+
+    over: Annotated[str, _checked(_over)]
+
+
+class Ratio(Quantity, frozen=True):
+    """The variable at one place of the grid divided by that at another."""
+
+    of: Places
+    to: Places
+
+    @model_validator(mode="after")
+    def _two_places(self) -> Self:
+        if set(self.of) != set(self.to) or self.of == self.to:
+            raise ValueError("'of' and 'to' must give different values of the same axes")
+        return self
+
+
+class Reading(Quantity, frozen=True):
+    """The variable at one place of the grid."""
+
+    at: Places = Field(default_factory=dict)
+
+
+class Derived(Section, frozen=True):
+    """A number that is derived from the grid: exactly one of ``slope``, ``ratio`` and ``value``.
+
+    ``where`` fixes axes for any of the three; an axis that is fixed nowhere gives one number for each of its values.
+    """
+
+    slope: Slope | None = None
+    ratio: Ratio | None = None
+    value: Reading | None = None
+    where: Places = Field(default_factory=dict)
+
+    def quantity(self) -> Slope | Ratio | Reading:
+        """Return the one quantity of a valid table; raises ValueError if there is not exactly one."""
+        quantities = [q for q in (self.slope, self.ratio, self.value) if q is not None]
+        if len(quantities) != 1:
+            raise ValueError("needs exactly one of slope, ratio and value")
+        return quantities[0]
+
+    @model_validator(mode="after")
+    def _one_quantity(self, info: ValidationInfo) -> Self:
+        quantity = self.quantity()
+        if twice := [name for place in quantity.places.values() for name in place if name in self.where]:
+            raise ValueError(f"{', '.join(twice)}: is given by 'where' too; leave out one of the two")
+        if isinstance(quantity, Slope):
+            partners = [quantity.over] if info.context is None else info.context.partners(quantity.over)
+            if fixed := [name for name in partners if name in self.where]:
+                raise ValueError(f"{shown(quantity.over)} cannot vary, because 'where' fixes {', '.join(fixed)}")
+        return self
+
+
+class Printed(Section, frozen=True):
+    """What is known of a published number: how far ours may be from it besides errors and rounding, and why."""
+
+    source: Text
+    tolerance: Tolerance | None = None
+    tolerance_reason: Text | None = None
+
+    @model_validator(mode="after")
+    def _has_reason(self) -> Self:
+        if (self.tolerance is None) != (self.tolerance_reason is None):
+            raise ValueError("a tolerance needs a tolerance_reason, and the other way round")
+        return self
+
+
+class Claim(Derived, Printed, frozen=True):
+    """A published statement about a number that can be derived from the grid.
+
+    ``published`` is the number as printed, so that its rounding is known; an ``exact`` law has none.  ``null`` is
+    the number without the effect that is claimed, which a verdict must tell from the published one; ``not_comparable``
+    says why there can be no verdict.
+    """
+
+    text: Text
+    published: Annotated[str, AfterValidator(_as_printed)]
+    exact: bool = False
+    null: Annotated[float, Field(allow_inf_nan=False)] | None = None
+    not_comparable: Text | None = None
+
+    @model_validator(mode="after")
+    def _verdict_is_possible(self) -> Self:
+        if self.not_comparable is not None and (self.tolerance is not None or self.null is not None):
+            raise ValueError("not_comparable: there is no verdict then; leave out tolerance and null")
+        if self.null is not None and self.published == str(self.null):
+            raise ValueError(f"null = {self.null}: must not be the published number")
+        return self
+
+
+class ConclusionValue(Derived, frozen=True):
+    """A number in a conclusion: at one place of the grid, or the ``least`` or ``largest`` of several.
+
+    It must meet the conditions ``above``, ``below`` and ``equals``, in the unit of the output, within three of its
+    errors.  Otherwise the sentences that use it are reported as not found, or as not judged if its error is not known.
+    """
+
+    choose: Literal["least", "largest"] | None = None
+    above: float | None = None
+    below: float | None = None
+    equals: float | None = None
+
+    @property
+    def has_bounds(self) -> bool:
+        """Whether there is a condition."""
+        return any(bound is not None for bound in (self.above, self.below, self.equals))
+
+    @model_validator(mode="after")
+    def _one_number(self, info: ValidationInfo) -> Self:
+        if self.above is not None and self.below is not None and not self.above < self.below:
+            raise ValueError(f"above = {self.above:g}: is not less than below = {self.below:g}")
+        context, quantity = info.context, self.quantity()
+        if context is None or self.choose is not None:
+            return self
+        fixed = {*self.where, *(name for place in quantity.places.values() for name in place), *context.changed}
+        # the exponent along an axis is one number for all of its values
+        fixed |= {quantity.over} if isinstance(quantity, Slope) else set()
+        for name, values in context.axes.items():
+            if len(values or ()) > 1 and not fixed & {*context.partners(name)}:
+                raise ValueError(
+                    f"{name} has several values; fix it with 'where', or choose the least or largest number"
+                )
+        return self
+
+
+class Conclusion(Section, frozen=True):
+    """What a study found: sentences, with ``{name}`` in place of each of the ``values``.
+
+    ``{name}`` is the number rounded, with a unit; ``{name:error}`` has its error beside it; ``{name:%}`` is in percent.
+    ``{name} ± {other}`` is a number with another as its error, in one unit.
+    """
+
+    sentences: list[Annotated[Text, AfterValidator(_sentence)]] = Field(min_length=1)
+    values: dict[str, ConclusionValue] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _sentences_have_values(self) -> Self:
+        names = {name for sentence in self.sentences for _, name, *_ in Formatter().parse(sentence) if name is not None}
+        if missing := sorted(names - self.values.keys()):
+            raise ValueError(f"sentences: unknown value {shown(missing[0])}{suggest(missing[0], list(self.values))}")
+        if unused := sorted(self.values.keys() - names):
+            raise ValueError(f"values: {shown(unused[0])} is in no sentence")
+        return self
+
+
+class GridForm(Section):
+    """The table [grid]."""
+
+    zip: list[Annotated[list[str], _checked(_zip)]] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _each_axis_once(self) -> Self:
+        names = [name for group in self.zip for name in group]
+        if len(set(names)) < len(names):
+            raise ValueError(f"zip = {shown(self.zip)}: an axis is zipped twice")
+        return self
+
+
+class PointsForm(Section):
+    """The table [points]: exactly one of ``file``, ``design`` and ``columns``.
+
+    ``derive`` names a function of a row that gives further columns; ``labels`` are the columns that are no parameters,
+    but say what a point is; ``origin`` is where the columns in a store come from.
+    """
+
+    file: str | None = None
+    design: Literal["sobol", "latin-hypercube", "halton", "random", "saltelli", "morris"] | None = None
+    n: Count | None = None
+    seed: Seed = 0
+    ranges: dict[str, Any] = Field(default_factory=dict)
+    columns: dict[str, list[Any]] | None = None
+    units: dict[str, str] = Field(default_factory=dict)
+    derive: str | None = None
+    labels: list[str] = Field(default_factory=list)
+    origin: dict[str, Any] | None = None
+
+    @property
+    def source(self) -> str:
+        """Which of the three it is."""
+        return "file" if self.file is not None else "design" if self.design is not None else "columns"
+
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if [self.file, self.design, self.columns].count(None) != 2:
+            raise ValueError("needs exactly one of file, design and columns")
+        keys = {"file": "units labels", "design": "n seed ranges", "columns": "units labels origin"}[self.source]
+        if stray := sorted(self.model_fields_set - {*keys.split(), self.source, "derive"}):
+            raise ValueError(f"{', '.join(stray)}: does not go with {self.source}")
+        if self.design is not None and (self.n is None or not self.ranges):
+            raise ValueError(f"n = {self.n}, ranges = {shown(self.ranges)}: a design needs both")
+        return self
+
+
+class PublishedForm(Printed, frozen=True):
+    """The table [published]."""
+
+    file: str
+
+
+class FigureForm(Section, frozen=True):
+    """The table [figure]: the figure that answers the study, instead of the one that suits its results, and the axes
+    and results with a logarithmic or a linear axis, whatever their spacing.
+
+    ``variable``, ``kind``, ``over`` and ``at`` are the options of `sweep plot`.
+    """
+
+    variable: Annotated[str, _checked(_drawn)] = ""
+    kind: str | None = None
+    over: list[Annotated[str, _checked(_drawn)]] = Field(default_factory=list)
+    at: Annotated[dict[str, Any], _each(_drawn_at)] = Field(default_factory=dict)
+    log: list[Annotated[str, _checked(_drawn_log)]] = Field(default_factory=list)
+    linear: list[Annotated[str, _checked(_drawn)]] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _one_scale(self) -> Self:
+        if both := sorted({*self.log} & {*self.linear}):
+            raise ValueError(f"{shown(both[0])} is in log and in linear; leave out one of the two")
+        return self
+
+
+class Form(Section):
+    """The fixed part of a study file; axes and parameters are checked against the experiment."""
+
+    title: Text
+    question: Text | None = None
+    experiment: str = DEFAULT_EXPERIMENT
+    axes: dict[str, Any] = Field(default_factory=dict)
+    fixed: dict[str, Any] = Field(default_factory=dict)
+    define: dict[str, dict[str, dict[str, Any]]] = Field(default_factory=dict)
+    sampling: Sampling = Sampling()
+    grid: GridForm = GridForm()
+    points: PointsForm | None = None
+    exclude: list[Annotated[dict[str, Any], Field(min_length=1), _each(_condition)]] = Field(default_factory=list)
+    counts: dict[str, Annotated[int, Field(ge=0, le=10**9)]] = Field(default_factory=dict)
+    when: dict[str, Annotated[dict[str, list[Any]], Field(min_length=1)]] = Field(default_factory=dict)
+    published: PublishedForm | None = None
+    claim: list[Claim] = Field(default_factory=list)
+    conclusion: Conclusion | None = None
+    figure: FigureForm = FigureForm()
+
+
+# The attribute of a store that says which part of a study it holds.
+PART = "part"
+
+# The attribute of a merged store with the numbers of the parts that lack a block, in words.
+LOST = "lost_parts"
+
+MOST_PARTS = 100_000
+
+# What SLURM sets for the tasks of a job array.
+TASK = "SLURM_ARRAY_TASK_ID"
+
+
+@dataclass(frozen=True, order=True)
+class Part:
+    """The part with a ``number``, from 1, of so many in ``total``; as text 3/100."""
+
+    total: int
+    number: int
+
+    @classmethod
+    def parsed(cls, text: str) -> "Part":
+        """Return the part that a user names; raises ValueError for anything else.
+
+        >>> Part.parsed("3/100")
+        Part(total=100, number=3)
+        """
+        match = re.fullmatch(r"\s*(\d{1,6})\s*/\s*(\d{1,6})\s*", str(text))
+        number, total = (int(match[1]), int(match[2])) if match else (0, 0)
+        if not 1 <= number <= total <= MOST_PARTS:
+            raise ValueError(f"{shown(text)}: must be K/N, part K from 1 to N, of N parts from 1 to {MOST_PARTS:,}")
+        return cls(total, number)
+
+    @classmethod
+    def of_task(cls, environment: Mapping[str, str]) -> "Part":
+        """Return the part of a task of a job array of SLURM, whose first task has part 1 whatever its number; raises
+        ValueError where this is none, and for an array with gaps, which is some tasks of a larger one.
+        """
+        names = (TASK, "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_MAX", "SLURM_ARRAY_TASK_COUNT")
+        task, first, last, tasks = (int(text) if (text := environment.get(n, "")).isdecimal() else -1 for n in names)
+        instead = f"; name the part, as in --part ${TASK}/100"
+        if min(task, first, last, tasks) < 0:
+            raise ValueError(f"array: {', '.join(names)} do not say which task of a job array this is{instead}")
+        if last - first + 1 != tasks:
+            raise ValueError(
+                f"array: {tasks} tasks from {first} to {last} do not say how many parts there are{instead}"
+            )
+        return cls.parsed(f"{task - first + 1}/{tasks}")
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.total}"
+
+    def place(self, store: object) -> str:
+        """Return where this part of a store is."""
+        return f"{store}.part-{self.number}-of-{self.total}"
+
+    @classmethod
+    def named(cls, place: object) -> "Part | None":
+        """Return the part whose `place` it is by its name, None for another place."""
+        match = re.search(r"\.part-([1-9]\d{0,5})-of-([1-9]\d{0,5})$", str(place))
+        return cls(int(match[2]), int(match[1])) if match else None
+
+
+def in_ranges(numbers: Iterable[int]) -> str:
+    """Return whole numbers in ascending order, neighbours joined.
+
+    >>> in_ranges([7, 1, 2, 3])
+    '1-3, 7'
+    """
+    places = count()
+    runs = [list(run) for _, run in groupby(sorted(numbers), key=lambda number: number - next(places))]
+    return ", ".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from linksweep.sweep.cli import main
 from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.report.page import report_of, report_page
 from linksweep.sweep.result import Result
-from linksweep.sweep.studies.form import printed_rounding
 from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.study import printed_rounding
 
 __all__ = ["compare", "report_of", "report_page", "study_from_dict"]
 

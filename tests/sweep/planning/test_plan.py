@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linksweep.sweep.contract import Experiment, Output, Parameter
-from linksweep.sweep.contract.block import KEY_BYTES, Block, BlockRows, ledger_key
+from linksweep.sweep.contract.rows import KEY_BYTES, Block, BlockRows, ledger_key
 from linksweep.sweep.planning import plan as planning
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import make_grid

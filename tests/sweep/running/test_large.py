@@ -23,7 +23,7 @@ MOST = 64
 
 @pytest.fixture(autouse=True)
 def _small(monkeypatch):
-    monkeypatch.setattr("linksweep.sweep.contract.large.MOST_VALUES", MOST)
+    monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", MOST)
 
 
 def image_of(shape, whole):
@@ -130,7 +130,7 @@ def picture(a: int):
 @pytest.mark.slow
 @pytest.mark.parametrize("hides", [False, True])
 def test_workers_of_a_scheduler_write_them_where_they_see_the_store(hides, tmp_path, monkeypatch):
-    monkeypatch.setattr("linksweep.sweep.contract.large.MOST_VALUES", 2**20)
+    monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 2**20)
     folder = tmp_path / "stores"
     folder.mkdir()
     hide = ["unshare", "--mount", "sh", "-c", f'mount -t tmpfs none "{folder}" && "$@"', "sh"] if hides else []

@@ -45,7 +45,7 @@ def model(k: int = 1):
 
 def small_chunks(monkeypatch, folder):
     """Return a study of large arrays, those of eighty values, which are two chunks each."""
-    monkeypatch.setattr("linksweep.sweep.contract.large.MOST_VALUES", 64)
+    monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 64)
     (folder / "images.py").write_text(IMAGES)
     return {"title": "Images", "experiment": f"{folder}/images.py:model", "axes": {"k": [1, 2, 3, 4]}}
 

@@ -118,7 +118,7 @@ def test_another_format_is_explained(path, coins, version, age):
 
 
 def test_results_on_the_same_axes_have_the_same_chunks(path, monkeypatch):
-    monkeypatch.setattr("linksweep.sweep.contract.large.MOST_VALUES", 9)
+    monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 9)
 
     def f(a: int, b: int):
         return {"x": a / b, "n": a * b, "even": a % 2 == 0, "name": f"{a}-{b}"}
