@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.progress import Eta
-from linksweep.sweep.running.run import Silent, run_study
+from linksweep.sweep.running.progress import Eta, Silent
+from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import study_from_dict
 
 STUDIES = {

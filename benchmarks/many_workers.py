@@ -15,8 +15,8 @@ import time
 import dask
 from distributed import Scheduler, Worker
 
-import linksweep.sweep.executing.dask_driver  # noqa: F401, imported before the forks
-from linksweep.sweep.executing.versions import identity
+import linksweep.sweep.executing.clusters  # noqa: F401, imported before the forks
+from linksweep.sweep.executing.task import Identity
 
 dask.config.set(
     {  # what idle processes look at every few milliseconds, 64 of which would keep two cores busy
@@ -53,7 +53,7 @@ def forked(serve, *arguments) -> int:
 
 def main(workers: int, threads: int, lifetime_s: float) -> None:
     """Start them, replace some, end them."""
-    identity("tests.sweep.sleepers:experiment")  # versions are read once, and not by 64 processes on two cores
+    Identity.here("tests.sweep.sleepers:experiment")  # versions are read once, and not by 64 processes on two cores
     read, write = os.pipe()
     processes = [forked(schedule, write)]
     os.close(write)

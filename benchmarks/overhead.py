@@ -32,7 +32,8 @@ from pathlib import Path
 from benchmarks.trivial import FUNCTION, study
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.run import Silent, run_study
+from linksweep.sweep.running.progress import Silent
+from linksweep.sweep.running.run import run_study
 
 class Clock(Silent):
     def start(self, survey, where, workers):

@@ -15,11 +15,17 @@ from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, PoolName, Resources
 from linksweep.sweep.formatting import harmless
 from linksweep.sweep.result import open_result
-from linksweep.sweep.running.beside import Beside
-from linksweep.sweep.running.failures import MaxFailures, failed_points
-from linksweep.sweep.running.progress import NotebookProgress, TerminalProgress, in_notebook
+from linksweep.sweep.running.progress import (
+    MaxFailures,
+    NotebookProgress,
+    Progress,
+    Silent,
+    TerminalProgress,
+    failed_points,
+    in_notebook,
+)
 from linksweep.sweep.running.reproduce import verify as verified
-from linksweep.sweep.running.run import Progress, Silent, run_study
+from linksweep.sweep.running.run import Beside, run_study
 from linksweep.sweep.stores.location import Where, default_store, located, store_named
 from linksweep.sweep.studies.reader import live_study, load_study, reference_in, study_of_function
 from linksweep.sweep.studies.study import Part, Study

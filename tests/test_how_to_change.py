@@ -90,7 +90,7 @@ DOTS = GridFigure(lambda dataset, variable: True, dots)
 """
 BACKWARDS = """
 from contextlib import contextmanager
-from linksweep.sweep.executing.task import Place
+from linksweep.sweep.executing.pools import Place
 from linksweep.sweep.executing.worker import compute
 
 

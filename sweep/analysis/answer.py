@@ -12,8 +12,7 @@ import numpy as np
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import compare, quantity
-from linksweep.sweep.contract import Array, SweepError
-from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.contract import Array, Status, SweepError
 from linksweep.sweep.studies.study import POINT, Conclusion, ConclusionValue
 
 if TYPE_CHECKING:

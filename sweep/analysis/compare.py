@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from linksweep.sweep.analysis import quantity
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import Status, SweepError
 from linksweep.sweep.formatting import finite_or, in_ascii, prefixed, rounded, to_json, units_of, with_error
-from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.study import Derived, Ratio, Reading, Slope, printed_rounding
 from linksweep.sweep.table_writer import Column, Table
 

@@ -20,11 +20,10 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.analysis import fits, quantity
 from linksweep.sweep.analysis.derived import derived
-from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError, shown, small_sample_factor
+from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, shown, small_sample_factor
 from linksweep.sweep.contract.declaration import factor_between, unit_problem
 from linksweep.sweep.contract.rows import LENGTH
 from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, units_of, with_error, with_unit
-from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
 

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, SweepError, shown, small_sample_factor, suggest
-from linksweep.sweep.contract.rows import LENGTH
+from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, shown, small_sample_factor, suggest
+from linksweep.sweep.contract.rows import LENGTH, count_status, unfinished_in_words
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, prefixed, units_of
-from linksweep.sweep.planning.point_status import Status, count_status, unfinished_in_words
 from linksweep.sweep.stores.store import RUNNING, finished
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import LOST, POINT, POINT_TABLE, Claim

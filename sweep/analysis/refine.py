@@ -16,12 +16,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.analysis import laws, quantity
-from linksweep.sweep.contract import SweepError, Value, suggest
+from linksweep.sweep.contract import Status, SweepError, Value, suggest
 from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import Grid, make_grid
-from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.planning.refined import REFINED, Round, point_at, refined, rounds_of
-from linksweep.sweep.running.writer import find_store, open_store
+from linksweep.sweep.planning.union import REFINED, Round, point_at, refined, rounds_of
+from linksweep.sweep.running.run import find_store, open_store
 from linksweep.sweep.stores.location import Where, locked
 from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.study import Study, is_number

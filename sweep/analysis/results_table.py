@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import quantity
-from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.contract import Status
 from linksweep.sweep.table_writer import Column, Table
 
 if TYPE_CHECKING:

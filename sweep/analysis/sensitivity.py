@@ -21,9 +21,8 @@ import xarray as xr
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.derived import derived
-from linksweep.sweep.contract import Array, SweepError
+from linksweep.sweep.contract import Array, Status, SweepError
 from linksweep.sweep.formatting import units_of
-from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.studies.points import DESIGNS, MORRIS_LEVELS, Range, salib, unit_cube
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
 

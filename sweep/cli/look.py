@@ -503,7 +503,7 @@ def _lines(one: "Watched", width: int) -> "Iterable[Text]":
     """Yield what a terminal shows of a store."""
     from rich.text import Text
 
-    from linksweep.sweep.running.failures import NAMED, short
+    from linksweep.sweep.running.progress import NAMED, short
 
     yield Text(harmless(f"{one.title} ({one.location}): {one.state}"), COLOURS.get(one.state, "bold"))
     yield Text(harmless(", ".join(filter(None, [one.progress, one.speed, one.words]))))

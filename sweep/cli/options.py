@@ -272,7 +272,7 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool
     Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
     """
     from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES, array_outputs, select, with_running
-    from linksweep.sweep.planning.point_status import Status
+    from linksweep.sweep.contract import Status
     from linksweep.sweep.stores.store import open_dataset
     from linksweep.sweep.studies.reader import parse_places
 

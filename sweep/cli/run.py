@@ -24,7 +24,7 @@ from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_
 
 if TYPE_CHECKING:
     from linksweep.sweep.executing.pools import PoolName, Resources
-    from linksweep.sweep.running.failures import MaxFailures
+    from linksweep.sweep.running.progress import MaxFailures
     from linksweep.sweep.running.results import Labelled
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.study import Part
@@ -172,7 +172,7 @@ def _logged(watching: Watching) -> Iterator[None]:
 
 @parsed
 def _max_failures(text: str) -> "MaxFailures":
-    from linksweep.sweep.running.failures import MaxFailures
+    from linksweep.sweep.running.progress import MaxFailures
 
     return MaxFailures.parsed(text)
 
@@ -206,9 +206,8 @@ def run_with_progress(
     """
     from linksweep.sweep.analysis.answer import CONCLUSION, answer_in_short
     from linksweep.sweep.interrupt import RunInterruptedError
-    from linksweep.sweep.running.beside import Beside
     from linksweep.sweep.running.progress import TerminalProgress
-    from linksweep.sweep.running.run import run_study
+    from linksweep.sweep.running.run import Beside, run_study
     from linksweep.sweep.stores.location import short_name
 
     shown = TerminalProgress(study, not how.watching.quiet, how.watching.events)
@@ -344,7 +343,7 @@ def plan(
     \b
     sweep plan grid --set n_cat=100
     """
-    from linksweep.sweep.running.failures import failed_before
+    from linksweep.sweep.running.progress import failed_before
     from linksweep.sweep.running.run import plan_report
 
     report = plan_report(*asked.load(), workers, accept_code)
@@ -434,9 +433,9 @@ def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> N
 
 def _print_status(report: Mapping[str, Any], store: str) -> None:
     """Print for people how far a run is."""
-    from linksweep.sweep.planning.point_status import progress_in_words
+    from linksweep.sweep.contract.rows import progress_in_words
     from linksweep.sweep.planning.union import EARLIER
-    from linksweep.sweep.running.failures import reasons_of
+    from linksweep.sweep.running.progress import reasons_of
 
     points, made, part = report["points"], report["provenance"], f" of part {report['part']}" if report["part"] else ""
     unfinished = points["missing"]

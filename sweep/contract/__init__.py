@@ -24,6 +24,7 @@ __all__ = [
     "Point",
     "ResultError",
     "Rows",
+    "Status",
     "SweepError",
     "Value",
     "nearest",

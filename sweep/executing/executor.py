@@ -1,34 +1,466 @@
-"""Chooses where jobs are computed, and computes them there: in this process, until they turn out long, in threads or
-child processes of it, or by Dask.
+"""Chooses where jobs are computed, and computes them there: in this process, until they turn out long, in threads of
+it, in child processes, so that a block that ends its process ends nothing else and can be identified, or by Dask.
 """
 
+import ctypes
+import fcntl
+import multiprocessing
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import replace
 from itertools import count, islice
+from multiprocessing.connection import Connection, wait
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any
+from typing import IO, Any
 
 from threadpoolctl import threadpool_limits
 
+from linksweep.sweep.code import load
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.children import Children
-from linksweep.sweep.executing.pools import DEFAULT_POOL, NO_LIMITS, POOLS, Limits, Resources, available_cores
+from linksweep.sweep.executing.pools import (
+    DASK,
+    DEFAULT_POOL,
+    NO_LIMITS,
+    POOLS,
+    Limits,
+    Place,
+    Resources,
+    available_cores,
+)
 from linksweep.sweep.executing.task import (
     AnyJob,
-    Batch,
     Call,
     Executor,
-    Keep,
-    Opened,
-    Place,
-    RefusedError,
-    Say,
+    Failure,
+    Identity,
+    PointBlock,
+    Task,
     TaskResult,
 )
-from linksweep.sweep.executing.worker import compute
-from linksweep.sweep.planning.plan import Work
+from linksweep.sweep.executing.worker import ENOUGH_S, Deadlines, compute, ignored, run_units, takes_several
+from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.studies.study import Study
+
+# How often a block may end its child, when it is known which block it was.
+TRIES = 2
+
+# Share of the memory limit at which a child is ended, the same at which Dask's nanny ends a worker.
+MEMORY_SHARE = 0.95
+
+# Seconds between two looks at the children's memory.
+LOOK_EVERY_S = 0.05
+
+# Seconds of work whose results a child sends together.
+SEND_EVERY_S = 0.02
+
+# Bytes that are kept of the end of what a child wrote to standard error.
+LAST_WORDS = 4096
+
+# Seconds that children get to end by themselves: threads and files that an experiment leaves may keep them.
+END_S = 1.0
+
+# Libraries with threads or devices of their own, for which a fork of a process that used them may wait for ever.
+NOT_TO_BE_FORKED = ("jax", "torch", "tensorflow", "cupy")
+
+# Freed memory that a child's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them back
+# to the system each time costs a fifth of the run.
+KEEP_BYTES = 2**28
+
+# Variables that libraries of linear algebra read as they are loaded.
+ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
+
+Opened = AbstractContextManager[tuple[Place, Executor]]
+
+
+class Children:
+    """An executor on child processes, which live on for the next job unless a block ends one or takes more memory than
+    the limit; then another one takes its place.
+
+    If ``forked`` they are copies of this process where there can be some, which start in milliseconds and have every
+    function that this one has; else new processes, which import or unpickle what they need, and whose code must be as
+    ``expected``, by default that of this process.
+    """
+
+    def __init__(
+        self,
+        reference: str,
+        number: int = 1,
+        limits: Limits = NO_LIMITS,
+        *,
+        forked: bool = True,
+        digest: str | None = None,
+        expected: Identity | None = None,
+    ) -> None:
+        self._reference, self._limits, self._expected = reference, limits, expected
+        self._digest = digest or load.source_digest(reference)
+        self._forked = forked and _may_be_forked()
+        self._children: list[_Child] = []
+        self._number = number
+
+    def __enter__(self) -> "Children":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
+        end = time.monotonic() + (END_S if kind is None else 0.0)
+        for child in self._children:
+            child.ask_to_end()
+        for child in self._children:
+            child.end(end - time.monotonic())
+
+    def _started(self, number: int) -> "list[_Child]":
+        """Start children; raises SweepError where they do not start or would compute other numbers."""
+        started: list[_Child] = []
+        try:
+            for _ in range(number):
+                started.append(_Child(self._forked))
+            if not self._forked:
+                code = load.sendable(self._reference, self._digest), self._reference, self._digest
+                expected = self._expected or Identity.here(self._reference, self._digest)
+                for child in started:  # all of them import at the same time
+                    child.prepare(code, expected)
+        except BaseException as error:
+            for child in started:
+                child.end()
+            if isinstance(error, OSError):
+                raise SweepError(f"a child process could not start: {error}") from error
+            raise
+        return started
+
+    def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
+        """Compute everything that ``take`` gives."""
+
+        def following() -> tuple[AnyJob, Task | Call] | None:
+            return next(((job, job.task(self._limits, 0.0)) for job in take(1)), None)
+
+        return self._results(following)
+
+    def run(self, task: Task) -> TaskResult:
+        """Compute one task."""
+        tasks = [(None, task)]
+        result: TaskResult
+        [(_, result)] = self._results(lambda: tasks.pop() if tasks else None)
+        return result
+
+    def _results(self, following: Callable[[], tuple[Any, Task | Call] | None]) -> Iterator[tuple[Any, Any]]:
+        under_way: dict[int, tuple[Any, _Trial]] = {}
+
+        def begin(place: int) -> None:
+            if place not in under_way and (new := following()) is not None:
+                if not self._children:  # as late as there is work, and all together: new processes import for a while
+                    self._children = self._started(self._number)
+                if self._children[place].channel.closed:  # of a call that was given up
+                    [self._children[place]] = self._started(1)
+                under_way[place] = new[0], _Trial(new[1])
+                self._send(place, under_way[place][1])
+
+        def results() -> Iterator[tuple[Any, Any]]:
+            try:
+                while under_way:
+                    for place in self._that_answer(under_way):
+                        job, trial = under_way[place]
+                        self._go_on(place, trial)
+                        if trial.ended:
+                            del under_way[place]
+                            if self._number > 1:  # of several none waits while a result is used; one may be the last
+                                begin(place)
+                            yield job, trial.result()
+                    for place in range(self._number):
+                        begin(place)
+            finally:
+                for place in under_way:  # nobody will take these results
+                    self._children[place].end()
+
+        for place in range(self._number):  # now, not when the first result is asked for
+            begin(place)
+        return results()
+
+    def _that_answer(self, places: Any) -> list[int]:
+        """Return which children have answered or ended; end those that overfill their memory."""
+        channels = {self._children[place].channel: place for place in places}
+        if ready := wait(list(channels), LOOK_EVERY_S):
+            return [channels[channel] for channel in ready]
+        for place in places:
+            child = self._children[place]
+            if self._limits.memory and child.memory() > MEMORY_SHARE * self._limits.memory:
+                child.overfull = True
+                child.process.kill()
+        # What a child has started may keep its channel open.
+        return [place for place in places if self._children[place].code(0.0) is not None]
+
+    def _go_on(self, place: int, trial: "_Trial") -> None:
+        """Take a child's answer; where it has ended, find out why, and let another one do what is left."""
+        child = self._children[place]
+        try:
+            if not child.channel.poll():
+                raise EOFError
+            if (answer := child.channel.recv()) is not None:
+                trial.take(answer)
+                return
+        except (EOFError, OSError):
+            trial.after_death(child.death(trial.task.time_limit_s, self._limits.memory))
+            [self._children[place]] = self._started(1)
+        else:
+            trial.ended = not trial.units or (bool(trial.results) and not trial.inside)
+        if not trial.ended:
+            self._send(place, trial)
+
+    def _send(self, place: int, trial: "_Trial") -> None:
+        with suppress(OSError):  # it has ended, as is found out when its answer is waited for
+            self._children[place].channel.send((trial.rest(), trial.careful))
+
+
+class _Trial:
+    """A task on its way through children: the ``units`` that have no result yet, and the ``results`` of those before.
+
+    ``careful`` is a task of which a child has died, so that each result is to be sent at once: else nobody knows how
+    far it came.  ``inside`` counts the points that are left of a unit which was taken apart.
+    """
+
+    def __init__(self, task: Task | Call) -> None:
+        self.task = task
+        self.units: deque[Any] = deque(task.units if isinstance(task, Task) else [task])
+        self.results: list[Any] = []
+        self.careful, self.ended = task.time_limit_s is not None, False
+        self.inside = self._deaths = 0
+
+    def rest(self) -> Task | Call:
+        """Return what a child is to compute next."""
+        return replace(self.task, units=tuple(self.units)) if isinstance(self.task, Task) else self.task
+
+    def take(self, results: list[Any]) -> None:
+        """Add results of the first units; one of several units has the rows of all of them."""
+        self._deaths = 0
+        for result in results:
+            self.results.append(result)
+            rows = len(result.seconds) if isinstance(result, TaskResult) else 1
+            self.inside = max(0, self.inside - rows)
+            while rows > 0:
+                rows -= len(self.units.popleft().points) if isinstance(self.task, Task) else 1
+
+    def after_death(self, death: Failure) -> None:
+        """Find out which point has ended a child, and give that up after so many `TRIES`; raises SweepError for a call,
+        without which nothing goes on.
+
+        Then the task ends: its other blocks are given out again, but for those of this point, which would cost as much.
+        """
+        unit = self.units[0]
+        if not self.careful:
+            self.careful = True
+        elif isinstance(unit, PointBlock) and len(unit.points) > 1:  # one of those that share the draw is to blame
+            self.units.popleft()
+            self.units.extendleft(replace(unit, points=(point,)) for point in reversed(unit.points))
+            self.inside = len(unit.points)
+        else:
+            self._deaths += 1
+            if death.kind == "time limit" or self._deaths >= TRIES:
+                if isinstance(unit, Call):
+                    unit.failed(death)
+                self.take([TaskResult.failed(1, death)])
+                self.ended = not self.inside
+
+    def result(self) -> Any:
+        """Return the result of the task: the last units have none where it took too long."""
+        return TaskResult.joined(self.results) if isinstance(self.task, Task) else self.results[0]
+
+
+def _may_be_forked() -> bool:
+    """Return whether a copy of this process can compute: Accelerate on macOS cannot, nor some libraries that the user
+    may have computed with.  Python lets no daemonic process have children of this kind.
+    """
+    known = any(name in sys.modules for name in NOT_TO_BE_FORKED)
+    return sys.platform == "linux" and not known and not multiprocessing.current_process().daemon
+
+
+class _Child:
+    """A process that computes tasks, and the ``channel`` to it: a copy of this one (``forked``), or a new one."""
+
+    def __init__(self, forked: bool) -> None:
+        self.channel, theirs = multiprocessing.Pipe()
+        self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
+        self.overfull = False
+        # A copy has all pages of this process from the start, which cost nothing and are no need of its blocks.
+        self._inherited = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss if forked else 0
+        self.process: Any
+        if forked:
+            arguments = self.channel, theirs, self._words
+            self.process = multiprocessing.get_context("fork").Process(target=_compute_forked, args=arguments)
+            # A signal that arrives before the child has its own handlers would be answered by those of this process.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", DeprecationWarning)  # of threads: see `_may_be_forked`
+                    self.process.start()
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        else:
+            start = f"from linksweep.sweep.executing.executor import compute_anew; compute_anew({theirs.fileno()})"
+            files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
+            self.process = load.new_process(start, **files, pass_fds=[theirs.fileno()])
+        theirs.close()
+
+    def prepare(self, code: tuple[Any, str, str | None], expected: Identity) -> None:
+        """Send a new process the code; raises SweepError where it cannot load that, and where it is not as expected."""
+        try:
+            self.channel.send(code)
+            answer = self.channel.recv()
+        except (EOFError, OSError) as error:
+            exit_code, words = self.code(END_S), self._last_words()
+            raise SweepError(f"a child process could not start (exit code {exit_code}): {words}") from error
+        if isinstance(answer, SweepError):
+            raise answer
+        if differ := expected.differences(answer):
+            raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
+
+    def memory(self) -> float:
+        """Return the bytes of memory that the process has taken."""
+        import psutil
+
+        with suppress(psutil.NoSuchProcess):
+            return float(psutil.Process(self.process.pid).memory_info().rss) - self._inherited
+        return 0.0
+
+    def code(self, patience_s: float) -> int | None:
+        """Return the exit code, None where the process has not ended by then."""
+        if isinstance(self.process, subprocess.Popen):
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(patience_s)
+            return self.process.returncode
+        self.process.join(patience_s)
+        exit_code: int | None = self.process.exitcode
+        return exit_code
+
+    def ask_to_end(self) -> None:
+        """Let a child that waits for a task clean up and end."""
+        with suppress(OSError):
+            self.channel.send(None)
+
+    def end(self, patience_s: float = 0.0) -> None:
+        """End the process unless it ends by itself within so many seconds."""
+        if self.channel.closed:
+            return
+        if patience_s <= 0.0 or self.code(patience_s) is None:
+            self.process.kill()
+            self.code(END_S)
+        self.channel.close()
+        self._words.close()
+        if isinstance(self.process, subprocess.Popen) and self.process.stdin is not None:
+            self.process.stdin.close()
+
+    def _last_words(self) -> str:
+        """Return the end of what the process wrote where Python writes before it is ended by a signal."""
+        size = self._words.seek(0, os.SEEK_END)
+        self._words.seek(max(0, size - LAST_WORDS))
+        return self._words.read().decode(errors="replace").strip()
+
+    def death(self, time_limit_s: float | None, memory_limit: int | None) -> Failure:
+        """Return the failure for which a process that does not answer any more stands, and end it if need be."""
+        code, words = self.code(END_S), self._last_words()
+        self.end()
+        if self.overfull and memory_limit:
+            return Failure("killed", f"needs more than the memory limit of {memory_limit / 1e9:.3g} GB", words)
+        if time_limit_s is not None and code == -signal.SIGALRM:
+            return Failure.too_long(time_limit_s, words)
+        if code is None:
+            return Failure("killed", "closed the files of its process, among them the one for its results", words)
+        how = f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+        how += ", perhaps because the machine had no memory left" if how == "SIGKILL" else ""
+        return Failure("killed", f"ended its process with {how}", words)
+
+
+def _compute_forked(parents: Connection, channel: Connection, words: IO[bytes]) -> None:
+    """Run as a copy of the parent."""
+    parents.close()
+    signal.set_wakeup_fd(-1)  # that of an event loop of the parent
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    sys.stdout = sys.stderr = open(2, "w", buffering=1, closefd=False)  # noqa: SIM115 (locks of others came with the fork)
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "this is a child"
+    _end_with(parent.sentinel)
+    _serve(channel, words)
+
+
+def compute_anew(number: int) -> None:
+    """Run as a new child whose channel has this file descriptor."""
+    _end_with(0)
+    channel = Connection(number)
+    sources, reference, digest = channel.recv()
+    if sources is not None:
+        load.provide(sources)
+    try:
+        channel.send(Identity.here(reference, digest))
+    except SweepError as error:
+        channel.send(error)
+        return
+    _serve(channel, sys.stderr.buffer)
+
+
+def _end_with(number: int) -> None:
+    """Let the system end this process when the other end of a pipe is closed, as it is when the parent has ended, even
+    if a block in compiled code lets no other code of Python run.
+    """
+    fcntl.fcntl(number, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(number, fcntl.F_SETFL, fcntl.fcntl(number, fcntl.F_GETFL) | os.O_ASYNC)
+
+
+def _serve(channel: Connection, words: IO[bytes]) -> None:
+    """Compute the tasks that come by a channel, and answer with results, and None at the end of each task."""
+    import faulthandler
+
+    from threadpoolctl import threadpool_limits
+
+    for number in (signal.SIGINT, signal.SIGHUP):  # only the parent answers; programs that a block starts may too
+        signal.signal(number, ignored)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+    for name in ONE_THREAD:
+        os.putenv(name, "1")  # for libraries that a block loads; `os.environ` stays the user's
+    with suppress(OSError, AttributeError):  # there is only one such allocator
+        for what in (-1, -3):  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD
+            ctypes.CDLL(None).mallopt(what, KEEP_BYTES)
+    with suppress(OSError):
+        os.dup2(2, 1)  # what is printed outside of Python must not get among the results
+    faulthandler.enable(words, all_threads=False)  # prints where the code was when the process ends
+    faulthandler.register(signal.SIGALRM, words, all_threads=False, chain=True)
+    deadlines = Deadlines()
+    with threadpool_limits(1), suppress(EOFError):
+        while (message := channel.recv()) is not None:
+            for results in _results(deadlines, *message):
+                channel.send(results)
+            channel.send(None)
+
+
+def _results(deadlines: Deadlines, task: Task | Call, careful: bool) -> Iterator[list[Any]]:
+    """Yield the results of a task: several at once, or if ``careful`` each unit as soon as it is done."""
+    if isinstance(task, Call):
+        yield [compute(task, deadlines)]
+        return
+    sent = time.monotonic()
+    enough = sent + max(ENOUGH_S, task.enough_s)
+    experiment = load.load_experiment(task.experiment_reference, digest=task.source_digest)
+    split = careful and (experiment.vectorised or takes_several(experiment, task))
+    tasks = [replace(task, units=(unit,)) for unit in task.units] if split else [task]
+    ready: list[TaskResult] = []
+    for result in (result for part in tasks for result in run_units(part, deadlines)):
+        ready.append(result)
+        now = time.monotonic()
+        if careful or now > min(enough, sent + SEND_EVERY_S):
+            yield ready
+            ready, sent = [], now
+        if now > enough:
+            break
+    if ready:
+        yield ready
+
 
 Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]
 
@@ -44,11 +476,8 @@ CERTAINLY_LONG = 5e7
 # Results that may wait in memory for one before them.
 MOST_WAITING = 16
 
-# An executor of the work of one study.
-Run = Callable[[Callable[[int], list[list[Work]]]], Iterator[tuple[list[Work], TaskResult]]]
 
-
-def choose_executor(study: Study, cost: float, resources: Resources, say: Say) -> Opened:
+def choose_executor(study: Study, cost: float, resources: Resources, say: Callable[[str], None]) -> Opened:
     """Return a context manager that gives the place and the executor of a run with this ``cost``.
 
     Where nothing is requested these are worker processes, one per core.  Unless the cost that the experiment declares
@@ -59,33 +488,13 @@ def choose_executor(study: Study, cost: float, resources: Resources, say: Say) -
     return _opened(study.experiment_reference, resources, say)
 
 
-def _opened(reference: str, resources: Resources, say: Say) -> Opened:
+def _opened(reference: str, resources: Resources, say: Callable[[str], None]) -> Opened:
     if (resources.scheduler, resources.cluster, resources.client, resources.dashboard) != (None, None, None, False):
-        from linksweep.sweep.executing.clusters import dask_workers
-
-        return dask_workers(reference, resources, say)
-    pool, workers = POOLS[resources.pool or DEFAULT_POOL], resources.workers or available_cores()
-    opened: Opened = pool.open(reference, workers, resources.limits)
+        opened: Opened = DASK.open(reference, resources, say)
+    else:
+        pool, workers = POOLS[resources.pool or DEFAULT_POOL], resources.workers or available_cores()
+        opened = pool.open(reference, workers, resources.limits)
     return opened
-
-
-def of_study(study: Study, execute: Executor, is_missing: Callable[[int], bool], keep: Keep) -> Run:
-    """Return an executor of the work of a study, as long as its points are missing, that lets workers ``keep`` what is
-    large; it raises RefusedError where a
-    worker refuses its results.
-    """
-
-    def run(take: Callable[[int], list[list[Work]]]) -> Iterator[tuple[list[Work], TaskResult]]:
-        results = execute(lambda number: [Batch(study, works, is_missing, keep) for works in take(number)])
-        return (_accepted(batch.works, result) for batch, result in results)
-
-    return run
-
-
-def _accepted(works: list[Work], result: TaskResult) -> tuple[list[Work], TaskResult]:
-    if result.refused:
-        raise RefusedError(f"{result.refused}.")
-    return works, result
 
 
 @contextmanager
@@ -167,7 +576,7 @@ def serial(
 
 
 @contextmanager
-def _measured_first(study: Study, cost: float, say: Say) -> Iterator[tuple[Place, Executor]]:
+def _measured_first(study: Study, cost: float, say: Callable[[str], None]) -> Iterator[tuple[Place, Executor]]:
     """Give an executor for work of unknown length: it computes in one process and measures the time, until
     what is left is worth the start of worker processes, which then do the rest.
 
@@ -201,7 +610,7 @@ def _measured_first(study: Study, cost: float, say: Say) -> Iterator[tuple[Place
 
 
 @contextmanager
-def mapped(reference: str, resources: Resources, say: Say) -> Iterator[Map]:
+def mapped(reference: str, resources: Resources, say: Callable[[str], None]) -> Iterator[Map]:
     """Give a function that maps another one over many pieces, with results in the order of the pieces: in this process
     where nothing is requested, else on the workers, which must have the code of this experiment.
 

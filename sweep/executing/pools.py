@@ -29,7 +29,7 @@ class Pool(NamedTuple):
     def open(self, *arguments: Any) -> Any:
         """Return a context manager that gives the place and the executor of an experiment with this reference.
 
-        The arguments are the reference, the number of workers and the limits.
+        The arguments are the reference, the number of workers and the limits, for `DASK` the resources and who says it.
         """
         module, _, name = self.opener.partition(":")
         return getattr(import_module(module), name)(*arguments)
@@ -41,6 +41,20 @@ POOLS: Mapping[PoolName, Pool] = {
     "serial": Pool("this process alone", "linksweep.sweep.executing.executor:serial", has_workers=False),
 }
 DEFAULT_POOL: PoolName = "processes"
+
+DASK = Pool("Dask's workers", "linksweep.sweep.executing.clusters:dask_workers")
+"""The workers of a scheduler, a cluster or a client, and local ones with a dashboard."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a run is, in ``words`` such as "on 2 local threads": how many workers if that is known, and the Dask
+    dashboard if there is one.
+    """
+
+    words: str
+    workers: int | None = None
+    dashboard: str = ""
 
 
 @dataclass(frozen=True)

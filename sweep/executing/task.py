@@ -1,22 +1,67 @@
-"""What goes to a worker and what comes back: blocks of a study or a call of a function; results and failures."""
+"""What goes to a worker and what comes back: blocks of a study or a call of a function; results and failures; versions
+and code, which are compared before a run and with every task.
+"""
 
+import platform
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any, Literal, Protocol, TypeVar
 from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_info
 
-from linksweep.sweep.code.load import source_digest
+from linksweep.sweep.code.load import code_of, load_experiment, source_digest
+from linksweep.sweep.code.reach import version_of
 from linksweep.sweep.contract import NotFiniteError, Outcome, ResultError, SweepError
 from linksweep.sweep.contract.rows import Block
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
-from linksweep.sweep.executing.process import Captured
 from linksweep.sweep.planning.plan import Work
 from linksweep.sweep.studies.study import Study
+
+DECIDING = ("linksweep", "numpy", "scipy")
+OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a process computes with, by name: versions and code that decide the numbers, and other versions."""
+
+    deciding: Mapping[str, str]
+    others: Mapping[str, str]
+
+    @classmethod
+    def here(cls, reference: str, digest: str | None = None) -> "Identity":
+        """Return with what this process would compute an experiment; raises SweepError as `load_experiment`."""
+        experiment = load_experiment(reference, digest=digest or source_digest(reference))
+        code = code_of(reference, experiment, digest).items()
+        deciding = {name: version_of(name) for name in DECIDING}
+        deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
+        deciding |= {name: text for name, text in code if not name.startswith("value ")}  # such as a time
+        others = {"python": platform.python_version(), "machine": platform.machine(), "linear algebra": _kernels()}
+        return cls(deciding, others | {name: version_of(name) for name in OTHERS})
+
+    def differences(self, there: "Identity") -> list[str]:
+        """Return a phrase for everything that decides the numbers and differs in another process."""
+        return other_versions(self.deciding, there.deciding)
+
+
+@cache
+def _kernels() -> str:
+    """Return for which processor each library of linear algebra computes, on which the rounding of sums depends."""
+    known = (info for info in threadpool_info() if "architecture" in info)
+    return ", ".join(sorted({f"{info['internal_api']} for {info['architecture']}" for info in known})) or "unknown"
+
+
+def other_versions(here: Mapping[str, str], there: Mapping[str, str]) -> list[str]:
+    """Return a phrase for everything that differs between two processes."""
+    pairs = {name: (here.get(name, "unknown"), there.get(name, "unknown")) for name in {**here, **there}}
+    return [f"{name} is {one} here, {other} there" for name, (one, other) in pairs.items() if one != other]
+
 
 # Characters that are kept of what an experiment says when it fails.
 MAX_MESSAGE, MAX_TRACEBACK = 1_000, 20_000
@@ -78,6 +123,40 @@ class Failure:
         object.__setattr__(self, "message", _printable(self.message, MAX_MESSAGE))
         object.__setattr__(self, "traceback", _printable(self.traceback, MAX_TRACEBACK))
 
+    @classmethod
+    def raised(cls, error: BaseException) -> "Failure":
+        """Return why a point failed, from what was raised."""
+        if isinstance(error, NotFiniteError):
+            return cls("NaN", str(error))
+        if isinstance(error, ResultError):
+            return cls("exception", str(error))
+        try:
+            text = str(error)
+        except Exception as unsaid:  # whatever a class of the user's raises
+            text = f"its message cannot be made: {type(unsaid).__name__}"
+        return cls("exception", f"{type(error).__name__}{f': {text}' if text else ''}", traceback.format_exc())
+
+    @classmethod
+    def too_long(cls, limit_s: float, trace: str) -> "Failure":
+        """Return the failure of a block that reached its time limit."""
+        return cls("time limit", f"a block took longer than the time limit of {limit_s:g} s", trace)
+
+
+@dataclass
+class Captured:
+    """What was printed, and how often each warning was raised."""
+
+    printed: str = ""
+    warnings: Counter[str] = field(default_factory=Counter)
+
+    def taken(self) -> "Captured | None":
+        """Return what was captured since the last call, or None if nothing was."""
+        if not self.printed and not self.warnings:
+            return None
+        taken = Captured(self.printed, self.warnings)
+        self.printed, self.warnings = "", Counter()
+        return taken
+
 
 @dataclass
 class TaskResult:
@@ -95,6 +174,24 @@ class TaskResult:
     said: dict[int, Captured] = field(default_factory=dict)
     cold: bool = False
     refused: str = ""
+
+    @classmethod
+    def failed(cls, rows: int, reason: Failure | None = None) -> "TaskResult":
+        """Return a result of so many rows without outcomes, all failed for the ``reason`` if there is one."""
+        failures = {} if reason is None else dict.fromkeys(range(rows), reason)
+        return cls(np.zeros(rows), failures=failures)
+
+    @classmethod
+    def joined(cls, results: "Sequence[TaskResult]") -> "TaskResult":
+        """Return the result of a task from those of its parts, in their order."""
+        whole, starts = cls.failed(0), np.cumsum([0, *(len(one.seconds) for one in results)])
+        for first, result in zip(starts.tolist(), results, strict=False):
+            for name in ("outcomes", "failures", "said"):
+                getattr(whole, name).update({first + row: value for row, value in getattr(result, name).items()})
+            whole.refused = whole.refused or result.refused
+        whole.seconds = np.concatenate([whole.seconds, *(result.seconds for result in results)])
+        whole.cold = any(result.cold for result in results[:1])
+        return whole
 
 
 @dataclass(frozen=True)
@@ -178,13 +275,11 @@ class Batch:
 
     def failed(self, reason: Failure) -> TaskResult:
         """Return the result of work that failed."""
-        return failed(len(self), reason)
+        return TaskResult.failed(len(self), reason)
 
 
 # What an executor computes in one piece.
 AnyJob = TypeVar("AnyJob", Batch, Call)
-
-Say = Callable[[str], None]
 
 
 class Executor(Protocol):
@@ -196,60 +291,6 @@ class Executor(Protocol):
 
     def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         """Compute everything that ``take`` gives."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """Where a run is, in ``words`` such as "on 2 local threads": how many workers if that is known, and the Dask
-    dashboard if there is one.
-    """
-
-    words: str
-    workers: int | None = None
-    dashboard: str = ""
-
-
-Opened = AbstractContextManager[tuple[Place, Executor]]
-
-
-class RefusedError(SweepError):
-    """No result of an experiment is to be used, as a worker has found."""
-
-
-def failure_of(error: BaseException) -> Failure:
-    """Return why a point failed, from what was raised."""
-    if isinstance(error, NotFiniteError):
-        return Failure("NaN", str(error))
-    if isinstance(error, ResultError):
-        return Failure("exception", str(error))
-    try:
-        text = str(error)
-    except Exception as unsaid:  # whatever a class of the user's raises
-        text = f"its message cannot be made: {type(unsaid).__name__}"
-    return Failure("exception", f"{type(error).__name__}{f': {text}' if text else ''}", traceback.format_exc())
-
-
-def too_long(limit_s: float, trace: str) -> Failure:
-    """Return the failure of a block that reached its time limit."""
-    return Failure("time limit", f"a block took longer than the time limit of {limit_s:g} s", trace)
-
-
-def failed(rows: int, reason: Failure | None = None) -> TaskResult:
-    """Return a result of so many rows without outcomes, all failed for the ``reason`` if there is one."""
-    failures = {} if reason is None else dict.fromkeys(range(rows), reason)
-    return TaskResult(np.zeros(rows), failures=failures)
-
-
-def joined(results: Sequence[TaskResult]) -> TaskResult:
-    """Return the result of a task from those of its parts, in their order."""
-    whole = failed(0)
-    for first, result in zip(np.cumsum([0, *(len(one.seconds) for one in results)]).tolist(), results, strict=False):
-        for name in ("outcomes", "failures", "said"):
-            getattr(whole, name).update({first + row: value for row, value in getattr(result, name).items()})
-        whole.refused = whole.refused or result.refused
-    whole.seconds = np.concatenate([whole.seconds, *(result.seconds for result in results)])
-    whole.cold = any(result.cold for result in results[:1])
-    return whole
 
 
 def _printable(text: str, most: int) -> str:

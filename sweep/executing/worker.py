@@ -1,13 +1,23 @@
-"""Computes a task on a worker: its blocks one after the other, or many points at once; and checks that what a plain
-function returns depends on its point alone.
+"""Computes a task on a worker: its blocks one after the other, or many points at once; checks that what a plain
+function returns depends on its point alone, and bears what code may do to its process: print, warn, change it, fork it,
+take too long.
 """
 
+import ctypes
+import decimal
+import io
+import os
+import random
+import signal
+import sys
 import threading
 import time
 import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from itertools import chain, groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,20 +25,226 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.code.load import load_experiment
 from linksweep.sweep.contract import Experiment, Outcome, Point, SweepError, shown
-from linksweep.sweep.executing import process
-from linksweep.sweep.executing.task import (
-    Call,
-    Failure,
-    PointBlock,
-    Task,
-    TaskResult,
-    failed,
-    failure_of,
-    joined,
-    too_long,
-)
+from linksweep.sweep.executing.task import Call, Captured, Failure, PointBlock, Task, TaskResult
 from linksweep.sweep.functions.results import layout_differences, same_value
 from linksweep.sweep.planning.plan import generators_of
+
+# Characters and different warnings of one block that are kept.
+MOST_PRINTED, MOST_WARNINGS = 10_000, 100
+
+# Seconds between the exception and the end of the process: a block in compiled code does not see the exception.
+GRACE_S = 2.0
+
+
+class _Routes(io.TextIOBase):
+    """Standard output and warnings of this process while some of its threads are captured, and what is put back of the
+    process after each block: the working folder, the environment, the standard streams, the filters of warnings.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._threads: dict[int, Captured] = {}
+
+    def begin(self, captured: Captured) -> None:
+        """Capture the calling thread."""
+        with self._lock:
+            if not self._threads:
+                self._before = sys.stdout, warnings.showwarning, list(warnings.filters)
+                self._generators = np.random.get_state(), random.getstate()  # noqa: NPY002
+                sys.stdout, warnings.showwarning = self, self._warn  # type: ignore[assignment]
+                seldom = ("default", "module", "once")  # count all of these; keep "ignore" and "error"
+                _set_filters([("always" if f[0] in seldom else f[0], *f[1:]) for f in warnings.filters])
+                warnings.simplefilter("always", append=True)
+                self._folder, self._environment = _working_folder(), _environment()
+                self._variables, self._filters = dict(os.environ), list(warnings.filters)
+                self._streams = sys.stdin, sys.stdout, sys.stderr
+            self._threads[threading.get_ident()] = captured
+
+    def restore(self) -> None:
+        """Undo what a captured thread has changed about the process."""
+        with self._lock:
+            if not self._threads:
+                return
+            if self._folder is not None and _working_folder() != self._folder:
+                with suppress(OSError):  # it may be gone
+                    os.chdir(self._folder)
+            if _environment() != self._environment:
+                set_environment(self._variables)
+            sys.stdin, sys.stdout, sys.stderr = self._streams
+            if warnings.filters != self._filters:
+                _set_filters(self._filters)
+
+    def end(self) -> None:
+        """Stop capturing the calling thread."""
+        with self._lock:
+            del self._threads[threading.get_ident()]
+            if not self._threads:
+                sys.stdout, warnings.showwarning, filters = self._before
+                _set_filters(filters)
+                np.random.set_state(self._generators[0])  # noqa: NPY002
+                random.setstate(self._generators[1])
+
+    def write(self, text: str) -> int:
+        """Keep what a thread prints; text of a thread that an experiment has started is kept with a block under way."""
+        if (captured := self._captured()) is not None:
+            captured.printed += text[: MOST_PRINTED - len(captured.printed)]
+        else:
+            self._before[0].write(text)
+        return len(text)
+
+    def writable(self) -> bool:
+        return True
+
+    def _captured(self) -> Captured | None:
+        with self._lock:
+            return self._threads.get(threading.get_ident()) or next(iter(self._threads.values()), None)
+
+    def _warn(self, message: Any, category: type[Warning], filename: str, lineno: int, *rest: Any) -> None:
+        if (captured := self._captured()) is None:
+            self._before[1](message, category, filename, lineno, *rest)
+            return
+        text = f"{category.__name__}: {message} ({Path(filename).name}, line {lineno})"
+        if text in captured.warnings or len(captured.warnings) < MOST_WARNINGS:
+            captured.warnings[text] += 1
+
+
+_routes = _Routes()
+
+
+@contextmanager
+def captured() -> Iterator[Captured]:
+    """Capture what this thread prints in this block, and its warnings."""
+    result = Captured()
+    _routes.begin(result)
+    try:
+        yield result
+    finally:
+        _routes.end()
+
+
+@contextmanager
+def undisturbed(seed: int) -> Iterator[None]:
+    """Run code of an experiment in a captured thread so that no point depends on the one before it, as far as that is
+    cheap: the generators of NumPy and Python for a process start from a ``seed``, and what is set for the arithmetic of
+    NumPy and of decimals ends with this block, as does a process that is forked in it.
+    """
+    parent = os.getpid()
+    np.random.seed(seed)  # noqa: NPY002 (for code that draws from it, although it should not)
+    random.seed(seed)
+    try:
+        with np.errstate(), decimal.localcontext():
+            yield
+    except BaseException as error:
+        if os.getpid() != parent:  # as Python ends: with the code of `sys.exit`, or with 1 and a traceback
+            code = error.code if isinstance(error, SystemExit) else 1
+            if not isinstance(error, SystemExit):
+                traceback.print_exception(error, file=sys.__stderr__)
+            os._exit(0 if code is None else code if isinstance(code, int) else 1)
+        raise
+    finally:
+        if os.getpid() != parent:  # it would go on with the run beside its parent
+            os._exit(0)
+        _routes.restore()
+
+
+def is_interruption(error: BaseException) -> bool:
+    """Return whether an exception stops the run, as the user's interruption does, which Python raises in the main
+    thread of a process that answers SIGINT so.  All other exceptions belong to the experiment.
+    """
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    return isinstance(error, KeyboardInterrupt) and in_main_thread and signal.getsignal(signal.SIGINT) is not ignored
+
+
+def ignored(*_signal: object) -> None:
+    """Ignore a signal in this process, but not in the programs that it starts, as SIG_IGN would."""
+
+
+def _set_filters(filters: list[Any]) -> None:
+    """Let these be the filters of warnings, from their entries in `warnings.filters`."""
+    warnings.resetwarnings()
+    for action, message, category, module, line in filters:
+        texts = [getattr(pattern, "pattern", pattern) or "" for pattern in (message, module)]
+        warnings.filterwarnings(action, texts[0], category, texts[1], line, append=True)
+
+
+def set_environment(variables: Mapping[str, str]) -> None:
+    """Let these, and no others, be the variables of the environment of this process."""
+    for name in os.environ.keys() - variables.keys():
+        del os.environ[name]
+    os.environ.update(variables)
+
+
+def _environment() -> dict[Any, Any]:
+    # Private: what os.environ keeps, in a hundredth of the time of dict(os.environ), which decodes all of it (1 us
+    # against 60 us of about 300 us that a point of a plain function takes in all).
+    return dict(getattr(os.environ, "_data", os.environ))
+
+
+def _working_folder() -> str | None:
+    with suppress(OSError):
+        return os.getcwd()
+    return None
+
+
+class TimeLimitError(BaseException):
+    """Raised inside a block at its time limit; not an Exception, because a block may catch those."""
+
+
+class Deadlines:
+    """The times by which the blocks under way in this process must have ended, one for each thread.
+
+    A process has one alarm clock, so all its blocks share one instance.  The process must be one that may be ended:
+    a worker of a cluster or a child of one.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._ends: dict[int, float] = {}
+
+    @contextmanager
+    def within(self, seconds: float | None) -> Iterator[None]:
+        """Raise TimeLimitError in this block after ``seconds``; `GRACE_S` later the system ends the process with
+        SIGALRM, even if the code never releases the interpreter's lock.
+        """
+        if seconds is None:
+            yield
+            return
+        thread = threading.get_ident()
+        lock, over = threading.Lock(), threading.Event()
+
+        def raised(kind: type[BaseException] | None) -> None:
+            argument = None if kind is None else ctypes.py_object(kind)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), argument)
+
+        def ring() -> None:
+            with lock:
+                if not over.is_set():
+                    raised(TimeLimitError)
+
+        timer = threading.Timer(seconds, ring)
+        timer.daemon = True
+        try:
+            self._set(thread, time.monotonic() + seconds + GRACE_S)
+            timer.start()
+            yield
+        finally:
+            try:
+                timer.cancel()
+                with lock:
+                    over.set()
+                    raised(None)  # else one that is pending hits the next block
+            finally:  # the exception may be raised, once, in the lines above
+                self._set(thread, None)
+
+    def _set(self, thread: int, end: float | None) -> None:
+        """Set or drop a thread's end, and set the alarm to the earliest of all ends."""
+        with self._lock:
+            self._ends.pop(thread, None)
+            if end is not None:
+                self._ends[thread] = end
+            wait = max(1e-3, min(self._ends.values()) - time.monotonic()) if self._ends else 0.0
+            signal.setitimer(signal.ITIMER_REAL, wait)
+
 
 # Seconds after which a task returns what it has, so that its results do not wait for those of slower points.
 ENOUGH_S = 2.0
@@ -63,20 +279,20 @@ _dependence: dict[tuple[Who, float], str] = {}
 _agreed: set[Who] = set()
 
 
-def compute(task: Task | Call, deadlines: process.Deadlines | None = None) -> Any:
+def compute(task: Task | Call, deadlines: Deadlines | None = None) -> Any:
     """Return the result of a task; of a call its value and None, or None and what it raised."""
     if isinstance(task, Task):
         return run_task(task, deadlines)
     try:
-        with (deadlines or process.Deadlines()).within(task.time_limit_s):
+        with (deadlines or Deadlines()).within(task.time_limit_s):
             return task.function(*task.arguments), None
-    except process.TimeLimitError:
+    except TimeLimitError:
         return None, SweepError(f"a piece of the work took longer than the time limit of {task.time_limit_s:g} s")
     except Exception as error:  # raised again by the client
         return None, error
 
 
-def run_task(task: Task, deadlines: process.Deadlines | None = None) -> TaskResult:
+def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
     """Compute the blocks of a task, but begin no further one after `ENOUGH_S` or the task's ``enough_s``, whichever is
     longer; a point that raises is recorded and the rest goes on.
 
@@ -84,14 +300,14 @@ def run_task(task: Task, deadlines: process.Deadlines | None = None) -> TaskResu
     """
     begun = time.monotonic()
     results: list[TaskResult] = []
-    for result in run_units(task, deadlines or process.Deadlines()):
+    for result in run_units(task, deadlines or Deadlines()):
         results.append(result)
         if time.monotonic() - begun > max(ENOUGH_S, task.enough_s):
             break
-    return joined(results)
+    return TaskResult.joined(results)
 
 
-def run_units(task: Task, deadlines: process.Deadlines) -> Iterator[TaskResult]:
+def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
     """Yield the results of the units of a task in their order: of one, or of several that were computed in one call.
 
     They end with a point that took too long: its other blocks would too, and the rest is given out again.
@@ -110,7 +326,7 @@ def run_units(task: Task, deadlines: process.Deadlines) -> Iterator[TaskResult]:
 class _Computing:
     """Calls the experiment of a task for its units, and says which point is to blame for what goes wrong."""
 
-    def __init__(self, task: Task, deadlines: process.Deadlines) -> None:
+    def __init__(self, task: Task, deadlines: Deadlines) -> None:
         self.task, self.who, self._deadlines = task, (task.experiment_reference, task.source_digest), deadlines
         self.experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
 
@@ -120,7 +336,7 @@ class _Computing:
         if self.experiment.vectorised and len(task.units) > 1 and (together := self._points_together()) is not None:
             yield together
             return
-        with process.captured() if task.caught else nullcontext(process.Captured()) as said:
+        with captured() if task.caught else nullcontext(Captured()) as said:
             several = takes_several(self.experiment, task)
             for units in alike(task.units) if several else [task.units]:
                 result = self._catalogues_together(units) if several else None
@@ -134,10 +350,10 @@ class _Computing:
         """Return the seconds that so many points may take."""
         return None if self.task.time_limit_s is None else self.task.time_limit_s * points
 
-    def _one_by_one(self, units: Sequence[PointBlock], said: process.Captured) -> Iterator[TaskResult]:
+    def _one_by_one(self, units: Sequence[PointBlock], said: Captured) -> Iterator[TaskResult]:
         """Yield the result of each of these units, with what was ``said`` meanwhile."""
         for unit in units:
-            result = failed(len(unit.points))
+            result = TaskResult.failed(len(unit.points))
             rows = list(range(len(unit.points)))
             begun = time.perf_counter()
             if not self._try(rows, unit, result) and len(rows) > 1:
@@ -156,14 +372,14 @@ class _Computing:
         pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
         points = [experiment.defaults() | unit.points[row] for row in rows]
         try:
-            with process.undisturbed(task.seed_of(unit)), self._deadlines.within(self._limit(len(rows))):
+            with undisturbed(task.seed_of(unit)), self._deadlines.within(self._limit(len(rows))):
                 outcomes = experiment.compute(points, unit.block.n_sim, pairs, task.keep_samples)
-        except process.TimeLimitError:
-            reason = too_long(task.time_limit_s or 0.0, traceback.format_exc())
+        except TimeLimitError:
+            reason = Failure.too_long(task.time_limit_s or 0.0, traceback.format_exc())
         except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
-            if process.is_interruption(error) or not task.caught:
+            if is_interruption(error) or not task.caught:
                 raise
-            reason = failure_of(error)
+            reason = Failure.raised(error)
         else:
             result.outcomes.update(zip(rows, outcomes, strict=True))
             for row in rows:
@@ -183,12 +399,12 @@ class _Computing:
         points = [self.experiment.defaults() | point for point in units[0].points]
         begun = time.perf_counter()
         try:
-            with process.undisturbed(self.task.seed_of(units[0])):  # without a limit: see `takes_several`
+            with undisturbed(self.task.seed_of(units[0])):  # without a limit: see `takes_several`
                 blocks = (generators_of(self.task.seed, unit.stream, unit.block) for unit in units)
                 pairs = list(chain.from_iterable(blocks))
                 outcomes = self.experiment.compute_catalogues(points, units[0].block.n_sim, pairs, n_cat)
         except BaseException as error:
-            if process.is_interruption(error):
+            if is_interruption(error):
                 raise
             return None
         return _succeeded(outcomes, time.perf_counter() - begun)
@@ -204,19 +420,19 @@ class _Computing:
         who = self.who, experiment.tolerance
         wrong = _dependence.get(who, "")
         if wrong:
-            return failed(len(points), Failure("exception", wrong))
+            return TaskResult.failed(len(points), Failure("exception", wrong))
         begun = time.perf_counter()
-        with process.captured() as said:
+        with captured() as said:
             try:
                 limit = self._limit(len(points) + CHECKED)
-                with process.undisturbed(self.task.seed_of(units[0])), self._deadlines.within(limit):
+                with undisturbed(self.task.seed_of(units[0])), self._deadlines.within(limit):
                     outcomes = experiment.compute(points, 1, ())
                     if who not in _dependence:
                         wrong = dependence(experiment, points, outcomes, [unit.stream for unit in units])
                         if wrong or len(points) > CHECKED:
                             _dependence[who] = wrong
             except BaseException as error:  # which point is to blame is found out one by one
-                if process.is_interruption(error):
+                if is_interruption(error):
                     raise
                 return None
             printed, seconds = said.taken(), time.perf_counter() - begun
@@ -237,13 +453,13 @@ class _Computing:
         try:
             # Other random numbers than at first, if it takes those of the process.
             again = self.task.seed_of(units[0]) ^ 1
-            with process.undisturbed(again), self._deadlines.within(self._limit(len(points))):
+            with undisturbed(again), self._deadlines.within(self._limit(len(points))):
                 second = self.experiment.compute(points, 1, ())
             how = next(filter(None, map(_difference, first, second)), "")
-        except process.TimeLimitError:
+        except TimeLimitError:
             return ""
         except BaseException as error:
-            if process.is_interruption(error):
+            if is_interruption(error):
                 raise
             how = f"and then raises {type(error).__name__}"
         if not how:
@@ -271,13 +487,13 @@ def takes_several(experiment: Experiment, task: Task) -> bool:
 
 def _succeeded(outcomes: Sequence[Outcome], seconds: float) -> TaskResult:
     """Return the result of points that were computed in one call."""
-    result = failed(len(outcomes))
+    result = TaskResult.failed(len(outcomes))
     result.outcomes.update(enumerate(outcomes))
     result.seconds[:] = seconds / len(outcomes)
     return result
 
 
-def _with_printed(result: TaskResult, printed: process.Captured | None) -> TaskResult:
+def _with_printed(result: TaskResult, printed: Captured | None) -> TaskResult:
     """Return a result with what was printed meanwhile, if anything was."""
     result.said |= {} if printed is None else {0: printed}
     return result

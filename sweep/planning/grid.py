@@ -13,7 +13,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Point, SweepError, Value, shown
+from linksweep.sweep.contract import Point, Status, SweepError, Value, shown
 from linksweep.sweep.studies.points import remarks
 from linksweep.sweep.studies.study import POINT, Study
 from linksweep.sweep.tables.file import sorted_json
@@ -207,6 +207,16 @@ def all_but(study: Study, points: Collection[bytes]) -> dict[str, int]:
 def describe(study: Study, parameters: dict[str, Any]) -> str:
     """Return a point's place on the axes in words: ``model=gaia,v_max=16.0``."""
     return ",".join(f"{name}={parameters[name]}" for name in study.axes) or "the only point"
+
+
+def failures_by_place(
+    grid: Grid, status: NDArray[np.int8], records: Mapping[bytes, Mapping[str, str]], most: int | None = None
+) -> dict[str, str]:
+    """Return the points that failed by a ``status`` that is indexed like the grid, or the first of them, by their place
+    on the axes, and why, from the ``records`` of a store.
+    """
+    failed = np.flatnonzero(status == Status.FAILED)[:most]
+    return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
 
 
 def make_grid(study: Study) -> Grid:

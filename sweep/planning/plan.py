@@ -1,4 +1,5 @@
-"""The plan of a study: points cut into blocks, each with its own random stream.
+"""The plan of a study: points cut into blocks, each with its own random stream, and how these are dealt to parts of a
+study that know nothing of each other: by the plan and their number alone.
 
 A stream comes from NumPy's SeedSequence of the seed and the words that name the stream: the point's stream, the
 catalogue and the part of its realisations.  So it does not depend on the grid, the order or the machine.  SFC64 is the
@@ -7,16 +8,18 @@ fastest sound bit generator of NumPy.
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from heapq import heapreplace
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from linksweep.sweep.contract import GeneratorPair, Rows, SweepError, Value
-from linksweep.sweep.contract.rows import Block
+from linksweep.sweep.contract import GeneratorPair, Rows, Status, SweepError
+from linksweep.sweep.contract.rows import Block, BlockRows, ledger_key
 from linksweep.sweep.planning.grid import Grid, GridPoint, PointCache
 from linksweep.sweep.studies.study import Study
 
@@ -89,8 +92,6 @@ class PlanSize:
 
 
 NOTHING = PlanSize(0, 0, 0, 0.0)
-# The cost of a realisation and what is left of each of the points that share random numbers, by what they share.
-Groups = dict[tuple[Value, ...], list[tuple[float, PlanSize]]]
 
 
 @dataclass(frozen=True)
@@ -224,46 +225,48 @@ class Plan:
             sizes = f"n_cat = {sampling.n_cat:,} and n_sim = {sampling.n_sim:,}"
             raise SweepError(f"{sizes} make more than {MAX_BLOCKS:,} blocks", self.grid.study.source)
 
+    def wanted_parts(self, cost: float, parts: int, total: Rows, reached: bool) -> tuple[int, bool]:
+        """Return how many parts a point with ``parts`` needs, and whether these reach the precision; ``reached`` says
+        whether those of its last check did.  Only its ``total`` (1,) decides, so all runs agree.
+        """
+        study = self.grid.study
+        sampling, precision = study.sampling, study.sampling.precision
+        if precision is None:
+            return parts, True
+        n_sim = self.realisations(cost, parts)
+        n_cat = float(sampling.n_cat)
+        try:
+            results = study.experiment.reducer.finish(total, np.array([n_cat * n_sim]), np.array([n_cat]))
+        except Exception:  # raised by a user's function: the point ends here, and `Accumulator.failing` says why
+            return parts, False
+        with np.errstate(divide="ignore", invalid="ignore"):
+            pairs = study.experiment.errors_of_headline()
+            errors = np.concatenate([np.abs(results[error] / results[value]).reshape(-1) for value, error in pairs])
+        unknown = n_sim < KNOWN_BY and bool(np.isnan(errors).any())
+        worst = float(np.max(errors, where=~np.isnan(errors), initial=0.0))
+        enough = worst <= precision and not unknown
+        if enough and reached:
+            return parts, True
+        factor = max((worst / precision) ** 2, 2.0 if unknown else CONFIRMED)
+        needed = self.parts(cost, math.ceil(n_sim * min(factor, LARGEST_STEP)))
+        return min(max(parts + 1, needed), self.parts(cost, sampling.most)), enough
 
-def wanted_parts(plan: Plan, cost: float, parts: int, total: Rows, reached: bool) -> tuple[int, bool]:
-    """Return how many parts a point with ``parts`` needs, and whether these reach the precision; ``reached`` says
-    whether those of its last check did.  Only its ``total`` (1,) decides, so all runs agree.
-    """
-    study = plan.grid.study
-    sampling, precision = study.sampling, study.sampling.precision
-    if precision is None:
-        return parts, True
-    n_sim = plan.realisations(cost, parts)
-    n_cat = float(sampling.n_cat)
-    try:
-        results = study.experiment.reducer.finish(total, np.array([n_cat * n_sim]), np.array([n_cat]))
-    except Exception:  # raised by a user's function: the point ends here, and `Accumulator.failing` says why
-        return parts, False
-    with np.errstate(divide="ignore", invalid="ignore"):
-        pairs = study.experiment.errors_of_headline()
-        errors = np.concatenate([np.abs(results[error] / results[value]).reshape(-1) for value, error in pairs])
-    unknown = n_sim < KNOWN_BY and bool(np.isnan(errors).any())
-    worst = float(np.max(errors, where=~np.isnan(errors), initial=0.0))
-    enough = worst <= precision and not unknown
-    if enough and reached:
-        return parts, True
-    factor = max((worst / precision) ** 2, 2.0 if unknown else CONFIRMED)
-    needed = plan.parts(cost, math.ceil(n_sim * min(factor, LARGEST_STEP)))
-    return min(max(parts + 1, needed), plan.parts(cost, sampling.most)), enough
-
-
-def cost_together(groups: Groups) -> float:
-    """Return the cost of what is left to compute, for groups of points that share random numbers.  Each point has the
-    cost of one realisation; the costliest draws the numbers, the others only use them (see `Plan.work`).
-    """
-    total = 0.0
-    for members in groups.values():
-        for start in range(0, len(members), MOST_SHARING):
-            piece = members[start : start + MOST_SHARING]
-            draws = max(range(len(piece)), key=lambda k: piece[k][0])
-            for k, (cost, left) in enumerate(piece):
-                total += left.cost - (0.0 if k == draws else (1.0 - SHARED) * cost * left.realisations)
-    return total
+    def share(self) -> "Share | None":
+        """Return what the part that a study is has to compute, None for a whole study."""
+        part = self.grid.study.part
+        if part is None:
+            return None
+        if (alike := _dealt_alike(self, part.total)) is not None:
+            return dict.fromkeys(alike[0][alike[1] == part.number].tolist())
+        units: dict[int, list[Unit]] = {}
+        for unit, number in deal(self, part.total):
+            if number == part.number:
+                for index in unit.indices:
+                    units.setdefault(index, []).append(unit)
+        return {
+            index: None if len(some) == some[0].units else tuple(sorted(unit.block for unit in some if unit.block))
+            for index, some in sorted(units.items())
+        }
 
 
 def _doublings(sims: int) -> int:
@@ -291,3 +294,91 @@ def generators_of(seed: int, name: bytes, block: Block) -> list[GeneratorPair]:
     """Return what `generators` returns for each catalogue of a block."""
     catalogues = range(block.first_catalogue, block.first_catalogue + block.n_cat)
     return [generators(seed, name, catalogue, block.part) for catalogue in catalogues]
+
+
+# The blocks of each point, by its index, that are a part's; None for a point of which no other part has a block.
+Share = Mapping[int, tuple[Block, ...] | None]
+
+
+class Unit(NamedTuple):
+    """What no two parts divide: a block of points that share its random numbers, or all blocks of these points, which
+    have so many ``units`` together.
+    """
+
+    cost: float
+    indices: tuple[int, ...]
+    block: Block | None
+    units: int
+
+
+def _units(plan: Plan) -> Iterator[Unit]:
+    """Yield the units of a plan in the order of its points."""
+    grid, sampling = plan.grid, plan.grid.study.sampling
+    groups: dict[object, list[tuple[int, float]]] = {}
+    for index, parameters in grid.parameters():
+        key = grid.draw(parameters) if grid.study.draws_together else index
+        groups.setdefault(key, []).append((index, plan.cost(parameters)))
+    for members in groups.values():
+        for start in range(0, len(members), MOST_SHARING):
+            indices, costs = zip(*members[start : start + MOST_SHARING], strict=True)
+            blocks = plan.blocks(costs[0])
+            if len(blocks) == 1 or sampling.precision is not None:
+                # How many blocks a precision needs is known from all earlier ones of the point.
+                yield Unit(_rounded(sum(plan.cost_of(block, costs) for block in blocks)), indices, None, 1)
+            else:
+                yield from (Unit(_rounded(plan.cost_of(one, costs)), indices, one, len(blocks)) for one in blocks)
+
+
+def _rounded(cost: float) -> float:
+    # The last digits of what an experiment declares may depend on the machine; the parts may not.
+    return float(f"{cost:.6g}")
+
+
+def deal(plan: Plan, parts: int) -> Iterator[tuple[Unit, int]]:
+    """Yield each unit of a plan with the number, from 1, of the part that has it.
+
+    The costliest comes first, and each goes to the part with the least so far (Graham 1969, Bounds on multiprocessing
+    timing anomalies).  Where all cost the same that deals them in rounds, each of which begins further on: else a part
+    would have the same value of an axis again and again, whose points may be those that take long.
+    """
+    step = _step(parts)
+    loads = [(0.0, part, part, 0) for part in range(parts)]
+    for unit in sorted(_units(plan), key=lambda unit: -unit.cost):
+        load, _, part, units = loads[0]
+        heapreplace(loads, (load + unit.cost, (part - step * (units + 1)) % parts, part, units + 1))
+        yield unit, part + 1
+
+
+def _step(parts: int) -> int:
+    """Return how much further on a round begins than the last: in time a part has every place in it."""
+    return next(n for n in range(max(1, round(0.618 * parts)), 2 * parts + 1) if math.gcd(n, parts) == 1)
+
+
+def _dealt_alike(plan: Plan, parts: int) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
+    """Return the indices of all points, and for each the number that `deal` gives to it, where each is a unit and all
+    cost the same: a million take a second.  None elsewhere.
+    """
+    sampling = plan.grid.study.sampling
+    if not plan.costs_nothing_special or plan.grid.study.draws_together:
+        return None
+    if sampling.precision is None and len(plan.blocks(1.0)) > 1:
+        return None
+    indices = plan.grid.indices()
+    rounds, places = np.divmod(np.arange(len(indices)), parts)
+    return indices, (places + _step(parts) * rounds) % parts + 1
+
+
+def lost_parts(plan: Plan, status: NDArray[np.int8], rows: BlockRows, parts: int) -> list[int]:
+    """Return the numbers of the parts that have a block which is missing in a ledger's ``rows``, of points that are
+    missing by their ``status``.
+    """
+    missing = status == int(Status.MISSING)
+    if (alike := _dealt_alike(plan, parts)) is not None:
+        return [int(number) for number in np.unique(alike[1][missing[alike[0]]])]
+    digests = {point.index: point.digest for point in plan.grid.points(np.flatnonzero(missing))}
+
+    def lacks(unit: Unit) -> bool:
+        some = (digests[index] for index in unit.indices if index in digests)
+        return any(unit.block is None or ledger_key(digest, unit.block) not in rows for digest in some)
+
+    return sorted({number for unit, number in deal(plan, parts) if lacks(unit)}) if digests else []

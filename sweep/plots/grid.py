@@ -23,9 +23,8 @@ from scipy.special import chdtri
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import fits, laws, quantity
-from linksweep.sweep.contract import Array, SweepError, shown, suggest
-from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.planning.refined import REFINED
+from linksweep.sweep.contract import Array, Status, SweepError, shown, suggest
+from linksweep.sweep.planning.union import REFINED
 from linksweep.sweep.plots import GridFigure, style
 from linksweep.sweep.studies.study import POINT
 

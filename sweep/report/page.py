@@ -35,7 +35,8 @@ from matplotlib.text import Text
 
 from linksweep.sweep.analysis import answer, compare, derived, quantity, results_table
 from linksweep.sweep.analysis.sensitivity import sensitivity
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import Status, SweepError
+from linksweep.sweep.contract.rows import count_status
 from linksweep.sweep.formatting import (
     first_of,
     is_truth,
@@ -45,11 +46,10 @@ from linksweep.sweep.formatting import (
     with_micro_signs,
     written,
 )
-from linksweep.sweep.planning.point_status import Status, count_status
 from linksweep.sweep.plots import KINDS, grid, style
 from linksweep.sweep.plots import figure as drawing
 from linksweep.sweep.result import Result, open_result, write_at_once
-from linksweep.sweep.running.failures import reasons_of
+from linksweep.sweep.running.progress import reasons_of
 from linksweep.sweep.stores.location import Where, located
 from linksweep.sweep.studies.record import CITATION, FUNCTION
 from linksweep.sweep.studies.study import POINT, POINT_TABLE

@@ -18,18 +18,17 @@ import xarray as xr
 from linksweep.sweep.code.load import code_differences
 from linksweep.sweep.contract import Experiment, SweepError
 from linksweep.sweep.contract.rows import DIGEST_BYTES, converted, lost_integers, same_rows
-from linksweep.sweep.executing.versions import DECIDING
+from linksweep.sweep.executing.task import DECIDING
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.functions.adapter import layout_of_record
 from linksweep.sweep.functions.results import Layout, layout_differences
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe
-from linksweep.sweep.planning.parts import lost_parts
-from linksweep.sweep.planning.plan import Plan
+from linksweep.sweep.planning.plan import Plan, lost_parts
 from linksweep.sweep.planning.union import united
 from linksweep.sweep.running.code import records_of
 from linksweep.sweep.running.reproduce import study_of
-from linksweep.sweep.running.writer import BLOCK, Writer, attributes_of, find_store, open_store, study_differences
+from linksweep.sweep.running.run import BLOCK, Writer, attributes_of, find_store, open_store, study_differences
 from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
 from linksweep.sweep.stores.ledger import Ledger, Record

@@ -14,13 +14,12 @@ import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from linksweep.sweep.code.load import Code, file_of
-from linksweep.sweep.contract import ResultError, SweepError, shown, suggest
-from linksweep.sweep.executing.children import Children
+from linksweep.sweep.contract import ResultError, Status, SweepError, shown, suggest
+from linksweep.sweep.executing.executor import Children
 from linksweep.sweep.executing.task import Task, TaskResult
 from linksweep.sweep.executing.worker import run_task
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
-from linksweep.sweep.planning.point_status import Status
 from linksweep.sweep.running.code import differences_of_code
 from linksweep.sweep.running.run import Session
 from linksweep.sweep.stores.location import Folder, Where, located

@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, SweepError
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, Status, SweepError
 from linksweep.sweep.contract.rows import LENGTH, MISSING_INT, REFERENCE, Block, Reducer, Sums, ledger_key
 from linksweep.sweep.formatting import ERRORS, RAGGED, TRUTH, described, short_meaning
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan
-from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.stores.large import Stored
+from linksweep.sweep.stores.ledger import Stored
 from linksweep.sweep.stores.location import Location
 from linksweep.sweep.stores.store import FILL, RUNNING, dask_arrays_only_where_imported, finished, with_gaps
 from linksweep.sweep.studies.study import POINT, printed_rounding

@@ -1,32 +1,504 @@
-"""Runs a study in a session: its grid, its store and its pending work, opened once, computed and published."""
+"""Runs a study in a session: its grid, its store, whether what is there can go on with it and is shown beside it, and
+its pending work, opened once, computed and published; the writer puts results into the ledger as they come, to disk
+every second, and as a dataset every few seconds.
+"""
 
+import json
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence, Set
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
-from dataclasses import replace
-from typing import Any, Protocol
+from dataclasses import dataclass, replace
+from threading import Event, RLock, Thread
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.executor import choose_executor, of_study
+from linksweep.sweep.contract import Experiment, Named, Rows, Status, SweepError
+from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, ledger_key, lost_integers
+from linksweep.sweep.executing.executor import choose_executor
 from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources, available_cores
-from linksweep.sweep.executing.task import Executor, RefusedError, TaskResult
+from linksweep.sweep.executing.task import Batch, Executor, Failure, TaskResult
+from linksweep.sweep.formatting import host, now
 from linksweep.sweep.interrupt import watched
-from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.grid import Grid, make_grid
-from linksweep.sweep.planning.plan import TARGET, Plan, Survey, Work
-from linksweep.sweep.planning.work_queue import TUNED, Tuning
-from linksweep.sweep.running.beside import ALL, Beside, again_where, with_stored
-from linksweep.sweep.running.code import check_code, record_code
-from linksweep.sweep.running.failures import FailureCount, MaxFailures, TooManyFailuresError
-from linksweep.sweep.running.results import Labelled, masked
-from linksweep.sweep.running.writer import Taken, Writer, attributes_of, check_points, find_store, open_store
+from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending, Tuning
+from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, failures_by_place, make_grid
+from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
+from linksweep.sweep.planning.union import REFINED, UNITED, united
+from linksweep.sweep.running.code import check_code, record_code, records_of, rows_of_other_code
+from linksweep.sweep.running.progress import FailureCount, MaxFailures, Progress, Silent, Taken
+from linksweep.sweep.running.results import Labelled, assemble, assemble_samples, code_variable, covariances, masked
+from linksweep.sweep.stores import store as stores
+from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, locked, writing
-from linksweep.sweep.stores.store import BLOCKS, Store, create_store, replace_store
-from linksweep.sweep.studies.record import as_recorded
-from linksweep.sweep.studies.study import Study
+from linksweep.sweep.stores.store import BLOCKS, RESCUED, OpenStore, Store, create_store, free_beside, replace_store
+from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded, recorded_study
+from linksweep.sweep.studies.study import PART, Study
+from linksweep.sweep.tables.file import content_digest
+from linksweep.sweep.tables.reader import from_frame
+from linksweep.sweep.tables.where import rows_where
+
+OLD = "old"
+"""What a condition calls points that were made by other code than today's."""
+
+AGAIN = "is to be computed again where "
+"""With which the reason begins why a point is not done that a run was to compute again."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What becomes of the points of a store beside those that are asked for: ``only`` the latter stay in its dataset;
+    with ``keep`` constants that differ become axes; those that meet the condition ``redo`` are computed again.
+    """
+
+    only: bool = False
+    keep: bool = False
+    redo: str = ""
+
+
+ALL = Beside()
+
+
+def with_stored(store: Store, study: Study) -> tuple[Study, Set[bytes] | None]:
+    """Return the study of the points of a store and a study together, and the digests of those to be computed.
+
+    The study itself, and None, where it has all of them.  Raises SweepError as `united`.
+    """
+    attributes, where = store.attributes, str(store.location)
+    if attributes.get("study_digest") == study.digest():
+        return study, None
+    document = json.loads(attributes["study_document"])
+    # The same files, as the caller has found; that which the store names may have moved.
+    files = {one.name for one in study.experiment.parameters if one.kind == "file"} & document.get("fixed", {}).keys()
+    document["fixed"] = document.get("fixed", {}) | {
+        name: raw for name, raw in study.document.get("fixed", {}).items() if name in files
+    }
+    stored = recorded_study({**attributes, "study_document": json.dumps(document)}, where)
+    stored = replace(stored, document={**stored.document, "define": document.get("define", {})})
+    digests = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
+    is_whole = attributes.get("complete") and attributes.get(BLOCKS) == len(store.rows)
+    try:
+        whole = united(stored, study, None if is_whole else digests)
+    except SweepError as error:
+        raise SweepError(error.problems, where) from error
+    if whole is study:
+        return study, None
+    grid = Grid(study)
+    wanted = set(grid.digests(grid.indices()))
+    # More realisations are for all points, which are not shown without them.
+    return whole, wanted if whole.sampling is stored.sampling else wanted | digests
+
+
+def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Record | None]:
+    """Return the points of a study to be computed again where a condition is true, by their digests, with why.
+
+    Where a run with the same condition was killed, they are those that it has left.  What other code made of points
+    that are not in the study any more is to be forgotten: None.  Raises SweepError for a condition that is none.
+    """
+    import pandas as pd  # takes a quarter of a second
+
+    message = AGAIN + condition
+    left = {digest for digest, record in store.failures.items() if record["message"] == message}
+    rows = defaultdict[bytes, list[int]](list)
+    for key, row in store.rows.items():
+        rows[key[:DIGEST_BYTES]].append(row)
+    other = rows_of_other_code(store, study)
+    points = [point for point in Grid(study).points() if point.digest in rows or point.digest in store.failures]
+    made_by_other = [any(row in some for row in rows[point.digest] for some in other) for point in points]
+    table = [
+        {OLD: is_old}
+        | {name: str(value) if isinstance(value, Named) else value for name, value in p.parameters.items()}
+        for p, is_old in zip(points, made_by_other, strict=True)
+    ]
+    columns = pd.DataFrame(table, index=range(len(points))).convert_dtypes()
+    met = rows_where(from_frame(columns), condition, "--redo", may_be_none=True) if points else ()
+    record = {"kind": "again", "message": message, "traceback": "", "host": host(), "when": now()}
+    known = {point.digest for point in points}
+    again: dict[bytes, Record | None] = {
+        digest: None for digest in rows.keys() - known if any(row in some for row in rows[digest] for some in other)
+    }
+    for point, is_met, is_old in zip(points, met, made_by_other, strict=True):
+        if point.digest in left or (is_met and (is_old or not left)):
+            again[point.digest] = {"place": describe(study, point.parameters), **record}
+    return again
+
+
+# Most failed points that a dataset names in its attributes; its status counts all.
+MAX_FAILURES_NAMED = 1000
+
+# What the record of a failure says of the block that failed, if one did: its group and its part.
+BLOCK = "block"
+
+# Attributes of a store that every later run keeps.
+KEPT = ("merged", "started", REFINED)
+
+
+# The name in a store that is not that of an array.
+RESERVED = "blocks"
+
+
+def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | None:
+    """Return the store at a place, None where the place is free.
+
+    Raises SweepError where something else is there, or results that cannot be mixed with this study's; with ``keep``
+    other values of its constants can be.
+    """
+    outputs = (output.name for output in (*study.experiment.outputs, *study.experiment.sample_outputs))
+    if RESERVED in {*study.axes, *study.experiment.coordinates, *outputs}:
+        raise SweepError(f"no axis or result can be named {RESERVED}: a store has a group of that name")
+    opened = stores.find_store(where)
+    if opened is None:
+        return None
+    different = study_differences(opened.attributes, study, keep)
+    before, asked = opened.attributes.get(PART, "the whole"), str(study.part or "the whole")
+    if before != asked:
+        different.append(f"part: {before} in the store, {asked} in the study")
+    elif study.part and opened.attributes["study_digest"] != study.digest():
+        different.append(f"part: {asked} of other points or realisations in the store than in the study")
+    if different:
+        ways = "" if keep else ", or --keep (keep=True), with which constants that differ become axes"
+        words = f"holds results of a different study, which would be mixed up; give another store with -o{ways}"
+        raise SweepError([words, *different], str(opened.location))
+    return opened
+
+
+def open_store(opened: OpenStore, study: Study) -> Store:
+    """Return the open store of a study; raises SweepError where files of its ledger are damaged, or where it has rows
+    of another version of the experiment.
+    """
+    store = Store(opened)
+    hold(store, study)
+    return store
+
+
+def hold(store: Store, study: Study) -> None:
+    """Let the ledger of a store have rows as the experiment makes them, once their type is known."""
+    if not study.experiment.undeclared:
+        width = study.experiment.samples_width if study.keeps_samples else 0
+        store.hold(study.experiment.reducer.dtype, width)
+
+
+def attributes_of(plan: Plan) -> dict[str, Any]:
+    """Return the attributes of a store that say what its numbers mean, how they were made, and of which experiment."""
+    study = plan.grid.study
+    return provenance(study) | identity(study) | {RECORD: recorded(study, plan.costs())}
+
+
+def identity(study: Study) -> dict[str, Any]:
+    """Return the attributes of a store that say what its numbers mean."""
+    return {
+        "study_meaning": json.dumps(study.meaning(), default=content_digest),
+        "study_axes": json.dumps(list(study.axes)),
+    }
+
+
+def study_differences(attributes: Mapping[str, Any], study: Study, keep: bool = False) -> list[str]:
+    """Say how the meaning of stored results differs from a study's; values of parameters that are an axis in either are
+    not compared, and with ``keep`` neither are those of other parameters that may be one.
+    """
+    old, new = json.loads(attributes["study_meaning"]), json.loads(identity(study)["study_meaning"])
+    axes = {*json.loads(attributes["study_axes"]), *study.axes}
+    axes |= {one.name for one in study.experiment.parameters if keep and one.may_be_axis}
+    defaults = json.loads(json.dumps(study.experiment.defaults(), default=content_digest))
+    pairs = [(key, old.get(key, "absent"), new.get(key, "absent")) for key in sorted({*old, *new} - {"fixed"})]
+    pairs += [
+        (f"fixed.{name}", old["fixed"].get(name, defaults.get(name)), new["fixed"].get(name, defaults.get(name)))
+        for name in sorted({*old["fixed"], *new["fixed"]} - axes)
+    ]
+    return _differing({key: (was, now) for key, was, now in pairs})
+
+
+def _differing(pairs: Mapping[str, tuple[Any, Any]]) -> list[str]:
+    return [f"{key}: {was!r} in the store, {now!r} in the study" for key, (was, now) in pairs.items() if was != now]
+
+
+def check_points(opened: OpenStore, study: Study) -> None:
+    """Raise SweepError where rows of a study's table of points differ from those of a store: it may only have more rows
+    at its end.
+    """
+    document = json.loads(opened.attributes.get("study_document", "{}"))
+    table = document.get("points") or {}
+    old: dict[str, list[Any]] = table.get("columns", {})
+    if study.points is None or not old or UNITED in table.get("origin", {}):
+        return
+    names = [name for name in dict.fromkeys([*old, *study.points.names]) if name not in table.get("labels", ())]
+    settings = study.experiment.defaults()
+    rows = min(len(next(iter(old.values()))), len(study.axes[study.points.names[0]]))
+    was = {name: old.get(name) or rows * [document.get("fixed", {}).get(name, settings[name])] for name in names}
+    now = {name: study.axes.get(name) or rows * [study.fixed.get(name, settings[name])] for name in names}
+    now = {name: [str(value) if isinstance(value, Named) else value for value in now[name]] for name in names}
+    changed = next(((i, n) for i in range(rows) for n in names if was[n][i] != now[n][i]), None)
+    if changed is not None:
+        row, name = changed
+        pairs = {f"points, row {row + 1}, {name}": (was[name][row], now[name][row])}
+        for key, before in table.get("origin", {}).items():
+            if key in ("design", "n", "seed", "ranges"):
+                pairs[f"points.{key}"] = before, study.points.origin.get(key)
+        rule = "a table may only grow at its end: give another store with -o, or --fresh replaces this one"
+        raise SweepError([f"holds a table of other points; {rule}", *_differing(pairs)], str(opened.location))
+
+
+class Writer:
+    """Takes the results of tasks, in whatever order they arrive, and puts what more they call for into ``pending``.
+
+    ``postponed`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.  As a context
+    manager it makes results durable also while this thread waits for the next ones, or computes them.
+    """
+
+    def __init__(
+        self,
+        accumulator: Accumulator,
+        store: Store,
+        postponed: Callable[[], AbstractContextManager[None]] = nullcontext,
+        further: Mapping[str, Any] = MappingProxyType({}),
+        tuning: Tuning = TUNED,
+    ) -> None:
+        """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
+        plan = accumulator.plan
+        self.accumulator, self.store = accumulator, store
+        self.pending = Pending(plan, accumulator, tuning)
+        self._postponed, self._tuning = postponed, tuning
+        kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
+        self._provenance = attributes_of(plan) | kept | dict(further)
+        self._begun = self._flushed = self._written = time.monotonic()
+        self._writing = 0.0
+        self._long_write = False
+        done = np.flatnonzero(accumulator.status == Status.DONE)
+        for start in range(0, len(done), AT_ONCE):
+            self._refuse_results(done[start : start + AT_ONCE].tolist())
+        self._lock = RLock()  # of the store
+        self._unflushed = False
+        self._problem: Exception | None = None
+        self._rescued: str | None = None
+        self._ended = Event()
+
+    def __enter__(self) -> "Writer":
+        Thread(target=self._flush_late, name="flush", daemon=True).start()
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self._ended.set()
+
+    @property
+    def plan(self) -> Plan:
+        """The plan, with what is known of the experiment from its results."""
+        return self.accumulator.plan
+
+    def take(self, works: Sequence[Work], result: TaskResult) -> Taken:
+        """Add a task's results."""
+        points = [(point, work.block) for work in works for point in work.points]
+        keys = [ledger_key(point.digest, block) for point, block in points]
+        clock = time.monotonic()
+        with self._postponed(), self._lock:
+            result, rows = self._as_rows(result)
+            good, ended, added = self._add(works, points, result, rows)
+            failed = {points[row][0].index: failure for row, failure in result.failures.items()}
+            failed |= self._refuse_results([p.index for p in ended if self.accumulator.is_done(p.index)])
+            self.pending.add(added)
+            samples = [kept for row in good if (kept := result.outcomes[row].kept) is not None]
+            self.store.append([keys[row] for row in good], rows, samples, result.seconds[good])
+            self.store.clear_failures(point.digest for point in ended if point.index not in failed)
+            self._unflushed = True
+            if clock - self._flushed > self._tuning.flush_every_s:
+                self.flush()
+        done = size_of(works, len(ended))
+        if result.failures:
+            done = replace(done, realisations=sum(points[row][1].realisations for row in good))
+        begun = {i for row in good if self.accumulator.is_missing(i := points[row][0].index)}
+        return Taken(done, size_of(added, 0), tuple(ended), failed, begun)
+
+    def write_when_due(self) -> None:
+        """Write the labelled dataset if the last one is some time ago."""
+        # Early values so far are soon out of date.
+        clock = time.monotonic()
+        tuning, elapsed = self._tuning, clock - self._begun
+        every = min(tuning.write_every_s, max(1.0, tuning.early_write * elapsed))
+        if clock - self._written > every and self._writing < tuning.early_writes_s + tuning.write_share * elapsed:
+            self.write()
+
+    def _as_rows(self, result: TaskResult) -> tuple[TaskResult, Rows]:
+        """Return the rows of results that are like those before, in order, and a result in which the others fail."""
+        failures = dict(result.failures)
+        outcomes = self.store.kept({row: one for row, one in result.outcomes.items() if row not in failures})
+        experiment, fields, refused = self.plan.grid.study.experiment.learned(outcomes)
+        if experiment is not self.plan.grid.study.experiment:
+            self._learn(experiment)
+        failures |= {row: Failure("exception", why) for row, why in refused.items()}
+        rows = np.array([fields[row] for row in sorted(fields)], dtype=experiment.reducer.dtype)
+        return replace(result, failures=failures), rows
+
+    def _learn(self, experiment: Experiment) -> None:
+        """Let the store and all rows have the types of results that are known now: those that came were the first, or
+        are floats where others had integers.
+
+        The root document says so before the ledger has such rows, so that what is killed in between can go on.
+        """
+        study = replace(self.plan.grid.study, experiment=experiment)
+        dtype = experiment.reducer.dtype
+        done = np.flatnonzero(self.accumulator.status == Status.DONE)
+        for place, why in lost_integers(self.accumulator.total[done], dtype).items():
+            failure = Failure("exception", f"{experiment.name}: {why}")
+            self._fail(self.plan.grid.point(int(done[place])), failure)
+        self.accumulator.learn(experiment)
+        record = {RECORD: recorded(study, self.plan.costs())}
+        self._provenance |= record
+        self.store.record(record)
+        hold(self.store, study)
+
+    def _add(
+        self, works: Sequence[Work], points: Sequence[tuple[GridPoint, Block]], result: TaskResult, rows: Rows
+    ) -> tuple[list[int], list[GridPoint], list[Work]]:
+        """Add rows to their points; return which results are good, the points that have ended, and what these still
+        need.
+        """
+        if not result.failures and self.accumulator.are_whole(works):
+            whole = self.accumulator.add_whole(works, rows, result.seconds)
+            return list(range(len(whole))), whole, []
+        good: list[int] = []
+        ended: list[GridPoint] = []
+        added: list[Work] = []
+        for row, (point, block) in enumerate(points):
+            if (failure := result.failures.get(row)) is not None:
+                ends = self.accumulator.is_missing(point.index)  # else it was given up already
+                if ends:
+                    self._fail(point, failure, block)
+            else:
+                one_row = rows[len(good) : len(good) + 1]
+                good.append(row)
+                kept, seconds = result.outcomes[row].kept, float(result.seconds[row])
+                more = self.accumulator.add(point, block, one_row, kept, seconds)
+                added += [self.plan.work((point,), one) for one in more]
+                ends = self.accumulator.is_done(point.index)
+            if ends:
+                ended.append(point)
+        return good, ended, added
+
+    def write(self, final: bool = False) -> Labelled:
+        """Write the labelled dataset of everything taken so far, unless the store has it already, and return it."""
+        begun = time.monotonic()
+        with self._postponed():
+            self.flush()
+        dataset = self.assembled(final)
+        tuning = self._tuning
+        size = sum(one.nbytes for one in dataset.variables.values())
+        self._long_write = size > tuning.long_write_bytes or dataset["status"].size > tuning.long_write_points
+        with nullcontext() if self._long_write else self._postponed(), self._lock:
+            if not self.store.has(dataset):
+                self.store.write(dataset)
+            if final:
+                self.store.tidy()
+        self._written = time.monotonic()
+        self._writing += self._written - begun
+        return masked(dataset)
+
+    def assembled(self, final: bool = False) -> Labelled:
+        """Return the labelled dataset of everything taken so far."""
+        study = self.plan.grid.study
+        dataset = assemble(self.plan, self.accumulator, self.store.location)
+        if study.sampling.keep_samples:
+            dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
+        if final and study.sampling.common_random_numbers and study.sampling.precision is None:
+            dataset = dataset.assign(covariances(self.plan, self.accumulator, self.store.rows, self.store.read()))
+        if len(records := records_of(self.store.attributes)) > 1:
+            dataset = dataset.assign({"code": code_variable(self.plan, self.accumulator, self.store.rows, records)})
+        return replace(dataset, attrs=self._attributes())
+
+    def _attributes(self) -> dict[str, Any]:
+        """Return the attributes of a dataset of everything taken so far."""
+        status = self.plan.grid.with_repeats(self.accumulator.status)
+        points = int(np.count_nonzero(status != Status.EXCLUDED))
+        done = int(np.count_nonzero(status == Status.DONE))
+        return self._provenance | {
+            "finished": now(),
+            "points": points,
+            "points_done": done,
+            "complete": int(points == done or self._has_its_part()),
+            "failures": json.dumps(self.failures(MAX_FAILURES_NAMED)),
+            "warnings": json.dumps(self.plan.grid.warnings),
+        }
+
+    def _has_its_part(self) -> bool:
+        """Return whether a part has nothing left to compute: others finish the points that are missing."""
+        missing = self.plan.grid.points(self.accumulator.missing_points())
+        blocks = ((point, block) for point in missing for block in self.accumulator.blocks(point))
+        is_part = self.plan.grid.study.part is not None
+        return is_part and all(ledger_key(point.digest, block) in self.store.rows for point, block in blocks)
+
+    def require_whole(self, problems: Sequence[str] = ()) -> None:
+        """Raise SweepError, with what is known already, if files of the store have gone since they were written; the
+        results so far are then written beside it.
+        """
+        place = self.store.location
+        if not (lost := self.store.lost()):
+            return
+        if self._rescued is None:
+            attributes = self._attributes() | {RESCUED: str(place)}
+            with self._postponed(), self._lock:
+                beside = Store(stores.create_store(free_beside(place), attributes))
+                # Of arrays that were only in the lost files nothing is left.
+                left = assemble(self.plan, self.accumulator, place).drop_vars(self.plan.grid.study.experiment.large())
+                beside.write(replace(left, attrs=attributes))
+            self._rescued = str(beside.location)
+        more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
+        sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {self._rescued}"
+        raise SweepError([*problems, sentence], str(place))
+
+    def stop(self) -> None:
+        """Make everything durable after an interruption, and write the dataset once more unless that takes long.
+
+        Where it is not written, the dataset is an earlier one, and the next run makes it anew from the ledger.
+        """
+        with self._postponed():
+            self.flush()
+        if not self._long_write:
+            self.write()
+
+    def flush(self) -> None:
+        """Make everything taken so far durable; raises SweepError where that is not possible, or was not before."""
+        with self._lock:
+            if self._problem is not None:
+                raise self._problem
+            self.store.flush()
+            self._unflushed = False
+            self._flushed = time.monotonic()
+
+    def _flush_late(self) -> None:
+        while not self._ended.wait(self._tuning.latest_flush_s):
+            with self._lock:
+                if self._unflushed and not self._ended.is_set():
+                    try:
+                        self.flush()
+                    except Exception as error:  # raised by the next flush, in the thread of the run
+                        self._problem = error
+                        return
+
+    def failures(self, most: int | None = None) -> dict[str, str]:
+        """Return the points of this study that failed, or the first of them, by their place on the axes, and why."""
+        return failures_by_place(self.plan.grid, self.accumulator.status, self.store.failures, most)
+
+    def _refuse_results(self, indices: list[int]) -> dict[int, Failure]:
+        """Record those finished points as failed whose results are not what the experiment declares; return why."""
+        errors = self.accumulator.failing(indices) if indices else {}
+        failures = {index: Failure.raised(error) for index, error in errors.items()}
+        for index, failure in failures.items():
+            self._fail(self.plan.grid.point(index), failure)
+        return failures
+
+    def _fail(self, point: GridPoint, failure: Failure, block: Block | None = None) -> None:
+        self.accumulator.fail(point.index)
+        place = describe(self.plan.grid.study, point.parameters)
+        where = {} if block is None else {BLOCK: f"{block.group} {block.part}"}
+        self.store.fail(point.digest, {"place": place, **vars(failure), **where, "host": host(), "when": now()})
+
+
+def size_of(works: Sequence[Work], points: int) -> PlanSize:
+    """Return the counts of works that finish so many points."""
+    blocks = sum(len(work.points) for work in works)
+    realisations = sum(len(work.points) * work.block.realisations for work in works)
+    return PlanSize(points, blocks, realisations, sum(work.cost for work in works))
+
 
 # What follows why a run was ended.
 GOES_ON = (
@@ -35,28 +507,14 @@ GOES_ON = (
 )
 
 
-class Progress(Protocol):
-    """What watches a run; methods that such a class leaves out do nothing."""
+class TooManyFailuresError(SweepError):
+    """A run was ended because too many of its points failed; what was done is in the store."""
 
-    def start(self, survey: Survey, where: str, workers: int | None) -> None:
-        """Work begins, at the place that ``where`` names, with so many workers if that is known."""
-        return
-
-    def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
-        """A task's result is in the ledger."""
-        return
-
-    def written(self) -> None:
-        """All results are on disk; the workers are about to end."""
-        return
-
-    def say(self, text: str) -> None:
-        """Tell something in a sentence."""
-        return
+    exit_code = 1
 
 
-class Silent(Progress):
-    """Watches nothing."""
+class _RefusedError(SweepError):
+    """No result of an experiment is to be used, as a worker has found."""
 
 
 class Session:
@@ -181,13 +639,15 @@ class Session:
         most_blocks = writer.pending.most_blocks
         with self._kept(writer):
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
-            run = of_study(self.study, execute, self.accumulator.is_missing, writer.store.keep)
-            results = run(writer.pending.take)  # workers begin while this process writes
+            study, is_missing, keep = self.study, self.accumulator.is_missing, writer.store.keep
+            results = execute(lambda n: [Batch(study, some, is_missing, keep) for some in writer.pending.take(n)])
             if pending.blocks:
-                writer.write()  # so that there is a labelled, if empty, dataset from the start
+                writer.write()  # a labelled, if empty, dataset from the start, while workers begin
             with writer:
-                for task, result in results:
-                    works = writer.pending.settle(task, result.seconds, result.cold)
+                for batch, result in results:
+                    if result.refused:
+                        raise _RefusedError(f"{result.refused}.")
+                    works = writer.pending.settle(batch.works, result.seconds, result.cold)
                     with postponed():  # so that an interruption leaves nothing taken that was not told
                         taken = writer.take(works, result)
                         progress.advance(works, result, taken)
@@ -240,7 +700,7 @@ class Session:
         try:
             yield
         except BaseException as error:
-            if isinstance(error, RefusedError) and self._is_new and not writer.store.rows:
+            if isinstance(error, _RefusedError) and self._is_new and not writer.store.rows:
                 with writing(writer.store.location):
                     writer.store.location.clear()  # as if nothing had been begun
                 raise

@@ -14,15 +14,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.contract.rows import Block, ledger_key
+from linksweep.sweep.contract import Status, SweepError
+from linksweep.sweep.contract.rows import Block, count_status, ledger_key, progress_in_words
 from linksweep.sweep.formatting import in_words, per_second
-from linksweep.sweep.planning.grid import Grid, describe
-from linksweep.sweep.planning.parts import share_of
+from linksweep.sweep.planning.grid import Grid, describe, failures_by_place
 from linksweep.sweep.planning.plan import Plan
-from linksweep.sweep.planning.point_status import Status, count_status, progress_in_words
-from linksweep.sweep.planning.refined import rounds_of
-from linksweep.sweep.running.failures import Reasons, failures_by_place
+from linksweep.sweep.planning.union import rounds_of
+from linksweep.sweep.running.progress import Reasons
 from linksweep.sweep.stores import integrity, ledger
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT
 from linksweep.sweep.stores.ledger import Record
@@ -67,7 +65,7 @@ class _Points:
         self.study = study = recorded_study(attributes, where)
         self.grid = Grid(study)
         plan = Plan(self.grid)
-        share = share_of(plan)
+        share = plan.share()
         indices = self.grid.indices() if share is None else np.array(list(share), dtype=np.intp)
         self.is_adaptive = study.sampling.precision is not None
         self.noun = "points" if study.experiment.deterministic else "realisations"

@@ -29,9 +29,10 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Outcome, Rows, SweepError, suggest
 from linksweep.sweep.contract.rows import DIGEST_BYTES, EXACT_INT, LENGTH, MISSING_INT, is_large, lost_integers
-from linksweep.sweep.stores import integrity, large
+from linksweep.sweep.stores import integrity
+from linksweep.sweep.stores import ledger as ledgers
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
-from linksweep.sweep.stores.ledger import REPAIR, DamagedError, Ledger, Record, path_of
+from linksweep.sweep.stores.ledger import DamagedError, Ledger
 from linksweep.sweep.stores.location import RESULTS, Folder, Location, Where, holder, located, locked, reading, writing
 
 if TYPE_CHECKING:
@@ -165,7 +166,7 @@ class Store(OpenStore):
         lost, keys = lost_integers(self._ledger.read(), dtype), self.rows.keys_of_rows()
         self._ledger.retype(dtype, samples_width, [keys[row] for row in lost if keys[row] in self.rows])
 
-    def again(self, records: Mapping[bytes, Record | None]) -> None:
+    def again(self, records: Mapping[bytes, ledgers.Record | None]) -> None:
         """Forget what is done of points, by their digests, and let them have failed for the reasons in ``records``, if
         any, until they are computed again; durable after `flush`, in one step.
         """
@@ -177,20 +178,20 @@ class Store(OpenStore):
                 self.fail(digest, record)
 
     @property
-    def keep(self) -> large.ToStore:
+    def keep(self) -> ledgers.ToStore:
         """What writes large arrays into this store from other processes, and leaves them where it cannot."""
-        return large.ToStore(str(getattr(self.location, "path", self.location)), self.attributes[STORE])
+        return ledgers.ToStore(str(getattr(self.location, "path", self.location)), self.attributes[STORE])
 
     def kept(self, outcomes: Mapping[int, Outcome]) -> dict[int, Outcome]:
         """Return outcomes whose large arrays are in the store; raises SweepError where they cannot be."""
         with writing(self.location):
-            return large.written(outcomes, self.location)
+            return ledgers.written(outcomes, self.location)
 
     def adopt(self, source: Location, rows: Rows) -> None:
-        """Copy the chunks of rows of another store; raises SweepError as `large.read`."""
-        for chunk in large.references(rows) - self._ledger.chunks:
+        """Copy the chunks of rows of another store; raises SweepError as `read_chunk`."""
+        for chunk in ledgers.references(rows) - self._ledger.chunks:
             with writing(self.location):
-                self.location.put(large.file_of(chunk), large.read(source, chunk))
+                self.location.put(ledgers.file_of(chunk), ledgers.read_chunk(source, chunk))
 
     def verify(self) -> None:
         """Raise SweepError where files of the ledger that opening did not read are damaged."""
@@ -201,7 +202,7 @@ class Store(OpenStore):
     def write(self, dataset: Any) -> None:
         """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
         generation = self.attributes["generation"] + 1
-        attributes, documents, chunks, linked = encode(dataset, large.CHUNK_NAMES[generation % 2])
+        attributes, documents, chunks, linked = encode(dataset, ledgers.CHUNK_NAMES[generation % 2])
         checksums = {key: integrity.checksum(content) for key, content in chunks.items()}
         checksums |= {key: chunk.hex() for key, chunk in linked.items()}
         attributes |= {
@@ -222,7 +223,7 @@ class Store(OpenStore):
             self.keep_copy(attributes)
             self.flush()
             self._delete(self._files - in_use - gone)
-            self.location.copy_all({key: large.file_of(chunk) for key, chunk in linked.items()})
+            self.location.copy_all({key: ledgers.file_of(chunk) for key, chunk in linked.items()})
             # Values first and the status last, for those who read without the root document.
             for is_status in (False, True):
                 self.location.put_all({k: c for k, c in chunks.items() if k.startswith("status/") == is_status})
@@ -260,7 +261,7 @@ class Store(OpenStore):
         """
         documents = {f"{name}/zarr.json" for name in arrays_of(self.root)}
         needed = {ROOT, *self._ledger.files, *documents, *chunk_checksums(self.root)}
-        needed |= {*map(large.file_of, self._ledger.chunks)}
+        needed |= {*map(ledgers.file_of, self._ledger.chunks)}
         with reading(self.location):
             content = self.location.get(ROOT)
             gone = needed - set(self.location.keys())
@@ -336,7 +337,7 @@ def create_store(where: Where, attributes: Mapping[str, Any]) -> OpenStore:
 def replace_store(where: Where, attributes: Mapping[str, Any]) -> OpenStore | None:
     """Begin a store anew: remove the ledger and the results of the one that is there; None where there is none.
 
-    Files that linksweep did not write are left alone.  Raises SweepError where something other than a store is.
+    ledgers.Files that linksweep did not write are left alone.  Raises SweepError where something other than a store is.
     """
     location = located(where)
     root = find_root(location)
@@ -346,7 +347,7 @@ def replace_store(where: Where, attributes: Mapping[str, Any]) -> OpenStore | No
     with writing(location):
         keys = location.keys()
         arrays = _of_arrays(keys, arrays_of(root))
-        ours = {*arrays, *(key for key in keys if key.partition("/")[0] == large.FOLDER)} - {MANIFEST}
+        ours = {*arrays, *(key for key in keys if key.partition("/")[0] == ledgers.FOLDER)} - {MANIFEST}
         # If the process is killed after any of these, the old store has merely lost its results, then its blocks.
         put_root(location, emptied)
         for key in (MANIFEST, *sorted(ours)):
@@ -415,14 +416,14 @@ def find_root(location: Location) -> dict[str, Any] | None:
         except (ValueError, KeyError) as error:
             if readable_copy(location) is not None:
                 problem = "it is another document" if isinstance(error, KeyError) else error
-                raise SweepError(f"{ROOT} is damaged ({problem}); {REPAIR.format(where)}", where) from error
+                raise SweepError(f"{ROOT} is damaged ({problem}); {ledgers.REPAIR.format(where)}", where) from error
             with suppress(ValueError, KeyError, TypeError, RecursionError):
                 # The checksum of another format.
                 _check_format(json.loads(content or b"")["attributes"], where)
             if location.get(MANIFEST) is not None or any(mark in (content or b"") for mark in MARKS):
                 raise SweepError(
-                    f"{ROOT} and its copy in {large.FOLDER} are both damaged, and nothing tells what the numbers mean; "
-                    "bring one back from a backup, or run the study into a new store with -o",
+                    f"{ROOT} and its copy in {ledgers.FOLDER} are both damaged, and nothing tells what the numbers "
+                    "mean; bring one back from a backup, or run the study into a new store with -o",
                     where,
                 ) from error
             raise SweepError(
@@ -462,7 +463,7 @@ def readable_copy(location: Location) -> dict[str, Any] | None:
     try:
         manifest = integrity.read_manifest(location.get(MANIFEST))
         file = manifest.documents["study"]
-        attributes: dict[str, Any] = json.loads(integrity.whole(location.get(path_of(file)), file.checksum))
+        attributes: dict[str, Any] = json.loads(integrity.whole(location.get(ledgers.path_of(file)), file.checksum))
         integrity.check_attributes(attributes)
     except (ValueError, LookupError, RecursionError):
         # Who asks has a damaged root already, and says so.
@@ -546,12 +547,12 @@ def encode(
         elif FILL in variable.encoding:
             attributes[FILL] = variable.encoding[FILL]
         how |= {"dtype": values.dtype, "dimension_names": variable.dims, "attributes": attributes}
-        array = large.new_array(files, name, values.shape, chunk_key_encoding=chunk_names, **how)
-        if not isinstance(values, large.Stored):
+        array = ledgers.new_array(files, name, values.shape, chunk_key_encoding=chunk_names, **how)
+        if not isinstance(values, ledgers.Stored):
             array[...] = values
             continue
         # The first point is written as a missing one: all others that are missing have the same chunks.
-        array[(0,) * (values.chunks.ndim - 1)] = large.missing(values.dtype)
+        array[(0,) * (values.chunks.ndim - 1)] = ledgers.missing_value(values.dtype)
         empty = dict(files)
         for file, first, chunk in values.files(name, chunk_names):
             files[file] = empty[first]
@@ -579,7 +580,7 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
     problems = {key: integrity.problem_of(contents[key], checksum) for key, checksum in expected.items()}
     if damaged := {key: problem for key, problem in problems.items() if problem}:
         raise ValueError("; ".join(f"{key}: {problem}" for key, problem in damaged.items()))
-    files = large.Files(lambda key: large.read(location, later[key]))
+    files = ledgers.Files(lambda key: ledgers.read_chunk(location, later[key]))
     files |= {key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None}
     files[ROOT] = cpu.Buffer.from_bytes(json.dumps(root).encode())
     try:
@@ -615,9 +616,9 @@ def _large_chunks(root: Mapping[str, Any], location: Location) -> dict[str, byte
     documents = arrays_of(root)
     axes = len(documents.get("status", {}).get("shape", ()))
     names = {n for n, d in documents.items() if d.get("data_type") == "float64" and is_large(d["shape"][axes:])}
-    there = set(location.keys(f"{large.FOLDER}/")) if names else set()
+    there = set(location.keys(f"{ledgers.FOLDER}/")) if names else set()
     chunks = {k: bytes.fromhex(c) for k, c in chunk_checksums(root).items() if k.partition("/")[0] in names}
-    return {key: chunk for key, chunk in chunks.items() if large.file_of(chunk) in there}
+    return {key: chunk for key, chunk in chunks.items() if ledgers.file_of(chunk) in there}
 
 
 def chunk_checksums(root: Mapping[str, Any]) -> dict[str, str]:
@@ -724,7 +725,7 @@ def _check(location: Location) -> tuple[Report, dict[str, Any], Ledger]:
     # The samples, which opening leaves unread.
     ledger.verify()
     report.ledger.update(ledger.damaged)
-    if (copy_file := path_of(ledger.manifest.documents.get("study"))) in report.ledger:
+    if (copy_file := ledgers.path_of(ledger.manifest.documents.get("study"))) in report.ledger:
         report.identity[copy_file] = report.ledger.pop(copy_file)
     if root is not None:
         is_older = _check_results(location, root, report) or ledger.is_ahead or ledger.manifest != of_root

@@ -12,19 +12,18 @@ import linksweep
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.formatting import harmless
 from linksweep.sweep.interrupt import RunInterruptedError
+from linksweep.sweep.planning.accumulator import Tuning
 from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import generators
-from linksweep.sweep.planning.work_queue import Tuning
 from linksweep.sweep.running import run as running
 from linksweep.sweep.running.merge import MERGED, merge
-from linksweep.sweep.running.run import Silent, plan_study
+from linksweep.sweep.running.progress import Silent
+from linksweep.sweep.running.run import attributes_of, find_store, identity, open_store, plan_study
 from linksweep.sweep.running.scaling import measure_scaling
 from linksweep.sweep.running.status import status_report
-from linksweep.sweep.running.writer import attributes_of, find_store, identity, open_store
 from linksweep.sweep.stores import ledger, location
 from linksweep.sweep.stores.integrity import MANIFEST, sealed, unsealed
-from linksweep.sweep.stores.large import file_of
-from linksweep.sweep.stores.ledger import path_of
+from linksweep.sweep.stores.ledger import file_of, path_of
 from linksweep.sweep.stores.location import Folder, Holder, holder, located, locked, short_name, store_named
 from linksweep.sweep.stores.store import OpenStore, Store, check, chunk_checksums, create_store, open_dataset, repair
 from linksweep.sweep.studies.reader import load_study, study_from_dict

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from linksweep.sweep.analysis.compare import compare
 from linksweep.sweep.cli import main
-from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.contract import Status
 from linksweep.sweep.report.page import report_of, report_page
 from linksweep.sweep.result import Result
 from linksweep.sweep.studies.reader import study_from_dict

@@ -7,7 +7,7 @@ from contextlib import suppress
 
 import pytest
 
-from linksweep.sweep.executing.process import Deadlines, TimeLimitError
+from linksweep.sweep.executing.worker import Deadlines, TimeLimitError
 from tests.tiers import PATIENCE_S, examples
 
 

@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 from linksweep import run
-from linksweep.sweep.executing import children
+from linksweep.sweep.executing import executor as children
 from tests.sweep.outside import below, command_of, wait_until
 from tests.tiers import PATIENCE_S, slow
 

@@ -7,9 +7,8 @@ import pytest
 from distributed import KilledWorker, LocalCluster
 
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing import dask_driver, executor, worker
-from linksweep.sweep.executing.clusters import own_cluster
-from linksweep.sweep.executing.dask_driver import DaskDriver, run_on_worker
+from linksweep.sweep.executing import clusters, executor, worker
+from linksweep.sweep.executing.clusters import DaskDriver, own_cluster, run_on_worker
 from linksweep.sweep.executing.pools import ANY_RESOURCES, POOLS, Limits, Resources
 from tests.sweep import opening
 from tests.sweep.opening import SERIAL, Sentences, existing_store, run_study, same, study_from_dict
@@ -46,7 +45,7 @@ def test_a_task_that_takes_too_long_hands_back_what_it_has(coins, tmp_path, monk
     study = study_from_dict(coins)
     whole, _ = run_study(study, tmp_path / "whole.zarr", SERIAL)
     monkeypatch.setattr(worker, "ENOUGH_S", -1.0)
-    monkeypatch.setattr("linksweep.sweep.executing.children.ENOUGH_S", -1.0)
+    monkeypatch.setattr("linksweep.sweep.executing.executor.ENOUGH_S", -1.0)
     watcher = Sentences()
     dataset, failures = run_study(study, tmp_path / "s.zarr", resources, watcher)
     assert not failures
@@ -88,7 +87,7 @@ def whole(study, tmp_path):
 
 @pytest.fixture(autouse=True)
 def no_pauses(monkeypatch):
-    monkeypatch.setattr(dask_driver, "PAUSE_S", 1e-3)
+    monkeypatch.setattr(clusters, "PAUSE_S", 1e-3)
 
 
 FAILURES_LEFT = {0: 0}
@@ -103,7 +102,7 @@ def failing(*arguments, **options):
 
 
 def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch, dask):
-    monkeypatch.setattr(dask_driver, "run_on_worker", failing)
+    monkeypatch.setattr(clusters, "run_on_worker", failing)
     monkeypatch.setitem(FAILURES_LEFT, 0, 4)
     sentences = Sentences()
     dataset, failures = run_study(study, tmp_path / "s.zarr", dask, sentences)
@@ -113,7 +112,7 @@ def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch, 
 
 
 def test_one_that_stays_stops_the_run_and_blames_no_point(study, tmp_path, monkeypatch, dask):
-    monkeypatch.setattr(dask_driver, "run_on_worker", failing)
+    monkeypatch.setattr(clusters, "run_on_worker", failing)
     monkeypatch.setitem(FAILURES_LEFT, 0, 10**6)
     with pytest.raises(SweepError, match=r"failed 6 times outside of the experiment, last with UnboundLocalError"):
         run_study(study, tmp_path / "s.zarr", dask)
@@ -123,7 +122,7 @@ def test_one_that_stays_stops_the_run_and_blames_no_point(study, tmp_path, monke
 @pytest.fixture
 def one_by_one(monkeypatch):
     """Fetch each result by itself, as where several cannot be fetched together."""
-    monkeypatch.setattr(dask_driver, "MOST_FETCHED", 1)
+    monkeypatch.setattr(clusters, "MOST_FETCHED", 1)
 
 
 @pytest.mark.usefixtures("one_by_one")

@@ -12,14 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.sweep.contract import Experiment, Output, Parameter
+from linksweep.sweep.contract import Experiment, Output, Parameter, Status
 from linksweep.sweep.contract.rows import KEY_BYTES, Block, BlockRows, ledger_key
 from linksweep.sweep.planning import plan as planning
-from linksweep.sweep.planning.accumulator import Accumulator
+from linksweep.sweep.planning.accumulator import TASK_S, TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import Plan
-from linksweep.sweep.planning.point_status import Status
-from linksweep.sweep.planning.work_queue import TASK_S, TUNED, Pending
 from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 from tests.tiers import examples, slow

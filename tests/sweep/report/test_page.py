@@ -14,7 +14,7 @@ import xarray as xr
 import linksweep
 from linksweep import SweepError
 from linksweep.sweep.analysis.answer import answers, completeness
-from linksweep.sweep.planning.point_status import Status
+from linksweep.sweep.contract import Status
 from linksweep.sweep.report.page import explorer, pictures, report_of, report_page, residuals, section
 from tests.tiers import slow
 

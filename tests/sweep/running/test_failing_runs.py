@@ -12,10 +12,11 @@ from rich.console import Console
 
 import linksweep
 from linksweep import SweepError
+from linksweep.sweep.contract.rows import count_status
 from linksweep.sweep.planning.grid import make_grid
-from linksweep.sweep.planning.point_status import count_status
 from linksweep.sweep.running import progress
-from linksweep.sweep.running.failures import FIRST, FailureCount, MaxFailures, TooManyFailuresError
+from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures
+from linksweep.sweep.running.run import TooManyFailuresError
 from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_of_function
 from tests.sweep.opening import SERIAL, run_study

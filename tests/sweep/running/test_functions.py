@@ -172,7 +172,7 @@ def test_killed_before_the_rows_have_the_types_of_the_record_no_integer_is_round
 
     run(steps, tmp_path / "s.zarr", axes={"k": [0, 10]})
     with monkeypatch.context() as patch:
-        patch.setattr("linksweep.sweep.running.writer.hold", lambda store, study: signal.raise_signal(signal.SIGINT))
+        patch.setattr("linksweep.sweep.running.run.hold", lambda store, study: signal.raise_signal(signal.SIGINT))
         with pytest.raises(KeyboardInterrupt):
             run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 10]})
     ds = run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 10]})

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from linksweep.sweep.executing.children import Children
+from linksweep.sweep.executing.executor import Children
 from linksweep.sweep.running import reproduce
 from tests.sweep.opening import OpenStore, same
 from tests.tiers import slow

@@ -156,7 +156,7 @@ def test_memory_bounds_how_many_points_keep_their_realisations(tmp_path, monkeyp
     f = experiment(outputs=STATISTICS)(moments)
     study = {"axes": {"x": np.arange(1.0, 9.0)}, "sampling": {"n_sim": 2048, "seed": 3}}
     whole = linksweep.run(f, tmp_path / "a.zarr", pool="serial", **study)
-    monkeypatch.setattr("linksweep.sweep.planning.work_queue.MOST_KEPT", 8 * 2048 * 2)
+    monkeypatch.setattr("linksweep.sweep.planning.accumulator.MOST_KEPT", 8 * 2048 * 2)
     ds = stopped(f, tmp_path / "s.zarr", 0.4, **study)
     assert ds.attrs["running"] <= 2
     again = linksweep.run(f, tmp_path / "s.zarr", pool="serial", **study)
