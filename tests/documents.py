@@ -12,6 +12,14 @@ def code(document, language):
     return re.findall(rf"```{language}[^\n]*\n(.*?)```", text, flags=re.DOTALL)
 
 
+def save_files(document, folder):
+    """Write the blocks that have the name of a file; return the text of the document."""
+    text = (ROOT / "docs" / document).read_text()
+    for name, content in re.findall(r"^```\w+ (\S+)\n(.*?)^```", text, re.M | re.S):
+        (folder / name).write_text(content)
+    return text
+
+
 def commands(document):
     """The commands in blocks of shell and of pictures, in their order."""
     blocks = code(document, r"(?:sh|\{picture\})")

@@ -11,14 +11,13 @@ import sys
 import tomllib
 from contextlib import closing
 from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray as xr
 
 import linksweep
-from tests.documents import ROOT, code, commands, run_commands
+from tests.documents import ROOT, code, commands, run_commands, save_files
 from tests.sweep.executing.test_tls import Files as TlsFiles
 from tests.sweep.outside import Outside
 from tests.tiers import slow
@@ -52,8 +51,7 @@ PAGES = {
 
 @pytest.mark.parametrize("document", [page if page in QUICK else slow(page) for page in PAGES])
 def test_the_commands_of_a_page_run_and_write_what_it_shows(document, tmp_path, sweep):
-    for name, text in re.findall(r"^```\w+ (\S+)\n(.*?)^```", (ROOT / "docs" / document).read_text(), re.M | re.S):
-        (tmp_path / name).write_text(text)
+    save_files(document, tmp_path)
     if document == "missions.md":  # which shows the study without a command
         status, _, err = sweep("run", "missions.toml", cwd=tmp_path)
         assert status == 0, err
@@ -75,39 +73,66 @@ def test_the_commands_of_a_page_run_and_write_what_it_shows(document, tmp_path, 
         }
 
 
-SCRIPTS = {
-    "clusters.md": ("", 0),
-    "dr4.md": ("", 0),
-    "functions.md": ("", 0),
-    "planning-observations.md": ("", 0),
-    "points.md": ("flow.py", 1),
-    "refine.md": ("shapes.py", 1),
-    "results.md": ("", 0),
-    "tie.md": ("", 0),
-}
+def python(folder, *arguments):
+    """What a script prints, which must not fail."""
+    command = [sys.executable, "-W", "error::DeprecationWarning", *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+FIRST_IS_FILE = {"points.md": "flow.py", "refine.md": "shapes.py"}
+SCRIPTS = [*FIRST_IS_FILE, "clusters.md", "dr4.md", "functions.md", "planning-observations.md", "results.md", "tie.md"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("document", SCRIPTS)
 def test_the_scripts_of_a_page_run(document, tmp_path):
-    file, number = SCRIPTS[document]
     blocks = code(document, "python")
-    if file:
-        (tmp_path / file).write_text(blocks[0])
-    for block in blocks[number:]:
-        script = [sys.executable, "-W", "error::DeprecationWarning", "-c", block]
-        done = subprocess.run(script, cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-    assert len(list(tmp_path.iterdir())) > bool(file)
+    if document in FIRST_IS_FILE:
+        (tmp_path / FIRST_IS_FILE[document]).write_text(blocks.pop(0))
+    for block in blocks:
+        python(tmp_path, "-c", block)
+    assert len(list(tmp_path.iterdir())) > (document in FIRST_IS_FILE)
+
+
+@pytest.mark.slow
+def test_the_tutorial_from_top_to_bottom(tmp_path, sweep):
+    """Files are saved, commands and scripts run where they stand, and the text says what they print."""
+    text, printed = (ROOT / "docs" / "tutorial.md").read_text(), {}
+    for language, file, block in re.findall(r"```(\w+|\{picture\})(?: (\S+))?\n(.*?)```", text, re.DOTALL):
+        if file:
+            (tmp_path / file).write_text(block)
+        elif language == "python":
+            (tmp_path / "script.py").write_text(block)
+            printed["script"] = python(tmp_path, "script.py")
+        for words in (shlex.split(line, comments=True)[1:] for line in block.splitlines() if line[:6] == "sweep "):
+            status, printed[" ".join(words[:2])], err = sweep(*words, cwd=tmp_path)
+            assert status == 0, err
+    names = ["demo", "elsewhere", "first", "mission", "pi", "precise"]
+    assert sorted(path.stem for path in (tmp_path / "results").glob("*.zarr")) == names
+    for name in ("demo.svg", "demo.html", "first.svg", "curves.svg", "spin.png"):
+        assert (tmp_path / name).stat().st_size > 10_000
+    assert printed["run demo.toml"].endswith(re.search(r"```text\n(.*?)```", text, flags=re.DOTALL)[1])
+    fit = printed["fit results/first.zarr"]
+    amex, gaia = (float(re.search(rf"{model} .*?(-0\.\d+) ±", fit)[1]) for model in ("amex", "gaia"))
+    assert f"is {gaia:.2f} for\nGAIA" in text
+    assert f"{amex:.2f} for AMEX" in text
+    assert "2 of 2 lines: the law does not hold" in fit
+    steep, even = map(float, re.findall(r"-0\.\d+", printed["script"]))
+    assert -0.8 < steep < -0.52
+    assert even == pytest.approx(-0.5, abs=0.05)
+    mission, pi = (xr.open_zarr(tmp_path / "results" / name).load() for name in ("mission.zarr", "pi.zarr"))
+    ratio = mission.sigma_spin.sel(model="half") / mission.sigma_spin.sel(model="gaia")
+    assert ratio.values == pytest.approx(0.5, rel=0.1)
+    assert pi.share.sel(side=1.0).item() == pytest.approx(np.pi / 4, abs=4 * 0.41 / 20000**0.5)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tool", ["linksweep", "xyzpy", "pipefunc", "hydra", "snakemake"])
 def test_the_same_sweep_with_each_tool_gives_the_same_numbers(tool, tmp_path):
     pytest.importorskip(tool)
-    text = (ROOT / "docs" / "coming-from.md").read_text()
-    for name, content in re.findall(r"^```\w+ (\S+)\n(.*?)^```", text, re.M | re.S):
-        (tmp_path / name).write_text(content)
+    text = save_files("coming-from.md", tmp_path)
     (words,) = re.findall(r"`python (lost_hydra.py .*?)`", text) if tool == "hydra" else [""]
     script = next(
         (one for one in code("coming-from.md", "python") if f"import {tool}" in one or f"from {tool}" in one), ""
@@ -116,23 +141,21 @@ def test_the_same_sweep_with_each_tool_gives_the_same_numbers(tool, tmp_path):
     arguments = {"hydra": shlex.split(words), "snakemake": ["-m", "snakemake", "--cores", "1"]}.get(
         tool, ["-c", script]
     )
-    done = subprocess.run([sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    said = python(tmp_path, *arguments)
     if tool in ("hydra", "snakemake"):
         results = [json.loads(file.read_text()) for file in tmp_path.rglob("*.json") if "lost" in file.read_text()]
         got = {(one["half_life"], one["years"]): one["lost"] for one in results if "half_life" in one}
     else:
-        printed = ast.literal_eval(done.stdout.splitlines()[-1])
+        printed = ast.literal_eval(said.splitlines()[-1])
         pairs = zip(printed["half_life"], printed["lost"], strict=True)
         got = {(h, years): value for h, row in pairs for years, value in zip((5, 10), row, strict=True)}
     assert got == {(h, y): 1.0 - 0.5 ** (y / h) for h in (1.0, 2.0, 5.0, 10.0) for y in (5, 10)}
 
 
-def test_the_study_of_the_document_runs(tmp_path, sweep):
+def test_the_study_of_the_document_can_be_run(tmp_path, sweep):
     (tmp_path / "study.toml").write_text(code("studies.md", "toml")[0])
-    status, _, err = sweep("run", "study.toml", "--set", "n_sim=10", cwd=tmp_path)
+    status, _, err = sweep("plan", "study.toml", cwd=tmp_path)
     assert status == 0, err
-    assert xr.open_zarr(tmp_path / "results" / "study.zarr").attrs["complete"] == 1
 
 
 @pytest.mark.parametrize(
@@ -239,12 +262,9 @@ def test_every_extra_is_named_where_one_installs():
     assert sorted(re.findall(r"`([\w-]+)`", " ".join(table))) == sorted(project["optional-dependencies"])
 
 
-DOCS = Path(__file__).parent.parent / "docs"
-
-
 def test_the_reference_is_in_step_with_the_code():
-    made = runpy.run_path(str(DOCS / "make_reference.py"))["reference"]()
-    assert (DOCS / "reference.md").read_text(encoding="utf-8") == made, "run `python docs/make_reference.py`"
+    made = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))["reference"]()
+    assert (ROOT / "docs" / "reference.md").read_text(encoding="utf-8") == made, "run `python docs/make_reference.py`"
 
 
 MODULES = [
