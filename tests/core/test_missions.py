@@ -149,6 +149,7 @@ def test_identity_is_what_decides_the_numbers():
     in_uas = {**TABLE, "unit": "uas", "sigma_pm": [[9.0, 100], [13.0, 400], [18, 3200]]}
     same = [TABLE, in_uas, TABLE | {"source": "a paper"}, TABLE | {"faint_limit": 18}, TABLE | {"nominal_length": 4}]
     assert {identity(table) for table in same} == {identity(TABLE)}
+    assert identity(TABLE | {"floor_pm": 0.05}) == identity(in_uas | {"floor_pm": 50})
     others = [
         TABLE | {"nominal_length": 4.5},
         TABLE | {"faint_limit": 17.0},

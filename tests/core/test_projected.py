@@ -44,6 +44,11 @@ def test_estimates_have_the_distribution_of_the_catalogue_method(changes):
     assert a.shape == b.shape
     for x, y in zip(a.T, b.T, strict=True):
         assert stats.ks_2samp(x, y).pvalue > 1e-4
+    if changes.get("weighting") != "equal":
+        dof = 4 * 12 - len(a.T)
+        assert np.all(
+            np.abs([s["chi2"] / n_sim - dof for s in (catalogue, projected)]) < 4.5 * np.sqrt(2 * dof / n_sim)
+        )
     a, b = a[:, :6], b[:, :6]
     assert np.all(np.abs(a.mean(axis=0) - b.mean(axis=0)) < 4.5 * sigma * np.sqrt(2 / n_sim))
     covariances = [np.cov(e.T / sigma[:, None]) for e in (a, b)]

@@ -170,10 +170,10 @@ def test_an_object_that_its_error_carries_over_the_pole_is_named():
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-@pytest.mark.parametrize(("reference", "n_sim"), [({}, 4000), (NOISY, 2000)], ids=["fixed", "noisy"])
 @pytest.mark.parametrize("solve_glide", [slow(False), True])
-def test_realised_errors_are_the_predicted_ones(weighting, reference, n_sim, solve_glide):
-    sums = run(physics_of(n_obj=40, mean_pm=50.0, weighting=weighting, solve_glide=solve_glide, **reference), n_sim)
+def test_realised_errors_are_the_predicted_ones(weighting, solve_glide):
+    n_sim = 2000
+    sums = run(physics_of(n_obj=40, mean_pm=50.0, weighting=weighting, solve_glide=solve_glide, **NOISY), n_sim)
     sigma = np.sqrt(np.diag(sums["error_products"]) / n_sim)
     predicted = np.sqrt(sums["predicted_variance"] / n_sim)
     assert np.all(np.abs(sigma - predicted) < 4 * predicted / np.sqrt(2 * n_sim))
@@ -192,28 +192,6 @@ def test_what_does_not_determine_the_link_is_refused():
         run(physics_of(**NORMAL, satellite_error_scale=-1.0), 1)
 
 
-def test_the_predicted_bias_is_what_a_link_without_errors_returns():
-    objects = drawn(3, n_obj=30)
-    setup = set_up(objects, physics_of(**NORMAL, aberration=True, glide=(1000.0, -2000.0, 3000.0)))
-    solution = solve(
-        design_matrix(objects.ra, objects.dec, objects.pmra, objects.pmdec), setup.differences.T, np.full((4, 30), MAS)
-    )
-    expected = solution.estimate - setup.truth
-    assert np.abs(expected[3:]).max() > 0.03 * MAS
-    np.testing.assert_allclose(design_of(setup).bias, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
-
-
-def test_the_condition_number_of_a_clustered_sky_is_numpys():
-    """Twelve masers on a patch of the sky: NumPy's own condition of the scaled design, squared."""
-    zero = np.zeros(12)
-    patch = Catalogue(np.linspace(4.0, 4.1, 12), np.linspace(-0.5, -0.4, 12), zero, zero, zero)
-    columns = design_matrix(patch.ra, patch.dec, patch.pmra, patch.pmdec).reshape(-1, 6)
-    expected = np.linalg.cond(columns / np.linalg.norm(columns, axis=0)) ** 2
-    found = design_of(set_up(patch, physics_of(**NORMAL))).condition_number
-    assert found == pytest.approx(expected, rel=1e-6)
-    assert found > 100.0
-
-
 def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covariance_matrix():
     """G Sigma G^T with a block of Sigma an object, formed without factors."""
     sigma, correlation = random_covariances(30, 8)
@@ -229,7 +207,8 @@ def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covari
     np.testing.assert_allclose(found, np.diag(gain @ whole @ gain.T), rtol=1e-9)
 
 
-@pytest.mark.parametrize(("reference", "few", "many"), [({}, 2, 8), slow(NOISY, 2, 4)], ids=["fixed", "noisy"])
+@pytest.mark.slow
+@pytest.mark.parametrize(("reference", "few", "many"), [({}, 2, 8), (NOISY, 2, 4)], ids=["fixed", "noisy"])
 def test_memory_does_not_grow_with_the_number_of_realisations(reference, few, many):
     physics = physics_of(n_obj=200, **reference)
 

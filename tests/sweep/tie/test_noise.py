@@ -17,52 +17,33 @@ from linksweep.core.tie.noise import estimated, noises
 from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.tie.solution import solve
 from tests.core.tie.made import MAS, gaia, joined, main, noise, parse_unknowns, stars
-from tests.sweep.tie.test_against_least_squares import drawn_tables, linked, turned
+from tests.sweep.tie.test_against_least_squares import drawn_tables, linked, pieces_of, turned
 from tests.tiers import slow
 
 WHICH = {"position": [0, 1], "parallax": [2], "motion": [3, 4]}
 
 
-def pieces_of(tables, difference, kinds):
-    """Differences, design and covariances of each source, and those of each noise of variance 1, in mas."""
-    own, rows = tables.own, tables.rows
-    for s in range(len(own)):
-        design, y, a, b, v, m, noisy = np.zeros((5, 6)), [], [], [], [], [], []
-        r = turned(*own.values[:2, s])
-        design[:2, :3], design[:2, 3:], design[3:, 3:] = r, (own.epoch[s] - 2016.0) * r, r
-        lacking = np.isnan(own.errors[:, s])
-        for k in np.flatnonzero(tables.source == s):
-            partials = np.eye(5)
-            partials[0, 3] = partials[1, 4] = rows.epoch[k] - own.epoch[s]
-            seen = np.flatnonzero(np.isfinite(rows.errors[:, k]))
-            y.append(difference[k, seen])
-            a.append((partials @ design)[seen])
-            b.append(partials[seen][:, lacking])
-            m.append(partials[seen])
-            v.append(rows.covariance()[k][np.ix_(seen, seen)] / MAS**2)
-            noisy += [(kinds[k], parameter) for parameter in seen]
-        m = np.concatenate(m)
-        parts = {}
-        for quantity, which in WHICH.items():
-            parts[f"satellite:{quantity}"] = m[:, which] @ m[:, which].T
-            for kind in np.unique(kinds):
-                at = [float(one == kind and parameter in which) for one, parameter in noisy]
-                parts[f"{kind}:{quantity}"] = np.diag(at)
-        d = block_diag(*v) + m @ own.covariance()[s] @ m.T / MAS**2
-        b = np.concatenate(b)
-        yield np.concatenate(y), np.concatenate(a), b[:, np.any(b != 0.0, axis=0)], d, parts
+def noises_of(piece, kinds):
+    """The covariances of the observations of a source by a noise of variance 1 in each quantity, by its label."""
+    parts = {}
+    for quantity, which in WHICH.items():
+        parts[f"satellite:{quantity}"] = piece.m[:, which] @ piece.m[:, which].T
+        for kind in np.unique(kinds):
+            parts[f"{kind}:{quantity}"] = np.diag([float(kinds[k] == kind and p in which) for k, p in piece.observed])
+    return parts
 
 
 @pytest.mark.parametrize(("seed", "n"), [(1, 18), *(slow(seed, 30) for seed in (2, 3))])
 def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
     tables = drawn_tables(tmp_path, seed, n=n, scale=2.0)
     plain, link = linked(tables), linked(tables, jitter="estimate")
-    pieces = list(pieces_of(tables, plain.difference.values, plain.row_kind.values))
-    y, a, b, d, parts = zip(*pieces, strict=True)
-    y, a, d, labels = np.concatenate(y), np.concatenate(a), block_diag(*d), [str(name) for name in link.noise.values]
-    contrasts = null_space(np.hstack([a, block_diag(*b)]).T)
-    noisy = [contrasts.T @ block_diag(*(one[label] for one in parts)) @ contrasts for label in labels]
-    known, z = contrasts.T @ d @ contrasts, contrasts.T @ y
+    pieces, labels = list(pieces_of(tables, plain.difference.values)), [str(name) for name in link.noise.values]
+    y, a = (np.concatenate([vars(one)[name] for one in pieces]) for name in "ya")
+    d, parts = block_diag(*(one.d for one in pieces)), [noises_of(one, plain.row_kind.values) for one in pieces]
+    whole_noises = np.array([block_diag(*(one[label] for one in parts)) for label in labels])
+    both = np.hstack([a, block_diag(*(one.b for one in pieces))])
+    contrasts = null_space(both.T)
+    noisy, known, z = contrasts.T @ whole_noises @ contrasts, contrasts.T @ d @ contrasts, contrasts.T @ y
 
     def deviance(variances):
         whole = known + np.tensordot(variances, noisy, axes=1)
@@ -75,16 +56,12 @@ def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
     )
     assert deviance(found) < best + 1e-4
     # the information, 1/2 tr(P G P G), and the solution with these errors
-    weights = np.linalg.inv(known + np.tensordot(found, noisy, axes=1))
-    half = [weights @ one for one in noisy]
-    deviation = np.sqrt(np.diag(np.linalg.inv([[0.5 * np.sum(one * two.T) for one in half] for two in half])))
+    half = np.linalg.inv(known + np.tensordot(found, noisy, axes=1)) @ noisy
+    deviation = np.sqrt(np.diag(np.linalg.inv(0.5 * np.einsum("cij,dji->cd", half, half))))
     with np.errstate(divide="ignore"):
         expected = np.minimum(deviation / (2.0 * np.sqrt(found)), np.sqrt(deviation))
     np.testing.assert_allclose(link.noise_error, expected, rtol=1e-3)
-    whole = np.linalg.inv(
-        d + np.tensordot(found, [block_diag(*(one[name] for one in parts)) for name in labels], axes=1)
-    )
-    both = np.hstack([a, block_diag(*b)])
+    whole = np.linalg.inv(d + np.tensordot(found, whole_noises, axes=1))
     covariance = np.linalg.pinv(both.T @ whole @ both, rcond=1e-14)[:6, :6]
     np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), covariance, rtol=1e-3, atol=1e-7)
     assert list(link.error_kind.values[:2]) == ["estimated", "scaled"]
@@ -228,12 +205,11 @@ def test_rows_that_share_a_calibrator_share_its_error(tmp_path, seed):
     tables = with_calibrators(tmp_path, seed)
     link = linked(tables)
     normal, right = np.zeros((6, 6)), np.zeros(6)
-    kinds = np.full(len(tables.source), "position")
-    for s, (y, a, _, d, _) in enumerate(pieces_of(tables, link.difference.values, kinds)):
+    for s, one in enumerate(pieces_of(tables, link.difference.values)):
         at = np.flatnonzero(tables.source == s)
         same = (tables.names[at][:, None] == tables.names[at]) * tables.shared[at][:, None] * tables.shared[at]
-        weights = np.linalg.inv(d + np.kron(same, np.eye(2)))
-        normal, right = normal + a.T @ weights @ a, right + a.T @ weights @ y
+        weights = np.linalg.inv(one.d + np.kron(same, np.eye(2)))
+        normal, right = normal + one.a.T @ weights @ one.a, right + one.a.T @ weights @ one.y
     np.testing.assert_allclose(link.estimate, np.linalg.solve(normal, right), rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), np.linalg.inv(normal), rtol=1e-4, atol=1e-7)
     assert linked(tables, jitter="estimate").noise.size
