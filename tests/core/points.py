@@ -11,7 +11,7 @@ from linksweep.core.errors import CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import link
 from linksweep.core.fields import Field, ZonalErrors, parse_pattern, pattern_field, rms
 from linksweep.core.fixed_design import fixed_designs, neglected
-from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, exact_differences, transposed_product, triad
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, exact_differences, triad
 from linksweep.core.link import LinkError
 from linksweep.core.missions import CALIBRATED, MISSIONS, CurveError, FunctionCurve, Mission, mission_from_table
 from linksweep.core.missions.calibrate import (
@@ -26,7 +26,7 @@ from linksweep.core.missions.calibrate import (
     spin_variance,
 )
 from linksweep.core.scenario import scenario
-from linksweep.core.setup import ROWS, TILE, Prefixes, SharedSums, prepare, tiles
+from linksweep.core.setup import ROWS, TILE, Prefixes, prepare, tiles
 from linksweep.core.simulate import can_stack, simulate, simulate_stack
 from linksweep.core.unknowns import Objects, link_unknowns
 from linksweep.sweep.cli import main
