@@ -8,11 +8,11 @@ def main() -> None:
     """Import the command and run it; Ctrl-C before it handles signals itself ends the process without a traceback."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not under nohup
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from linksweep.sweep.cli import group
+    from linksweep.sweep import cli
 
-    atexit.register(group.leave_with_exit_code)  # what is registered first runs last
-    group.prepare_streams()
-    group.main(prog_name="sweep")
+    atexit.register(cli.leave_with_exit_code)  # what is registered first runs last
+    cli.prepare_streams()
+    cli.main(prog_name="sweep")
 
 
 if __name__ == "__main__":

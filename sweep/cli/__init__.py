@@ -1,5 +1,651 @@
-"""The command line; each command calls one function of the library, imported when it is needed."""
+"""The command line: the group of commands, the arguments and options that several of them share, and the process around
+them: whatever ends a command becomes a message and an exit code, no text of others controls the terminal, and results
+are printed in the width that there is.
 
-from linksweep.sweep.cli.group import main
+Each command calls one function of the library, imported when it is needed; a shell asks for options at each press of a
+key, so that nothing heavy is imported here.
+"""
 
-__all__ = ["main"]
+import atexit
+import errno
+import gc
+import inspect
+import io
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+import threading
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+from click import Context, Parameter
+from click.shell_completion import CompletionItem
+
+import linksweep
+from linksweep.sweep.executing.pools import MOST_WORKERS
+from linksweep.sweep.formatting import COMMAND, WIDTH, harmless
+from linksweep.sweep.interrupt import SIGNALS, RunInterruptedError, how_ended, watched
+from linksweep.sweep.studies import built_in_studies
+
+if TYPE_CHECKING:
+    from linksweep.sweep.stores.location import Location
+    from linksweep.sweep.studies.study import Part
+    from linksweep.sweep.table_writer import Table
+
+FILE = click.Path(path_type=Path)
+"""The type of the path of a file or folder, which need not exist."""
+
+WORKERS = click.IntRange(1, MOST_WORKERS)
+POSITIVE = click.FloatRange(0.0, min_open=True)
+
+SAMPLING = ("n_sim", "n_cat", "seed", "precision", "max_n_sim", "keep_samples", "common_random_numbers")
+
+At = tuple[str, ...]
+
+
+def opt(help: str, *names: str, **more: Any) -> Any:  # noqa: A002 (as click has it)
+    """Declare an option as the default of a parameter, by which it is called if it has no ``names``."""
+    # Else only the pages would say what happens without an option.
+    more = {"show_default": True} | more
+    return lambda name: click.Option([name, *(names or ["--" + name.replace("_", "-")])], help=help, **more)
+
+
+def arg(**more: Any) -> Any:
+    """Declare an argument as the default of a parameter."""
+    return lambda name: click.Argument([name], **more)
+
+
+def choice(help: str, choices: Iterable[str], *names: str, **more: Any) -> Any:  # noqa: A002
+    """Declare an option with one of some words as its value."""
+    return opt(help, *names, type=click.Choice(list(choices)), **more)
+
+
+def output(help: str, **more: Any) -> Any:  # noqa: A002
+    """Declare ``-o``, a file to be written if ``more`` does not say otherwise."""
+    return opt(help, "-o", "--output", **{"type": FILE} | more)
+
+
+def parsed(parse: Callable[[str], Any]) -> Any:
+    """Return a callback of an option that parses its value; its ValueError is a usage error."""
+
+    def callback(context: Context, _parameter: Parameter, value: str | None) -> Any:
+        if value is None or context.resilient_parsing:
+            return None
+        try:
+            return parse(value)
+        except ValueError as error:
+            raise click.BadParameter(str(error)) from error
+
+    return callback
+
+
+many = partial(opt, multiple=True)
+flag = partial(opt, is_flag=True)
+
+
+@dataclass(frozen=True)
+class Group:
+    """A parameter that gets what ``make``, a function or class, makes of the options that it declares itself, or that
+    ``options`` has.
+    """
+
+    make: Callable[..., Any]
+    options: Mapping[str, Any]
+
+    def parameters(self) -> dict[str, Parameter]:
+        """Return the options and arguments of this group and of the groups in it, each once."""
+        parameters: dict[str, Parameter] = {}
+        for name, one in self.options.items():
+            parameters.update(one.parameters() if isinstance(one, Group) else {name: one(name)})
+        return parameters
+
+    def call(self, values: Mapping[str, Any]) -> Any:
+        """Return what this group makes of the values of its options."""
+        options = self.options.items()
+        return self.make(**{n: one.call(values) if isinstance(one, Group) else values[n] for n, one in options})
+
+
+def group(make: Callable[..., Any]) -> Any:
+    """Declare a parameter that gets what a function or class makes of the options that it declares."""
+    return Group(make, {name: one.default for name, one in inspect.signature(make).parameters.items()})
+
+
+def passed(**declared: Any) -> Any:
+    """Declare a parameter that gets a dictionary with the values of these options, to be passed on."""
+    return Group(dict, declared)
+
+
+def _not_empty(text: str) -> str:
+    if not text:
+        raise ValueError("is empty; give the path of a store, or s3://BUCKET/NAME")
+    return text
+
+
+@parsed
+def place(text: str) -> "Location":
+    """Return the place of a store."""
+    from linksweep.sweep.stores.location import located
+
+    return located(_not_empty(text))
+
+
+@parsed
+def _named(text: Any) -> Any:
+    """Return the place of what names an existing store, or the study whose store it is, or of several of these."""
+    from linksweep.sweep.stores.location import store_named
+
+    named = [store_named(_not_empty(one)) for one in (text if isinstance(text, tuple) else (text,))]
+    return tuple(named) if isinstance(text, tuple) else named[0]
+
+
+def _studies(_context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+    """Offer the built-in studies and the TOML files here; where neither fits, whatever file the shell knows."""
+    names = [*built_in_studies(), *sorted(path.name for path in Path().glob("*.toml"))]
+    fitting = [CompletionItem(name) for name in names if name.startswith(incomplete)]
+    # A shell takes one kind or the other.
+    return fitting or [CompletionItem(incomplete, type="file")]
+
+
+def _folders(_context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(incomplete, type="dir")]
+
+
+def _keys(context: Context, _parameter: Parameter, incomplete: str, more: Sequence[str] = ()) -> list[CompletionItem]:
+    """Offer the axes of the study that was given before, what it fixes, and ``more``."""
+    # The study is not parsed yet where an option lacks its value.
+    study = str(context.params.get("study") or next(iter(context.args), ""))
+    document: dict[str, Any] = {}
+    with suppress(OSError, ValueError, RecursionError):
+        # A shell has no place for an error.
+        path = built_in_studies().get(study, Path(study))
+        if path.stat().st_size < 100_000:
+            # A shell waits for this at each press of a key.
+            document = tomllib.loads(path.read_text(encoding="utf-8"))
+    tables = [table for key in ("axes", "fixed") if isinstance(table := document.get(key), dict)]
+    keys = [f"{key}=" for table in (*tables, more) for key in table]
+    return [CompletionItem(key) for key in keys if key.startswith(incomplete)]
+
+
+_ALSO_SAMPLING = partial(_keys, more=SAMPLING)
+STORE = arg(callback=_named, shell_complete=_folders)
+STORES = arg(nargs=-1, metavar="STORE...", callback=_named, shell_complete=_folders)
+STUDY = arg(shell_complete=_studies)
+AT = many("Only this part of the grid, e.g. model=gaia,v_max=16.", metavar="AXIS=VALUE")
+JSON = flag("Print JSON for a script.", "--json")
+BREAK_LOCK = flag("Continue although another host seems to write to the store; make sure that it does not.")
+ACCEPT_CODE = flag("Continue a store that other code made; each point then records which code made it.")
+TRUST = flag("Run the code that the store names, even if it is inside it or came from elsewhere.")
+AXES = many(
+    "Override or add an axis: 14:20:0.5, 0:1:lin5, 10:1000:log5.", "--axis", metavar="NAME=SPEC", shell_complete=_keys
+)
+SETTINGS = many("Override a value, e.g. n_sim=500.", "--set", metavar="KEY=VALUE", shell_complete=_ALSO_SAMPLING)
+DESIGNS = "e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, saltelli, morris."
+
+
+def json_or(table_format: str, as_json: bool) -> str:
+    """Return the format of a table that two options name together; raises click.UsageError if they name two."""
+    if as_json and table_format != "text":
+        raise click.UsageError(f"--json and --format {table_format} are two formats; name one")
+    return "json" if as_json else table_format
+
+
+@parsed
+def _part(text: str) -> "Part":
+    from linksweep.sweep.studies.study import Part
+
+    return Part.of_task(os.environ) if text == "array" else Part.parsed(text)
+
+
+PART = opt(
+    "Compute part K of N alone, into STORE.part-K-of-N; array: that of this task of a SLURM job array.",
+    metavar="K/N|array",
+    callback=_part,
+)
+
+
+@dataclass(frozen=True)
+class AskedStudy:
+    """A study as the command line names it: its overrides, which are those of `load_study`, where its store is to be,
+    and whether code inside a store is trusted.
+    """
+
+    study: str = STUDY
+    overrides: Mapping[str, Any] = passed(
+        settings=SETTINGS,
+        axes=AXES,
+        points=opt("Compute the points in this table: a column for each parameter.", metavar="FILE"),
+        design=opt(f"Compute a design of points, {DESIGNS}", metavar="NAME:N"),
+        ranges=many("A range of the design: 0.1:0.5, 1:100:log or a,b.", "--range", metavar="NAME=SPEC"),
+        exclude=many("Leave points out: kernel=linear,gamma>1.", "--exclude", metavar="CONDITIONS"),
+    )
+    output: "Location | None" = output(
+        "The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]", type=str, callback=place
+    )
+    trust: bool = TRUST
+
+    def load(self, part: "Part | None" = None) -> "tuple[linksweep.Study, Location]":
+        """Return the study, or a part of it, and where its store is; raises SweepError for one inside a store that is
+        not trusted.
+        """
+        from linksweep.sweep.stores.location import default_store, located
+
+        study = load_trusted(self.study, self.trust, **self.overrides)
+        store = self.output or located(default_store(study.name))
+        return replace(study, part=part), store if part is None else located(part.place(store))
+
+    def stored(self) -> "tuple[linksweep.Study, Location]":
+        """Return the study of an existing store, named in its place, and the store; raises SweepError as `load`."""
+        from linksweep.sweep.running.reproduce import study_of
+        from linksweep.sweep.stores.location import store_named
+
+        if self.output or any(self.overrides.values()):
+            raise click.UsageError("--retry computes points of a store as it is: name the store, without other changes")
+        store = store_named(self.study)
+        return study_of(store, trust=self.trust), store
+
+
+def load_trusted(study: str, trust: bool, **overrides: Any) -> "linksweep.Study":
+    """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""
+    from linksweep.sweep.stores.integrity import ROOT
+    from linksweep.sweep.studies.reader import find_study, reference_in
+
+    # Before anything is read: a study or a function inside a store came with the store, from whoever sent that.
+    place = find_study(study) if (function := reference_in(study)) is None else Path(function.rpartition(":")[0])
+    store = next((folder for folder in place.resolve().parents if (folder / ROOT).is_file()), None)
+    if store is not None and not trust and (function is None or place.suffix == ".py"):
+        reason = f"lies inside the store {store}, and would run what it names"
+        raise linksweep.SweepError(f"{reason}; inspect it, and give --trust if it may run", str(place))
+    return linksweep.load_study(study, **overrides)
+
+
+def link_in(store: "Location", at: At) -> Any:
+    """Return the link or forecast that a store holds, None if it holds a grid; ``--at`` is only for a grid."""
+    from linksweep.sweep.result import stored_table
+
+    result = stored_table(store)
+    if result is not None and at:
+        raise click.UsageError("--at chooses a part of a grid; this is one link or forecast")
+    return None if result is None else result.dataset
+
+
+@contextmanager
+def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool = False) -> Iterator[Any]:
+    """Give the part of a store's dataset that ``--at`` names, with values so far if ``running``; errors in the block
+    name the store unless they say what they are about.
+
+    Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
+    """
+    from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES, array_outputs, select, with_running
+    from linksweep.sweep.contract import Status
+    from linksweep.sweep.stores.store import open_dataset
+    from linksweep.sweep.studies.reader import parse_places
+
+    places = parse_places(at)
+    dataset = with_running(open_dataset(store, running))
+    try:
+        part = select(dataset, places)
+        for name in set(array_outputs(dataset)) - set(array_outputs(part)):
+            if not name.endswith(ERROR_SUFFIXES):
+                # A place along an output's own dimension is for that output.
+                part[name].attrs["headline"] = 1
+        if at and not excluded_too and (part["status"].values == Status.EXCLUDED).all():
+            points = "this point" if part["status"].size == 1 else "all of these points"
+            raise linksweep.SweepError(f"--at {','.join(at)}: the study excludes {points}")
+        yield part
+    except linksweep.SweepError as error:
+        if error.where:
+            raise
+        # What knows only datasets cannot name the store.
+        raise linksweep.SweepError(error.problems, str(store)) from error
+
+
+EXIT_FAILED_POINTS = 1
+EXIT_BAD_INPUT = 2
+
+LAST_SECOND = 1.0
+"""Seconds that Python's own clean-up may take after a signal before the process ends without it."""
+
+NO_LEAK_WARNING = "ignore:resource_tracker"
+"""A filter of warnings for processes that are started: a sudden end leaves semaphores, and the process that removes
+them would warn the user.
+"""
+
+MODULES = ("run", "look", "tables")
+"""The modules of commands, as the help lists them; each is imported if none before it has the one that is asked for."""
+
+SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Compare", "Store care", "Your own")}
+"""The commands as the help lists them."""
+
+_stopped_by: list[int] = []
+"""The signal that ended the command, if one did."""
+
+# Else Python searches all imports for garbage at the end, which takes a fifth of a second.
+atexit.register(gc.freeze)
+
+
+HOW_TO_SET = """a function is FILE.py:NAME; --axis NAME=1,2,3 or --axis NAME=0:1:0.1 gives a parameter values,
+--set NAME=VALUE one, also n_sim and seed
+"""
+
+
+class _Group(click.Group):
+    """Lists its commands by what they are for; turns a SweepError of any command into one message and exit code 2, and
+    a signal into exit code 128 plus its number.
+    """
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        for module in MODULES:
+            if cmd_name not in self.commands:
+                import_module(f"{__name__}.{module}")
+        return super().get_command(ctx, cmd_name)
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        self.get_command(ctx, "")
+        return super().list_commands(ctx)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        self.list_commands(ctx)
+        for title, commands in SECTIONS.items():
+            with formatter.section(title):
+                formatter.write_dl(list(commands.items()), col_spacing=max(2, 12 - max(map(len, commands))))
+
+    def main(self, args: Sequence[str] | None = None, *further: Any, **named: Any) -> Any:
+        before, COMMAND[:] = COMMAND[:], ["sweep", *(sys.argv[1:] if args is None else args)]
+        with _harmless_streams():
+            try:
+                return super().main(args, *further, **named)
+            except SystemExit as end:
+                # A full disk is noticed only now where the output was short.
+                sys.stdout.flush()
+                if (problem := getattr(sys.stdout, "problem", None)) is None:
+                    raise
+                click.echo(f"error: standard output cannot be written: {problem.strerror}", err=True)
+                sys.exit(end.code or EXIT_BAD_INPUT)
+            finally:
+                COMMAND[:] = before
+
+    def invoke(self, ctx: click.Context) -> Any:
+        try:
+            with watched():
+                # Click itself would end with 1 at Ctrl-C, which means that points failed.
+                return super().invoke(ctx)
+        except RunInterruptedError as stop:
+            click.echo(how_ended(stop.signal.name), err=True)
+            end_stopped(stop.signal)
+        except click.UsageError as error:
+            click.echo(f"error: {error.format_message()}", err=True)
+            command = error.ctx.command_path if error.ctx else ctx.command_path
+            is_set_wrong = isinstance(error, click.NoSuchOption) or "unexpected extra" in error.message
+            hint = HOW_TO_SET if command == "sweep run" and is_set_wrong else ""
+            click.echo(f"{hint}see {command} --help", err=True)
+            sys.exit(error.exit_code)
+        except linksweep.SweepError as error:
+            where, problems = f"{error.where}: " if error.where else "", error.problems
+            click.echo(f"error: {where}{problems[0] if len(problems) == 1 else f'{len(problems)} problems'}", err=True)
+            for problem in problems if len(problems) > 1 else ():
+                click.echo(f"  - {problem}", err=True)
+            sys.exit(error.exit_code)
+
+
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="linksweep", prog_name="linksweep")
+def main() -> None:
+    """Sweep Monte-Carlo simulations of a satellite's link to the extragalactic frame.
+
+    \b
+    sweep run quasars        the paper's Table 1, beside the published one
+    sweep list               the other built-in studies
+    sweep new mine           a study of your own to start from
+    """
+
+
+def command(section: str, summary: str, name: str | None = None) -> Callable[[Callable[..., Any]], click.Command]:
+    """Return a decorator that makes a function, whose parameters declare its options, a command of a section."""
+
+    def decorate(function: Callable[..., Any]) -> click.Command:
+        declared = group(function)
+        made = click.Command(
+            name or function.__name__,
+            params=list(declared.parameters().values()),
+            callback=lambda **values: declared.call(values),
+            help=inspect.getdoc(function),
+            short_help=summary,
+        )
+        SECTIONS[section][str(made.name)] = summary
+        main.add_command(made)
+        return made
+
+    return decorate
+
+
+@contextmanager
+def a_signal_ends_the_command() -> Iterator[None]:
+    """Let SIGINT, SIGTERM and SIGHUP end the process at once in this block.
+
+    A run inside the block handles the first of them itself and ends in good order; a signal that arrives here is a
+    further one, or came before the run.
+    """
+    answered = {number: signal.getsignal(number) for number in SIGNALS}
+    before = {number: handler for number, handler in answered.items() if handler not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, _leave_at_once)
+    # In `sys.warnoptions`, because only what stands there is passed on to processes that Python starts.
+    sys.warnoptions.append(NO_LEAK_WARNING)
+    try:
+        yield
+    finally:
+        sys.warnoptions.remove(NO_LEAK_WARNING)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def end_stopped(number: int) -> NoReturn:
+    """End the process with the exit code of a signal; workers that still compute are not waited for."""
+    _stopped_by.append(number)
+    _kill_children()
+    # Threads of Dask and of C code may never come back; Python would join them first.
+    without_clean_up = threading.Timer(LAST_SECOND, os._exit, (128 + number,))
+    without_clean_up.daemon = True
+    without_clean_up.start()
+    sys.exit(128 + number)
+
+
+def leave_with_exit_code() -> None:
+    """End a process, after its clean-up, with the exit code of the signal that stopped its command, if one did.
+
+    Python itself would end it by SIGINT if that interrupted code run by ``exec``, with which dataclasses are made.
+    """
+    if _stopped_by:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(128 + _stopped_by[-1])
+
+
+def _leave_at_once(number: int, _frame: FrameType | None) -> NoReturn:
+    _kill_children()
+    with suppress(OSError):
+        # A progress bar hides the cursor.
+        show_cursor = "\x1b[?25h" if os.isatty(2) else ""
+        os.write(2, f"{show_cursor}stopped immediately\n".encode())
+    os._exit(128 + number)
+
+
+def _kill_children() -> None:
+    for child in multiprocessing.active_children():
+        child.kill()
+
+
+class _Unfailing(io.TextIOWrapper):
+    """A stream that keeps the first ``problem`` of writing to it instead of raising it.
+
+    The error that the reader has gone, as `head` does, is still raised: click then ends the command quietly.
+    """
+
+    problem: OSError | None = None
+
+    def write(self, text: str) -> int:
+        with self._kept():
+            super().write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with self._kept():
+            super().flush()
+
+    @contextmanager
+    def _kept(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if error.errno == errno.EPIPE:
+                raise
+            self.problem = self.problem or error
+
+
+class _Harmless:
+    """A stream for text of anybody: names, titles, results and messages of functions, tables and stores.
+
+    What brings a style of our own writes to ``unescaped``.
+    """
+
+    # Whatever it is: click writes to the bytes below a stream of ASCII.
+    encoding = "utf-8"
+
+    def __init__(self, stream: Any) -> None:
+        self.unescaped = stream
+
+    def write(self, text: str) -> int:
+        self.unescaped.write(harmless(text))
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.unescaped, name)
+
+
+@contextmanager
+def _harmless_streams() -> Iterator[None]:
+    """Escape control characters in what is printed in this block, and in the traceback of an error that leaves it."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = map(_Harmless, before)
+    try:
+        yield
+    except SystemExit:
+        # Any other error goes on to Python, which prints its traceback through these streams.
+        sys.stdout, sys.stderr = before
+        raise
+
+
+def prepare_streams() -> None:
+    """Make the standard streams usable whatever this process was started with.
+
+    A closed one is connected to the null device, because the next file to be opened would take its place and be written
+    to.  Characters that the encoding of a stream does not have are escaped.
+    """
+    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != descriptor:
+                os.dup2(opened, descriptor)
+                os.close(opened)
+        stream = getattr(sys, name)
+        if descriptor == 0:
+            sys.stdin = stream or open(descriptor, encoding="utf-8", closefd=False)  # noqa: SIM115 (to the end)
+        elif stream is None:
+            setattr(sys, name, _Unfailing(open(descriptor, "wb", closefd=False), "utf-8"))  # noqa: SIM115
+        elif isinstance(stream, io.TextIOWrapper):
+            lines, through = stream.line_buffering, stream.write_through
+            unfailing = _Unfailing(stream.buffer, stream.encoding, "backslashreplace", None, lines, through)
+            setattr(sys, name, unfailing)
+
+
+def print_wrapped(text: str, first: str = "", later: str = "") -> None:
+    """Print a sentence in lines of the width of a terminal, the first and the later ones behind a prefix."""
+    click.echo(click.wrap_text(text, WIDTH, first, later))
+
+
+def print_styled(text: str, **style: bool) -> None:
+    """Print text in a style of ours, which it cannot change."""
+    click.secho(harmless(text), file=getattr(sys.stdout, "unescaped", None), **style)
+
+
+def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
+    """Print tables with the columns for which there is room, and sentences below them; no number is cut."""
+    # A file or a pipe has no width: the same bytes whatever terminal the command was typed in.
+    is_terminal = sys.stdout.isatty()
+    width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if is_terminal else WIDTH
+    for number, table in enumerate(tables):
+        kept, left_out = table.fitting(width)
+        text = kept.text(width, styled=is_terminal)
+        click.echo(f"\n{text}" if number else text, file=getattr(sys.stdout, "unescaped", None))
+        if left_out:
+            print_wrapped(f"left out to fit {width} columns: {left_out}; --json has them")
+    for sentence in notes:
+        print_wrapped(sentence)
+
+
+def print_result(dataset: Any, table_format: str) -> None:
+    """Print results of any kind: their tables and notes, or their table for programs."""
+    from linksweep.sweep.result import Result
+
+    result = Result(dataset)
+    if table_format == "text":
+        notes = result.notes()
+        print_tables(result.tables(), ["", *notes] if notes else ())
+    else:
+        click.echo(result.written(table_format).rstrip("\n"))
+
+
+def print_headlines(dataset: Any, as_json: bool) -> None:
+    """Print the headline results of a study and what is to be said about them, or all results for programs."""
+    from linksweep.sweep.analysis.results_table import headline_table, notes
+
+    if as_json:
+        print_result(dataset, "json")
+    else:
+        print_tables([headline_table(dataset)], notes(dataset))
+
+
+def drawing_styles() -> Any:
+    """Return `linksweep.sweep.plots.style`; raises click.UsageError where matplotlib, which it needs, is missing."""
+    try:
+        from linksweep.sweep.plots import style
+    except ImportError as error:
+        raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
+    return style
+
+
+def require_writable(path: Path) -> None:
+    """Raise an error unless `save_result` can write there, as far as is known before there are results."""
+    from linksweep.sweep.result import require_free
+
+    if path.suffix.lower() == ".zarr":
+        require_free(path)
+    else:
+        drawing_styles().require_format(path)
+
+
+def save_result(dataset: Any, path: Path) -> None:
+    """Write results as a Zarr store, or draw them in the way that suits them if the path is that of a picture."""
+    from linksweep.sweep.result import Result
+
+    if path.suffix.lower() == ".zarr":
+        Result(dataset).save(path)
+    else:
+        from linksweep.sweep.plots.figure import draw_figure
+
+        with (styles := drawing_styles()).settings():
+            styles.save(draw_figure(dataset), path)
+    click.echo(f"wrote {path}", err=True)

@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import linksweep
-from linksweep.sweep.cli import group, options
-from linksweep.sweep.cli.options import AT, JSON, STORE, At, arg, choice, flag, json_or, many, opt, parsed, part_of
+from linksweep.sweep import cli
+from linksweep.sweep.cli import AT, JSON, STORE, At, arg, choice, flag, json_or, many, opt, parsed, part_of
 from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.formatting import counted, harmless, to_json
+from linksweep.sweep.interrupt import RunInterruptedError, watched
 from linksweep.sweep.plots import ALL_KINDS, KINDS
 
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from linksweep.sweep.executing.pools import Resources
     from linksweep.sweep.running.status import Tile, Watched
     from linksweep.sweep.stores.location import Location
 
@@ -37,7 +38,7 @@ PAPER_ORDER = (
 """The studies of Metz & Geffert 2004, by section; all others follow, sorted by name."""
 
 
-@group.command("Look", "List the built-in studies and their answers", name="list")
+@cli.command("Look", "List the built-in studies and their answers", name="list")
 def list_studies(as_json: bool = JSON) -> None:
     """List the built-in studies: the title and question of each, and its answer where it was run in this directory.
 
@@ -54,9 +55,9 @@ def list_studies(as_json: bool = JSON) -> None:
         click.echo(to_json(studies))
         return
     for name, study in studies.items():
-        group.print_styled(name, bold=True)
+        cli.print_styled(name, bold=True)
         for sentence in (study["title"], *(study["answer"] or [study["question"]])):
-            group.print_wrapped(sentence, "    ", "    ")
+            cli.print_wrapped(sentence, "    ", "    ")
 
 
 def _answer(name: str) -> list[str]:
@@ -76,14 +77,14 @@ def _answer(name: str) -> list[str]:
         return [f"Its store cannot be read: {'; '.join(error.problems)}"]
 
 
-@group.command("Look", "Print results as a table, CSV, ECSV or JSON")
+@cli.command("Look", "Print results as a table, CSV, ECSV or JSON")
 def show(
     store: "Location" = STORE,
     table_format: str = choice("", ("text", "csv", "ecsv"), "--format", default="text"),
     at: At = AT,
     stars: bool = flag("Of a link, a row for each source: Q/n, Cook's distance, share, jackknife shift."),
     minus: "Location | None" = opt(
-        "Of a link, its difference from that in another store.", type=str, callback=options.place, metavar="STORE"
+        "Of a link, its difference from that in another store.", type=str, callback=cli.place, metavar="STORE"
     ),
     as_json: bool = JSON,
 ) -> None:
@@ -95,19 +96,19 @@ def show(
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
     table_format = json_or(table_format, as_json)
-    link = options.link_in(store, at)
+    link = cli.link_in(store, at)
     if stars or minus is not None:
         from linksweep.sweep.tie.result import difference, of_difference, of_stars
 
-        other: Any = None if minus is None else options.link_in(minus, ())
+        other: Any = None if minus is None else cli.link_in(minus, ())
         table = of_stars({} if link is None else link) if minus is None else of_difference(difference(link, other))
         click.echo(getattr(table, table_format)().rstrip("\n"))
     elif link is not None:
-        group.print_result(link, table_format)
+        cli.print_result(link, table_format)
     else:
         # Formats for programs keep excluded points: a column has the status.
         with part_of(store, at, excluded_too=table_format != "text", running=True) as part:
-            group.print_result(part, table_format)
+            cli.print_result(part, table_format)
 
 
 @parsed
@@ -165,19 +166,19 @@ class Drawing:
             objects = sky.catalogue_of_table(Path(self.source)) if is_table else sky.catalogue_of_point(store, self.at)
             return sky.sky_figure(objects), objects
         chosen = self.kind, self.variables, self.over, self.log, self.linear
-        if (link := options.link_in(store, self.at)) is not None:
+        if (link := cli.link_in(store, self.at)) is not None:
             return draw_figure(link, *chosen), link
         with part_of(store, self.at, running=True) as dataset:
             return draw_figure(dataset, *chosen), dataset
 
 
-@group.command("Look", "Draw results")
+@cli.command("Look", "Draw results")
 def plot(
-    drawn: Drawing = options.group(Drawing),
+    drawn: Drawing = cli.group(Drawing),
     width: float | None = opt("How wide it is printed, e.g. 88mm or 180mm.", metavar="MM", callback=_millimetres),
     style: str | None = choice("Sizes of letters and lines.  [default: paper]", ("paper", "talk")),
     caption: bool = flag("Write NAME.txt beside the picture: caption and alternative text."),
-    output: Path | None = options.output("Picture to write: .png, .svg or .pdf.  [default: NAME.png]"),
+    output: Path | None = cli.output("Picture to write: .png, .svg or .pdf.  [default: NAME.png]"),
 ) -> None:
     """Draw the results in SOURCE, a store, in the way that suits them: curves with errors, prediction and published
     values, small panels, a map, a fitted law, a scatter of kept samples.  For a link or a forecast of real tables there
@@ -192,7 +193,7 @@ def plot(
     sweep plot mission.toml --kind accuracy
     sweep plot tie.zarr --kind residuals -o residuals.png
     """
-    styles = group.drawing_styles()
+    styles = cli.drawing_styles()
     drawn.require_choices()
     path = output or Path(Path(drawn.source or "accuracy").stem + ".png")
     # Before a large store is read and drawn.
@@ -220,16 +221,14 @@ def paper_studies(published: bool) -> "list[linksweep.Study]":
 class AskedStores:
     """The stores that a command is about: those that it names, or with --all those of the whole paper."""
 
-    stores: "tuple[Location, ...]" = options.STORES
+    stores: "tuple[Location, ...]" = cli.STORES
     everything: bool = flag("Every built-in study (with something published), run if it has not been yet.", "--all")
-    results: Path | None = opt("Folder with the stores of --all.  [default: results]", type=options.FILE)
-    resources: "Resources" = options.group(resources)
-    watching: Watching = options.group(Watching)
+    results: Path | None = opt("Folder with the stores of --all.  [default: results]", type=cli.FILE)
+    resources: Resources = cli.group(resources)
+    watching: Watching = cli.group(Watching)
 
     def require_either(self) -> None:
         """Raise click.UsageError unless there are either stores or --all, and for options of --all without it."""
-        from linksweep.sweep.executing.pools import Resources
-
         if self.everything == bool(self.stores):
             raise click.UsageError("name stores, or give --all")
         is_about_runs = (
@@ -270,10 +269,10 @@ class AskedStores:
         return [store for _, store in places.values()]
 
 
-@group.command("Look", "Write one HTML page with everything")
+@cli.command("Look", "Write one HTML page with everything")
 def report(
-    asked: AskedStores = options.group(AskedStores),
-    output: Path | None = options.output("The page; replaces an earlier report.  [default: NAME-report.html]"),
+    asked: AskedStores = cli.group(AskedStores),
+    output: Path | None = cli.output("The page; replaces an earlier report.  [default: NAME-report.html]"),
 ) -> None:
     """Write one HTML page about the results in STORE: the answer, figures, tables, an interactive view, a comparison
     with published numbers, and where everything comes from.
@@ -295,7 +294,7 @@ def report(
     click.echo(f"wrote {path}", err=True)
 
 
-@group.command("Look", "Fit a law along an axis")
+@cli.command("Look", "Fit a law along an axis")
 def fit(
     store: "Location" = STORE,
     over: str | None = opt("The axis to fit along.  [default: the only one with several numbers]"),
@@ -334,10 +333,10 @@ def fit(
             result = linksweep.fit_power_law(dataset, variable, over, expect)
         else:
             result = linksweep.fit_levelling(dataset, variable, over, (fall or 5.0) / 100.0)
-    group.print_result(result, "json" if as_json else "text")
+    cli.print_result(result, "json" if as_json else "text")
 
 
-@group.command("Look", "Find where a condition is met along an axis")
+@cli.command("Look", "Find where a condition is met along an axis")
 def find(
     store: "Location" = STORE,
     where: str = opt("VARIABLE, one of < <= > >=, NUMBER and unit.", required=True, metavar="CONDITION"),
@@ -360,18 +359,18 @@ def find(
     limit = laws.parse_limit(where)
     with part_of(store, at) as dataset:
         if over is None and len(varied_parameters(dataset)) > 1:
-            group.print_headlines(laws.points_where(dataset, limit), as_json)
+            cli.print_headlines(laws.points_where(dataset, limit), as_json)
             return
         result = laws.find(dataset, limit, require_axis(dataset, limit.variable, over))
-    group.print_result(result, "json" if as_json else "text")
+    cli.print_result(result, "json" if as_json else "text")
 
 
-@group.command("Look", "Say which parameters decide a result")
+@cli.command("Look", "Say which parameters decide a result")
 def sensitivity(
     store: "Location" = STORE,
     variable: str | None = opt("What varies.  [default: the main result]"),
     at: At = AT,
-    output: Path | None = options.output("Write .zarr, or draw .png, .svg, .pdf."),
+    output: Path | None = cli.output("Write .zarr, or draw .png, .svg, .pdf."),
     as_json: bool = JSON,
 ) -> None:
     """Estimate how much of the variance of a result in STORE is due to each parameter, with errors.
@@ -384,17 +383,17 @@ def sensitivity(
     sweep sensitivity results/sir.zarr --variable peak -o peak.png
     """
     if output is not None:
-        group.require_writable(output)
+        cli.require_writable(output)
     with part_of(store, at) as dataset:
         result = linksweep.sensitivity(dataset, variable)
-    group.print_result(result, "json" if as_json else "text")
+    cli.print_result(result, "json" if as_json else "text")
     if output is not None:
-        group.save_result(result, output)
+        cli.save_result(result, output)
 
 
-@group.command("Compare", "Compare with published numbers and claims")
+@cli.command("Compare", "Compare with published numbers and claims")
 def compare(
-    asked: AskedStores = options.group(AskedStores),
+    asked: AskedStores = cli.group(AskedStores),
     table_format: str = choice("", ("text", "csv"), "--format", default="text"),
     as_json: bool = JSON,
 ) -> None:
@@ -428,9 +427,9 @@ def compare(
             click.echo(sentence, err=True)
     else:
         below = [*verdicts.notes(comparisons), *remarks, verdicts.summary_line(comparisons)]
-        group.print_tables(verdicts.tables(comparisons), ["", *below])
+        cli.print_tables(verdicts.tables(comparisons), ["", *below])
     if not verdicts.all_is_well(comparisons):
-        sys.exit(group.EXIT_FAILED_POINTS)
+        sys.exit(cli.EXIT_FAILED_POINTS)
 
 
 MOST_ROWS = 12
@@ -442,9 +441,9 @@ PARTLY = "▁▂▃▄▅▆▇"
 """Marks of a tile that is running, by how much of it is done."""
 
 
-@group.command("Look", "Watch runs: points, speed, failures; --web: a page")
+@cli.command("Look", "Watch runs: points, speed, failures; --web: a page")
 def watch(
-    stores: "tuple[Location, ...]" = options.STORES,
+    stores: "tuple[Location, ...]" = cli.STORES,
     web: bool = flag("Show figures too, on a page that only this machine can open."),
     interval: float = opt("Seconds between looks.", type=click.FloatRange(0.2, 3600.0), default=2.0),
 ) -> None:
@@ -457,8 +456,6 @@ def watch(
     sweep watch quasars
     sweep watch results/quasars.zarr s3://bucket/grid.zarr --web
     """
-    from linksweep.sweep.interrupt import RunInterruptedError, watched
-
     if not stores:
         raise click.UsageError("name a store")
     try:
@@ -496,7 +493,7 @@ def _in_the_terminal(stores: "Iterable[Location]", interval: float) -> None:
                 break
             time.sleep(pause(interval, time.process_time() - begun))
     if any(one.state == "unreadable" for one in seen):
-        sys.exit(group.EXIT_BAD_INPUT)
+        sys.exit(cli.EXIT_BAD_INPUT)
 
 
 def _lines(one: "Watched", width: int) -> "Iterable[Text]":

@@ -17,13 +17,13 @@ from typing import TYPE_CHECKING, Any, TextIO
 import click
 
 import linksweep
-from linksweep.sweep.cli import group, options
-from linksweep.sweep.cli.options import POSITIVE, WORKERS, choice, flag, many, opt, parsed
-from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS
+from linksweep.sweep import cli
+from linksweep.sweep.cli import POSITIVE, WORKERS, choice, flag, many, opt, parsed
+from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName, Resources
 from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_json, without_secrets
+from linksweep.sweep.interrupt import RunInterruptedError
 
 if TYPE_CHECKING:
-    from linksweep.sweep.executing.pools import PoolName, Resources
     from linksweep.sweep.running.progress import MaxFailures
     from linksweep.sweep.running.results import Labelled
     from linksweep.sweep.stores.location import Location
@@ -66,7 +66,7 @@ def _bytes(text: str) -> int:
 
 def resources(
     workers: int | None = opt("Local workers.  [default: one per core]", type=WORKERS),
-    pool: "PoolName | None" = choice(POOL_HELP, POOLS),
+    pool: PoolName | None = choice(POOL_HELP, POOLS),
     scheduler: str | None = opt("Use the Dask scheduler at this address, e.g. tcp://host:8786.", metavar="ADDRESS"),
     tls_ca: Path | None = opt("For a tls:// scheduler: the authority's certificate.", type=EXISTING),
     tls_cert: Path | None = opt("For a tls:// scheduler: our certificate.", type=EXISTING),
@@ -77,10 +77,8 @@ def resources(
         "A block that needs more fails, e.g. 2GB.  [default: an equal share each]", metavar="BYTES", callback=_bytes
     ),
     dashboard: bool = flag("Give local workers Dask's dashboard; print its address."),
-) -> "Resources":
+) -> Resources:
     """Return what to run on; raises click.UsageError for options that contradict each other."""
-    from linksweep.sweep.executing.pools import Resources
-
     if workers is not None and pool is not None and not POOLS[pool].has_workers:
         raise click.UsageError(f"--pool {pool} has no workers")
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
@@ -181,11 +179,11 @@ def _max_failures(text: str) -> "MaxFailures":
 class Running:
     """How a study is run: on what, what the user sees (no results if ``as_json`` is None), and what it may continue."""
 
-    resources: "Resources" = options.group(resources)
-    watching: Watching = options.group(Watching)
-    as_json: bool | None = options.JSON
-    break_lock: bool = options.BREAK_LOCK
-    accept_code: bool = options.ACCEPT_CODE
+    resources: Resources = cli.group(resources)
+    watching: Watching = cli.group(Watching)
+    as_json: bool | None = cli.JSON
+    break_lock: bool = cli.BREAK_LOCK
+    accept_code: bool = cli.ACCEPT_CODE
     max_failures: "MaxFailures | None" = opt(
         "End when more points fail.  [default: if the first 20 fail alike]", metavar="N|P%", callback=_max_failures
     )
@@ -205,23 +203,22 @@ def run_with_progress(
     interruption ends the command.
     """
     from linksweep.sweep.analysis.answer import CONCLUSION, answer_in_short
-    from linksweep.sweep.interrupt import RunInterruptedError
     from linksweep.sweep.running.progress import TerminalProgress
     from linksweep.sweep.running.run import Beside, run_study
     from linksweep.sweep.stores.location import short_name
 
     shown = TerminalProgress(study, not how.watching.quiet, how.watching.events)
-    with group.a_signal_ends_the_command(), _logged(how.watching), shown as progress:
+    with cli.a_signal_ends_the_command(), _logged(how.watching), shown as progress:
         try:
             rest = how.break_lock, how.accept_code, fresh, how.max_failures
             dataset, failures = run_study(study, store, how.resources, progress, retry, *rest, beside=Beside(**beside))
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
-            group.end_stopped(stop.signal)
+            cli.end_stopped(stop.signal)
         # A part has no results to read, but those of the points that are its own.
         readable = how.as_json is False and study.part is None
         if how.as_json or readable:
-            group.print_headlines(dataset, bool(how.as_json))
+            cli.print_headlines(dataset, bool(how.as_json))
         # Nothing to look at next where a caller goes on itself, as `sweep report --all` does.
         looks = () if how.as_json is None or study.part else ("plot", "report")
         progress.finish(failures, store, [f"sweep {look} {short_name(store)}" for look in looks])
@@ -229,7 +226,7 @@ def run_with_progress(
         # Slopes are fitted with xarray.
         whole: Any = dataset.to_xarray() if '"slope"' in dataset.attrs.get(CONCLUSION, "") else dataset
         for sentence in answer_in_short(whole):
-            group.print_wrapped(sentence)
+            cli.print_wrapped(sentence)
     return dataset, failures
 
 
@@ -248,10 +245,10 @@ def print_verified(study: "linksweep.Study", store: "Location", points: int, sho
     return bool(again.differing)
 
 
-@group.command("Run", "Run a study into a store; print table and answer")
+@cli.command("Run", "Run a study into a store; print table and answer")
 def run(
-    asked: options.AskedStudy = options.group(options.AskedStudy),
-    how: Running = options.group(Running),
+    asked: cli.AskedStudy = cli.group(cli.AskedStudy),
+    how: Running = cli.group(Running),
     retry: bool = flag("STUDY is a store: compute its failed points again, and only those."),
     fresh: bool = flag("Replace an existing store, whatever its study and code."),
     only: bool = flag("Leave points that STUDY does not ask for out of the store's dataset."),
@@ -260,7 +257,7 @@ def run(
         'Compute finished points again, e.g. "x>2 and y==8"; old: of other code.', metavar="IF", default=""
     ),
     verify: int = opt("At the end compute so many points again.", type=click.IntRange(0), default=0),
-    part: "Part | None" = options.PART,
+    part: "Part | None" = cli.PART,
 ) -> None:
     """Run STUDY (a built-in name, a TOML file or FILE.py:FUNCTION) into a Zarr store, and print the table.
 
@@ -285,13 +282,13 @@ def run(
     _, failures = run_with_progress(study, store, how, retry=retry, fresh=fresh, only=only, keep=keep, redo=redo)
     differing = verify and print_verified(study, store, verify, not how.watching.quiet)
     if failures or differing:
-        sys.exit(group.EXIT_FAILED_POINTS)
+        sys.exit(cli.EXIT_FAILED_POINTS)
 
 
-@group.command("Run", "Add points and realisations where they matter")
+@cli.command("Run", "Add points and realisations where they matter")
 def refine(
-    asked: options.AskedStudy = options.group(options.AskedStudy),
-    goal: Any = options.passed(
+    asked: cli.AskedStudy = cli.group(cli.AskedStudy),
+    goal: Any = cli.passed(
         find=opt('The condition to locate, e.g. "sigma_spin < 0.6 mas/yr".', metavar="CONDITION"),
         until=opt('Interpolate to this, in the unit of the result: "error < 0.002".', metavar="CONDITION"),
         within=opt("How well to locate it, in the unit of the axis.", type=POSITIVE, metavar="WIDTH"),
@@ -299,7 +296,7 @@ def refine(
         variable=opt("With --until: what to interpolate.  [default: the main result]"),
         most=opt("Most in all.  [default: a fifth of the full grid's]", "--max-realisations", type=click.IntRange(1)),
     ),
-    how: Running = options.group(Running),
+    how: Running = cli.group(Running),
 ) -> None:
     """Run STUDY, then add the points and realisations that matter next, round by round, into the same store.
 
@@ -325,18 +322,18 @@ def refine(
         answer = {"failures": failures, "answer": crossings and json.loads(crossings.written("json"))}
         click.echo(to_json({name: value for name, value in vars(state).items() if name != "dataset"} | answer))
     else:
-        group.print_tables(crossings.tables() if crossings else ())
+        cli.print_tables(crossings.tables() if crossings else ())
         for sentence in [*(crossings.notes() if crossings else ()), *state.sentences()]:
-            group.print_wrapped(sentence)
-    sys.exit(0 if is_whole else group.EXIT_FAILED_POINTS)
+            cli.print_wrapped(sentence)
+    sys.exit(0 if is_whole else cli.EXIT_FAILED_POINTS)
 
 
-@group.command("Run", "Say what a run would do, and write nothing")
+@cli.command("Run", "Say what a run would do, and write nothing")
 def plan(
-    asked: options.AskedStudy = options.group(options.AskedStudy),
+    asked: cli.AskedStudy = cli.group(cli.AskedStudy),
     workers: int | None = opt("Local workers, for the estimate of the time.  [default: one per core]", type=WORKERS),
-    accept_code: bool = options.ACCEPT_CODE,
-    as_json: bool = options.JSON,
+    accept_code: bool = cli.ACCEPT_CODE,
+    as_json: bool = cli.JSON,
 ) -> None:
     """Say what a run of STUDY would do: points, realisations, tasks, memory, time, what is done already.
 
@@ -365,7 +362,7 @@ def plan(
         seconds = f"at least {in_words(report['seconds'])}" if report["seconds"] >= 1.0 else "less than a second"
         lines += [("time", f"{seconds} of computing on {cores} of this machine")]
     for key, text in [*lines, ("store", report["store"]), *(("warning", text) for text in report["warnings"])]:
-        group.print_wrapped(text, f"{key:14}", 14 * " ")
+        cli.print_wrapped(text, f"{key:14}", 14 * " ")
 
 
 @parsed
@@ -376,18 +373,18 @@ def _counts(text: str) -> tuple[int, ...]:
     return tuple(map(int, words))
 
 
-@group.command("Run", "Measure how a study scales with workers")
+@cli.command("Run", "Measure how a study scales with workers")
 def scaling(
-    study: str = options.STUDY,
+    study: str = cli.STUDY,
     workers: tuple[int, ...] = opt("Numbers of workers, from 1 up.", default="1,2", callback=_counts),
     pool: Any = choice("Workers are processes, or threads of this one.", WITH_WORKERS, default=DEFAULT_POOL),
     repetitions: int = opt("Times of every run; 5 or more give errors.", type=click.IntRange(1, 1000), default=3),
-    settings: Sequence[str] = options.SETTINGS,
-    axes: Sequence[str] = options.AXES,
-    output: Path | None = options.output("The measurements, as Zarr.  [default: results/NAME-scaling.zarr]"),
-    figure: Path | None = opt("Also draw them with the ideal lines: .png, .svg, .pdf.", type=options.FILE),
-    trust: bool = options.TRUST,
-    as_json: bool = options.JSON,
+    settings: Sequence[str] = cli.SETTINGS,
+    axes: Sequence[str] = cli.AXES,
+    output: Path | None = cli.output("The measurements, as Zarr.  [default: results/NAME-scaling.zarr]"),
+    figure: Path | None = opt("Also draw them with the ideal lines: .png, .svg, .pdf.", type=cli.FILE),
+    trust: bool = cli.TRUST,
+    as_json: bool = cli.JSON,
 ) -> None:
     """Measure how STUDY scales with local workers: the same work on more of them (strong), and as much for each (weak).
 
@@ -399,20 +396,20 @@ def scaling(
     from linksweep.sweep.running.scaling import measure_scaling
     from linksweep.sweep.stores.location import default_store
 
-    loaded = options.load_trusted(study, trust, settings, axes)
+    loaded = cli.load_trusted(study, trust, settings=settings, axes=axes)
     paths = [output or default_store(f"{loaded.name}-scaling"), *([figure] if figure else [])]
     for path in paths:
         # Before minutes of measuring.
-        group.require_writable(path)
-    with group.a_signal_ends_the_command():
+        cli.require_writable(path)
+    with cli.a_signal_ends_the_command():
         dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
-    group.print_result(dataset, "json" if as_json else "text")
+    cli.print_result(dataset, "json" if as_json else "text")
     for path in paths:
-        group.save_result(dataset, path)
+        cli.save_result(dataset, path)
 
 
-@group.command("Store care", "Say how far a run is, and what failed")
-def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> None:
+@cli.command("Store care", "Say how far a run is, and what failed")
+def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
     """Say how far the run in STORE is, what failed, where the results come from, and what to do next.
 
     \b
@@ -426,7 +423,7 @@ def status(store: "Location" = options.STORE, as_json: bool = options.JSON) -> N
     elif "parts" in report:
         click.echo(report["title"])
         for total, states in report["parts"].items():
-            group.print_wrapped(f"of {total} parts: {'; '.join(f'{state}: {some}' for state, some in states.items())}")
+            cli.print_wrapped(f"of {total} parts: {'; '.join(f'{state}: {some}' for state, some in states.items())}")
     else:
         _print_status(report, str(store))
 
@@ -445,31 +442,31 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     state = "incomplete" if has_gaps else "stopped" if is_left else "finished"
     if report["running"]:
         state = f"running, {report['running']}"
-    group.print_styled(report["title"], bold=True)
+    cli.print_styled(report["title"], bold=True)
     share = ""
     if unfinished and "realisations" in report:
         share = f", {100 * report['realisations_done'] // report['realisations']} % of the realisations"
-    group.print_wrapped(f"{state}: {progress_in_words(points['done'], points['failed'], total, part)}{share}")
+    cli.print_wrapped(f"{state}: {progress_in_words(points['done'], points['failed'], total, part)}{share}")
     if has_gaps:
-        group.print_wrapped("of several runs: points of the grid that none has asked for are missing")
+        cli.print_wrapped("of several runs: points of the grid that none has asked for are missing")
     for key in ("note", "lost_parts"):
         if key in report:
-            group.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")
+            cli.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")
     for number, one in enumerate(report["rounds"], 1):
-        group.print_wrapped(f"round {number} of sweep refine: {one}", later="   ")
+        cli.print_wrapped(f"round {number} of sweep refine: {one}", later="   ")
     if failures := report["failures"]:
         click.echo(f"\n{counted(len(failures), 'point')} failed:")
         for reason in reasons_of(failures).in_words():
-            group.print_wrapped(reason, "  ", "    ")
+            cli.print_wrapped(reason, "  ", "    ")
         if len(failures) > 1:
             click.echo("sweep status --json has all of them")
     programs = ", ".join(f"{name} {made['versions'][name]}" for name in DECIDING if name in made["versions"])
     commit = f" at commit {made['git_commit'][:12]}" if "git_commit" in made else ""
     since = made.get("started", "an unknown time").replace("T", " ").replace("+00:00", " UTC")
     click.echo()
-    group.print_wrapped(f"made on {made.get('host', 'an unknown host')}, begun {since}, with {programs}{commit}")
+    cli.print_wrapped(f"made on {made.get('host', 'an unknown host')}, begun {since}, with {programs}{commit}")
     if report["command"]:
-        group.print_wrapped(f"by {report['command']}", later="   ")
+        cli.print_wrapped(f"by {report['command']}", later="   ")
     nexts = {
         f"sweep watch {store}": report["running"],
         "the same command goes on": is_left and not has_gaps,
@@ -477,15 +474,15 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
         f"sweep run --retry {store}": points["failed"] and not report["running"],
         f"sweep show {store}": report["complete"],
     }
-    group.print_wrapped(f"next: {', '.join(words for words, fits in nexts.items() if fits)}")
+    cli.print_wrapped(f"next: {', '.join(words for words, fits in nexts.items() if fits)}")
 
 
-@group.command("Store care", "Compare files with checksums; set damaged aside")
+@cli.command("Store care", "Compare files with checksums; set damaged aside")
 def check(
-    store: "Location" = options.STORE,
+    store: "Location" = cli.STORE,
     repair: bool = flag("Set damaged files aside, in STORE.damaged; the next run computes again."),
-    break_lock: bool = options.BREAK_LOCK,
-    as_json: bool = options.JSON,
+    break_lock: bool = cli.BREAK_LOCK,
+    as_json: bool = cli.JSON,
 ) -> None:
     """Read every file in STORE and compare it with its checksum; the exit code is 1 if any is damaged.
 
@@ -511,17 +508,17 @@ def check(
         click.echo("\n".join([*lines, *(f"{store} {remark}" for remark in report.remarks)]))
     if report:
         click.echo(f"`sweep check {store} --repair` repairs what can be repaired", err=True)
-        sys.exit(group.EXIT_FAILED_POINTS)
+        sys.exit(cli.EXIT_FAILED_POINTS)
 
 
-@group.command("Store care", "Compute points again, to the bit")
+@cli.command("Store care", "Compute points again, to the bit")
 def reproduce(
-    store: "Location" = options.STORE,
+    store: "Location" = cli.STORE,
     at: str | None = opt("The point, e.g. model=gaia,v_max=16.", metavar="AXIS=VALUE[,AXIS=VALUE]"),
     points: int = opt("Without --at: how many points to compute, in two orders.", type=click.IntRange(1), default=10),
     debug: bool = flag("Open the debugger where the point raises.", "--pdb"),
-    trust: bool = options.TRUST,
-    as_json: bool = options.JSON,
+    trust: bool = cli.TRUST,
+    as_json: bool = cli.JSON,
 ) -> None:
     """Compute points of STORE again and compare every bit with what is stored: one point in this process, or a few,
     each by itself in new processes, in two orders.
@@ -537,9 +534,7 @@ def reproduce(
     if at is None:
         if debug or as_json:
             raise click.UsageError(f"{'--pdb' if debug else '--json'} is for one point; name it with --at")
-        sys.exit(
-            group.EXIT_FAILED_POINTS if print_verified(computing.study_of(store, trust=trust), store, points) else 0
-        )
+        sys.exit(cli.EXIT_FAILED_POINTS if print_verified(computing.study_of(store, trust=trust), store, points) else 0)
     try:
         again = computing.reproduce(store, at, trust=trust)
     except linksweep.SweepError:
@@ -551,8 +546,8 @@ def reproduce(
             import pdb
 
             pdb.post_mortem(error.__traceback__)
-        sys.exit(group.EXIT_FAILED_POINTS)
-    group.print_headlines(again.dataset.assign_attrs(title=again.place, complete=1), as_json)
+        sys.exit(cli.EXIT_FAILED_POINTS)
+    cli.print_headlines(again.dataset.assign_attrs(title=again.place, complete=1), as_json)
     for sentence in again.other_code:
         click.echo(f"computed by other code than the store was: {sentence}", err=True)
     if again.differences is None:
@@ -563,16 +558,16 @@ def reproduce(
         click.echo(f"differs from {store} in {', '.join(again.differences)}", err=True)
         for name, (stored, computed) in again.differences.items():
             click.echo(f"  {name}: {json.dumps(stored.tolist())} stored, {json.dumps(computed.tolist())} now", err=True)
-        sys.exit(group.EXIT_FAILED_POINTS)
+        sys.exit(cli.EXIT_FAILED_POINTS)
 
 
-@group.command("Store care", "Make one store of parts, or of several stores")
+@cli.command("Store care", "Make one store of parts, or of several stores")
 def merge(
-    stores: "tuple[Location, ...]" = options.STORES,
-    output: "Location" = options.output("The new store.", type=str, required=True, callback=options.place),
-    accept_code: bool = options.ACCEPT_CODE,
-    trust: bool = options.TRUST,
-    as_json: bool = options.JSON,
+    stores: "tuple[Location, ...]" = cli.STORES,
+    output: "Location" = cli.output("The new store.", type=str, required=True, callback=cli.place),
+    accept_code: bool = cli.ACCEPT_CODE,
+    trust: bool = cli.TRUST,
+    as_json: bool = cli.JSON,
 ) -> None:
     """Make one store of the parts of a study, what one run of it makes; or of several stores of the same experiment,
     with the points of all.
@@ -587,10 +582,10 @@ def merge(
     from linksweep.sweep.running.merge import merge as merge_stores
 
     dataset = merge_stores(stores, output, accept_code=accept_code, trust=trust)
-    group.print_headlines(dataset, as_json)
+    cli.print_headlines(dataset, as_json)
     click.echo(f"wrote {output}", err=True)
     if not dataset.attrs["complete"]:
-        sys.exit(group.EXIT_FAILED_POINTS)
+        sys.exit(cli.EXIT_FAILED_POINTS)
 
 
 # `afterany`: a part in which points fail ends with exit code 1.  A lock that is left over on another host is that of
@@ -611,9 +606,9 @@ END_OF_JOB
 """
 
 
-@group.command("Run", "Run a study as a job array of SLURM")
+@cli.command("Run", "Run a study as a job array of SLURM")
 def submit(
-    asked: options.AskedStudy = options.group(options.AskedStudy),
+    asked: cli.AskedStudy = cli.group(cli.AskedStudy),
     tasks: int = opt("Tasks of the array, a part in each.", "--slurm", type=click.IntRange(1, 100_000), required=True),
     more: Sequence[str] = many("For sbatch, for all jobs, e.g. --time=2:00:00.", "--sbatch", metavar="OPTION"),
     go: bool = flag("Submit it, too."),
@@ -633,7 +628,7 @@ def submit(
     study, store = asked.load()
     make_grid(study)  # its mistakes are named here, not in a hundred logs
     require_free(store, study, [{"study_digest": study.digest(), "parts": tasks}])
-    overrides = [f"{name}={text}" for name, text in Overrides(*asked.overrides).written]
+    overrides = [f"{name}={text}" for name, text in Overrides(**asked.overrides).written]
     trust = ["--trust"] if asked.trust else []
     sweep = [sys.executable, "-P", "-m", "linksweep"]
     folder = (store.path.parent if isinstance(store, Folder) else Path.cwd()) / f"{store.name}.slurm"

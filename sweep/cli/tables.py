@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import linksweep
-from linksweep.sweep.cli import group, options
-from linksweep.sweep.cli.options import FILE, JSON, arg, flag, opt, passed
+from linksweep.sweep import cli
+from linksweep.sweep.cli import FILE, JSON, arg, flag, opt, passed
 from linksweep.sweep.cli.run import resources as run_on
+from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.formatting import to_json
 from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.tables.options import Declared, declared
@@ -24,7 +25,6 @@ from linksweep.sweep.tie.options import FORECAST, TIE, ForecastOptions, Options
 if TYPE_CHECKING:
     import xarray as xr
 
-    from linksweep.sweep.executing.pools import Resources
 
 EXPERIMENT = arg(default="linksweep.core.experiment:link")
 
@@ -32,7 +32,7 @@ year = partial(opt, type=float, metavar="YEAR")
 MORE_EPOCHS = arg(nargs=-1, type=FILE, metavar="[--epochs FILE...]")
 
 
-@group.command("Your own", "Write a commented study to start from")
+@cli.command("Your own", "Write a commented study to start from")
 def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     """Write NAME.toml, a study of EXPERIMENT to start from: it runs as it is, and has every parameter in a comment.
 
@@ -61,7 +61,7 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     click.echo(f"wrote {path}; edit it, then: sweep plan {path}", err=True)
 
 
-@group.command("Your own", "List the parameters of a study or experiment")
+@cli.command("Your own", "List the parameters of a study or experiment")
 def params(
     experiment: str = EXPERIMENT,
     schema: bool = flag("Print the JSON Schema of studies, by which editors complete them."),
@@ -98,7 +98,7 @@ def params(
         unit = f" [{row['unit']}]" if row["unit"] else ""
         click.echo(f"{row['name']}{unit}  {default}".rstrip())
         meaning = "" if row["meaning"] == row["name"] else f"{row['meaning']}; "
-        group.print_wrapped(f"{meaning}{row['allowed']}", "    ", "    ")
+        cli.print_wrapped(f"{meaning}{row['allowed']}", "    ", "    ")
 
 
 # How the command calls options whose names do not say what it does with them.
@@ -133,7 +133,7 @@ def _words(words: Sequence[str], _context: Any, _parameter: Any, incomplete: str
 class Target:
     """Where a link or a forecast goes: to the terminal, as JSON or text, into a store, and into figures."""
 
-    output: Path | None = options.output("Write the labelled result.", metavar="STORE.zarr")
+    output: Path | None = cli.output("Write the labelled result.", metavar="STORE.zarr")
     figures: Path | None = opt(
         "Draw every figure that `sweep plot STORE.zarr --kind KIND` has, as KIND.png.",
         type=click.Path(path_type=Path, file_okay=False),
@@ -146,9 +146,9 @@ class Target:
         if self.output is not None and self.output.suffix != ".zarr":
             raise linksweep.SweepError("a result is written to a store whose name ends in .zarr", str(self.output))
         if self.output is not None:
-            group.require_writable(self.output)
+            cli.require_writable(self.output)
         if self.figures is not None:
-            group.drawing_styles()
+            cli.drawing_styles()
 
     def put(self, result: "xr.Dataset", rejected: bool = False) -> None:
         """Print a result; write it and draw its figures unless it is ``rejected``."""
@@ -170,18 +170,18 @@ class Target:
                 for kind, figure in all_figures(Result(result)).items():
                     style.save(figure, self.figures / f"{kind}.png")
                     click.echo(f"wrote {self.figures / f'{kind}.png'}", err=True)
-        group.print_result(result, "json" if self.as_json else "text")
+        cli.print_result(result, "json" if self.as_json else "text")
 
 
-@group.command("Your own", "Solve for the link of two real tables")
+@cli.command("Your own", "Solve for the link of two real tables")
 def tie(
     satellite: Path = arg(type=FILE),
     reference: str = arg(),
     more_epochs: tuple[Path, ...] = MORE_EPOCHS,
     asked: dict[str, Any] = _declared(TIE, Options),
-    resources: "Resources" = options.group(run_on),
+    resources: Resources = cli.group(run_on),
     no_sources: bool = flag("Write no values of single sources and rows: for millions of them."),
-    target: Target = options.group(Target),
+    target: Target = cli.group(Target),
 ) -> None:
     """Solve for the link of two real tables, REFERENCE - SATELLITE.
 
@@ -204,16 +204,16 @@ def tie(
     except MisfitError as error:
         target.put(error.link, rejected=True)
         click.echo(f"error: {error.said('--accept-misfit')}", err=True)
-        sys.exit(group.EXIT_FAILED_POINTS)
+        sys.exit(cli.EXIT_FAILED_POINTS)
 
 
-@group.command("Your own", "Forecast a link with new observations")
+@cli.command("Your own", "Forecast a link with new observations")
 def forecast(
     satellite: Path = arg(type=FILE),
     reference: str = arg(),
     more_epochs: tuple[Path, ...] = MORE_EPOCHS,
     asked: dict[str, Any] = _declared(FORECAST, ForecastOptions, Options),
-    target: Target = options.group(Target),
+    target: Target = cli.group(Target),
 ) -> None:
     """Forecast the errors of a link with new observations, and choose what to observe.
 
@@ -231,11 +231,11 @@ def _with_more(asked: dict[str, Any], more_epochs: tuple[Path, ...]) -> dict[str
     return asked | {"epochs": asked["epochs"] + more_epochs}
 
 
-@group.command("Your own", "Carry a table into the frame of a link's reference")
+@cli.command("Your own", "Carry a table into the frame of a link's reference")
 def apply(
     link: Path = arg(type=FILE),
     table: Path = arg(type=FILE),
-    output: Path = options.output("The table in the other frame: .csv, .ecsv, .fits or .parquet.", required=True),
+    output: Path = cli.output("The table in the other frame: .csv, .ecsv, .fits or .parquet.", required=True),
     inverse: bool = flag("TABLE is in the reference's frame, and goes into the satellite's."),
     epoch: float | None = year("Epoch of a table without a column of epochs."),
 ) -> None:
@@ -253,13 +253,13 @@ def apply(
     click.echo(f"wrote {output}", err=True)
 
 
-@group.command("Your own", "Find the galaxies in a star catalogue")
+@cli.command("Your own", "Find the galaxies in a star catalogue")
 def match(
     stars: Path = arg(type=FILE),
     galaxies: tuple[Path, ...] = arg(nargs=-1, required=True, type=FILE),
     supplement: Path | None = opt("More stars, whose matches are a class of their own.", type=FILE),
     search: dict[str, Any] = _declared("match", SearchOptions),
-    output: Path = options.output("The matches as ECSV.", default=Path("results/matches.ecsv")),
+    output: Path = cli.output("The matches as ECSV.", default=Path("results/matches.ecsv")),
     table: Path | None = opt("Also the paper's 46-byte table.", type=FILE),
     figure: Path | None = opt("Also draw an all-sky map: .png, .svg or .pdf.", type=FILE),
     overwrite: bool = flag("Replace files that exist."),
@@ -283,6 +283,6 @@ def match(
     if as_json:
         click.echo(to_json(summary))
     else:
-        group.print_tables(summary_tables(summary), ["", *summary_lines(summary)])
+        cli.print_tables(summary_tables(summary), ["", *summary_lines(summary)])
     for path in outputs.paths():
         click.echo(f"wrote {path}", err=True)

@@ -145,7 +145,7 @@ class Experiment:
     @property
     def undeclared(self) -> bool:
         """Whether the outputs are unknown until there is a first result."""
-        return False
+        return not self.outputs
 
     @property
     def vectorised(self) -> bool:

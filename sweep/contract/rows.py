@@ -4,11 +4,12 @@ in which chunks large arrays are stored; the status of a point, as stores and da
 
 import math
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -51,43 +52,44 @@ class Outcome(NamedTuple):
     layout: Any = None
 
 
-class Reducer(Protocol):
-    """What a block of work leaves of a point, how two blocks are joined, and what comes out at the end."""
+class Reducer(ABC):
+    """What a block of work leaves of a point, how two blocks are joined, and what comes out at the end; by default one
+    block alone leaves its row.
+    """
 
     @property
+    @abstractmethod
     def dtype(self) -> np.dtype[np.void]:
         """The type of a row, with a field for each quantity."""
-        ...
 
     @property
     def samples_width(self) -> int:
         """How many floats of each realisation the result of a point needs besides its row."""
-        ...
+        return 0
 
     def add(self, total: Rows, block: Rows) -> Rows:
         """Return the rows of points, (points,), with one block more each; ``total`` is zero before the first."""
-        ...
+        return block
 
     def close(self, total: Rows, samples: Array) -> Rows:
         """Return the row of a point, (1,), with what its samples (n, samples_width) add at the end."""
-        ...
+        return total
 
+    @abstractmethod
     def finish(self, total: Rows, n: Array, n_cat: Array) -> dict[str, NDArray[Any]]:
         """Return every output, (points, *shape), from rows over ``n`` realisations of ``n_cat`` catalogues, (points,).
 
         Raises ResultError for outputs that are not as declared, and whatever an experiment raises.
         """
-        ...
 
 
 @dataclass(frozen=True)
-class Sums:
+class Sums(Reducer):
     """Adds up sums of 64-bit floats, of these ``shapes``; a function makes outputs of their shapes from them."""
 
     shapes: Mapping[str, tuple[int, ...]]
     outputs: Mapping[str, tuple[int, ...]]
     summarise: Callable[[Mapping[str, Array], Array, Array], Mapping[str, Any]]
-    samples_width: int = 0
 
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
@@ -97,10 +99,6 @@ class Sums:
     def add(self, total: Rows, block: Rows) -> Rows:
         """Return sums with those of one block more."""
         return self.typed(self.flat(total) + self.flat(block))
-
-    def close(self, total: Rows, samples: Array) -> Rows:
-        """Return the sums as they are."""
-        return total
 
     def finish(self, total: Rows, n: Array, n_cat: Array) -> dict[str, NDArray[Any]]:
         """Return every output from sums."""

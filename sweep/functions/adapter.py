@@ -36,33 +36,8 @@ ROUNDING = 1e-12
 AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 
 
-@dataclass(frozen=True)
-class Declaration:
-    """What a plain function declares: outputs, whether it takes arrays of points, packages whose versions count,
-    whether two calls at a point return the same, and parameters that do not change its random numbers.
-    """
-
-    outputs: tuple[Output, ...] = ()
-    vectorised: bool = False
-    packages: tuple[str, ...] = ()
-    citation: tuple[str, ...] = ()
-    tolerance: float = ROUNDING
-    reads: tuple[str, ...] = ()
-    deterministic: bool = True
-    shared: tuple[str, ...] = ()
-
-
-def experiment(
-    *,
-    outputs: Sequence[Output | str] = (),
-    vectorised: bool = False,
-    packages: Sequence[str] = (),
-    citation: str | Sequence[str] = (),
-    tolerance: float = ROUNDING,
-    reads: str | Sequence[str] = (),
-    deterministic: bool = True,
-    shared: str | Sequence[str] = (),
-) -> Callable[[AnyFunction], AnyFunction]:
+@dataclass(frozen=True, kw_only=True)
+class experiment:  # noqa: N801 (a decorator)
     """Declare more about a function than its signature says.  The function can be called as before.
 
     Args:
@@ -96,20 +71,29 @@ def experiment(
         10.19
     """
 
-    def declare(function: AnyFunction) -> AnyFunction:
-        declared = tuple(_output(one) for one in _sequence(outputs))
-        texts = _sequence(packages), _sequence(citation)
-        further = deterministic, _sequence(shared)
-        declaration = Declaration(declared, vectorised, *texts, tolerance, _sequence(reads), *further)
-        _checked(function, declaration)
+    outputs: Sequence[Output | str] = ()
+    vectorised: bool = False
+    packages: Sequence[str] = ()
+    citation: str | Sequence[str] = ()
+    tolerance: float = ROUNDING
+    reads: str | Sequence[str] = ()
+    deterministic: bool = True
+    shared: str | Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("outputs", "packages", "citation", "reads", "shared"):
+            object.__setattr__(self, name, _sequence(getattr(self, name)))
+        object.__setattr__(self, "outputs", tuple(map(_output, self.outputs)))
+
+    def __call__(self, function: AnyFunction) -> AnyFunction:
+        """Return the function, or a new one that calls it, with this declaration."""
+        _checked(function, self)
         module = sys.modules.get(getattr(function, "__module__", None) or "")
         if getattr(module, getattr(function, "__qualname__", ""), None) is function:
             # It is defined already: other code must import it unchanged, and workers would import it undeclared.
             function = _calling(function)
-        setattr(function, ATTRIBUTE, declaration)
+        setattr(function, ATTRIBUTE, self)
         return function
-
-    return declare
 
 
 def _calling(function: AnyFunction) -> AnyFunction:
@@ -174,7 +158,7 @@ def _read_signature(function: Callable[..., Any], problems: list[str]) -> "Funct
                     defaults.append(argument.name)
             except ValueError as error:
                 problems.append(str(error))
-    made = _undeclared(name, tuple(parameters), Declaration(), rng)
+    made = _undeclared(name, tuple(parameters), (), rng)
     return replace(made, call=function, takes_n_sim=rng and N_SIM in arguments, with_default=tuple(defaults))
 
 
@@ -241,15 +225,15 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
     return (kinds.pop() if len(kinds) == 1 else "any"), choices
 
 
-def declaration_of(function: Callable[..., Any]) -> Declaration:
+def declaration_of(function: Callable[..., Any]) -> experiment:
     """Return what a function declares, nothing by default."""
     while not hasattr(function, ATTRIBUTE) and hasattr(function, "func"):  # a partial
         function = function.func
     declaration = getattr(function, ATTRIBUTE, None)
-    return declaration if isinstance(declaration, Declaration) else Declaration()
+    return declaration if isinstance(declaration, experiment) else experiment()
 
 
-def _checked(function: Callable[..., Any], declaration: Declaration) -> "FunctionExperiment":
+def _checked(function: Callable[..., Any], declaration: experiment) -> "FunctionExperiment":
     """Return the experiment of a function; raises SweepError with each mistake in its signature and declaration."""
     problems: list[str] = []
     made = _read_signature(function, problems)
@@ -278,8 +262,16 @@ def _checked(function: Callable[..., Any], declaration: Declaration) -> "Functio
         problems.append("vectorised: an array over points holds no arrays of different length; leave out ragged")
     if problems:
         raise SweepError(problems, f"function {made.name}")
-    packages, citation = tuple(declaration.packages), declaration.citation
-    return replace(made, declaration=declaration, packages=packages, citation=citation, shared=declaration.shared)
+    return replace(
+        made,
+        declared=tuple(outputs),
+        vectorised=declaration.vectorised,
+        tolerance=tolerance,
+        repeatable=declaration.deterministic and not made.rng,
+        packages=tuple(declaration.packages),
+        citation=tuple(declaration.citation),
+        shared=tuple(declaration.shared),
+    )
 
 
 def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") -> Iterator[str]:
@@ -323,24 +315,15 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
 
 
 @dataclass(frozen=True)
-class Typed:
+class Typed(Reducer):
     """The reducer of results that are there after one call: a row has each of them as itself."""
 
     layout: Layout | None
-    samples_width = 0
 
     @cached_property
     def dtype(self) -> np.dtype[np.void]:
         """The type of a row; without fields before there is a first result."""
         return np.dtype([]) if self.layout is None else self.layout.dtype
-
-    def add(self, total: Rows, block: Rows) -> Rows:
-        """Return the only block."""
-        return block
-
-    def close(self, total: Rows, samples: Array) -> Rows:
-        """Return the row as it is."""
-        return total
 
     def finish(self, total: Rows, n: Array, n_cat: Array) -> dict[str, NDArray[Any]]:
         """Return the results."""
@@ -351,15 +334,18 @@ class Typed:
 class FunctionExperiment(Experiment):
     """A plain function as an experiment.
 
-    ``layout`` describes its results, None before the first.  ``rng`` says whether it takes a generator; without one it
-    is evaluated once at each point.  ``with_default`` are arguments that are left out where a point has none.
-    ``keeps_all`` says whether all realisations are kept.  An experiment that is made from the record in a store has no
-    function to ``call`` and computes nothing.
+    ``declared`` are its outputs as it declares them; ``layout`` describes its results, None before the first.  ``rng``
+    says whether it takes a generator; without one it is evaluated once at each point.  ``with_default`` are arguments
+    that are left out where a point has none.  ``keeps_all`` says whether all realisations are kept.  An experiment that
+    is made from the record in a store has no function to ``call`` and computes nothing.
     """
 
     call: Callable[..., Any] | None = None
-    declaration: Declaration = Declaration()
+    declared: tuple[Output, ...] = ()
     rng: bool = False
+    vectorised: bool = False
+    tolerance: float = ROUNDING
+    repeatable: bool = False
     takes_n_sim: bool = False
     with_default: tuple[str, ...] = ()
     layout: Layout | None = None
@@ -379,46 +365,25 @@ class FunctionExperiment(Experiment):
         """Whether a point is evaluated once, without random numbers."""
         return not self.rng
 
-    @property
-    def repeatable(self) -> bool:
-        """Whether every call at a point is to return the same."""
-        return not self.rng and self.call is not None and self.declaration.deterministic
-
     def not_repeatable(self) -> "FunctionExperiment":
         """Return the experiment of a function that may return other results each time."""
-        return replace(self, declaration=replace(self.declaration, deterministic=False))
-
-    @property
-    def undeclared(self) -> bool:
-        """Whether the outputs are unknown until there is a first result."""
-        return self.layout is None
-
-    @property
-    def vectorised(self) -> bool:
-        """Whether the function takes many points at once."""
-        return self.declaration.vectorised
-
-    @property
-    def tolerance(self) -> float:
-        """How far the result of a point among others may be from that of the point alone, relative to it."""
-        return self.declaration.tolerance
+        return replace(self, repeatable=False)
 
     @cached_property
-    def declared(self) -> results.Declared:
+    def expected(self) -> results.Declared:
         """What results are checked against."""
         names = tuple(parameter.name for parameter in self.parameters)
-        outputs = self.declaration.outputs
+        outputs = self.declared
         single = outputs[0].name if len(outputs) == 1 else "result" if self.name in ("function", *names) else self.name
         return results.Declared(self.name, single, outputs, names)
 
     def with_layout(self, layout: Layout) -> "FunctionExperiment":
         """Return the experiment with a known layout of its results."""
-        declared = self.declaration.outputs
-        moments = Moments(layout, declared, self.keeps_all)
+        moments = Moments(layout, self.declared, self.keeps_all)
         return replace(
             self,
             layout=layout,
-            outputs=moments.outputs() if self.rng else _outputs(layout, declared),
+            outputs=moments.outputs() if self.rng else _outputs(layout, self.declared),
             sample_outputs=moments.sample_outputs(),
             coordinates={coordinate.name: coordinate.values for coordinate in layout.coordinates},
         )
@@ -427,7 +392,7 @@ class FunctionExperiment(Experiment):
     def reducer(self) -> Reducer:
         """What a call, or a block of realisations, leaves of a point."""
         if self.rng and self.layout is not None:
-            return Moments(self.layout, self.declaration.outputs, self.keeps_all)
+            return Moments(self.layout, self.declared, self.keeps_all)
         return Typed(self.layout)
 
     def compute(
@@ -437,22 +402,22 @@ class FunctionExperiment(Experiment):
 
         Raises ResultError for an invalid result, and whatever the function raises.
         """
-        call, declared = self.call, self.declared
+        call, expected = self.call, self.expected
         points = [self._arguments(point) for point in points]
         assert call is not None, "the record of an experiment computes nothing"
         if self.vectorised:  # the caller sends many points only to such functions
             columns = {name: np.array([point[name] for point in points]) for name in points[0]}
-            return results.split_points(call(**columns), len(points), declared, "points")
+            return results.split_points(call(**columns), len(points), expected, "points")
         if not self.rng:
-            return [results.flatten(call(**point), declared) for point in points]
+            return [results.flatten(call(**point), expected) for point in points]
         rng, outcomes = next(iter(pairs))[0], []  # a function has no outer draw, so the second one is not used
         for point in points:
             if self.takes_n_sim:
                 together = call(**point, rng=rng, n_sim=n_sim)
-                realised = results.split_points(together, n_sim, declared, "realisations")
+                realised = results.split_points(together, n_sim, expected, "realisations")
             else:
-                realised = [results.flatten(call(**point, rng=rng), declared) for _ in range(n_sim)]
-            outcomes.append(drawn(realised, self.name, self.declaration.outputs, keep_samples))
+                realised = [results.flatten(call(**point, rng=rng), expected) for _ in range(n_sim)]
+            outcomes.append(drawn(realised, self.name, self.declared, keep_samples))
         return outcomes
 
     def _arguments(self, point: Point) -> dict[str, Any]:
@@ -513,9 +478,7 @@ class FunctionExperiment(Experiment):
     @property
     def keeps_samples(self) -> bool:
         """Whether realisations are kept, for quantiles."""
-        return self.rng and any(
-            quantile_of(name) is not None for o in self.declaration.outputs for name in o.statistics
-        )
+        return self.rng and any(quantile_of(name) is not None for o in self.declared for name in o.statistics)
 
     @property
     def samples_width(self) -> int:
@@ -548,7 +511,7 @@ class FunctionExperiment(Experiment):
     def as_record(self) -> dict[str, Any]:
         """Return what a store records of a plain function besides what it records of every experiment."""
         layout = None if self.layout is None else asdict(self.layout)
-        outputs = [asdict(replace(output, coords=None)) for output in self.declaration.outputs]
+        outputs = [asdict(replace(output, coords=None)) for output in self.declared]
         return {"function": {"rng": self.rng, "layout": layout, "outputs": outputs}}
 
 
@@ -571,15 +534,14 @@ def _made(function: Callable[..., Any]) -> FunctionExperiment:
 
 
 def _undeclared(
-    name: str, parameters: tuple[Parameter, ...], declaration: Declaration, rng: bool
+    name: str, parameters: tuple[Parameter, ...], declared: tuple[Output, ...], rng: bool
 ) -> FunctionExperiment:
     """Return the experiment of a function whose results are not known yet."""
 
     def no_sums(*_arguments: Any, **_named: Any) -> Any:
         raise TypeError("a plain function has no sums")
 
-    made = FunctionExperiment(name, 1, parameters, {}, (), no_sums, no_sums, outer_draw="")
-    return replace(made, declaration=declaration, rng=rng)
+    return FunctionExperiment(name, 1, parameters, {}, (), no_sums, no_sums, outer_draw="", declared=declared, rng=rng)
 
 
 def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
@@ -598,7 +560,7 @@ def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter,
     """Return the experiment that a store has recorded, which computes nothing."""
     recorded = record["function"]
     outputs = tuple(Output(**{**one, "dims": tuple(one["dims"])}) for one in recorded["outputs"])
-    made = _undeclared(record["name"], parameters, Declaration(outputs), recorded["rng"])
+    made = _undeclared(record["name"], parameters, outputs, recorded["rng"])
     empty = replace(made, shared=tuple(record["shared"]))
     layout = layout_of_record(record)
     return empty if layout is None else empty.with_layout(layout)

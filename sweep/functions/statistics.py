@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Outcome, Output, ResultError, Rows, shown, suggest
-from linksweep.sweep.contract.rows import FEWEST_SAMPLES, small_sample_factor
+from linksweep.sweep.contract.rows import FEWEST_SAMPLES, Reducer, small_sample_factor
 from linksweep.sweep.functions.results import NUMBERS, Field, Layout, as_row, layout_differences
 
 MOMENTS = 6
@@ -216,7 +216,7 @@ def _limit(ordered: Array, level: float) -> tuple[int, Array]:
 
 
 @dataclass(frozen=True)
-class Moments:
+class Moments(Reducer):
     """The reducer of realisations of a function: a row has their number and the moments of each output, and the row of
     a point besides the quantiles, with their errors, of the realisations that are kept.
 

@@ -11,7 +11,7 @@ from scipy import stats
 
 import linksweep
 from linksweep import SweepError, load_study
-from linksweep.sweep.cli.group import main
+from linksweep.sweep.cli import main
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie
 from tests.core.tie.made import MAS, Objects, gaia, gaia_table, noise, parse_unknowns, spin_block, stars
 from tests.tiers import slow
