@@ -1,12 +1,22 @@
-"""Code is part of what a number is: a store made by other code is refused, continued on request, or replaced."""
+"""Code is part of what a number is: a store made by other code is refused, continued on request, or replaced; the same
+code is never refused, wherever a constant is in random layouts of packages.
+"""
 
+import importlib
 import json
+import re
+import sys
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 import linksweep
+from linksweep.sweep.code.reach import PREFIX
+from tests.sweep.layouts import ENDS, LINKS, Layout
+from tests.sweep.opening import files_of
 from tests.sweep.user import write_experiment, write_study
-from tests.tiers import slow
+from tests.tiers import examples, slow
 
 HELPED = {
     "before": "import helper\n",
@@ -28,56 +38,53 @@ def folder(tmp_path, sweep):
 
 def change(folder, kind):
     """Change the code, and return what should be named."""
-    if kind == "body":
-        write_experiment(
-            folder, **HELPED | {"evaluate": '{"total": [100 * n_sim * helper.value(1.0) for p in points]}'}
-        )
-        return "function user.evaluate ("
-    if kind == "default":
-        parameters = 'Parameter("rate", "float", 1.0, "rate"), Parameter("kind", "int", 7, "which")'
-        write_experiment(folder, **HELPED | {"parameters": parameters})
-        return "default of kind is 0 in the store, 7 now"
-    (folder / "deeper.py").write_text("FACTOR = 100.0\n")
-    return f"value deeper.FACTOR ({folder}/deeper.py, line 1) is 1.0"
+    if kind == "deeper":
+        (folder / "deeper.py").write_text("FACTOR = 100.0\n")
+        return f"value deeper.FACTOR ({folder}/deeper.py, line 1) is 1.0"
+    parts, named = {
+        "body": (
+            {"evaluate": '{"total": [100 * n_sim * helper.value(1.0) for p in points]}'},
+            "function user.evaluate (",
+        ),
+        "default": (
+            {"parameters": 'Parameter("rate", "float", 1.0, "rate"), Parameter("kind", "int", 7, "which")'},
+            "default of kind is 0 in the store, 7 now",
+        ),
+    }[kind]
+    write_experiment(folder, **HELPED | parts)
+    return named
 
 
-def content(store):
-    return {path: path.read_bytes() for path in store.rglob("*") if path.is_file()}
-
-
-@pytest.mark.parametrize("kind", ["body", "default", "deeper"])
+@pytest.mark.parametrize("kind", ["body", "default", slow("deeper")])
 def test_other_code_is_refused_with_what_differs_and_nothing_is_written(kind, folder, sweep):
     named = change(folder, kind)
     write_study(folder, "rate = [1.0, 2.0, 3.0]")
-    before = content(folder / "s.zarr")
-    for command in (
-        ("run", "s.toml", "-o", "s.zarr"),
-        ("plan", "s.toml", "-o", "s.zarr"),
-        ("run", "--retry", "s.zarr"),
-    ):
-        code, out, err = sweep(*command, cwd=folder)
+    before = files_of(folder / "s.zarr")
+    for command in ("run s.toml -o s.zarr", "plan s.toml -o s.zarr", "run --retry s.zarr"):
+        code, out, err = sweep(*command.split(), cwd=folder)
         assert (code, out) == (2, "")
         assert all(words in err for words in ("was made by other code", named, "--accept-code"))
-    assert before == content(folder / "s.zarr")
+    assert before == files_of(folder / "s.zarr")
     for command in ("show", "status"):  # what there is can be read
         assert sweep(command, "s.zarr", cwd=folder)[0] == 0
+    code, _, err = sweep("reproduce", "s.zarr", "--at", "rate=2.0", cwd=folder)
+    assert named in err
+    assert (code, "differs from s.zarr in mean" in err) == ((0, False) if kind == "default" else (1, True))
 
 
 def test_accepted_code_is_told_for_each_point(folder, sweep):
     named = change(folder, "deeper")
     write_study(folder, "rate = [1.0, 2.0, 3.0]")
     code, out, err = sweep("plan", "s.toml", "-o", "s.zarr", "--accept-code", cwd=folder)
-    assert code == 0, err
-    assert "3, 2 of them done" in out
+    assert (code, "3, 2 of them done" in out) == (0, True), err
     code, _, err = sweep("run", "s.toml", "-o", "s.zarr", "--accept-code", cwd=folder)
-    assert code == 0
-    assert named in err
+    assert (code, named in err) == (0, True)
     dataset = linksweep.open(folder / "s.zarr")
     assert dataset["mean"].values.tolist() == [1.0, 2.0, 300.0]
     assert dataset["code"].values.tolist() == [1, 1, 2]
-    first, second = json.loads(dataset.attrs["code"])
-    assert (first["code"]["value deeper.FACTOR"], second["code"]["value deeper.FACTOR"]) == ("1.0", "100.0")
-    assert first["code"]["function user.evaluate"] == second["code"]["function user.evaluate"]
+    first, second = (record["code"] for record in json.loads(dataset.attrs["code"]))
+    assert (first["value deeper.FACTOR"], second["value deeper.FACTOR"]) == ("1.0", "100.0")
+    assert first["function user.evaluate"] == second["function user.evaluate"]
     write_study(folder, "rate = [1.0, 2.0, 3.0, 4.0]")  # and the same code again needs no flag
     assert sweep("run", "s.toml", "-o", "s.zarr", cwd=folder)[0] == 0
     dataset = linksweep.open(folder / "s.zarr")
@@ -107,12 +114,13 @@ def test_fresh_replaces_a_store_and_nothing_else(folder, sweep):
     assert sweep("run", "s.toml", "-o", "none.zarr", "--fresh", cwd=folder)[0] == 0
 
 
-def test_reproduce_says_that_the_code_is_another(folder, sweep):
-    named = change(folder, "deeper")
-    code, _, err = sweep("reproduce", "s.zarr", "--at", "rate=2.0", cwd=folder)
-    assert code == 1
-    assert named in err
-    assert "differs from s.zarr in mean" in err
+LATE = """
+import helper
+
+def total(points, n_sim):
+    from late import PLUS
+    return {"total": [n_sim * (helper.FACTOR * p["rate"] + PLUS) for p in points]}
+"""
 
 
 @pytest.mark.parametrize("pool", ["serial", slow("threads"), slow("processes")])
@@ -128,10 +136,125 @@ def test_helpers_of_the_same_name_in_two_folders_do_not_mix(tmp_path, pool):
         assert dataset["mean"].values.tolist() == means
 
 
-LATE = """
-import helper
+def run(folder, axis):
+    """Sweep ``f`` of a layout over an axis in this process; return 1 and the message if that is refused."""
+    for name in [name for name in sys.modules if name.partition(".")[0] == "pkg" or name.startswith(PREFIX)]:
+        del sys.modules[name]  # as in a new process; a session keeps a file that has not changed with what it imported
+    importlib.invalidate_caches()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder / "lib")
+        patch.setattr(sys, "dont_write_bytecode", True)  # Python takes it by the second and the size of a file
+        try:
+            linksweep.run(f"{folder}/work/main.py:f", axes={"x": axis}, store=folder / "s.zarr", pool="serial")
+        except linksweep.SweepError as error:
+            return 1, "\n".join(error.problems)
+        return 0, ""
 
-def total(points, n_sim):
-    from late import PLUS
-    return {"total": [n_sim * (helper.FACTOR * p["rate"] + PLUS) for p in points]}
+
+def check(layout, folder):
+    """Require that other code is refused by name, and that the same in other words is not."""
+    axis = [1.0, 2.0]
+    for change in ({}, {"cosmetic": True}):
+        layout.write(folder, **change)
+        code, said = run(folder, axis)
+        assert code == 0, (layout.kinds, said)
+        axis = [*axis, axis[-1] + 1.0]
+    layout.write(folder, constant="4.0")
+    code, said = run(folder, axis)
+    assert code != 0, (layout.kinds, said)
+    assert "was made by other code" in said
+    assert " in the store, " in said or "has changed" in said
+
+
+@given(seed=st.integers(0, 10**6))
+@settings(max_examples=examples(25), deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+def test_in_any_layout_other_code_is_refused_and_the_same_is_not(tmp_path_factory, seed):
+    check(Layout(seed), tmp_path_factory.mktemp("layout"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [*ENDS, *LINKS])
+def test_so_it_is_for_each_kind(tmp_path, kind):
+    check(Layout(1, only=kind), tmp_path)
+
+
+H = """
+K = 1.0
+ALL = {"a": max}
+class B: ...
+class B2:
+    z = 1.0
+class C(B):
+    k = 1.0
+c = C()
+def f(x: float):
+    return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0)
 """
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),  # what a script does with its module h, and what is named
+    [
+        ("h.K = 4.0", "value h.K"),
+        ("h.c.k = 4.0", "value h.c"),
+        slow("h.C.k = 4.0", "value h.C.k"),
+        slow("h.ALL['a'] = sum", "value h.ALL"),
+        slow("h.C.__bases__ = (h.B2,)", "class h.C"),
+    ],
+)
+def test_attributes_count_as_they_are_when_the_run_starts(tmp_path, monkeypatch, change, named):
+    (tmp_path / "h.py").write_text(H)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "h", raising=False)
+    h = importlib.import_module("h")
+    linksweep.run(h.f, axes={"x": [1.0]}, store=tmp_path / "s.zarr", pool="serial")
+    exec(change, {"h": h})
+    with pytest.raises(linksweep.SweepError, match=rf"(?s)was made by other code.*{re.escape(named)}"):
+        linksweep.run(h.f, axes={"x": [1.0]}, store=tmp_path / "s.zarr", pool="serial")
+
+
+@pytest.mark.parametrize("name", ["getattr(m, 'K')", *map(slow, ["eval('K')", "globals()['K']"])])
+def test_where_code_may_name_anything_the_module_counts_as_a_whole(tmp_path, sweep, name):
+    (tmp_path / "main.py").write_text(f"from m import *\nimport m\ndef f(x: float):\n    return x + {name}")
+    for constant, expected in (("3", 0), ("4", 2)):
+        (tmp_path / "m.py").write_text(f"K = {constant}\n")
+        code, _, err = sweep("run", "main.py:f", "--axis", "x=1", "-o", "s.zarr", cwd=tmp_path)
+        assert code == expected, err
+    assert "K (" in err
+
+
+IMPORTS = ["from m import V", "from m import V as W", "from between import *", "def g():\n    from m import V"]
+USES = {  # a value of a module, and what is done with it
+    "{'k': K}": "V[x] = x",
+    "scipy.stats.norm(K)": "V.mean() if x < 0 else 0",
+    "np.random.default_rng(K)": "V.normal()",
+}
+
+
+@pytest.mark.parametrize("statement", [IMPORTS[0], *map(slow, IMPORTS[1:])])
+@pytest.mark.parametrize("value", [value if "k" in value else slow(value) for value in USES])
+def test_a_value_counts_where_it_is_bound_whoever_imports_it(tmp_path, sweep, statement, value):
+    body = USES[value].replace("V", "W" if " as W" in statement else "V")
+    inside = "from m import V; " if "def g" in statement else ""
+    (tmp_path / "between.py").write_text("from m import *\n")
+    (tmp_path / "main.py").write_text(f"{statement}\ndef f(x: float):\n    {inside}{body}\n    return x\n")
+    for constant, expected in (("3", 0), ("3", 0), ("4", 2)):
+        (tmp_path / "m.py").write_text(f"import numpy as np\nimport scipy.stats\nV = {value.replace('K', constant)}\n")
+        code, _, err = sweep("run", "main.py:f", "--axis", "x=1", "-o", "s.zarr", cwd=tmp_path)
+        assert code == expected, err
+    assert f"value m.V ({tmp_path}/m.py, line 3)" in err
+
+
+def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_path, sweep):
+    (tmp_path / "k.csv").write_text("3")
+    (tmp_path / "m.py").write_text(
+        "import threading\nfrom pathlib import Path\nimport linksweep\n\nL = threading.Lock()\n\n"
+        "@linksweep.experiment(reads=['k.csv'])\ndef f(x: float):\n    with L:\n"
+        "        return x * float((Path(__file__).parent / 'k.csv').read_text())\n"
+    )
+    for axis in ("x=1", "x=1,2"):
+        code, _, err = sweep("run", "m.py:f", "--axis", axis, "-o", "s.zarr", cwd=tmp_path)
+        assert (code, "changes of m.L, a _thread.lock, are not noticed" in err) == (0, axis == "x=1"), err
+    (tmp_path / "k.csv").write_text("4")
+    code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path)
+    assert (code, "file k.csv has changed" in err) == (2, True)
