@@ -18,7 +18,7 @@ import xarray as xr
 
 import linksweep
 from tests.documents import ROOT, code, commands, run_commands, save_files
-from tests.sweep.executing.test_tls import Files as TlsFiles
+from tests.sweep.executing.test_clusters import Files as TlsFiles
 from tests.sweep.outside import Outside
 from tests.tiers import slow
 

@@ -1,20 +1,26 @@
-"""Clusters that a file describes, and addresses at which no Dask scheduler answers."""
+"""Workers of Dask: of a file's cluster, of a client of the user's, over TLS; and what is no place to run on."""
 
+import asyncio
+import itertools
 import os
 import signal
 import socket
 import threading
+import time
 from contextlib import closing, suppress
 
+import numpy as np
 import pytest
-from distributed import LocalCluster
+import trustme
+from distributed import Client, LocalCluster
 
+import linksweep
 from linksweep import SweepError
 from linksweep.sweep.executing import clusters, pools
 from linksweep.sweep.executing.clusters import client_at, own_cluster
 from linksweep.sweep.executing.pools import Resources
 from tests.sweep.opening import same
-from tests.sweep.outside import command_of, workers_below
+from tests.sweep.outside import Outside, command_of, wait_until, workers_below
 from tests.tiers import slow
 
 LOCAL = 'class = "distributed.LocalCluster"\n'
@@ -72,15 +78,6 @@ def test_what_is_wrong_in_a_file_is_told_and_nothing_written(link_study, tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cluster.toml", "small.toml"]
 
 
-def test_contradictions_are_refused(link_study, tmp_path, sweep_here):
-    (tmp_path / "c.toml").write_text(LOCAL + "scale = 1\n")
-    for more in ("--scheduler tcp://a:1", "--workers 2", "--memory-limit 2GB", "--time-limit 0", "--tls-ca c.toml"):
-        asked = ("run", link_study, "-o", "s.zarr", "--cluster", "c.toml", *more.split())
-        code, _, err = sweep_here(*asked, cwd=tmp_path)
-        assert (code, "error: " in err) == (2, True), more
-    assert not (tmp_path / "s.zarr").exists()
-
-
 class Interrupted(LocalCluster):
     def __init__(self, *args, **options):
         super().__init__(*args, **options)
@@ -94,10 +91,7 @@ def test_an_interrupted_start_leaves_no_process_in_a_session():
     assert not [pid for pid in workers_below(os.getpid()) if "spawn_main" in command_of(pid)]
 
 
-def test_a_dashboard_is_of_local_worker_processes_and_needs_bokeh(monkeypatch):
-    for wished in ({"pool": "serial"}, {"pool": "threads"}, {"scheduler": "tcp://a:1"}):
-        with pytest.raises(SweepError, match=r"a dashboard is for local|dashboard, scheduler: these are of"):
-            Resources(**wished, dashboard=True)
+def test_a_dashboard_needs_bokeh(monkeypatch):
     monkeypatch.setattr(pools, "find_spec", lambda name: None)
     with pytest.raises(SweepError, match=r"`pip install 'linksweep\[report\]'`"):
         Resources(dashboard=True)
@@ -125,3 +119,153 @@ def test_a_port_that_says_nothing_or_is_of_a_server_of_another_kind(monkeypatch,
 def test_what_is_no_address(address):
     with pytest.raises(SweepError, match=r"expected tcp://HOST:PORT"), client_at(address):
         pass
+
+
+AXES = {"x": [0.1 * k for k in range(40)]}
+
+
+@pytest.fixture(params=["threads", pytest.param("processes", marks=pytest.mark.slow)])
+def client(request):
+    """A client of a cluster that it has started."""
+    processes = request.param == "processes"
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, processes=processes, dashboard_address=None) as cluster,
+        cluster.get_client() as client,
+    ):
+        yield client
+
+
+def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path):
+    scale = 3.0
+
+    def noise(x: float, rng):
+        """Known to this process alone: it travels by value."""
+        return scale * x + rng.normal()
+
+    sampling = {"n_sim": 30, "seed": 4}
+    here = linksweep.run(noise, tmp_path / "here.zarr", axes=AXES, sampling=sampling, pool="serial")
+    before = client.submit(np.sqrt, 4.0)
+    there = linksweep.run(noise, tmp_path / "there.zarr", axes=AXES, sampling=sampling, client=client)
+    same(here, there)
+    assert (client.status, before.result(), client.submit(np.sqrt, 9.0).result()) == ("running", 2.0, 3.0)
+
+
+def test_an_interrupted_run_leaves_no_tasks_with_the_client(client, tmp_path):
+    def fails(x: float):
+        time.sleep(0.02)
+        raise ValueError(x)
+
+    with pytest.raises(SweepError, match="stopped"):
+        linksweep.run(fails, tmp_path / "s.zarr", axes=AXES, client=client, max_failures=1)
+    wait_until(lambda: not any(client.processing().values()), "the end of its tasks")
+    assert client.submit(np.sqrt, 9.0).result() == 3.0
+
+
+@pytest.mark.slow
+def test_a_client_of_a_scheduler_elsewhere_is_as_its_address(link_study, tmp_path, reference):
+    with closing(Outside(tmp_path)) as outside:
+        outside.start_worker()
+        with Client(outside.address, set_as_default=False, timeout=2) as client:
+            linksweep.run(link_study, tmp_path / "s.zarr", client=client)
+            assert client.status == "running"
+            outside.kill(outside.scheduler)
+            wait_until(lambda: client.status != "running", "the client to notice")
+            with pytest.raises(SweepError, match="that is connected"):
+                linksweep.run(link_study, tmp_path / "t.zarr", client=client)
+    same(tmp_path / "s.zarr", reference)
+
+
+def test_an_asynchronous_or_closed_client_is_refused(client):
+    async def use():
+        async with Client(client.scheduler.address, asynchronous=True, set_as_default=False) as other:
+            with pytest.raises(SweepError, match="without asynchronous=True"):
+                Resources(client=other)
+
+    asyncio.run(use())
+    with Client(client.scheduler.address, set_as_default=False) as other:
+        pass
+    with pytest.raises(SweepError, match="which is closed: must be"):
+        Resources(client=other)
+
+
+class Files:
+    """An authority's certificate, and a certificate of its with the key."""
+
+    def __init__(self, folder):
+        folder.mkdir()
+        issued = (authority := trustme.CA()).issue_cert("localhost", "127.0.0.1")
+        parts = {"ca": authority.cert_pem, "cert": issued.cert_chain_pems[0], "key": issued.private_key_pem}
+        self.files = {name: str(folder / f"{name}.pem") for name in parts}
+        for name, part in parts.items():
+            part.write_to_path(self.files[name])
+
+    def options(self, ca="--tls-ca"):
+        return (ca, self.files["ca"], "--tls-cert", self.files["cert"], "--tls-key", self.files["key"])
+
+
+@pytest.fixture
+def files(tmp_path):
+    return Files(tmp_path / "tls")
+
+
+@pytest.fixture
+def over_tls(tmp_path, files):
+    (tmp_path / "dask").mkdir()
+    with closing(Outside(tmp_path / "dask", *files.options("--tls-ca-file"), protocol="tls")) as outside:
+        assert outside.address.startswith("tls://127.0.0.1:")
+        outside.start_worker()
+        yield outside
+
+
+@pytest.mark.slow
+def test_a_study_runs_over_tls(link_study, tmp_path, sweep, files, over_tls):
+    study = ("run", link_study, "--set", "n_sim=50", "-o")
+    code, _, err = sweep(*study, tmp_path / "tls.zarr", "--scheduler", over_tls.address, *files.options())
+    assert code == 0, err
+    assert f"the Dask scheduler at {over_tls.address}" in err
+    code, _, err = sweep(*study, tmp_path / "serial.zarr", "--pool", "serial")
+    assert code == 0, err
+    same(tmp_path / "serial.zarr", tmp_path / "tls.zarr")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", ["strangers", "none", "rubbish"])
+def test_wrong_certificates_are_refused_in_a_sentence(link_study, tmp_path, sweep, over_tls, wrong):
+    strangers = Files(tmp_path / "strangers")
+    if wrong == "rubbish":
+        (tmp_path / "strangers" / "key.pem").write_text("no key\n")
+    options = () if wrong == "none" else strangers.options()
+    code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", over_tls.address, *options)
+    assert code == 2, err
+    assert len(err.splitlines()) == 1, err
+    says = {"rubbish": "cannot use the TLS files", "none": "no certificates for", "strangers": "no Dask scheduler"}
+    assert err.startswith(f"error: {says[wrong]}"), err
+    assert not (tmp_path / "s.zarr").exists()
+
+
+PLACES = {
+    **{"workers": 2, "pool": "serial", "dashboard": True},
+    **{"client": "tcp://a:1", "scheduler": "tcp://a:1", "cluster": "a.toml"},
+}
+
+
+@pytest.mark.parametrize("pair", [*itertools.combinations(PLACES, 2), ("client",)], ids=" ".join)
+def test_two_places_to_run_on_are_refused(pair, tmp_path, monkeypatch):
+    if set(pair) <= {"workers", "pool", "dashboard"} and pair != ("pool", "dashboard"):
+        return  # of one place
+    monkeypatch.chdir(tmp_path)
+    words = {
+        ("pool", "dashboard"): "a dashboard is for local worker processes",
+        ("client",): "client = 'tcp://a:1': must be a distributed.Client that is connected",
+    }.get(pair, "these are of different places to run on; name one")
+    with pytest.raises(SweepError, match=words):
+        linksweep.run(lambda x: x, "s.zarr", axes={"x": [1.0]}, **{name: PLACES[name] for name in pair})
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("more", ["--scheduler tcp://a:1", "--memory-limit 2GB", "--time-limit 0", "--tls-ca c.toml"])
+def test_options_that_contradict_each_other_are_refused(link_study, tmp_path, sweep_here, more):
+    (tmp_path / "c.toml").write_text(LOCAL + "scale = 1\n")
+    code, _, err = sweep_here("run", link_study, "-o", "s.zarr", "--cluster", "c.toml", *more.split(), cwd=tmp_path)
+    assert (code, "error: " in err) == (2, True)
+    assert not (tmp_path / "s.zarr").exists()

@@ -1,20 +1,27 @@
 """What a function does to its process reaches neither the run nor, where a process is its own, the command."""
 
+import decimal
 import io
 import os
+import random
 import signal
 import subprocess
 import sys
 import threading
 import time
+import warnings
+from contextlib import suppress
 
+import numpy as np
 import pytest
 import xarray as xr
 
 from linksweep import run
 from linksweep.sweep.executing import executor as children
+from linksweep.sweep.executing.worker import Deadlines, TimeLimitError
+from tests.sweep.opening import RunInterruptedError
 from tests.sweep.outside import below, command_of, wait_until
-from tests.tiers import PATIENCE_S, slow
+from tests.tiers import PATIENCE_S, examples, slow
 
 LOCK = threading.Lock()  # cannot be pickled, nor can a function that refers to it be sent to workers
 
@@ -84,7 +91,7 @@ HARMLESS = {
     "signals": "[signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)]",
     "limits": "__import__('resource').setrlimit(__import__('resource').RLIMIT_FSIZE, (0, 0))",
 }
-"""What a function may do to its process without failing its own point; what is put back is in `test_own_process`."""
+"""What a function may do to its process without failing its own point; what is put back is in `CHANGES`."""
 
 
 @pytest.mark.slow
@@ -94,17 +101,6 @@ def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sw
     code, out, err = sweep("run", reference, "--axis", "x=0:3:1", "-o", "s.zarr", cwd=tmp_path)
     assert (code, "wrote s.zarr" in err, "f: It is between 0 (x=0) and 6" in out) == (0, True, True), err
     assert xr.open_zarr(tmp_path / "s.zarr")["f"].values.tolist() == [0.0, 2.0, 4.0, 6.0]
-
-
-@pytest.mark.parametrize("pool", [None, slow("processes"), slow("threads")])
-def test_a_function_that_raises_keyboard_interrupt_interrupts_nobody(tmp_path, pool):
-    def f(x: float):
-        if x == 2.0:
-            raise KeyboardInterrupt
-        return x
-
-    ds = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 3.0]}, pool=pool, workers=pool and 1)
-    assert ds.status.values.tolist() == [1, 2, 1]
 
 
 def test_a_function_that_cannot_be_pickled_is_computed_in_a_child(tmp_path):
@@ -204,3 +200,175 @@ def test_a_script_computes_in_worker_processes(tmp_path, by_standard_input):
     command, text = ([sys.executable, "-"], SCRIPT) if by_standard_input else ([sys.executable, "script.py"], None)
     done = subprocess.run(command, input=text, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "[2. 4.]\n[]\n"), done.stderr
+
+
+def statuses(function, folder, **options):
+    ds = run(function, folder / "s.zarr", axes={"x": [1.0, 2.0, 3.0]}, **{"pool": "serial", **options})
+    return ds.status.values.tolist(), ds.attrs.get("failures", "")
+
+
+class MuteError(Exception):
+    def __str__(self):
+        raise RuntimeError("no words")
+
+    __repr__ = __str__
+
+
+ODD = {
+    "GeneratorExit": (GeneratorExit(), "serial"),
+    "MuteError: its message cannot be made: RuntimeError": (MuteError(), "serial"),
+    "KeyboardInterrupt": (KeyboardInterrupt(), None),
+}
+
+
+@pytest.mark.parametrize(
+    ("said", "pool"),
+    [
+        *((said, pool) for said, (_, pool) in ODD.items()),
+        *(slow("KeyboardInterrupt", p) for p in ("processes", "threads")),
+    ],
+)
+def test_a_point_that_raises_anything_fails_alone(said, pool, tmp_path):
+    def f(x: float):
+        if x == 2.0:
+            raise ODD[said][0]
+        return x
+
+    found, failures = statuses(f, tmp_path, pool=pool)
+    assert found == [1, 2, 1]
+    assert said in failures
+
+
+def test_in_the_main_thread_it_is_the_user_s(tmp_path):
+    def f(x: float):
+        raise KeyboardInterrupt
+
+    assert threading.current_thread() is threading.main_thread()
+    with pytest.raises(RunInterruptedError):
+        statuses(f, tmp_path)
+
+
+def test_a_child_that_a_function_forks_and_forgets_does_not_go_on_with_the_run(tmp_path):
+    mark = tmp_path / "mark"
+
+    def f(x: float):
+        child = os.fork()
+        if not child:
+            raise ValueError("of the child")
+        os.waitpid(child, 0)
+        with mark.open("a") as file:
+            file.write(f"{x:g}\n")
+        return x
+
+    assert statuses(f, tmp_path)[0] == [1, 1, 1]
+    marks = mark.read_text().split()  # the first point is computed twice where that is quick
+    assert [marks.count(x) for x in "23"] == [1, 1]
+
+
+CHANGES = {
+    "folder": (lambda: os.chdir("/"), os.getcwd),
+    "arithmetic": (lambda: np.seterr(all="raise"), lambda: str(np.float64(1.0) / np.float64(0.0) > 1.0)),
+    "decimals": (lambda: setattr(decimal.getcontext(), "prec", 3), lambda: str(decimal.Decimal(1) / 3)),
+    "environment": (os.environ.clear, lambda: str(sorted(os.environ.items()))),
+    "one more": (lambda: os.environ.update(LINKSWEEP_X="1"), lambda: str("LINKSWEEP_X" in os.environ)),
+    "random": (lambda: random.seed(1), lambda: str(random.getstate() == random.Random(1).getstate())),
+    "numpy": (lambda: np.random.seed(1), lambda: str(np.random.get_state()[1][0] == 1)),  # noqa: NPY002
+    "filters": (lambda: warnings.simplefilter("error"), lambda: str(warnings.warn("w", stacklevel=1))),
+    "output": (lambda: setattr(sys, "stdout", None), lambda: str(print("x"))),
+    "errors": (lambda: setattr(sys, "stderr", None), lambda: str(print("", end="", file=sys.stderr))),
+}
+"""What one point changes of its process, and what the others look at."""
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("options", [slow({"pool": "serial"}), slow({"pool": "threads", "workers": 1}), {}], ids=str)
+def test_what_a_point_changes_is_put_back_for_the_others(change, options, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    change_it, look = CHANGES[change]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        expected = look()
+
+    def f(x: float):
+        if x in (1.0, 4.0):
+            change_it()
+            return "changed"
+        return look()
+
+    def outside():  # threads of Dask draw from the generators
+        generators = random.getstate(), np.random.get_state()[1].tolist()  # noqa: NPY002
+        return os.getcwd(), dict(os.environ), sys.stderr, generators if options.get("pool") != "threads" else ()
+
+    before = outside()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        ds = run(f, "s.zarr", axes={"x": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]}, **options)
+    assert ds.status.values.tolist() == [1] * 6, ds.attrs["failures"]
+    assert ds.f.values.tolist() == [expected, "changed", expected, expected, "changed", expected]
+    assert before == outside()
+    assert (tmp_path / "s.zarr").is_dir()
+
+
+@pytest.mark.parametrize("options", [{"pool": "threads", "workers": 2}, slow({"workers": 2}), {}], ids=str)
+def test_global_generators_give_the_same_on_all_pools_and_another_number_at_each_point(options, tmp_path):
+    def f(rng: np.random.Generator, x: float):
+        return np.random.normal() + random.random()  # noqa: NPY002
+
+    def values(store, **options):
+        axes = {"x": [1.0, 2.0, 3.0]}
+        return run(f, tmp_path / store, axes=axes, sampling={"n_sim": 10, "seed": 3}, **options).f_mean.values.tolist()
+
+    found = values("s.zarr", pool="serial")
+    assert len(set(found)) == 3
+    assert values("other.zarr", **options) == found
+
+
+@pytest.fixture
+def no_end_by_the_alarm():
+    """On a machine that stands still for seconds the alarm would end the process of the tests."""
+    before = signal.signal(signal.SIGALRM, lambda number, frame: None)
+    yield
+    signal.signal(signal.SIGALRM, before)
+
+
+def busy(seconds):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        pass
+
+
+@pytest.mark.usefixtures("no_end_by_the_alarm")
+def test_a_loop_is_ended_and_a_block_that_ends_as_its_bell_rings_leaves_nothing_behind():
+    deadlines = Deadlines()
+    with pytest.raises(TimeLimitError), deadlines.within(0.02):
+        busy(60)
+    blocks = in_time = 0
+    while blocks < examples(300) or not in_time:  # a machine that is slow for a while ends many
+        blocks += 1
+        with suppress(TimeLimitError):
+            with deadlines.within(0.002):
+                busy(0.0018)
+            in_time += 1
+        busy(0.001)  # an exception that came late would leave the test here
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
+
+
+@pytest.mark.usefixtures("no_end_by_the_alarm")
+def test_the_alarm_is_set_to_the_first_end_of_all_threads():
+    deadlines = Deadlines()
+    inside, leave = threading.Barrier(3), threading.Barrier(3)
+
+    def block(seconds):
+        with deadlines.within(seconds):
+            inside.wait(PATIENCE_S)
+            leave.wait(PATIENCE_S)
+
+    threads = [threading.Thread(target=block, args=(seconds,)) for seconds in (1000, 3000)]
+    for thread in threads:
+        thread.start()
+    inside.wait(PATIENCE_S)
+    assert 900 < signal.getitimer(signal.ITIMER_REAL)[0] <= 1002
+    leave.wait(PATIENCE_S)
+    for thread in threads:
+        thread.join(PATIENCE_S)
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import time
 
 import pytest
 from distributed import KilledWorker, LocalCluster
@@ -9,6 +10,7 @@ from distributed import KilledWorker, LocalCluster
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing import clusters, executor, worker
 from linksweep.sweep.executing.clusters import DaskDriver, own_cluster, run_on_worker
+from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import ANY_RESOURCES, POOLS, Limits, Resources
 from tests.sweep import opening
 from tests.sweep.opening import SERIAL, Sentences, existing_store, run_study, same, study_from_dict
@@ -156,3 +158,56 @@ def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch, 
         run_study(study, tmp_path / "s.zarr", dask, sentences)
     assert any("a worker died" in text for text in sentences.said)
     assert not existing_store(tmp_path / "s.zarr", study).failures
+
+
+EXPERIMENT = "linksweep.core.experiment:link"
+
+
+def slept(seconds):
+    time.sleep(seconds)
+    return seconds
+
+
+@pytest.mark.parametrize("resources", [Resources(), Resources(pool="threads", workers=3)], ids=["here", "threads"])
+def test_results_come_in_the_order_of_the_pieces(resources):
+    seconds = [0.1, 0.0, 0.05, 0.0, 0.0]
+    with mapped(EXPERIMENT, resources, print) as run:
+        assert list(run(slept, [(one,) for one in seconds])) == seconds
+        assert list(run(pow, [])) == []
+        with pytest.raises(ZeroDivisionError):
+            list(run(divmod, [(1, 1), (1, 0)]))
+        assert list(run(divmod, [(7, 2)])) == [(3, 1)]
+
+
+def died_once(path, number):
+    if number == 3 and not path.exists():
+        path.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@pytest.mark.slow
+def test_the_piece_of_a_worker_that_dies_is_computed_by_another(tmp_path):
+    with mapped(EXPERIMENT, Resources(workers=2), print) as run:
+        assert list(run(died_once, [(tmp_path / "died", n) for n in range(8)])) == list(range(8))
+
+
+@pytest.mark.slow
+def test_limits_hold_for_pieces():
+    limits = Limits(time_s=0.5)
+    with (
+        pytest.raises(SweepError, match=r"longer than the time limit of 0\.5 s"),
+        mapped(EXPERIMENT, Resources(workers=1, limits=limits), print) as run,
+    ):
+        list(run(busy, [(60.0,)]))
+    with (
+        pytest.raises(SweepError, match="need worker processes"),
+        mapped(EXPERIMENT, Resources(pool="threads", limits=limits), print),
+    ):
+        pass
+
+
+def busy(seconds):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        pass
