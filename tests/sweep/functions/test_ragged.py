@@ -2,21 +2,16 @@
 
 import itertools
 import json
-import math
 
 import numpy as np
 import pytest
-import xarray as xr
 from astropy.table import Table as AstropyTable
-from hypothesis import HealthCheck, Phase, assume, given, settings
-from hypothesis import strategies as st
 
 import linksweep
 from linksweep import Output, SweepError, experiment
 from linksweep.sweep.report.page import report_page
 from linksweep.sweep.result import Result
-from tests.sweep.opening import OFTEN, bare, check, dying, merge, run, same, until_done
-from tests.tiers import examples
+from tests.sweep.opening import OFTEN, check, dying, run, same, until_done
 
 KINDS = {
     "number": lambda k, n: k / 3.0 + np.arange(n),
@@ -35,59 +30,6 @@ def walk(k: int, n: int):
     if k == n == 9:
         raise ValueError("no such walk")
     return {name: make(k, n) for name, make in KINDS.items()}
-
-
-def plain(array):
-    """Return values as a list, None where a number is missing."""
-    return [None if isinstance(one, float) and math.isnan(one) else one for one in array.ravel().tolist()]
-
-
-def expected(ks, ns):
-    """Return the arrays that a dataset of all points has, by plain loops."""
-    done = [n for k in ks for n in ns if (k, n) != (9, 9)]
-    longest, found = max([1, *done]), {}
-    for name, make in KINDS.items():
-        shape = (len(ks), len(ns), *((2,) if name == "table" else ()), longest)
-        missing = {"word": "", "time": np.datetime64("NaT")}.get(name, np.nan)
-        found[name] = np.full(shape, missing, dtype="M8[ns]" if name == "time" else object)
-        for i, j in np.ndindex(len(ks), len(ns)):
-            if (ks[i], ns[j]) != (9, 9):
-                found[name][i, j, ..., : ns[j]] = make(ks[i], ns[j])
-    return found
-
-
-lengths = st.lists(st.integers(0, 9), min_size=1, max_size=4, unique=True)
-runs = st.lists(st.tuples(lengths, lengths), min_size=1, max_size=4)
-
-
-@pytest.mark.slow
-@settings(
-    max_examples=examples(12), deadline=None, suppress_health_check=[HealthCheck.too_slow], phases=[Phase.generate]
-)
-@given(runs=runs, parts=st.integers(0, 3))
-def test_whatever_the_order_a_dataset_has_the_values_of_each_point(tmp_path_factory, runs, parts):
-    assume(any((k, n) != (9, 9) for ks, ns in runs for k in ks for n in ns))  # no lengths are known where all fail
-    folder = tmp_path_factory.mktemp("ragged")
-    for ks, ns in runs:
-        linksweep.run(walk, folder / "s", axes={"k": ks, "n": ns}, pool="serial", max_failures="100%")
-    ks, ns = (sorted({value for run in runs for value in run[place]}) for place in (0, 1))
-    whole = {"axes": {"k": ks, "n": ns}, "max_failures": "100%", "pool": "serial"}
-    found = linksweep.run(walk, folder / "s", **whole)
-    assert found.equals(linksweep.open(folder / "s"))
-    for name, values in expected(ks, ns).items():
-        lengths = np.array([[np.nan if (k, n) == (9, 9) else n for n in ns] for k in ks])
-        np.testing.assert_array_equal(found[f"{name}_length"], lengths)
-        assert plain(found[name].values) == plain(values), name
-    stored = xr.open_zarr(folder / "s", mask_and_scale=False).load()
-    at_once = folder / "once"
-    linksweep.run(walk, at_once, **whole)
-    if parts:
-        for part in range(1, parts + 1):
-            linksweep.run(walk, at_once, part=f"{part}/{parts}", **whole)
-        at_once = folder / "merged"
-        merge(sorted(folder.glob("once.part-*")), at_once)
-    once = xr.open_zarr(at_once, mask_and_scale=False).load()
-    assert bare(once).identical(bare(stored))
 
 
 @pytest.mark.slow

@@ -2,13 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
-from hypothesis import strategies as st
 
 import linksweep
 from linksweep import Output, SweepError, experiment
-from tests.sweep.opening import merge, same
-from tests.tiers import examples
 
 KEPT = {"n_sim": 1200, "seed": 3, "keep_samples": True}  # three blocks
 
@@ -44,36 +40,6 @@ def test_realisations_are_those_behind_the_statistics(tmp_path):
     assert "wait_samples" not in sweep(queue, tmp_path / "none", {"n_sim": 60}, gain=[1.0])
     with pytest.raises(SweepError, match="keep_samples"):
         sweep(queue, tmp_path / "s", {"n_sim": 1200, "seed": 3}, gain=[1.0])
-
-
-def some(*values):
-    return st.lists(st.sampled_from(values), min_size=1, max_size=3, unique=True)
-
-
-@pytest.mark.slow
-@settings(
-    max_examples=examples(8), deadline=None, suppress_health_check=[HealthCheck.too_slow], phases=[Phase.generate]
-)
-@given(
-    steps=st.lists(st.tuples(some(0.5, 1.0, 2.0), some(1.0, 2.0, 3.0), st.integers(1, 3)), min_size=1, max_size=3),
-    function=st.sampled_from([queue, many]),
-    parts=st.integers(0, 3),
-)
-def test_whatever_the_order_points_that_share_random_numbers_have_the_same(tmp_path_factory, steps, function, parts):
-    folder = tmp_path_factory.mktemp("shared")
-    for gains, rates, hundreds in steps:
-        sweep(function, folder / "s", {**KEPT, "n_sim": 300 * hundreds}, gain=gains, rate=rates)
-    gains, rates = (sorted({value for step in steps for value in step[place]}) for place in (0, 1))
-    sampling = {**KEPT, "n_sim": 300 * max(step[2] for step in steps)}
-    whole = sweep(function, folder / "s", sampling, gain=gains, rate=rates)
-    if parts:
-        how = {"axes": {"gain": gains, "rate": rates}, "sampling": sampling, "pool": "serial"}
-        for part in range(1, parts + 1):
-            linksweep.run(function, folder / "once", part=f"{part}/{parts}", **how)
-        merge(sorted(folder.glob("once.part-*")), folder / "once")
-    same(sweep(function, folder / "once", sampling, "threads", gain=gains, rate=rates), whole)
-    for gain in gains:
-        np.testing.assert_array_equal(whole.wait_samples.sel(gain=gain) / gain, whole.wait_samples[0] / gains[0])
 
 
 def test_differences_along_a_shared_axis_have_small_errors(tmp_path):

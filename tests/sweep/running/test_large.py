@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
 
 import linksweep
 from linksweep import Limits, Output, SweepError, experiment
@@ -53,34 +51,6 @@ def check(dataset, picture):
             np.testing.assert_array_equal(images[place].astype(wanted.dtype), wanted)
         else:
             assert np.isnan(images[place].astype(float)).all()
-
-
-shapes = st.lists(st.integers(1, 90), min_size=1, max_size=3).filter(lambda s: MOST // 2 < np.prod(s) < 3000).map(tuple)
-
-
-@pytest.mark.slow
-@settings(max_examples=10, phases=[Phase.generate])  # the least example takes as long to find as many others to try
-@given(
-    shape=shapes,
-    whole=st.booleans(),
-    a=st.lists(st.integers(0, 5), min_size=1, max_size=3, unique=True),
-    b=st.lists(st.integers(1, 3), min_size=1, max_size=3, unique=True),
-    pool=st.sampled_from(["serial", "serial", "threads"]),
-)
-def test_arrays_are_what_the_function_returned(tmp_path_factory, shape, whole, a, b, pool):
-    store, asked = tmp_path_factory.mktemp("large") / "s.zarr", {"a": a, "b": [0, *b]}
-    picture = image_of(shape, whole)
-    for more in ({}, {"a": [7, *a]}, {"b": [*b, 9, 0]}):
-        ds = linksweep.run(picture, store, axes=asked | more, pool=pool, max_failures="100%")
-        check(ds, picture)
-        check(linksweep.open(store), picture)
-        assert ds.sizes["a"] * ds.sizes["b"] == np.prod([len(values) for values in (asked | more).values()])
-        with xr.open_zarr(store) as plain:
-            if not whole:  # plain xarray rounds integers beside missing ones
-                check(plain, picture)
-            assert plain["level"].isnull().values.tolist() == (plain["status"] != 1).values.tolist()
-        some = np.s_[-1, ::-1, ..., ::-2]
-        np.testing.assert_array_equal(ds["image"][some].astype(float), ds["image"].values[some].astype(float))
 
 
 def digests(store):

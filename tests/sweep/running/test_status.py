@@ -9,25 +9,6 @@ from linksweep import SweepError
 from tests.sweep.opening import Stopping, check, files_of, open_dataset, run, status_report
 
 
-@pytest.fixture
-def stopped(coins, tmp_path):
-    """A store of 5 points x 4 blocks after 18 blocks, one of each point by turns: three points and most of two."""
-    study = coins | {"exclude": [{"metal": "tin", "coins": 5}]}
-    with pytest.raises(KeyboardInterrupt):
-        run(study, tmp_path / "s.zarr", {"most_blocks": 1}, progress=Stopping(18))
-    return tmp_path / "s.zarr"
-
-
-def test_points_and_realisations_are_counted(stopped):
-    report = status_report(stopped)
-    dataset = open_dataset(stopped)
-    assert report["points"] == {"missing": 2, "done": 3, "failed": 0, "excluded": 1}
-    assert not report["complete"]
-    assert report["realisations"] == 20_000 * 5
-    assert report["realisations_done"] == int(dataset["n_sim_done"].sum())
-    assert 20_000 * 3 < report["realisations_done"] < 20_000 * 5  # a point that is done in part counts in part
-
-
 def test_a_single_point_that_was_stopped(coins, tmp_path, sweep):
     study = coins | {"axes": {}, "fixed": {"metal": "tin"}}
     with pytest.raises(KeyboardInterrupt):

@@ -1,18 +1,49 @@
-"""A store keeps and shows every point that it holds: random commands, kills and edits of code against a dictionary."""
+"""A store keeps and shows every point that it holds, with results of any type: random commands, kills, merges and edits
+of code against a dictionary.
+"""
 
 import itertools
+import math
+import shutil
 
+import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import Stopping, check, dying, same, status_report, until_done
+from tests.sweep.opening import Stopping, check, dying, merge, same, status_report, until_done
 from tests.tiers import examples
 
 CODE = """
-def f(x: float, y: int = 2, name: str = "a", *, rng):
+import numpy as np
+from linksweep import Output, experiment
+
+OUTPUTS = [Output(name, dims="step") for name in ("words", "counts", "times")]
+OUTPUTS += [Output("path", dims="step", ragged=True), Output("table", dims=("k", "step")), Output("number", nan=True)]
+
+@experiment(outputs=OUTPUTS)
+def plain(x: float, y: int = 2, name: str = "a"):
+    steps, when = int(2.0 * x) - 1, np.datetime64("2020-01-01T00:00:00.000000001") + y
+    return {
+        "value": VERSION * 1000.0 + 10.0 * x + y + ord(name),
+        "number": y if x < 2.0 else np.nan if y == 5 else x / 3.0,
+        "big": 2**60 + y,
+        "truth": y == 3,
+        "text": name * y,
+        "when": when,
+        "path": [y] * steps if name == "a" else x / np.arange(1.0, steps + 1.0),
+        "words": np.array(["é" * y] * steps, dtype=str),
+        "counts": [2**60 + y + k for k in range(steps)],
+        "times": when + np.arange(steps),
+        "table": np.outer([1.0, y], np.arange(steps)),
+        "image": np.random.default_rng([y, steps]).normal(size=(5, 16)),
+    }
+
+
+@experiment(shared="x")
+def noisy(x: float, y: int = 2, name: str = "a", *, rng):
     return {"value": VERSION * 1000.0 + 10.0 * x + y + ord(name), "random": rng.random()}
 """
 X, Y, NAMES = (0.5, 1.0, 2.0, 4.0), (2, 3, 5), ("a", "b")
@@ -22,48 +53,71 @@ DEFAULTS = {"y": 2, "name": "a"}
 class Sweeps:
     """Runs of one function into one store, and what the store must show: the version of the code of each point."""
 
-    def __init__(self, folder, patch):
-        self.file, self.store, self.random = folder / "m.py", folder / "s.zarr", {}
-        self.version, self.left = 1, dying(patch)
+    def __init__(self, folder, patch, kind):
+        self.file, self.store, self.kind = folder / "m.py", folder / "s.zarr", kind
+        self.left = dying(patch)
         self.ledger, self.shown = dict[tuple, int](), set[tuple]()
         self.axes, self.fixed = None, {}
         self.edit(1)
         whole = self.run({"axes": {"x": X, "y": Y, "name": NAMES}, "fixed": {}}, folder / "whole.zarr")
-        self.random = {point: random for point, (_, random) in found_in(whole, {}).items()}
+        self.results = found_in(whole, {})
+        if kind == "plain":
+            exec(self.file.read_text(), code := {})
+            assert self.results == {point: as_lists(code["plain"](*point)) for point in self.results}
+        assert len(self.results) == len(X) * len(Y) * len(NAMES)
 
     def edit(self, version):
         self.version = version
         self.file.write_text(CODE.replace("VERSION", str(version)))
 
     def run(self, asked, store=None, **options):
-        more = {"sampling": {"n_sim": 2, "seed": 3}, "pool": "serial"}
-        return linksweep.run(f"{self.file}:f", store or self.store, **asked, **more, **options)
+        more = {"sampling": {"n_sim": 2, "seed": 3, "keep_samples": True}} if self.kind == "noisy" else {}
+        return linksweep.run(f"{self.file}:{self.kind}", store or self.store, **asked, **more, pool="serial", **options)
 
-    def is_refused(self, asked, keep, again):
+    def run_elsewhere(self, asked, parts):
+        """Run into another store, in so many parts, and merge that with the store."""
+        other, both = (self.store.with_name(name) for name in ("other.zarr", "both.zarr"))
+        for number in range(1, parts + 1):
+            self.run(asked, other, **({"part": f"{number}/{parts}"} if parts > 1 else {}))
+        if parts > 1:
+            merge(sorted(other.parent.glob("other.zarr.part-*")), other)
+        merge([self.store, other], both)
+        for old in (self.store, *other.parent.glob("other.zarr*")):
+            shutil.rmtree(old)
+        both.rename(self.store)
+        return linksweep.open(self.store)
+
+    def is_refused(self, constants, axes, keep, again):
         """Whether constants differ, or points of other code would be left beside those of today's."""
         if self.axes is None:
             return False
-        constants = {name: asked["fixed"].get(name, value) for name, value in DEFAULTS.items()}
-        differ = any(constants[n] != self.fixed[n] for n in DEFAULTS.keys() - self.axes - asked["axes"].keys())
+        differ = any(constants[n] != self.fixed[n] for n in DEFAULTS.keys() - self.axes - axes.keys())
         return (differ and not keep) or any(v != self.version for p, v in self.ledger.items() if p not in again)
 
-    def do(self, asked, kill, only, keep, redo):
+    def do(self, asked, kill, only, keep, redo, parts):
         constants = {**DEFAULTS, **asked["fixed"]}
         points = set(itertools.product(*(asked["axes"].get(n, (constants.get(n),)) for n in ("x", "y", "name"))))
-        there = {point for point in self.ledger if point in (points if only else self.shown | points)}
+        if parts and self.axes is not None:
+            only, keep, redo, kill = False, True, "", 10**9
+            call = lambda: self.run_elsewhere(asked, parts)  # noqa: E731
+        else:
+            call = lambda: self.run(asked, only=only, keep=keep, redo=redo)  # noqa: E731
+        asked_before = set() if only or self.axes is None else self.shown
+        there = in_grid_of(asked_before | points, self.ledger)
         old = {point for point, version in self.ledger.items() if version != self.version}
         again = {
             "": set(),
             "old": old,
             "x > 1 and y != 3": {(x, y, name) for x, y, name in there if x > 1 and y != 3} | (old - there),
         }[redo]
-        options = {"only": only, "keep": keep, "redo": redo}
-        if self.is_refused(asked, keep, again):
+        if self.is_refused(constants, asked["axes"], keep, again):
             with pytest.raises(SweepError):
-                self.run(asked, **options)
+                call()
+            for left in self.store.parent.glob("other.zarr*"):
+                shutil.rmtree(left)
             assert self.now() == self.expected()
             return
-        before = self.expected()
+        held, before = {point: self.result(point, version) for point, version in self.ledger.items()}, self.expected()
 
         def between():
             if (self.store / "zarr.json").exists():
@@ -72,26 +126,27 @@ class Sweeps:
                 kept = {point for point in before if point not in again and (not only or point in points)}
                 assert all(now.get(point) == before[point] for point in kept if now), "a kill loses nothing"
                 new = {point: self.result(point, self.version) for point in points | again}
-                assert all(result in (before.get(p), new.get(p)) for p, result in now.items())
+                assert all(result in (held.get(p), new.get(p)) for p, result in now.items())
 
-        part, _ = until_done(self.left, kill, lambda: self.run(asked, **options), between)
+        part, _ = until_done(self.left, kill, call, between)
         for point in [*again, *points]:
             if point in again and point not in there | points:
                 self.ledger.pop(point, None)
             elif point in again or point not in self.ledger:
                 self.ledger[point] = self.version
-        self.shown = points if only or self.axes is None else self.shown | points
         before_axes = set() if only or self.axes is None else self.axes
         differ = {n for n in DEFAULTS if before_axes and self.fixed[n] != constants[n]}
+        self.shown = in_grid_of(asked_before | points, self.ledger)
         self.axes = before_axes | asked["axes"].keys() | (differ if keep else set())
         self.fixed = constants
-        assert found_in(part, constants) == {point: self.result(point, self.version) for point in points}
+        shown = {point: r for point, r in found_in(part, constants).items() if not parts or point in points}
+        assert shown == {point: self.result(point, self.version) for point in points}
         assert self.now() == self.expected()
         assert not check(self.store)
 
     def result(self, point, version):
-        x, y, name = point
-        return version * 1000.0 + 10.0 * x + y + ord(name), self.random[point]
+        shift = 1000.0 * (version - 1)
+        return {n: v + shift if n in ("value", "value_mean") else v for n, v in self.results[point].items()}
 
     def expected(self):
         return {point: self.result(point, self.ledger[point]) for point in self.shown}
@@ -101,16 +156,39 @@ class Sweeps:
         return found_in(linksweep.open(self.store), self.fixed) if is_there else {}
 
 
+def in_grid_of(points, some):
+    """Return those of some points, which a store may hold, that are in the grid of others."""
+    values = [set(column) for column in zip(*points, strict=True)]
+    return {point for point in some if all(v in there for v, there in zip(point, values, strict=True))}
+
+
+def as_lists(results):
+    """Return results as lists, None for NaN, of ragged arrays what is within their lengths."""
+    lists = {}
+    for name, value in results.items():
+        array = np.asarray(value)
+        array = array.astype("M8[ns]") if array.dtype.kind == "M" else array
+        if f"{name}_length" in results:
+            array = array[..., : int(results[f"{name}_length"])]
+        lists[name] = [None if isinstance(v, float) and math.isnan(v) else v for v in array.reshape(-1).tolist()]
+        lists[name] = lists[name] if array.ndim else lists[name][0]
+    return lists
+
+
 def found_in(dataset, constants):
     """Return the results of the points of a dataset that are done, by their parameters."""
-    found = {}
+    found, dataset = {}, dataset.load()
+    left_out = ("status", "code", "wall_time", "n_sim_done", "value_samples")
     for place in itertools.product(*(range(size) for size in dataset.status.shape)):
         point = dataset.isel(dict(zip(dataset.status.dims, place, strict=True)))
         if point.status == 1:
             key = [
                 point[n].item() if n in point.coords else constants.get(n, DEFAULTS.get(n)) for n in ("x", "y", "name")
             ]
-            found[tuple(key)] = (point.value_mean.item(), point.random_mean.item())
+            lists = as_lists({name: point[name].values for name in point.data_vars})
+            found[tuple(key)] = {
+                name: value for name, value in lists.items() if not name.endswith(("_length", *left_out))
+            }
     return found
 
 
@@ -128,29 +206,33 @@ COMMANDS = st.fixed_dictionaries(
         "only": st.sampled_from([False, False, False, True]),
         "keep": st.booleans(),
         "redo": st.sampled_from(["", "", "old", "x > 1 and y != 3"]),
+        "parts": st.sampled_from([0, 0, 0, 1, 2]),
     }
 )
 
 
+@pytest.mark.parametrize("kind", ["plain", "noisy"])
 @given(commands=st.lists(COMMANDS, min_size=3, max_size=7))
 @settings(
-    max_examples=examples(30) if examples(30) == 30 else 2,
+    max_examples=examples(20) if examples(20) == 20 else 2,
     deadline=None,
+    phases=[Phase.generate],
     derandomize=True,
     suppress_health_check=list(HealthCheck),
 )
-def test_a_store_shows_every_point_that_it_holds(tmp_path_factory, commands):
+def test_a_store_shows_every_point_that_it_holds(tmp_path_factory, kind, commands):
     with pytest.MonkeyPatch.context() as patch:
-        sweeps = Sweeps(tmp_path_factory.mktemp("union"), patch)
+        patch.setattr("linksweep.sweep.contract.large.MOST_VALUES", 64)
+        sweeps = Sweeps(tmp_path_factory.mktemp("union"), patch, kind)
         for command in commands:
-            sides = {"x": command["x"], "y": command["y"], "name": command["name"]}
+            sides = {name: command[name] for name in ("x", "y", "name")}
             if command["edit"]:
                 sweeps.edit(sweeps.version + 1)
             asked = {
                 "axes": {name: side for name, side in sides.items() if isinstance(side, list)},
                 "fixed": {name: side for name, side in sides.items() if isinstance(side, int | str)},
             }
-            sweeps.do(asked, **{key: command[key] for key in ("kill", "only", "keep", "redo")})
+            sweeps.do(asked, **{key: command[key] for key in ("kill", "only", "keep", "redo", "parts")})
 
 
 def test_a_condition_that_is_none_is_refused_and_never_run(tmp_path, monkeypatch):

@@ -22,6 +22,7 @@ from tests.sweep.opening import (
     located,
     locked,
     make_grid,
+    open_dataset,
     parts_of,
     run,
     status_report,
@@ -80,6 +81,9 @@ def test_the_points_are_those_of_the_status(
         watched, report = look(store), status_report(store)
         counts = {code.word: n for code, n in watch.count_status(watched.status).items()}
         assert counts == report["points"]
+        if "n_sim_done" in (dataset := open_dataset(store)):
+            assert report["realisations_done"] == int(dataset["n_sim_done"].sum())
+            assert counts["done"] == int((dataset["status"] == 1).sum())
         assert watched.is_over
         assert watched.state == ("stopped" if counts["missing"] else "finished")
         assert sum(points for points, _ in watched.reasons) == len(report["failures"])
