@@ -140,7 +140,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         if meant not in studies:
             studies[meant] = _study_in(location, attributes, trust)
         study, layout = studies[meant]
-        part = Part.parsed(attributes[PART]) if PART in attributes else None
+        part = Part.recorded(attributes)
         kept = {key: attributes[key] for key in (*KEPT, *_COMPARED, STORE, LEDGER_THEN) if key in attributes}
         ledger = opened.ledger()
         keys = tuple(ledger.rows)

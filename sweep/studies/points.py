@@ -26,7 +26,7 @@ from linksweep.sweep.code.reach import reach_of
 from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, nearest, shown, suggest
 from linksweep.sweep.contract.declaration import LABEL, factor_between, is_quantity, name_problem
 from linksweep.sweep.formatting import first_of
-from linksweep.sweep.studies.study import POINT, PointsForm, PointTable, Sampling, number_at
+from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
 from linksweep.sweep.tables.columns import rows_listed
 from linksweep.sweep.tables.file import table_file
 from linksweep.sweep.tables.reader import read_table
@@ -410,12 +410,32 @@ def remarks(origin: Mapping[str, Any]) -> list[str]:
 # The table [points]
 
 
-def read_points(form: PointsForm, values: Values, fixed: Mapping[str, Any], code: Code) -> tuple[Cells, PointTable]:
-    """Return the columns of a table of points as they are written, all of one length, and what is known of it.
-
-    ``fixed`` are the other parameters that the study sets; the columns are empty where anything is wrong, and the
-    problems of ``values`` say what.
+def read_points(
+    form: Form, values: Values, code: Code
+) -> tuple[dict[str, tuple[Value, ...] | None], PointTable | None]:
+    """Return the values of a table of points by parameter, empty where anything is wrong with it, and what is known of
+    it; the problems of ``values`` say what is wrong.
     """
+    if form.points is None:
+        return {}, None
+    experiment, problems = values.experiment, values.problems
+    if POINT in {*experiment.defaults(), *(output.name for output in experiment.outputs), *experiment.coordinates}:
+        problems.add(("points",), f"{experiment.name} has a {POINT!r} of its own, the name of this dimension")
+    columns, table = _written(form.points, values, form.fixed, code)
+    points: dict[str, tuple[Value, ...] | None] = {}
+    for name, raw_values in columns.items():
+        where = ("points", "ranges" if form.points.design else form.points.source, name)
+        if name in {**form.axes, **form.fixed}:
+            problems.add(where, f"is {'an axis' if name in form.axes else 'fixed'} too; leave out one of the two")
+        with problems.at(where):
+            if not (parameter := experiment.parameter(name)).may_be_axis:
+                raise ValueError(f"a {parameter.kind} cannot differ from point to point")
+            points[name] = values.several(where, name, raw_values, rows=True)
+    return points, table
+
+
+def _written(form: PointsForm, values: Values, fixed: Mapping[str, Any], code: Code) -> tuple[Cells, PointTable]:
+    """Return the columns of a table of points as they are written, all of one length, and what is known of it."""
     problems, before = values.problems, len(values.problems.sentences)
     columns: Cells = form.columns or {}
     origin: dict[str, Any] = dict(form.origin or {})
@@ -669,6 +689,20 @@ def plain(value: Any, where: str) -> Any:
     return value
 
 
+def plain_study(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the document of a study as TOML would give it, but for objects, which have labels."""
+    made: Mapping[str, Callable[[Any, str], Any]] = {"axes": plain_values, "fixed": plain_value}
+    written: dict[str, Any] = {}
+    for key, value in document.items():
+        if key not in made:
+            written[str(key)] = plain_points(value) if key == "points" else plain(value, str(key))
+        elif isinstance(value, Mapping):
+            written[key] = {str(name): made[key](one, f"{key}.{name}") for name, one in value.items()}
+        else:
+            written[key] = value
+    return written
+
+
 def plain_points(points: Any) -> dict[str, Any]:
     """Return a table of points as a study file has it, from a DataFrame, an astropy Table, a mapping of columns, the
     name of a file, or what a study file may have there.  The index of a DataFrame labels the points unless it only
@@ -700,3 +734,9 @@ def plain_points(points: Any) -> dict[str, Any]:
         wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"
         raise SweepError(f"points = {shown(points)}: {wanted}")
     return {"columns": columns} | {key: some for key, some in (("units", units), ("labels", labels)) if some}
+
+
+def with_labels(points: Any, labels: Any) -> dict[str, Any]:
+    """Return a table of points as `plain_points`, in which the columns with these names label the points, too."""
+    table, names = plain_points(points), plain(labels, "labels")
+    return table | {"labels": [*table.get("labels", ()), *(names if isinstance(names, list) else [names])]}

@@ -22,32 +22,8 @@ from linksweep.sweep.contract import DefinitionError, Experiment, Function, Name
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies import built_in_studies
-from linksweep.sweep.studies.points import (
-    Cells,
-    KeyPath,
-    Problems,
-    Values,
-    plain,
-    plain_points,
-    plain_value,
-    plain_values,
-    read_cell,
-    read_points,
-)
-from linksweep.sweep.studies.study import (
-    DEFAULT_EXPERIMENT,
-    PART,
-    POINT,
-    Condition,
-    Context,
-    Form,
-    Part,
-    PointTable,
-    Published,
-    PublishedForm,
-    Sampling,
-    Study,
-)
+from linksweep.sweep.studies.points import KeyPath, Problems, Values, plain_study, read_cell, read_points, with_labels
+from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Condition, Context, Form, Part, Published, Sampling, Study
 from linksweep.sweep.tables.file import TableFile
 
 MAX_FILE_BYTES = 1_000_000
@@ -372,7 +348,7 @@ def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -
     try:
         document = json.loads(attributes["study_document"])
         text, overrides, name = (str(attributes[key]) for key in ("study", "study_overrides", "study_name"))
-        part = Part.parsed(attributes[PART]) if PART in attributes else None
+        part = Part.recorded(attributes)
     except (KeyError, TypeError, ValueError) as error:
         raise SweepError("does not say which study it holds", where) from error
     if "published" in document and not Path(document["published"]["file"]).is_file():
@@ -391,9 +367,7 @@ def study_of_function(function: Mentioned | str, **options: Any) -> Study:
     tables = ("axes", "fixed", "sampling", "when")  # which may be empty
     document = {key: some for key, some in options.items() if some is not None and (key not in tables or some)}
     if "labels" in document:
-        names, points = plain(document.pop("labels"), "labels"), plain_points(document.get("points"))
-        points["labels"] = [*points.get("labels", ()), *(names if isinstance(names, list) else [names])]
-        document["points"] = points
+        document["points"] = with_labels(document.get("points"), document.pop("labels"))
     return live_study({"experiment": function, **document})
 
 
@@ -404,17 +378,8 @@ def live_study(document: Mapping[str, Any]) -> Study:
     table, and it needs no title.  Two such studies have the same name only where they are about the same function and
     say the same.
     """
-    written: dict[str, Any] = {
-        str(key): plain_points(value) if key == "points" else plain(value, str(key))
-        for key, value in document.items()
-        if key not in ("experiment", "axes", "fixed")
-    }
-    for table, made in (("axes", plain_values), ("fixed", plain_value)):
-        if isinstance(entries := document.get(table), Mapping):
-            written[table] = {str(name): made(value, f"{table}.{name}") for name, value in entries.items()}
-        elif table in document:
-            written[table] = entries
     function = document.get("experiment", DEFAULT_EXPERIMENT)
+    written = plain_study({key: value for key, value in document.items() if key != "experiment"})
     if isinstance(function, str):
         written["experiment"], name = function, function.rpartition(":")[2]
     elif isinstance(function, Experiment) or is_plain_function(function):
@@ -450,7 +415,7 @@ class _Reader:
         parameters = [replace(one, optional=one.optional or one.name in when) for one in experiment.parameters]
         experiment = replace(experiment, parameters=tuple(parameters)) if when else experiment
         values = Values(experiment, self.folder, problems)
-        points, table, columns = self._points(values, form)
+        points, table = read_points(form, values, self.code)
         crossed = {name: values.axis(name, spec) for name, spec in form.axes.items()}
         axes, fixed = {**points, **crossed}, dict[str, Value]()
         for name, raw in form.fixed.items():
@@ -465,7 +430,7 @@ class _Reader:
                     words = f"{name} has no default: set it here (--set {name}=VALUE) or in axes (--axis)"
                     problems.add(("fixed", name), words)
         experiment = self._with_labels(experiment, axes, fixed)
-        published = None if form.published is None else _read_published(form.published, values, axes)
+        published = _read_published(form, values, axes)
         changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
         # Claims about zipped axes need the groups before these are known to be right.
         groups = _read_form({"title": "", "grid": self.document.get("grid", {})}, Problems(self.where))
@@ -481,7 +446,7 @@ class _Reader:
         summary = " ".join(summary.split()).rstrip(".")
         if len(summary) > LONGEST_TITLE or not summary.isprintable() or "$" in summary or form.title != experiment.name:
             summary, rest = "", [docstring]  # a terminal or a figure would take some of it for something else
-        return Study(
+        study = Study(
             name=self.path.stem,
             title=summary or form.title,
             description="".join(rest).strip("\n"),
@@ -502,8 +467,8 @@ class _Reader:
             conclusion=checked.conclusion,
             text=self.text,
             overrides=tuple(f"{flag} {text}" for flag, text in self.options.written),
-            document=self._portable(form, experiment, {**axes, **fixed}, columns, table),
         )
+        return replace(study, document=self._portable(form, study))
 
     def _conditional(
         self,
@@ -585,30 +550,20 @@ class _Reader:
         whole = {key: section for key, section in document.items() if key not in form}
         return Form.model_validate({"title": "", **whole}), experiment, not {"axes", "points"} & form
 
-    def _portable(
-        self,
-        form: Form,
-        experiment: Experiment,
-        values: Mapping[str, Any],
-        columns: Cells,
-        table: PointTable | None,
-    ) -> dict[str, Any]:
+    def _portable(self, form: Form, study: Study) -> dict[str, Any]:
         """Return the document with absolute paths of files, labels of objects, and with the values of a table of points
         in place of its file or design.
         """
-        document = {**self.document, "experiment": absolute_reference(form.experiment, self.folder)}
-        if table is not None:
+        document = {**self.document, "experiment": study.experiment_reference}
+        values, known = {**study.axes, **study.fixed}, {one.name: one for one in study.experiment.parameters}
+        written = {name: known[name].written(value) for name, value in values.items()}
+        if study.points is not None:
             # the values and not the file or the function that gave them: a store is continued as it was begun
-            known = {one.name: one for one in experiment.parameters}
-            written = {name: known[name].written(values[name]) for name in columns}
-            document["points"] = table.written(written)
-        if "fixed" in document:
-            paths = {name: one.path for name, one in values.items() if isinstance(one, TableFile)}
-            document["fixed"] = document["fixed"] | paths
-        objects = {one.name: one for one in experiment.parameters if one.takes_objects and one.defined}
+            document["points"] = study.points.written({name: written[name] for name in study.points.names})
+        paths = {name: one.path for name, one in values.items() if isinstance(one, TableFile)}
+        made = {name: written[name] for name in written if known[name].takes_objects and known[name].defined} | paths
         for key in {"axes", "fixed"} & document.keys():
-            written = {name: objects[name].written(values[name]) for name in objects.keys() & document[key].keys()}
-            document[key] = document[key] | written
+            document[key] = document[key] | {name: made[name] for name in made.keys() & document[key].keys()}
         for name, by_name in form.define.items():
             for word, entries in by_name.items():
                 absolute = {
@@ -619,31 +574,6 @@ class _Reader:
             file = str((self.folder / form.published.file).resolve())
             document["published"] = document["published"] | {"file": file}
         return document
-
-    def _points(
-        self, values: Values, form: Form
-    ) -> tuple[dict[str, tuple[Value, ...] | None], PointTable | None, Cells]:
-        """Return the values of a table of points by parameter, what is known of it, and its columns as written."""
-        if form.points is None:
-            return {}, None, {}
-        experiment = values.experiment
-        outputs = [output.name for output in experiment.outputs]
-        names = {*experiment.defaults(), *outputs, *experiment.coordinates}
-        if POINT in names:
-            name = f"{POINT!r} of its own, the name of this dimension"
-            self.problems.add(("points",), f"{experiment.name} has a {name}")
-        columns, table = read_points(form.points, values, form.fixed, self.code)
-        points: dict[str, tuple[Value, ...] | None] = {}
-        for name, raw_values in columns.items():
-            where = ("points", "columns" if form.points.columns else "file" if form.points.file else "ranges", name)
-            if name in {**form.axes, **form.fixed}:
-                what = "an axis" if name in form.axes else "fixed"
-                self.problems.add(where, f"is {what} too; leave out one of the two")
-            with self.problems.at(where):
-                if not (parameter := experiment.parameter(name)).may_be_axis:
-                    raise ValueError(f"a {parameter.kind} cannot differ from point to point")
-                points[name] = values.several(where, name, raw_values, rows=True)
-        return points, table, columns
 
     def _defined(self, experiment: Experiment, tables: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Experiment:
         """Return the experiment with the values that the tables [define.PARAMETER.NAME] define."""
@@ -717,11 +647,13 @@ def _known_keys(where: KeyPath) -> list[str]:
     return list(table.model_fields)
 
 
-def _read_published(form: PublishedForm, values: Values, axes: Collection[str]) -> Published | None:
-    """Return the published numbers that a study names, from a CSV file in its folder."""
-    problems, file, where = values.problems, shown(form.file), ("published", "file")
+def _read_published(form: Form, values: Values, axes: Collection[str]) -> Published | None:
+    """Return the published numbers that a study names, if any, from a CSV file in its folder."""
+    if (about := form.published) is None:
+        return None
+    problems, file, where = values.problems, shown(about.file), ("published", "file")
     with problems.at(where, f"{file} "):
-        text = read_text(values.folder / form.file)
+        text = read_text(values.folder / about.file)
         lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line and not line.startswith("#")]
         reader = csv.DictReader((line for _, line in lines), restkey="")
         try:
@@ -744,5 +676,5 @@ def _read_published(form: PublishedForm, values: Values, axes: Collection[str]) 
                         parameters[column].parse(cell if kind == "str" else read_cell(cell, kind))
                     elif cell and isinstance(read_cell(cell, "float"), str):
                         raise ValueError(f"{column} = {shown(cell)}: must be a number or empty")
-        return Published(form, tuple(row for _, row in rows))
+        return Published(about, tuple(row for _, row in rows))
     return None

@@ -626,6 +626,11 @@ class Part:
         return f"{store}.part-{self.number}-of-{self.total}"
 
     @classmethod
+    def recorded(cls, attributes: Mapping[str, Any]) -> "Part | None":
+        """Return the part that a store with these attributes holds, None for all of a study; raises as `parsed`."""
+        return cls.parsed(attributes[PART]) if PART in attributes else None
+
+    @classmethod
     def named(cls, place: object) -> "Part | None":
         """Return the part whose `place` it is by its name, None for another place."""
         match = re.search(r"\.part-([1-9]\d{0,5})-of-([1-9]\d{0,5})$", str(place))
