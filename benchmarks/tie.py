@@ -17,10 +17,10 @@ import json, resource, sys, time
 import numpy as np
 from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import Astrometry
-from linksweep.core.tie.solution import jackknife
+from linksweep.core.tie.problem import jackknife
 from linksweep.core.tie.problem import group_sums
 from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.solution import sources_of
+from linksweep.core.tie.problem import sources_of
 from linksweep.core.unknowns import parse_unknowns
 n, degree = int(sys.argv[1]), int(sys.argv[2])
 rng = np.random.default_rng(1)

@@ -525,7 +525,7 @@ GAIA_MARKS = frozenset({"source_id", "designation", "solution_id"})
 def catalogue_from_table(
     table: Any, columns: Mapping[str, str], pmra_cos_dec: bool | None, units: Mapping[str, str] | None = None
 ) -> Catalogue:
-    """Return the objects of a table (`linksweep.sweep.tables.file.TableFile`); ``columns`` maps a quantity of
+    """Return the objects of a table (`linksweep.sweep.tables.columns.TableFile`); ``columns`` maps a quantity of
     `QUANTITIES` to the table's name for it.
 
     Positions are required; proper motions are zero where the table has none, magnitudes NaN.  Errors are read if

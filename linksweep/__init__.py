@@ -44,9 +44,7 @@ if TYPE_CHECKING:
     from linksweep.sweep.functions.adapter import experiment
     from linksweep.sweep.studies.reader import load_study
     from linksweep.sweep.studies.study import Study
-    from linksweep.sweep.tie.apply import apply
-    from linksweep.sweep.tie.forecast import forecast
-    from linksweep.sweep.tie.link import tie
+    from linksweep.sweep.tie.link import apply, forecast, tie
     from linksweep.sweep.tie.result import difference
 
     __version__: str
@@ -87,9 +85,7 @@ _MODULES = {
     "linksweep.sweep.functions.adapter": ("experiment",),
     "linksweep.sweep.studies.reader": ("load_study",),
     "linksweep.sweep.studies.study": ("Study",),
-    "linksweep.sweep.tie.link": ("tie",),
-    "linksweep.sweep.tie.forecast": ("forecast",),
-    "linksweep.sweep.tie.apply": ("apply",),
+    "linksweep.sweep.tie.link": ("tie", "forecast", "apply"),
     "linksweep.sweep.tie.result": ("difference",),
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names}

@@ -12,8 +12,7 @@ import numpy as np
 from linksweep.core.frames import Array, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry, Differences, joined
-from linksweep.core.tie.problem import NormalSums, Problem, eliminate
-from linksweep.core.tie.solution import KeptSources, add_separations, inverted
+from linksweep.core.tie.problem import KeptSources, NormalSums, Problem, add_separations, eliminate, inverted
 from linksweep.core.unknowns import Unknowns
 
 
@@ -68,12 +67,16 @@ def release_of(epochs: Array, new: str, named: str | None = None) -> str:
     return old
 
 
-def released(problem: Problem, old: str, new: str, epoch_moves: bool = True) -> tuple[Problem, list[str]]:
+def released(
+    problem: Problem, new: str, named: str | None = None, epoch_moves: bool = True
+) -> tuple[Problem, str, list[str]]:
     """Return the problem with the satellite's table as another release may give it: errors scaled, correlations kept,
-    at that release's epoch, to which the epoch of the unknowns ``moves`` with it; and notes on what was assumed.
+    at that release's epoch, to which the epoch of the unknowns ``moves`` with it; the release that it is scaled from,
+    which may be ``named`` as for `release_of`; and notes on what was assumed.
 
     For forecasts: the values stay the same, so only errors are meaningful.
     """
+    old = release_of(problem.satellite.epoch, new, named)
     # T^-1/2 and T^-3/2 with the time T that observations span, as on ESA's Gaia science performance pages
     ratio = RELEASES[old].months / RELEASES[new].months
     position, motion = ratio**0.5, ratio**1.5
@@ -89,7 +92,7 @@ def released(problem: Problem, old: str, new: str, epoch_moves: bool = True) -> 
     if "dr1" in (old, new):
         notes.append("motions of dr1 rest on Hipparcos and Tycho-2 positions, so their errors do not scale as T^-3/2")
     epoch = problem.epoch + shift if epoch_moves else problem.epoch
-    return replace(problem, satellite=satellite, epoch=epoch), notes
+    return replace(problem, satellite=satellite, epoch=epoch), old, notes
 
 
 def with_new_rows(problem: Problem, epochs: Sequence[float], error: float, apparent: bool = True) -> Problem:

@@ -17,8 +17,7 @@ from scipy.special import chdtr, chdtrc, chdtri
 from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, by_errors, kinds
-from linksweep.core.tie.problem import NormalSums, Problem, source_sums
-from linksweep.core.tie.solution import Solution, discrepancies, solve
+from linksweep.core.tie.problem import NormalSums, Problem, Solution, discrepancies, solve, source_sums
 from linksweep.core.unknowns import POSITION, Block, Objects, Unknowns
 
 # chi2 over its expectation above and below which it is said first, and above which a link is not given unasked. Radio
@@ -121,11 +120,11 @@ class Cause(NamedTuple):
     hides: int = 0
 
 
-def misfit(problem: Problem, kept: Indices, solution: Solution, names: NDArray[Any], tables: Sequence[str]) -> Misfit:
+def misfit(problem: Problem, kept: Indices, solution: Solution, names: NDArray[Any]) -> Misfit:
     """Return what is to be said of chi2 of a solution with the best weights.
 
-    ``kept`` are the sources of the problem that it is of, ``names`` (S,) those of the sources, ``tables`` the names of
-    the tables of rows by frame.  The solution may be that of more sources than the problem has.
+    ``kept`` are the sources that it is of, ``names`` (S,) the names of all.  The solution may be that
+    of more sources than the problem has.
     """
     if not solution.dof > 0 or not solution.expected > 0.0:
         return Misfit()
@@ -133,12 +132,12 @@ def misfit(problem: Problem, kept: Indices, solution: Solution, names: NDArray[A
     most = int(np.clip(MOST_NUMBERS // len(solution.estimate) ** 2, 50, MOST_SOURCES))
     if len(kept) > most:
         kept = kept[np.linspace(0, len(kept) - 1, most).astype(np.int64)]
-    problem, names = problem.only(kept), names[kept]
-    groups = _groups(problem, solution, tables)
+    problem = replace(problem, satellite=replace(problem.satellite, names=names)).only(kept)
+    groups = _groups(problem, solution)
     if ratio > GOOD and chdtrc(solution.expected, solution.squares) < CHANCE:
         worst = max(groups, key=lambda group: group.squares)
         said = f"chi2 is {ratio:.3g} times its expectation, most of it in {worst.words}"
-        cause = _excess(problem, names, tables, ratio) if most > len(solution.estimate) else UNEXPLAINED
+        cause = _excess(problem, ratio) if most > len(solution.estimate) else UNEXPLAINED
         return Misfit(ratio, f"{said}; {cause}", ratio > EXCESS or cause != UNEXPLAINED)
     low = [one for one in groups if one.squares < 0.1 * one.expected and chdtr(one.dof, one.squares) < CHANCE]
     if ratio >= DEFICIT or chdtr(solution.dof, solution.squares) > 100.0 * CHANCE:
@@ -148,7 +147,7 @@ def misfit(problem: Problem, kept: Indices, solution: Solution, names: NDArray[A
     else:
         said = f"chi2 is {ratio:.2g} times its expectation"
     too_large = "errors are too large, or the tables are not independent"
-    return Misfit(ratio, f"{said}: {_deficit(problem, tables, low) or too_large}")
+    return Misfit(ratio, f"{said}: {_deficit(problem, low) or too_large}")
 
 
 class _Group(NamedTuple):
@@ -162,7 +161,7 @@ class _Group(NamedTuple):
     dof: float
 
 
-def _groups(problem: Problem, solution: Solution, tables: Sequence[str]) -> list[_Group]:
+def _groups(problem: Problem, solution: Solution) -> list[_Group]:
     """Return the squares of the residuals over their errors by table, kind of row and quantity, with their means.
 
     ``dof`` is less where rows share the errors of a source.  What depends on parameters that the satellite lacks is
@@ -180,7 +179,7 @@ def _groups(problem: Problem, solution: Solution, tables: Sequence[str]) -> list
         squares = (differences.values - design @ solution.estimate) ** 2 / variance
         means = 1.0 - np.einsum("rik,kl,ril->ri", design, solution.covariance, design) / variance
     groups = []
-    for part in _by_kind(problem, tables):
+    for part in _by_kind(problem):
         for quantity, rows in GROUPS.items():
             used = np.zeros_like(usable)
             cells = np.ix_(part.at, np.array(rows))
@@ -194,36 +193,40 @@ def _groups(problem: Problem, solution: Solution, tables: Sequence[str]) -> list
     return groups
 
 
-def _wholes(problem: Problem, tables: Sequence[str]) -> list[_Part]:
+def _wholes(problem: Problem) -> list[_Part]:
     frame = problem.rows.frame
     satellite = _Part("satellite", "the satellite", np.ones(len(problem.satellite), dtype=bool))
-    return [satellite, *(_Part(name, f"the {name}", frame == k) for k, name in enumerate(tables) if np.any(frame == k))]
+    return [
+        satellite,
+        *(_Part(name, f"the {name}", frame == k) for k, name in enumerate(problem.tables) if np.any(frame == k)),
+    ]
 
 
-def _alike(problem: Problem, tables: Sequence[str], labels: NDArray[np.str_], words: str) -> list[_Part]:
+def _alike(problem: Problem, labels: NDArray[np.str_], words: str) -> list[_Part]:
     """Return the rows of each table that have the same label (R,)."""
     return [
         _Part(part.table, words.format(label, part.words), part.at & (labels == label))
-        for part in _wholes(problem, tables)[1:]
+        for part in _wholes(problem)[1:]
         for label in np.unique(labels[part.at])
     ]
 
 
-def _by_kind(problem: Problem, tables: Sequence[str]) -> list[_Part]:
-    return _alike(problem, tables, kinds(problem.rows), "the {} rows of {}")
+def _by_kind(problem: Problem) -> list[_Part]:
+    return _alike(problem, kinds(problem.rows), "the {} rows of {}")
 
 
-def _by_epoch(problem: Problem, tables: Sequence[str]) -> list[_Part]:
+def _by_epoch(problem: Problem) -> list[_Part]:
     """Return the rows of each session, if there are not too many."""
     epochs = problem.rows.epoch
-    parts = _alike(problem, tables, np.char.mod("%.2f", epochs), "the rows of {1} at {0}")
+    parts = _alike(problem, np.char.mod("%.2f", epochs), "the rows of {1} at {0}")
     parts = [part for part in parts if np.all(np.isfinite(epochs[part.at]))]
     return [part for part in parts if np.count_nonzero(part.at) > 2] if 1 < len(parts) <= MOST_SESSIONS else []
 
 
-def _of_sources(problem: Problem, tables: Sequence[str], sources: Indices, listed: str) -> Iterator[_Part]:
+def _of_sources(problem: Problem, sources: Indices) -> Iterator[_Part]:
     """Yield some sources in each table, and their rows one by one."""
-    for part in _wholes(problem, tables):
+    listed = _listed(problem, sources)
+    for part in _wholes(problem):
         is_satellite = part.table == "satellite"
         at = part.at & np.isin(np.arange(len(problem.satellite)) if is_satellite else problem.source, sources)
         yield _Part(part.table, f"{listed} in {part.words}", at)
@@ -232,28 +235,27 @@ def _of_sources(problem: Problem, tables: Sequence[str], sources: Indices, liste
             yield _Part(part.table, f"the row of {listed}{epoch} in {part.words}", np.arange(len(at)) == row)
 
 
-def _excess(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> str:
+def _excess(problem: Problem, ratio: float) -> str:
     """Return a clause about the likely cause."""
-    causes = [cause for part in _wholes(problem, tables) for cause in _causes(problem, part, ratio)]
+    causes = [cause for part in _wholes(problem) for cause in _causes(problem, part, ratio)]
     alone = ""
     if ratio <= EXCESS:  # real stars may be as bad: only a correction after which all is well is a cause
         least = chdtri(problem.rows.present.sum(), 0.001) / problem.rows.present.sum()
         causes = [cause for cause in causes if not cause.hides and cause.ratio < least]
     elif not causes or min(cause.ratio for cause in causes) > GOOD:
         worst, left = _outliers(problem, ratio)
-        exchanged = _exchanged(problem, _worst(problem), names, tables)
+        exchanged = _exchanged(problem, problem)
         causes += [Cause(words, after) for words, _, one in exchanged if explains(after := _ratio(one), ratio)]
         if len(worst):
-            listed = _listed(names, worst)
-            alone = f"without {listed} it is {left:.2g} times its expectation; "
-            for part in _of_sources(problem, tables, worst, listed):
+            alone = f"without {_listed(problem, worst)} it is {left:.2g} times its expectation; "
+            for part in _of_sources(problem, worst):
                 causes += [cause for cause in _causes(problem, part, ratio) if cause.ratio < GOOD]
             causes = [cause for cause in causes if not cause.hides]
         else:
-            for part in [*_by_kind(problem, tables), *_by_epoch(problem, tables)]:
+            for part in [*_by_kind(problem), *_by_epoch(problem)]:
                 causes += _causes(problem, part, ratio)
             if not causes or min(cause.ratio for cause in causes) > GOOD:
-                causes = list(_two(problem, names, tables, ratio)) or causes
+                causes = list(_two(problem, ratio)) or causes
     said = likely(causes, 30.0 / max(1, int(np.sum(problem.rows.present))))
     return f"{alone}{said}" if said == UNEXPLAINED else said
 
@@ -274,18 +276,18 @@ def likely(causes: Sequence[Cause], alike: float) -> str:
     return f"the likely cause: {words} (corrected, chi2 is {ordered[0].ratio:.2g} times its expectation)"
 
 
-def _deficit(problem: Problem, tables: Sequence[str], groups: Sequence[_Group]) -> str:
+def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
     """Return which errors are too large by a factor of units: the smallest that brings chi2 up to its level."""
     units = sorted(LARGER.items(), reverse=True)
     for group in groups:
         what = group.words.removeprefix("the ").partition(" of ")[0]
-        wholes = [part for part in _wholes(problem, tables) if part.table in ("satellite", group.part.table)]
+        wholes = [part for part in _wholes(problem) if part.table in ("satellite", group.part.table)]
         for part, (name, rows), (factor, unit) in product(
             (group.part, *wholes[::-1]), ((what, group.rows), ("all quantities", WITH_ERRORS["all quantities"])), units
         ):
             trial = _applied(problem, part, _scaled(rows, factor, errors=True))
             try:
-                after = [] if trial is None else _groups(trial, solve(source_sums(trial)), tables)
+                after = [] if trial is None else _groups(trial, solve(source_sums(trial)))
             except LinkError:
                 continue
             if any(one.words == group.words and 0.1 < one.squares / one.expected < EXCESS for one in after):
@@ -317,12 +319,12 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
             yield Cause(f"epochs of {part.words} {all_equal if len(epochs) == 1 else single}", along, 1)
 
 
-def _two(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: float) -> Iterator[Cause]:
+def _two(problem: Problem, ratio: float) -> Iterator[Cause]:
     """Yield two mistakes: those whose corrections help most, each with one after whose correction all is well.
 
     Epochs that are far off hide how much a correction helps, so that it is tried with epochs free too.
     """
-    wholes, free = _wholes(problem, tables), _freed_epochs(problem)
+    wholes, free = _wholes(problem), _freed_epochs(problem)
     determined = np.isfinite(_ratio(free))  # motions alone say nothing of epochs
     free = free if determined else problem
 
@@ -330,8 +332,8 @@ def _two(problem: Problem, names: NDArray[Any], tables: Sequence[str], ratio: fl
         return _ratio(_freed_epochs(trial) if determined else trial)
 
     worst, _ = _outliers(free, left(problem))
-    few = _of_sources(problem, tables, worst, _listed(names, worst)) if len(worst) else ()
-    trials = [*_trials(problem, [*wholes, *few]), *_exchanged(problem, _worst(free), names, tables)]
+    few = _of_sources(problem, worst) if len(worst) else ()
+    trials = [*_trials(problem, [*wholes, *few]), *_exchanged(problem, free)]
     best = sorted(((left(trial), words, trial) for words, hides, trial in trials if not hides), key=lambda one: one[0])
     for after, words, trial in best[:TWICE]:
         if after < 0.9 * _ratio(free):
@@ -530,24 +532,18 @@ def _outliers(problem: Problem, ratio: float) -> tuple[Indices, float]:
     return np.zeros(0, dtype=np.int64), np.nan
 
 
-def _worst(problem: Problem) -> list[int]:
-    """Return the sources that fit worst."""
-    sums = source_sums(problem)
-    return [int(k) for k in np.argsort(-_each(sums, solve(sums)))[:6]]
-
-
-def _exchanged(
-    problem: Problem, worst: Sequence[int], names: NDArray[Any], tables: Sequence[str]
-) -> Iterator[tuple[str, int, Problem]]:
-    """Yield, as `_trials`, pairs of sources whose rows belong to one another."""
-    for part in _wholes(problem, tables)[1:]:
+def _exchanged(problem: Problem, judged: Problem) -> Iterator[tuple[str, int, Problem]]:
+    """Yield, as `_trials`, pairs of sources whose rows belong to one another, of those that fit worst as ``judged``."""
+    sums = source_sums(judged)
+    worst = np.argsort(-_each(sums, solve(sums)))[:6]
+    for part in _wholes(problem)[1:]:
         for pair in combinations(worst, 2):
             place = np.arange(len(problem.satellite))
             place[list(pair)] = pair[::-1]
             source = np.where(part.at, place[problem.source], problem.source)
-            words = f"the names {' and '.join(map(str, names[list(pair)]))} exchanged in {part.words}"
+            words = f"the names {_listed(problem, pair, ' and ')} exchanged in {part.words}"
             yield words, 0, replace(problem, source=source)
 
 
-def _listed(names: NDArray[Any], sources: Indices) -> str:
-    return ", ".join(map(str, names[sources]))
+def _listed(problem: Problem, sources: Sequence[int] | Indices, separator: str = ", ") -> str:
+    return separator.join(map(str, np.asarray(problem.satellite.names)[list(sources)]))

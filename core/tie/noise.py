@@ -10,7 +10,7 @@ with V = I^-1, A_k = X' D^-1 G_k D^-1 X and Q_kl = X' D^-1 G_k D^-1 G_l D^-1 X; 
 Student's t at 1 sigma.  Sources: Kackar & Harville 1984, JASA 79, 853; Kenward & Roger 1997, Biometrics 53, 983.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -21,8 +21,7 @@ from scipy.special import ndtr, stdtrit
 from linksweep.core.frames import MAS, Array, Flags
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import kinds, with_variance
-from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.solution import KEPT_NUMBERS, Solution, inverted
+from linksweep.core.tie.problem import KEPT_NUMBERS, Problem, Solution, inverted
 
 # Stands for a size of a jitter that is estimated, and for every kind of row that has no jitter of its own.
 ESTIMATE, ALL = "estimate", "all"
@@ -87,18 +86,18 @@ class _Terms(NamedTuple):
     residuals: Array
 
 
-def noises(problem: Problem, jitter: Mapping[str, Any], tables: Sequence[str]) -> dict[str, Flags]:
+def noises(problem: Problem, jitter: Mapping[str, Mapping[str, Any]]) -> dict[str, Flags]:
     """Return the noises that ``jitter`` asks to estimate: those of kinds of rows, and if of all, of the satellite.
 
     They are labelled like "five-parameter:motion", and have the parameters (N, 5) of rows, or of sources, that have
-    them.  ``tables`` are the names of the tables of rows by frame.  Raises LinkError where a kind has too few rows.
+    them.  Raises LinkError where a kind has too few rows.
     """
-    kind_of_row, everywhere = kinds(problem.rows), jitter.get(ALL) == ESTIMATE
+    kind_of_row, everywhere = kinds(problem.rows), jitter.get(problem.tables[0], {}).get(ALL) == ESTIMATE
     chosen = []
-    for frame, table in enumerate(tables):
-        of_table = f"{table}:" if frame else ""
+    for frame, table in enumerate(problem.tables):
+        of_table, asked = f"{table}:" * bool(frame), jitter.get(table, {})
         for kind in np.unique(kind_of_row[problem.rows.frame == frame]):
-            size = jitter.get(f"{of_table}{kind}", jitter.get(f"{of_table}{ALL}", ESTIMATE if everywhere else None))
+            size = asked.get(kind, asked.get(ALL, ESTIMATE if everywhere else None))
             at = (kind_of_row == kind) & (problem.rows.frame == frame)
             chosen += [(f"{of_table}{kind}", at, problem.rows.present.T)] if size == ESTIMATE else []
     if everywhere:

@@ -15,19 +15,10 @@ from scipy.linalg import block_diag
 
 from linksweep.core.frames import DEGREE, Array, Flags, Indices
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import (
-    FIRST,
-    FURTHER,
-    SECOND,
-    Astrometry,
-    Differences,
-    bends,
-    by_errors,
-    differences,
-    from_tangent_plane,
-)
+from linksweep.core.tie import astrometry
+from linksweep.core.tie.astrometry import FURTHER, Astrometry, Differences, differences
 from linksweep.core.tie.mistakes import EXCESS, LARGER, SMALLER, Cause, Misfit, best_shift, explains, likely
-from linksweep.core.tie.solution import inverted
+from linksweep.core.tie.problem import inverted
 from linksweep.core.unknowns import PARAMETERS
 
 # The parameters of a path, and last the error of the colour in 1/nm, which is about as large as said here.
@@ -96,7 +87,7 @@ class Transits:
         """Return the derivatives of w by the parameters `PATH`; shape (N, 11)."""
         years, angle = self.observed["relative_time_year"], self.observed["scan_pos_angle"]
         along = np.array([np.sin(angle), np.cos(angle)])
-        bend = np.einsum("in,nik->kn", along, bends(years, self.orbit[:, self.star])[:, :2])
+        bend = np.einsum("in,nik->kn", along, astrometry.bends(years, self.orbit[:, self.star])[:, :2])
         factors = [self.observed[name] for name in ("parallax_factor_al", "colour_factor_al")]
         return np.array([*along, factors[0], *(along * years), *bend, factors[1]]).T
 
@@ -123,13 +114,13 @@ class Transits:
 
     def in_place(self, paths: Paths, table: Astrometry, rows: Indices) -> Astrometry:
         """Return a catalogue in which paths take the place of some rows (S,)."""
-        error, between = by_errors(paths.covariance[:, :COLOUR, :COLOUR])
-        position = from_tangent_plane(*paths.values[:, :2].T, *self.origin)
+        error, between = astrometry.by_errors(paths.covariance[:, :COLOUR, :COLOUR])
+        position = astrometry.from_tangent_plane(*paths.values[:, :2].T, *self.origin)
         arrays: dict[str, Any] = {
             "values": np.concatenate([position, paths.values[:, 2:5].T]),
             "errors": error[:5],
             "epoch": np.full(len(rows), self.epoch),
-            "correlations": between[FIRST, SECOND],
+            "correlations": between[astrometry.FIRST, astrometry.SECOND],
             "further": np.array([paths.values[:, 5:COLOUR].T, error[5:]]),
             "orbit": self.orbit,
         }

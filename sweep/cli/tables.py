@@ -246,7 +246,7 @@ def apply(
     \b
     sweep apply tie.zarr gaia.fits -o gaia-in-vlbi.fits
     """
-    from linksweep.sweep.tie.apply import apply as carry
+    from linksweep.sweep.tie.link import apply as carry
 
     for note in carry(link, table, output, inverse=inverse, epoch=epoch).meta["comments"]:
         click.echo(f"note: {note}", err=True)
@@ -275,14 +275,14 @@ def match(
         --radius pgc=15 --radius uzc=3 --error pgc=5 --error uzc=1 \\
         -o galaxies.ecsv --table galaxies.dat --figure galaxies.png
     """
-    from linksweep.sweep.search.outputs import Outputs, find_galaxies, summarise, summary_lines, summary_tables
-    from linksweep.sweep.search.search import plan_search
+    from linksweep.sweep.search import search as galaxy_search
 
-    outputs = Outputs(output, table, figure)
-    summary = summarise(find_galaxies(plan_search(stars, galaxies, supplement, **search), outputs, overwrite))
+    outputs = galaxy_search.Outputs(output, table, figure)
+    plan = galaxy_search.plan_search(stars, galaxies, supplement, **search)
+    summary = galaxy_search.summarise(galaxy_search.find_galaxies(plan, outputs, overwrite))
     if as_json:
         click.echo(to_json(summary))
     else:
-        cli.print_tables(summary_tables(summary), ["", *summary_lines(summary)])
+        cli.print_tables(galaxy_search.summary_tables(summary), ["", *galaxy_search.summary_lines(summary)])
     for path in outputs.paths():
         click.echo(f"wrote {path}", err=True)

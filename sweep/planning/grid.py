@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from linksweep.sweep.contract import Point, Status, SweepError, Value, shown
 from linksweep.sweep.studies.points import remarks
 from linksweep.sweep.studies.study import POINT, Study
-from linksweep.sweep.tables.file import sorted_json
+from linksweep.sweep.tables.columns import sorted_json
 
 T = TypeVar("T")
 

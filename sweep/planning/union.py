@@ -17,7 +17,7 @@ from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import MAX_POINTS, Grid, GridPoint, all_but
 from linksweep.sweep.studies.points import MAX_VALUES, labels_of, require_distinct
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
-from linksweep.sweep.tables.file import sorted_json
+from linksweep.sweep.tables.columns import sorted_json
 
 # A grid of more points than this becomes a table where fewer than one in so many of its points are there.
 SMALL, SPARSEST = 1000, 10

@@ -19,7 +19,7 @@ from linksweep.sweep.plots import style
 from linksweep.sweep.running.reproduce import place_of, study_to_look_at
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.studies.study import Study
-from linksweep.sweep.tables.file import table_file
+from linksweep.sweep.tables.columns import table_file
 
 MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
 

@@ -15,7 +15,7 @@ from matplotlib.transforms import Bbox
 from scipy.special import chdtrc, ndtri
 
 from linksweep.core.frames import DEGREE, Array
-from linksweep.core.tie.solution import LARGE_SHARE
+from linksweep.core.tie.problem import LARGE_SHARE
 from linksweep.sweep import formatting
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.plots import sky, style

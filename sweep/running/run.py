@@ -36,9 +36,8 @@ from linksweep.sweep.stores.location import Where, locked, writing
 from linksweep.sweep.stores.store import BLOCKS, RESCUED, OpenStore, Store, create_store, free_beside, replace_store
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import PART, Study
-from linksweep.sweep.tables.file import content_digest
+from linksweep.sweep.tables.columns import content_digest, rows_where
 from linksweep.sweep.tables.reader import from_frame
-from linksweep.sweep.tables.where import rows_where
 
 OLD = "old"
 """What a condition calls points that were made by other code than today's."""

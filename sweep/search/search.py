@@ -1,22 +1,30 @@
-"""A search for galaxies in a star catalogue: what to search, from the options of the command line, and its matches."""
+"""A search for galaxies in a star catalogue: what to search, from the options of the command line, and what it gives:
+matches as a table, as ECSV and in 46 bytes a row, the map, and the summary.
+"""
 
+import io
+import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, galactic
 from linksweep.sweep.contract import Parameter, SweepError
+from linksweep.sweep.formatting import with_error
 from linksweep.sweep.search import crossmatch
 from linksweep.sweep.search.options import SearchOptions
-from linksweep.sweep.tables.columns import EPOCHS, Columns
-from linksweep.sweep.tables.options import Pairs, by_table, number
+from linksweep.sweep.stores.location import Folder
+from linksweep.sweep.table_writer import Column, Table
+from linksweep.sweep.tables.columns import EPOCHS, Columns, conditions, rows_where, unit_of
+from linksweep.sweep.tables.options import by_table, number
 from linksweep.sweep.tables.reader import read_table
-from linksweep.sweep.tables.where import conditions, rows_where
 
 DEFAULT_RADIUS_ARCSEC = 5.0
 
@@ -35,55 +43,26 @@ _TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASC
 
 
 @dataclass(frozen=True)
-class Reading:
-    """How one table is read: names of its columns, units that it does not give, and values in place of a column.
-
-    ``error_arcsec`` is the error of each coordinate, ``ref_epoch`` (yr) the epoch of all positions.  ``where`` is a
-    condition that its rows must meet, as in `rows_where`.
-    """
-
-    columns: Mapping[str, str] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)
-    error_arcsec: float | None = None
-    ref_epoch: float | None = None
-    missing_pm: str = "error"
-    where: str | None = None
-
-
-@dataclass(frozen=True)
 class Search:
-    """What to search and how: files, match radius and `Reading` by table name, and the other options.
+    """What to search and how: files by name, the options, and what these say of each table, by option and name.
 
     ``stars`` are the star catalogue and, if there is one, the supplement.
     """
 
-    stars: tuple[Path, ...]
-    galaxies: tuple[Path, ...]
-    radius_arcsec: Mapping[str, float]
-    readings: Mapping[str, Reading]
+    stars: dict[str, Path]
+    galaxies: dict[str, Path]
     asked: SearchOptions
-
-    @property
-    def rules(self) -> crossmatch.Rules:
-        """What makes a match uncertain."""
-        asked = self.asked
-        merge = None if asked.merge_radius is None else asked.merge_radius * ARCSEC
-        return crossmatch.Rules(asked.k_sigma, asked.crowding_radius * ARCSEC, asked.crowding_stars, merge)
+    said: Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
 class Matches:
-    """A search, the rows of its star tables and of its galaxy tables (see `read_sky_table`), and the matches."""
+    """A search, the rows of its star and galaxy tables by name (see `read_sky_table`), and the matches."""
 
     search: Search
-    stars: tuple[pd.DataFrame, ...]
-    galaxies: tuple[pd.DataFrame, ...]
+    stars: dict[str, pd.DataFrame]
+    galaxies: dict[str, pd.DataFrame]
     matches: crossmatch.Matches
-
-
-def table_name(path: Path) -> str:
-    """Return the name of a table in options: its file name up to the first dot."""
-    return path.name.split(".")[0]
 
 
 def plan_search(stars: Path, galaxies: Sequence[Path], supplement: Path | None = None, **options: Any) -> Search:
@@ -92,36 +71,31 @@ def plan_search(stars: Path, galaxies: Sequence[Path], supplement: Path | None =
     Raises SweepError for two tables with the same name, unknown names and values out of range.
     """
     asked = SearchOptions.named("match", options)
-    star_paths = (stars,) if supplement is None else (stars, supplement)
-    star_names, galaxy_names = [table_name(path) for path in star_paths], [table_name(path) for path in galaxies]
-    names = star_names + galaxy_names
+    star_paths = [stars] if supplement is None else [stars, supplement]
+    names = [path.name.split(".")[0] for path in (*star_paths, *galaxies)]
+    star_names, galaxy_names = names[: len(star_paths)], names[len(star_paths) :]
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise SweepError(f"two tables are called {', '.join(map(repr, twice))}; give the files different names")
-    columns, units = (by_table(n, getattr(asked, n), names, star_names) for n in ("columns", "units"))
-    radii = _numbers("radius", asked.radius, galaxy_names, galaxy_names)
-    errors, epochs = (
-        _numbers("error", asked.error, names, galaxy_names),
-        _numbers("ref_epoch", asked.ref_epoch, star_names, star_names),
-    )
-    chosen = conditions(asked.where.split(";"), names, star_names)
-    readings = {
-        name: Reading(
-            *(columns.get(name, {}), units.get(name, {}), errors.get(name), epochs.get(name)),
-            *(asked.missing_pm, chosen.get(name)),
-        )
-        for name in names
+    said: dict[str, Mapping[str, Any]] = {
+        **{option: by_table(option, getattr(asked, option), names, star_names) for option in ("columns", "units")},
+        "radius": dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | _numbers(asked, "radius", galaxy_names),
+        "error": _numbers(asked, "error", galaxy_names, star_names),
+        "ref_epoch": _numbers(asked, "ref_epoch", star_names),
+        "where": conditions(asked.where.split(";"), names, star_names),
     }
-    radius = dict.fromkeys(galaxy_names, DEFAULT_RADIUS_ARCSEC) | radii
-    return Search(star_paths, tuple(galaxies), radius, readings, asked)
+    paths = dict(zip(star_names, star_paths, strict=True)), dict(zip(galaxy_names, galaxies, strict=True))
+    return Search(*paths, asked, said)
 
 
-def _numbers(name: str, pairs: Pairs, tables: Sequence[str], common: Sequence[str]) -> dict[str, float]:
-    """Return a radius, an error (arcsec) or an epoch (yr) by table; raises SweepError for one out of range."""
+def _numbers(asked: SearchOptions, name: str, common: Sequence[str], further: Sequence[str] = ()) -> dict[str, float]:
+    """Return a radius, an error (arcsec) or an epoch (yr) by table, one without a table for all ``common`` ones; raises
+    SweepError for one out of range.
+    """
     low, high, unit = (*EPOCHS, "yr") if name == "ref_epoch" else (0.0, crossmatch.MAX_RADIUS / ARCSEC, "arcsec")
     allowed = Parameter(name, "float", unit=unit, above=low, maximum=high)
-    of_tables = tuple((f"{table.removesuffix(':')}:", text) for table, text in pairs)
+    of_tables = tuple((f"{table.removesuffix(':')}:", text) for table, text in getattr(asked, name))
     try:
-        said = by_table(name, of_tables, tables, common)
+        said = by_table(name, of_tables, [*common, *further], common)
         return {table: allowed.parse(number(one[""])) for table, one in said.items()}
     except ValueError as error:
         raise SweepError(str(error)) from error
@@ -133,30 +107,33 @@ def find_matches(search: Search) -> Matches:
     Raises SweepError with the problems of all tables, and for a radius that would pair everything with everything.
     """
     problems: list[str] = []
-    tables: list[pd.DataFrame] = []
-    for path in (*search.stars, *search.galaxies):
-        try:
-            tables.append(read_sky_table(path, search.readings[table_name(path)], path in search.stars))
-        except SweepError as bad:
-            problems += [f"{path}: {problem}" for problem in bad.problems]
+    stars, galaxies = dict[str, pd.DataFrame](), dict[str, pd.DataFrame]()
+    for tables, paths in ((stars, search.stars), (galaxies, search.galaxies)):
+        for name, path in paths.items():
+            try:
+                tables[name] = read_sky_table(name, path, search)
+            except SweepError as bad:
+                problems += [f"{path}: {problem}" for problem in bad.problems]
     if problems:
         raise SweepError(problems)
-    stars, galaxies = tuple(tables[: len(search.stars)]), tuple(tables[len(search.stars) :])
-    if all(set(TYC) <= set(table) for table in stars):
-        both = pd.concat([table[list(TYC)] for table in stars])
+    if all(set(TYC) <= set(table) for table in stars.values()):
+        both = pd.concat([table[list(TYC)] for table in stars.values()])
         if len(again := both[both.duplicated()]):
             names = ", ".join("-".join(map(str, tyc)) for tyc in again[:5].itertuples(index=False))
             more = f" and {len(again) - 5} more" if len(again) > 5 else ""
             raise SweepError(f"TYC {names}{more}: in the star table and again in the supplement")
-    parts = [_star_positions(table, search.asked.epoch) for table in stars]
+    asked = search.asked
+    parts = [_star_positions(table, asked.epoch) for table in stars.values()]
     positions = crossmatch.Positions(*map(np.concatenate, zip(*parts, strict=True)))
-    supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars])
+    supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars.values()])
     catalogues = [
-        crossmatch.GalaxyCatalogue(_positions(table), table["PGC"].to_numpy(), radius * ARCSEC)
-        for table, radius in zip(galaxies, search.radius_arcsec.values(), strict=True)
+        crossmatch.GalaxyCatalogue(_positions(table), table["PGC"].to_numpy(), search.said["radius"][name] * ARCSEC)
+        for name, table in galaxies.items()
     ]
+    merge = None if asked.merge_radius is None else asked.merge_radius * ARCSEC
+    rules = crossmatch.Rules(asked.k_sigma, asked.crowding_radius * ARCSEC, asked.crowding_stars, merge)
     try:
-        return Matches(search, stars, galaxies, crossmatch.cross_match(positions, supplement, catalogues, search.rules))
+        return Matches(search, stars, galaxies, crossmatch.cross_match(positions, supplement, catalogues, rules))
     except ValueError as error:
         raise SweepError(str(error)) from error
 
@@ -175,7 +152,7 @@ def _star_positions(table: pd.DataFrame, epoch: float) -> crossmatch.Positions:
     return crossmatch.at_epoch(positions, **motions, years=epoch - table["ref_epoch"].to_numpy())
 
 
-def read_sky_table(path: Path, reading: Reading, stars: bool) -> pd.DataFrame:
+def read_sky_table(name: str, path: Path, search: Search) -> pd.DataFrame:
     """Return the rows of a table of stars, or of galaxies: ra, dec and their errors; of stars also proper motions and
     their epoch, magnitudes and identifiers, of galaxies PGC numbers (0 where there is none) and names.  The index has
     the numbers of the rows in the file, from 0.
@@ -185,14 +162,14 @@ def read_sky_table(path: Path, reading: Reading, stars: bool) -> pd.DataFrame:
     are noise.  Raises SweepError with all problems: missing or unusable columns and units, rows without a value or with
     an impossible one, repeated identifiers.
     """
-    table = read_table(path)
-    rows = np.flatnonzero(rows_where(table, reading.where, str(path))) if reading.where else np.arange(len(table))
-    read = Columns(table[rows] if reading.where else table, str(path), reading.columns, reading.units, QUANTITIES)
+    table, said = read_table(path), {option: by.get(name) for option, by in search.said.items()}
+    rows = np.flatnonzero(rows_where(table, said["where"], str(path))) if said["where"] else np.arange(len(table))
+    read = Columns(table[rows] if said["where"] else table, str(path), said["columns"], said["units"], QUANTITIES)
     if not len(read):
         raise SweepError("has no rows", str(path))
-    columns: dict[str, Any] = _read_positions(read, reading.error_arcsec)
-    if stars:
-        columns |= _read_motions(read, reading)
+    columns: dict[str, Any] = _read_positions(read, said["error"])
+    if name in search.stars:
+        columns |= _read_motions(read, search.asked.missing_pm, said["ref_epoch"])
         columns |= {key: read.quantity(key, "allowed") for key in MAGNITUDES if read.has(key)}
         columns |= _read_tyc(read)
         columns |= {"source_id": read.integers("source_id")} if read.has("source_id") else {}
@@ -220,7 +197,7 @@ def _read_positions(read: Columns, error_arcsec: float | None) -> dict[str, Arra
     return columns
 
 
-def _read_motions(read: Columns, reading: Reading) -> dict[str, Array]:
+def _read_motions(read: Columns, missing_pm: str, ref_epoch: float | None) -> dict[str, Array]:
     """Return the proper motions, NaN in rows that lack one of them, and the epoch of the positions."""
     columns: dict[str, Array] = {}
     known = len(read.problems)
@@ -234,10 +211,10 @@ def _read_motions(read: Columns, reading: Reading) -> dict[str, Array]:
                 read.check(values < 0.0, f"a negative {read.label(key)}", values)
                 read.check(np.isnan(values) & ~missing, f"no {read.label(key)}")
             columns[key] = np.where(missing, np.nan, values)
-        if reading.missing_pm == "error" and len(read.problems) == known:
+        if missing_pm == "error" and len(read.problems) == known:
             read.check(missing, "no proper motion (--missing-pm zero takes it as zero)")
-    if reading.ref_epoch is not None:
-        columns["ref_epoch"] = np.full(len(read), reading.ref_epoch)
+    if ref_epoch is not None:
+        columns["ref_epoch"] = np.full(len(read), ref_epoch)
     elif read.has("ref_epoch"):
         columns["ref_epoch"] = read.epochs()
     elif has_motions:
@@ -264,3 +241,352 @@ def _read_tyc(read: Columns) -> dict[str, Any]:
     if len(read.problems) == known:
         read.check(tyc.duplicated().to_numpy(), "the Tycho identifier of an earlier row")
     return dict(tyc)
+
+
+# ---- what it gives
+
+MAP_SUFFIXES = (".png", ".svg", ".pdf")
+
+STAR_MOTIONS = {name: f"star_{name}" for name in MOTIONS}
+"""Columns for the stars' measured proper motions, so named that a study does not take them for the galaxies' (zero)."""
+
+MATCH_COLUMNS: Mapping[str, tuple[str | None, str]] = {
+    "class": (None, "certain, uncertain or supplement"),
+    "reason": (None, "why it is in doubt: crowded, offset, rival; or none"),
+    "offset": ("arcsec", "angle between star and galaxy at the epoch of the search"),
+    "offset_ra": ("arcsec", "galaxy - star along ra, with cos(dec)"),
+    "offset_dec": ("arcsec", "galaxy - star along dec"),
+    "offset_sigma": (None, "offset in units of the combined position errors"),
+    "n_near": (None, "other stars within the crowding radius"),
+    "n_rival": (None, "other stars and galaxies within the match radius"),
+    "galaxy_table": (None, "catalogue of the closest entry of the galaxy"),
+    "galaxy_row": (None, "row of that entry, from 1"),
+    "galaxy_name": (None, "name of that entry in its catalogue, if that gives one"),
+    "galaxy_ra": ("deg", "position of that entry"),
+    "galaxy_dec": ("deg", "position of that entry"),
+    "found_in": (None, "all catalogues with the galaxy within their radius"),
+    "star_table": (None, "catalogue of the star"),
+    "star_row": (None, "row of the star, from 1"),
+}
+"""The columns of the ECSV beside those of the star table, their units and what they mean."""
+
+LETTERS = dict(zip(crossmatch.CLASSES, "GUS", strict=True))
+"""The letters of the classes in the 46-byte table."""
+
+LARGEST = {"TYC1": ("1-4", 9999), "TYC2": ("6-10", 99999), "TYC3": ("12-12", 9), "PGC": ("14-18", 99999)}
+"""The bytes of the integers in the 46-byte table, and the largest number that fits."""
+
+PROBLEMS_NAMED = 10
+
+STYLES = {"certain": ("o", "#0072B2"), "uncertain": ("^", "#D55E00"), "supplement": ("s", "#009E73")}
+"""Marker and colour of each class, from the colour-blind safe palette of Okabe & Ito (2008)."""
+
+BACKGROUND = "#b0b0b0"
+MAX_BACKGROUND = 30_000
+"""More background points would fill the map: of a larger number a random share is drawn, and the legend gives it."""
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """The files to write; None for those that are not wanted."""
+
+    ecsv: Path | None = None
+    table: Path | None = None
+    sky_map: Path | None = None
+
+    def paths(self) -> list[Path]:
+        """Return the paths of the files that are wanted."""
+        return [path for path in (self.ecsv, self.table, self.sky_map) if path is not None]
+
+
+def find_galaxies(search: Search, outputs: Outputs | None = None, overwrite: bool = False) -> Matches:
+    """Read the tables, match them and write the requested files, each in one step.
+
+    Raises SweepError for all that is wrong with tables, options and names of files; then nothing is written.
+    """
+    outputs = outputs or Outputs()
+    _check(outputs, search, overwrite)  # better before a long search than after it
+    result = find_matches(search)
+    contents: dict[Path, bytes] = {}
+    if outputs.table is not None:
+        if without := [path for name, path in search.stars.items() if TYC[0] not in result.stars[name]]:
+            needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3, or TYC with strings like '1-13-1'"
+            raise SweepError([f"{path}: {needed}" for path in without])
+        contents[outputs.table] = galaxy_table(match_columns(result)).encode("ascii")
+    if outputs.ecsv is not None:
+        text = io.StringIO()
+        matches_table(result).write(text, format="ascii.ecsv")
+        contents[outputs.ecsv] = text.getvalue().encode()
+    if outputs.sky_map is not None:
+        drawn, background = io.BytesIO(), pd.concat([table[["ra", "dec"]] for table in result.galaxies.values()])
+        figure = sky_map(match_columns(result), background)
+        figure.savefig(drawn, format=outputs.sky_map.suffix[1:].lower(), dpi=200)
+        contents[outputs.sky_map] = drawn.getvalue()
+    for path, content in contents.items():
+        write(path, content, overwrite)
+    return result
+
+
+def _check(outputs: Outputs, search: Search, overwrite: bool) -> None:
+    """Raise SweepError if an output cannot or must not be written."""
+    problems: list[str] = []
+    inputs = {path.resolve() for path in (search.stars | search.galaxies).values()}
+    wanted = [path.resolve() for path in outputs.paths()]
+    for path in outputs.paths():
+        parent = next(p for p in path.absolute().parents if p.exists())
+        if path.resolve() in inputs:
+            problems.append(f"{path} is one of the tables that are read")
+        elif wanted.count(path.resolve()) > 1:
+            problems.append(f"{path} is named for two outputs")
+        elif path.is_dir():
+            problems.append(f"{path} is a directory")
+        elif path.exists() and not overwrite:
+            problems.append(f"{path} exists; --overwrite replaces it")
+        elif not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+            problems.append(f"{path} cannot be written: {parent} is not a directory that can be written")
+    for output, suffixes in ((outputs.ecsv, (".ecsv",)), (outputs.sky_map, MAP_SUFFIXES)):
+        if output is not None and output.suffix.lower() not in suffixes:
+            problems.append(f"{output} must end in {' or '.join(suffixes)}")
+    if outputs.sky_map is not None and find_spec("matplotlib") is None:
+        problems.append("a map needs matplotlib: install linksweep[plot]")
+    if problems:
+        raise SweepError(list(dict.fromkeys(problems)))
+
+
+def write(path: Path, content: bytes, overwrite: bool) -> None:
+    """Write a file in one step; raises SweepError for one that exists by now, unless it may be replaced."""
+    folder = Folder(path.parent)
+    try:
+        if overwrite:
+            folder.put(path.name, content)
+        elif not folder.create(path.name, content):
+            raise SweepError("exists; --overwrite replaces it", str(path))
+    except OSError as error:
+        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+
+
+def match_columns(result: Matches) -> pd.DataFrame:
+    """Return a table with a row for each match: columns of the star tables, then those of `MATCH_COLUMNS`.
+
+    Numbers that a table does not have are NaN, identifiers 0, names empty.
+    """
+    matches, galaxy_tables = result.matches, np.array(list(result.galaxies))
+    star, galaxy = _together(result.stars), _together(result.galaxies)
+    starts = np.cumsum([0, *map(len, result.galaxies.values())])
+    star = star.iloc[matches["star"]].reset_index(drop=True)
+    galaxy = galaxy.iloc[starts[matches["catalogue"]] + matches["entry"]].reset_index(drop=True)
+    reasons = matches.reasons.columns.to_numpy()
+    columns = {name: star[name] for name in (*TYC, "source_id") if name in star} | {"PGC": matches["identifier"]}
+    columns |= {STAR_MOTIONS.get(name, name): star[name] for name in NUMBERS if name in star}
+    of_match = {name: matches[name] for name in ("class", "n_near", "n_rival")} | {"offset_sigma": matches["n_sigma"]}
+    of_match |= {"reason": [",".join(reasons[doubts]) or "none" for doubts in matches.reasons.to_numpy()]}
+    of_match |= {"found_in": [",".join(galaxy_tables[there]) for there in matches.found_in]}
+    offsets = {"offset": "offset", "offset_ra": "d_ra", "offset_dec": "d_dec"}
+    of_match |= {name: matches[column] / ARCSEC for name, column in offsets.items()}
+    of_match |= {f"galaxy_{name}": galaxy[name] for name in ("table", "row", "name", "ra", "dec") if name in galaxy}
+    of_match |= {f"star_{name}": star[name] for name in ("table", "row")}
+    return pd.DataFrame(columns | {name: of_match[name] for name in MATCH_COLUMNS if name in of_match})
+
+
+def _together(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """Return the rows of several tables, with the table's name and the number of each row, from 1."""
+    missing = {**dict.fromkeys((*TYC, "source_id"), 0), "name": ""}  # fills before integers would become floats
+    known = {name for table in tables.values() for name in table} & set(missing)
+    each = {name: table.assign(**{k: missing[k] for k in known - set(table)}) for name, table in tables.items()}
+    together = pd.concat(each, names=["table", "row"]).reset_index()
+    return together.assign(row=together["row"] + 1)
+
+
+def matches_table(result: Matches) -> Any:
+    """Return the matches as an astropy Table with units and descriptions; missing values are masked, ``meta`` is the
+    summary.
+    """
+    from astropy.table import MaskedColumn
+    from astropy.table import Table as AstropyTable
+
+    table = AstropyTable(meta={"linksweep": version("linksweep"), **summarise(result)})
+    for name, column in match_columns(result).items():
+        missing = column.isna() | ((column == 0) & (name in (*TYC, "source_id", "PGC")))
+        values = column.to_numpy() if column.dtype.kind in "if" else column.to_numpy(dtype=str)
+        unit, meaning = MATCH_COLUMNS.get(name, (unit_of(name.removeprefix("star_")) or None, None))
+        mask = missing.to_numpy() if missing.any() else False
+        table[name] = MaskedColumn(values, mask=mask, unit=unit, description=meaning)
+    return table
+
+
+def galaxy_table(columns: pd.DataFrame) -> str:
+    r"""Return the matches in the format of the paper's tables at CDS: one line of 46 bytes and a ``\n`` for each.
+
+    TYC1, TYC2, TYC3 and PGC are integers in the bytes of `LARGEST`, ra (20-31) and dec (33-44) of the star are F12.8,
+    byte 46 is the class, one of `LETTERS`.  A right ascension that rounds to 360 is written as 0.  Raises SweepError
+    that names each galaxy without a PGC number or with a number that does not fit its field.
+    """
+    problems: list[str] = []
+    lines: list[str] = []
+    for *numbers, ra, dec, name in columns[[*TYC, "PGC", "ra", "dec", "class"]].itertuples(index=False):
+        tyc1, tyc2, tyc3, pgc = numbers
+        star = f"TYC {tyc1}-{tyc2}-{tyc3}"
+        if pgc == 0:
+            problems.append(f"{star} has no PGC number")
+        for (field, (place, largest)), value in zip(LARGEST.items(), numbers, strict=True):
+            if not 0 <= value <= largest:
+                problems.append(f"{star}: {field} = {value} does not fit bytes {place}, at most {largest}")
+        wrapped = 0.0 if f"{ra:.8f}" == "360.00000000" else ra
+        lines.append(f"{tyc1:4d} {tyc2:5d} {tyc3:1d} {pgc:5d} {wrapped:12.8f} {dec:12.8f} {LETTERS[name]}\n")
+    if problems:
+        more = len(problems) - PROBLEMS_NAMED
+        raise SweepError([*problems[:PROBLEMS_NAMED], *([f"and {more} more"] if more > 0 else [])])
+    return "".join(lines)
+
+
+def summarise(result: Matches) -> dict[str, Any]:
+    """Return the summary of a search: what was searched, chance matches, and counts and means for each class.
+
+    A mean of no values is None.
+    """
+    search, matches, asked = result.search, result.matches, result.search.asked
+    columns = match_columns(result)
+    magnitude = next((name for name in MAGNITUDES if name in columns), None)
+    notes = []
+    for name, table in result.stars.items():
+        if "pmra" not in table:
+            notes.append(f"{name} has no proper motions: its positions were taken as they are")
+        elif missing := np.count_nonzero(np.isnan(table["pmra"])):
+            notes.append(f"{missing:,} stars of {name} have no proper motion; it was taken as zero")
+    catalogues = zip(result.galaxies.items(), matches.chance, matches.found_in.sum(axis=0), strict=True)
+    return {
+        "stars": {name: len(table) for name, table in result.stars.items()},
+        "galaxies": matches.n_galaxies,
+        "catalogues": {
+            name: {
+                "entries": len(table),
+                "radius_arcsec": search.said["radius"][name],
+                "pairs": chance.pairs,
+                "matches": int(matched),
+                "chance_pairs_uniform": chance.uniform,
+                "chance_pairs_local": chance.local,
+                "chance_pairs_local_error": chance.local_error,
+            }
+            for (name, table), chance, matched in catalogues
+        },
+        "classes": {name: _means(columns[columns["class"] == name], magnitude, search) for name in crossmatch.CLASSES}
+        | {"all": _means(columns, magnitude, search)},
+        "reasons": {name: int(doubt.sum()) for name, doubt in matches.reasons.items()},
+        "magnitude": magnitude,
+        **{name: getattr(asked, name) for name in ("epoch", "k_sigma", "crowding_stars")},
+        **{f"{name}_arcsec": getattr(asked, name) for name in ("crowding_radius", "merge_radius")},
+        "epoch_difference_yr": asked.epoch_difference,
+        "second_epoch_error_mas": asked.second_epoch_error,
+        "notes": notes,
+    }
+
+
+def _means(columns: pd.DataFrame, magnitude: str | None, search: Search) -> dict[str, Any]:
+    """Return number, means and scatter of a class, and the proper-motion error from a second epoch,
+    sqrt(s1^2 + s2^2)/years.
+
+    Source: Metz & Geffert 2004, Sect. 3.2: 117 and 127 mas give about 6 mas/yr, which is 20 yr with a second epoch
+    without error.
+    """
+
+    def stats(name: str) -> dict[str, float | None]:
+        values = {"mean": columns[name].mean(), "scatter": columns[name].std()}
+        return {key: None if np.isnan(value) else float(value) for key, value in values.items()}
+
+    errors = {key: stats(f"{key}_error") for key in ("ra", "dec")}
+    years, second = search.asked.epoch_difference, search.asked.second_epoch_error
+    return {
+        "n": len(columns),
+        "ra_error_mas": errors["ra"],
+        "dec_error_mas": errors["dec"],
+        "magnitude": None if magnitude is None else stats(magnitude),
+        "pm_error_mas_yr": {
+            key: None if error["mean"] is None else float(np.hypot(error["mean"], second)) / years
+            for key, error in errors.items()
+        },
+    }
+
+
+def summary_tables(summary: Mapping[str, Any]) -> list[Table]:
+    """Return the tables of a summary for reading: the classes of matches, and the catalogues of galaxies."""
+
+    def column(name: str, cells: Sequence[str], unit: str = "", left: bool = False) -> Column:
+        return Column(name, cells, cells, unit, left=left)
+
+    def with_scatter(value: Mapping[str, float | None] | None, digits: int) -> str:
+        if value is None or (mean := value["mean"]) is None:
+            return ""
+        scatter = value["scatter"]
+        return f"{mean:.{digits}f}" + ("" if scatter is None else f" ± {scatter:.{digits}f}")
+
+    rows = summary["classes"].values()
+    motions = [", ".join(f"{v:.2g}" for v in row["pm_error_mas_yr"].values() if v is not None) for row in rows]
+    classes = [
+        column("class", list(summary["classes"]), left=True),
+        column("n", [f"{row['n']:,}" for row in rows]),
+        column("ra_error", [with_scatter(row["ra_error_mas"], 0) for row in rows], "mas"),
+        column("dec_error", [with_scatter(row["dec_error_mas"], 0) for row in rows], "mas"),
+        column(summary["magnitude"] or "magnitude", [with_scatter(row["magnitude"], 1) for row in rows]),
+        column("second-epoch pm error\nra, dec", motions, "mas / yr"),
+    ]
+    rows = summary["catalogues"].values()
+    local = [with_error(row["chance_pairs_local"], row["chance_pairs_local_error"]) for row in rows]
+    catalogues = [
+        column("catalogue", list(summary["catalogues"]), left=True),
+        column("entries", [f"{row['entries']:,}" for row in rows]),
+        column("radius", [f"{row['radius_arcsec']:g}" for row in rows], "arcsec"),
+        *(column(name, [f"{row[name]:,}" for row in rows]) for name in ("pairs", "matches")),
+        column("chance pairs\nuniform sky", [f"{row['chance_pairs_uniform']:.3g}" for row in rows]),
+        column("chance pairs\nfrom surroundings", local),
+    ]
+    return [Table(classes), Table(catalogues)]
+
+
+def summary_lines(summary: Mapping[str, Any]) -> list[str]:
+    """Return the sentences below the tables of a summary."""
+    stars = " + ".join(f"{n:,} in {name}" for name, n in summary["stars"].items())
+    reasons = ", ".join(f"{name} {n}" for name, n in summary["reasons"].items())
+    return [
+        f"in doubt (a match may be for several reasons): {reasons}",
+        f"stars: {stars}; galaxies after merging: {summary['galaxies']:,}; epoch {summary['epoch']:g}",
+        f"second epoch: {summary['epoch_difference_yr']:g} yr later, error {summary['second_epoch_error_mas']:g} mas",
+        *summary["notes"],
+    ]
+
+
+def sky_map(matches: pd.DataFrame, background: pd.DataFrame) -> Any:
+    """Return a Mollweide map in Galactic coordinates, longitude growing to the left, the Galactic centre in the middle.
+
+    ``matches`` have columns ra, dec (deg) and class, ``background`` ra and dec of all entries of the galaxy catalogues.
+    The figure belongs to no window; save it with its ``savefig``.
+    """
+    from matplotlib.figure import Figure
+
+    from linksweep.sweep.plots.sky import GALACTIC, on_map, prepare_sky
+
+    def places(table: pd.DataFrame) -> tuple[Array, Array]:
+        longitude, latitude = galactic(table["ra"].to_numpy() * DEGREE, table["dec"].to_numpy() * DEGREE)
+        return on_map(longitude / DEGREE, GALACTIC), latitude
+
+    figure = Figure(figsize=(8.0, 4.9))
+    axes: Any = figure.add_subplot(projection="mollweide")
+    prepare_sky(axes, GALACTIC)
+    axes.set_position((0.1, 0.14, 0.88, 0.86))  # left, bottom, width, height
+    step = -(-len(background) // MAX_BACKGROUND)
+    if step:
+        # rows of a catalogue are often sorted by position, so a random choice instead of every step-th row
+        few = background.sample(len(background) // step, random_state=0)
+        points = {"linestyle": "none", "marker": ".", "markeredgewidth": 0.0, "color": BACKGROUND}
+        axes.plot(*places(few), **points, markersize=1.2, rasterized=True, zorder=1)
+        # a point of the map is too small to be seen in the legend
+        share = f", 1 in {step} drawn" if step > 1 else ""
+        axes.plot([], [], **points, markersize=4.0, label=f"galaxy catalogues ({len(background):,}{share})")
+    axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")
+    for name, (marker, colour) in STYLES.items():
+        mine = matches[matches["class"] == name]
+        style = {"linestyle": "none", "marker": marker, "markersize": 5.0, "markerfacecolor": colour}
+        style |= {"markeredgecolor": "white", "markeredgewidth": 0.5, "zorder": 4}
+        # an object at the edge of the map is shown whole
+        axes.plot(*places(mine), **style, clip_on=False, label=f"{name} ({len(mine):,})")
+    figure.legend(loc="lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.3)
+    return figure

@@ -27,8 +27,7 @@ from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepE
 from linksweep.sweep.contract.declaration import LABEL, factor_between, is_quantity, name_problem
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
-from linksweep.sweep.tables.columns import rows_listed
-from linksweep.sweep.tables.file import table_file
+from linksweep.sweep.tables.columns import rows_listed, table_file
 from linksweep.sweep.tables.reader import read_table
 
 MAX_VALUES = 1_000_000

@@ -24,7 +24,7 @@ from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies import built_in_studies
 from linksweep.sweep.studies.points import KeyPath, Problems, Values, plain_study, read_cell, read_points, with_labels
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Condition, Context, Form, Part, Published, Sampling, Study
-from linksweep.sweep.tables.file import TableFile
+from linksweep.sweep.tables.columns import TableFile
 
 MAX_FILE_BYTES = 1_000_000
 

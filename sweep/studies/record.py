@@ -16,7 +16,7 @@ from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.study import PART, POINT_TABLE, Study
-from linksweep.sweep.tables.file import content_digest, sorted_json
+from linksweep.sweep.tables.columns import content_digest, sorted_json
 
 RECORD = "experiment_record"
 """The attribute of a store that holds the record, as JSON."""

@@ -17,7 +17,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 from linksweep.sweep.contract import Experiment, Named, Value, shown, suggest
 from linksweep.sweep.contract.declaration import HUGE, bound_in_words
 from linksweep.sweep.formatting import ESCAPED, first_of
-from linksweep.sweep.tables.file import content_digest
+from linksweep.sweep.tables.columns import content_digest
 
 DEFAULT_EXPERIMENT = "linksweep.core.experiment:link"
 """The experiment of a study that names none; any store may name it, as it comes with linksweep."""

@@ -1,19 +1,28 @@
-"""The one reader of star tables: columns by quantity, under the names of archives, in known units, and what is wrong.
+"""The one reader of star tables: columns by quantity, under the names of archives, in known units, and what is wrong;
+rows by a condition like ``ruwe < 1.4 & phot_g_mean_mag < 13``; and files of them as values of parameters.
 
 Catalogues in files, `sweep tie`, `sweep forecast` and `sweep match` read their tables with it.
 """
 
+import ast
+import hashlib
+import json
+import math
+import operator
 import re
 import warnings
-from collections.abc import Collection, Iterable, Mapping
-from functools import cached_property
-from typing import Any
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, lru_cache, partial, reduce
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, SweepError, suggest
-from linksweep.sweep.tables.reader import MISSING
+from linksweep.sweep.contract import Array, Named, SweepError, suggest
+from linksweep.sweep.tables.reader import MISSING, read_table, readme_of
 
 Flags = NDArray[np.bool_]
 
@@ -141,7 +150,7 @@ def rows_listed(bad: Flags, values: Any = None) -> str:
 
 
 class Columns:
-    """Columns of an astropy Table by quantity; ``problems`` is one list of all that is wrong with them.
+    """Columns of an astropy Table by quantity; ``problems`` are all that is wrong with them, ``notes`` what is odd.
 
     Args:
         table: the table, as `sweep.tables.reader.read_table` returns it.
@@ -162,6 +171,7 @@ class Columns:
         self.table, self.where, self.columns, self.units = table, where, columns or {}, units or {}
         self.names: list[str] = list(table.colnames)
         self.problems: list[str] = []
+        self.notes: list[str] = []
         for what, pairs in (("columns", self.columns), ("units", self.units)):
             for quantity, value in pairs.items():
                 if quantity not in known or (what == "units" and not unit_of(quantity)):
@@ -458,3 +468,198 @@ def _check_hours(name: str, values: Array, size: float) -> None:
         f'column {name!r} has no unit and {doubt}  Say it: units = {{ ra = "deg" }} in a study, --unit ra=deg with a '
         'command, or "hourangle"'
     )
+
+
+# ---- rows by a condition
+
+# `&` binds more tightly than comparisons in Python, and `and` does not.
+_OPERATORS = {"&": " and ", "|": " or ", "~": " not "}
+_PIECES = re.compile(r"`[^`]*`|'[^']*'|\"[^\"]*\"|\s|.", re.DOTALL)
+
+_COMPARISONS: Mapping[type, Callable[[Any, Any], Any]] = {
+    **{ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge},
+    **{ast.Eq: operator.eq, ast.NotEq: operator.ne},
+    **{ast.In: np.isin, ast.NotIn: partial(np.isin, invert=True)},
+}
+_ALLOWED = "allowed are columns, numbers, text, comparisons, in, not in, &, |, ~ and parentheses"
+
+
+class _Operand(NamedTuple):
+    """Values (N,), or one, or a list of them, and where they are missing."""
+
+    values: Any
+    missing: Any = False
+
+    @property
+    def kind(self) -> str:
+        return {"U": "text", "b": "true or false"}.get(self.values.dtype.kind, "numbers")
+
+
+def rows_where(table: Any, condition: str, where: str = "", may_be_none: bool = False) -> Flags:
+    """Return which rows of an astropy Table meet a condition; shape (N,).
+
+    It compares columns with numbers, text and each other: ``<``, ``<=``, ``>``, ``>=``, ``==``, ``!=``, ``in`` and
+    ``not in`` a list, joined by ``&``, ``|`` and ``~`` or ``and``, ``or`` and ``not``, with parentheses.  Backticks
+    enclose a name that is no word.  Numbers are those in the file, without its units.  Every comparison with a missing
+    value is false.  Nothing of it is run as Python.  Raises SweepError, with the place, for what it does not
+    understand, and unless there ``may_be_none`` for a condition that no row meets.
+    """
+    return _Condition(Columns(table, where), condition).rows(may_be_none)
+
+
+def conditions(texts: Iterable[str], tables: Collection[str], common: Sequence[str]) -> dict[str, str]:
+    """Return the condition of each table from texts like ``ruwe < 1.4``, for all ``common`` ones, and ``TABLE: ruwe <
+    1.4``; a row must meet all of a table.
+    """
+    by_table: dict[str, str] = {}
+    for text in filter(str.strip, texts):
+        table, colon, condition = text.partition(":")
+        named = bool(colon) and table.strip() in tables
+        for one in [table.strip()] if named else common:
+            new = (condition if named else text).strip()
+            by_table[one] = f"({by_table[one]}) & ({new})" if one in by_table else new
+    return by_table
+
+
+class _Condition:
+    def __init__(self, read: Columns, text: str) -> None:
+        self.read, self.text, self.used = read, text, dict[str, _Operand]()
+        self.python, self.quoted = "", dict[str, str]()
+        self.origin: list[int] = []  # the place in the text of each letter of what Python parses
+        for piece in _PIECES.finditer(text.rstrip()):
+            words = _OPERATORS.get(piece[0], " " if piece[0].isspace() else piece[0])
+            words = words if self.python else words.lstrip()
+            if piece[0][0] == "`" and len(piece[0]) > 2:
+                words = f"_quoted_{len(self.quoted)}"
+                self.quoted[words] = piece[0][1:-1]
+            self.python += words
+            self.origin += [piece.start()] * len(words)
+
+    def rows(self, may_be_none: bool) -> Flags:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of the compiler, about what is refused below
+                flags = self._flags(ast.parse(self.python, mode="eval").body)
+        except SyntaxError as error:
+            at = (error.offset or len(self.python) + 1) - 1  # it has no offset at the end
+            raise self._refused(at, error.msg) from None
+        except (ValueError, RecursionError, MemoryError, OverflowError) as error:
+            raise self._refused(0, str(error)) from None
+        if not flags.any() and not may_be_none:
+            spans = ", ".join(f"{name} is {_span(column)}" for name, column in self.used.items())
+            raise SweepError(f"where {self.text!r} keeps none of {len(self.read)} rows; {spans}", self.read.where)
+        return flags
+
+    def _refused(self, at: ast.expr | int, what: str) -> SweepError:
+        if isinstance(at, ast.expr):
+            at = len(self.python.encode()[: at.col_offset].decode(errors="ignore"))
+        place = self.origin[at] if at < len(self.origin) else len(self.text)
+        rest = self.text[place : place + 20].strip()
+        shown = f"at character {place + 1}, {rest!r}" if rest else "at the end"
+        return SweepError(f"where {self.text!r}: {what}, {shown}; {_ALLOWED}", self.read.where)
+
+    def _flags(self, node: ast.expr) -> Flags:
+        if isinstance(node, ast.BoolOp):
+            join = np.logical_and if isinstance(node.op, ast.And) else np.logical_or
+            return np.asarray(reduce(join, map(self._flags, node.values)))
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            return np.logical_not(self._flags(node.operand))
+        if not isinstance(node, ast.Compare):
+            one = self._operand(node)
+            if one.kind == "text" or not np.all(np.isin(one.values, (0, 1)) | one.missing):
+                raise self._refused(node, f"{one.kind} without a comparison")
+            return np.asarray(np.ones(len(self.read), dtype=bool) & (one.values == 1) & np.logical_not(one.missing))
+        flags, left = np.ones(len(self.read), dtype=bool), self._operand(node.left)
+        for comparison, other in zip(node.ops, node.comparators, strict=True):
+            is_in = isinstance(comparison, (ast.In, ast.NotIn))
+            right, compare = self._operand(other, is_in), _COMPARISONS.get(type(comparison))
+            if compare is None or (left.kind != right.kind and "text" in (left.kind, right.kind)):
+                raise self._refused(other, f"{left.kind} cannot be compared with {right.kind} in this way")
+            flags &= compare(left.values, right.values) & np.logical_not(left.missing | right.missing)
+            left = right
+        return flags
+
+    def _operand(self, node: ast.expr, is_list: bool = False) -> _Operand:
+        if isinstance(node, ast.Name) and not is_list:
+            return self._column(node)
+        with suppress(ValueError):  # of what is no literal, or no list of one length
+            literal = np.asarray(ast.literal_eval(node))
+            if literal.ndim == is_list and literal.dtype.kind in "biufU":
+                return _Operand(literal)
+        raise self._refused(node, f"not {'a list of numbers or of text like [1, 2]' if is_list else 'allowed'}")
+
+    def _column(self, node: ast.Name) -> _Operand:
+        asked = self.quoted.get(node.id, node.id)
+        if (name := first_found([asked], self.read.names)) is None:
+            raise self._refused(node, f"no column {asked!r}{suggest(asked, self.read.names)}")
+        kind, column = self.read.kind(name), self.read.table[name]
+        if kind not in "biufUSO":
+            raise self._refused(node, f"column {name!r} holds neither numbers nor text")
+        missing, values = gaps(column), np.ma.getdata(getattr(column, "value", column))
+        if kind in "USO":
+            values = self.read.text(name, missing="")
+            missing = missing | (values == "")
+        return self.used.setdefault(name, _Operand(values, missing))
+
+
+def _span(column: _Operand) -> str:
+    there = np.sort(column.values[~column.missing]).tolist()
+    return f"{there[0]} to {there[-1]}" if there else "missing in all"
+
+
+# ---- a table in a file as the value of a parameter: known by its content, read where it is needed
+
+
+@dataclass(frozen=True)
+class TableFile:
+    """A table file and the SHA-256 of its content, which is what identifies a point that uses it."""
+
+    path: str
+    digest: str
+
+    def columns(self, columns: Mapping[str, str], units: Mapping[str, str], known: Collection[str]) -> Columns:
+        """Return a reader of the columns; the arguments are those of `Columns`."""
+        return Columns(_load(self), self.path, columns, units, known)
+
+    def label(self, row: int) -> str:
+        """Return the name of a row, counted from 0, from its column of names; empty where it has none."""
+        table = _load(self)
+        name = column_of("name", table.colnames)
+        return "" if name is None or np.ma.is_masked(table[name][row]) else str(table[name][row]).strip()
+
+
+def table_file(path: Path) -> TableFile:
+    """Return the value of a file parameter; raises SweepError where there is no table that can be read."""
+    if not path.is_file():
+        raise SweepError("no such file", str(path))
+    content = hashlib.sha256(path.read_bytes())
+    if (readme := readme_of(path)) is not None:
+        content.update(readme.read_bytes())
+    table = TableFile(str(path.resolve()), content.hexdigest())
+    if not len(_load(table)):
+        raise SweepError("has no rows", str(path))
+    return table
+
+
+def content_digest(value: object) -> str:
+    """Return what stands in a point's identity for a value that JSON does not know: the digest of a table's content or
+    of a definition, whatever their names.
+    """
+    if isinstance(value, TableFile):
+        return f"sha256:{value.digest}"
+    if isinstance(value, Named):
+        return f"sha256:{hashlib.sha256(value.identity.encode()).hexdigest()}"
+    raise TypeError(f"{type(value).__name__} is no value of a parameter")
+
+
+def sorted_json(value: object) -> str:
+    """Return a parameter's value, or a mapping of such, as JSON with sorted keys."""
+    if type(value) is float and math.isfinite(value):
+        return repr(value)  # the same text in a tenth of the time: tables of points have millions of values
+    return json.dumps(value, sort_keys=True, default=content_digest)
+
+
+@lru_cache(maxsize=4)
+def _load(table: TableFile) -> Any:
+    """Read a table once in a process: workers evaluate many blocks of the same file."""
+    return read_table(Path(table.path))

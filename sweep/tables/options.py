@@ -142,13 +142,15 @@ def _text(value: Any, joined: str) -> str:
     return joined[:1].join(_text(one, joined[1:]) for one in value)
 
 
-def by_table(name: str, pairs: Pairs, tables: Collection[str], common: Sequence[str]) -> dict[str, dict[str, str]]:
+def by_table(
+    name: str, pairs: Iterable[tuple[str, Any]], tables: Collection[str], common: Sequence[str]
+) -> dict[str, dict[str, Any]]:
     """Return what an option says of each quantity of each table: TABLE:KEY, or KEY for all ``common`` tables that say
     nothing themselves.  Raises SweepError for a table that does not exist.
     """
     from linksweep.sweep.contract import SweepError, suggest
 
-    said: dict[str, dict[str, str]] = {}
+    said: dict[str, dict[str, Any]] = {}
     for text, value in sorted(pairs, key=lambda pair: bool(pair[0].rpartition(":")[0])):
         table, _, key = text.rpartition(":")
         if table and table not in tables:

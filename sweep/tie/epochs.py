@@ -17,8 +17,7 @@ from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import DAYS_PER_YEAR
 from linksweep.core.tie.mistakes import Misfit
-from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.solution import Solution
+from linksweep.core.tie.problem import Problem, Solution
 from linksweep.core.tie.transits import COLOUR, ERROR, MODELS, PATH, Paths, Transits, joint, misfit
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import first_of

@@ -11,16 +11,14 @@ import numpy as np
 from linksweep.core.frames import MAS, Array
 from linksweep.core.tie import forecast
 from linksweep.core.tie.noise import noises
-from linksweep.core.tie.problem import Problem, source_sums
-from linksweep.core.tie.solution import Clip, KeptSources, Solution, clipped, parse_clip, solve
+from linksweep.core.tie.problem import Clip, KeptSources, Problem, Solution, clipped, parse_clip, solve, source_sums
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
 from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
-from linksweep.sweep.tables.file import TableFile
+from linksweep.sweep.tables.columns import TableFile
 from linksweep.sweep.tables.options import declared, parameter
 from linksweep.sweep.tie import setup
-from linksweep.sweep.tie.forecast import released
-from linksweep.sweep.tie.link import FIELDS, Link, solve_link, spectrum
-from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, ForecastOptions, Options
+from linksweep.sweep.tie.link import FIELDS, Link, released, solve_link, spectrum
+from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, ForecastOptions, Options, listed
 from linksweep.sweep.tie.setup import DECLARED, Setup
 
 # ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin
@@ -231,7 +229,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     solved = solve_link(whole.only(matched), str(clip), ("scaled", "formal", "jackknife")) if len(matched) else None
     notes = [] if solved is None else [*solved.notes]
     if solved is not None and solved.noise is not None:
-        problem = solved.noise.added_to(problem, noises(problem, whole.jitter, ("reference", *whole.missions)))
+        problem = solved.noise.added_to(problem, noises(problem, whole.jitter))
     problem, _, further = released(problem, point["release"], point["from_release"], point["epoch"] is None)
     notes += further
     if point["n_new"]:
@@ -297,7 +295,7 @@ def _with_chosen(problem: Problem, point: Mapping[str, Any]) -> Problem:
     planned = forecast.with_new_rows(problem, [epoch], point["new_error"] * MAS, apparent)
     if number == n_sources:
         return planned
-    goal = forecast.Goal(problem.unknowns, tuple(setup.listed(point["goal"])), "A")
+    goal = forecast.Goal(problem.unknowns, tuple(listed(point["goal"])), "A")
     chosen, _ = forecast.choose(source_sums(problem), source_sums(planned), number, goal)
     old = len(problem.rows)
     rows = np.concatenate([np.arange(old), old + np.sort(np.array(chosen, dtype=np.int64))])

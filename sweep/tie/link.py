@@ -1,4 +1,6 @@
-"""`tie`: the link of two tables, solved with its clip and every kind of error, as an xarray Dataset."""
+"""`tie`: the link of two tables, solved with its clip and every kind of error, as an xarray Dataset; `forecast`: what
+further observations would do to it, and which sources to observe; `apply`: a table in the other frame.
+"""
 
 import logging
 from collections.abc import Sequence
@@ -7,26 +9,35 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from astropy.units import Unit
+from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
-from linksweep.core.frames import MAS, Array
+from linksweep.core.frames import DEGREE, MAS, Array, position, triad
 from linksweep.core.link import LinkError
-from linksweep.core.tie import mistakes, solution
-from linksweep.core.tie.astrometry import kinds
+from linksweep.core.tie import forecast as planning
+from linksweep.core.tie import mistakes
+from linksweep.core.tie import problem as solving
+from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows
 from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
-from linksweep.core.unknowns import PARAMETERS, Harmonics, SpinByBin, Unknowns, amplitudes
+from linksweep.core.tie.problem import Problem, source_sums
+from linksweep.core.unknowns import PARAMETERS, Harmonics, Objects, SpinByBin, Unknowns, amplitudes, link_unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
-from linksweep.sweep.tie import row_groups
+from linksweep.sweep.result import require_free, stored_table, write_at_once
+from linksweep.sweep.tables.columns import ALONG_RA, CORRELATIONS, Columns, first_found, unit_of
+from linksweep.sweep.tables.options import number
+from linksweep.sweep.tables.reader import read_table
 from linksweep.sweep.tie.epochs import described
-from linksweep.sweep.tie.options import SIGNS, TIE, Options
-from linksweep.sweep.tie.setup import Setup, listed, parse_bins, set_up
-from linksweep.sweep.tie.tables import UNITS
+from linksweep.sweep.tie.options import FORECAST, SIGNS, TABLE, TIE, ForecastOptions, Options, listed
+from linksweep.sweep.tie.setup import DECLARED, FROM_ROWS, Setup, in_row_groups, parse_bins, set_up, set_up_row_groups
+from linksweep.sweep.tie.tables import UNITS, TableOptions, astrometric_table, built_in
 
 if TYPE_CHECKING:
     import xarray as xr
+    from astropy.table import Table
 
 # The experiment whose code the workers must have.
 EXPERIMENT = "linksweep.sweep.tie.experiment:tie"
@@ -68,9 +79,9 @@ class Link:
 
     setup: Setup
     clip: str
-    clipped: solution.Clipped
+    clipped: solving.Clipped
     covariances: dict[str, Array]
-    influence: solution.Influence | None
+    influence: solving.Influence | None
     discrepancy: Array | None
     count: Any
     misfit: mistakes.Misfit
@@ -78,7 +89,7 @@ class Link:
     noise: Noise | None = None
 
     @property
-    def solution(self) -> solution.Solution:
+    def solution(self) -> solving.Solution:
         """The solution of the sources that were kept."""
         return self.clipped.solution
 
@@ -89,7 +100,7 @@ def solve_link(
     errors: Sequence[str] = ("scaled",),
     resamples: int = RESAMPLES,
     seed: int = 0,
-    sources: solution.Sources | None = None,
+    sources: solving.Sources | None = None,
     per_source: bool = True,
 ) -> Link:
     """Return the solution of a setup; raises SweepError if there is none.
@@ -102,53 +113,53 @@ def solve_link(
     unknowns, effect, noise = setup.problem.unknowns, None, None
     try:
         with threadpool_limits(1):  # bitwise the same on any number of cores; products of blocks are small
-            how = solution.parse_clip(clip)
+            how = solving.parse_clip(clip)
             if sources is None:
-                sources = solution.sources_of(setup.problem)
-            result = solution.clipped(how, sources)
+                sources = solving.sources_of(setup.problem)
+            result = solving.clipped(how, sources)
             doubt, further = _misfit(setup, sources, result), list[str]()
-            if ESTIMATE in setup.jitter.values():
+            if any(ESTIMATE in sizes.values() for sizes in setup.jitter.values()):
                 setup, sources, result, noise, further = _with_noise(setup, how)
             covariances, notes = _covariances(sources, result, errors, resamples, seed)
             if noise is not None:
                 covariances = {"estimated": noise.covariance(result.solution)} | covariances
             squares = sources.discrepancies(result.solution.estimate) if per_source else None
-            if isinstance(sources, solution.KeptSources):
-                effect = solution.influence(sources.sums, result.solution, unknowns, result.factors)
+            if isinstance(sources, solving.KeptSources):
+                effect = solving.influence(sources.sums, result.solution, unknowns, result.factors)
                 places, share = np.arange(len(effect.share)), effect.share
             else:
                 places, sums = sources.heaviest(HEAVIEST)
-                share = solution.shares(sums, result.solution, unknowns) * result.factors[places, None]
+                share = solving.shares(sums, result.solution, unknowns) * result.factors[places, None]
             if setup.epochs is not None and setup.epochs.doubt.text:
                 doubt = setup.epochs.doubt
             notes += _of_known(setup, sources, result)
     except ValueError as error:  # LinkError is one
         raise SweepError(f"{error}{_rows_there_are(setup) if isinstance(error, LinkError) else ''}") from error
     for block, part in zip(unknowns.names, share.T, strict=True):
-        large = np.flatnonzero(part > solution.LARGE_SHARE)
+        large = np.flatnonzero(part > solving.LARGE_SHARE)
         if len(large):
             large = large[np.argsort(-part[large])]
             listed = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
-            notes.append(f"more than {100 * solution.LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
+            notes.append(f"more than {100 * solving.LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
     notes = [*([doubt.text] if doubt.text else []), *setup.notes, *further, *result.notes, *notes]
     return Link(setup, str(how), result, covariances, effect, squares, sources.count, doubt, tuple(notes), noise)
 
 
-def _with_noise(setup: Setup, how: solution.Clip) -> tuple[Setup, solution.Sources, solution.Clipped, Noise, list[str]]:
+def _with_noise(setup: Setup, how: solving.Clip) -> tuple[Setup, solving.Sources, solving.Clipped, Noise, list[str]]:
     """Return the setup with the estimated noise in its errors, the solution with it, and notes.
 
     The noise is that of the sources that the clip keeps when the noise is in the errors.
     """
-    problem, tables = setup.problem, ("reference", *setup.missions)
+    problem = setup.problem
     if problem.weights != "covariance":
         raise SweepError(f"jitter estimate is for weights by covariance, not {problem.weights}")
     kept, notes = np.ones(len(problem.satellite), dtype=bool), []
     for _ in range(ROUNDS):
         part = problem.only(np.flatnonzero(kept))
-        noise = estimated(part, noises(part, setup.jitter, tables))
-        noisy = noise.added_to(problem, noises(problem, setup.jitter, tables))
-        sources = solution.sources_of(noisy)
-        result = solution.clipped(how, sources)
+        noise = estimated(part, noises(part, setup.jitter))
+        noisy = noise.added_to(problem, noises(problem, setup.jitter))
+        sources = solving.sources_of(noisy)
+        result = solving.clipped(how, sources)
         if np.array_equal(kept, result.factors > 0.0):
             break
         kept = result.factors > 0.0
@@ -161,12 +172,12 @@ def _with_noise(setup: Setup, how: solution.Clip) -> tuple[Setup, solution.Sourc
     return replace(setup, problem=noisy), sources, result, noise, notes
 
 
-def _misfit(setup: Setup, sources: solution.Sources, result: solution.Clipped) -> mistakes.Misfit:
+def _misfit(setup: Setup, sources: solving.Sources, result: solving.Clipped) -> mistakes.Misfit:
     """Return what chi2 says of the sources that are kept, with the best weights; of all if the clip keeps fewer than
     half of them.
     """
     factors, solved, problem = result.factors, result.solution, setup.problem
-    if in_groups := isinstance(sources, solution.StreamedSources) and len(sources.problems) > 1:
+    if in_groups := isinstance(sources, solving.StreamedSources) and len(sources.problems) > 1:
         if mistakes.DEFICIT <= solved.scale**2 <= mistakes.GOOD:
             return mistakes.Misfit(solved.scale**2)  # a row group is read again only if something is wrong
         problem = sources.problems[0]()
@@ -174,18 +185,18 @@ def _misfit(setup: Setup, sources: solution.Sources, result: solution.Clipped) -
     if problem.weights != "covariance" or few:
         factors = np.ones(len(factors), dtype=bool) if few else factors
         problem = replace(problem, weights="covariance")
-        solved = solved if in_groups else solution.sources_of(problem).solve(factors)
+        solved = solved if in_groups else solving.sources_of(problem).solve(factors)
     kept = np.flatnonzero(factors[: len(problem.satellite)] > 0.0)
-    return mistakes.misfit(problem, kept, solved, setup.names, ("reference", *setup.missions))
+    return mistakes.misfit(problem, kept, solved, setup.names)
 
 
-def _of_known(setup: Setup, sources: solution.Sources, result: solution.Clipped) -> list[str]:
+def _of_known(setup: Setup, sources: solving.Sources, result: solving.Clipped) -> list[str]:
     """Return a note on chi2 with what is known, without it and with the opposite sign; none for tables in groups."""
-    if setup.problem.known is None or not isinstance(sources, solution.KeptSources):
+    if setup.problem.known is None or not isinstance(sources, solving.KeptSources):
         return []
     blocks, values = setup.problem.known
     trials = (replace(setup.problem, known=(blocks, factor * values)) for factor in (0.0, -1.0))
-    without, opposite = (solution.sources_of(trial).solve(result.factors).squares for trial in trials)
+    without, opposite = (solving.sources_of(trial).solve(result.factors).squares for trial in trials)
     question = ": is its sign right?" if opposite + WORSE < result.solution.squares else ""
     said = f"chi2 is {result.solution.squares:.6g} with what is known subtracted, {without:.6g} without, {opposite:.6g}"
     return [f"{said} with the opposite sign{question}"]
@@ -201,7 +212,7 @@ def _rows_there_are(setup: Setup) -> str:
 
 
 def _covariances(
-    sources: solution.Sources, result: solution.Clipped, errors: Sequence[str], resamples: int, seed: int
+    sources: solving.Sources, result: solving.Clipped, errors: Sequence[str], resamples: int, seed: int
 ) -> tuple[dict[str, Array], list[str]]:
     """Return the covariance of each kind of error, the main one first, and notes."""
     solved, notes, sums = result.solution, [], sources.sums
@@ -217,11 +228,11 @@ def _covariances(
         if kind in ("formal", "scaled"):
             one = solved.covariance * (1.0 if kind == "formal" else solved.scale**2)
         elif kind in ("jackknife", "cells"):
-            one = solution.jackknife(groups, solved.normal, solved.normal @ solved.estimate)
+            one = solving.jackknife(groups, solved.normal, solved.normal @ solved.estimate)
         elif kind == "sandwich":
-            one = solution.sandwich(groups, solved)
+            one = solving.sandwich(groups, solved)
         else:
-            one, drawn = solution.bootstrap(groups, resamples, np.random.default_rng(seed))
+            one, drawn = solving.bootstrap(groups, resamples, np.random.default_rng(seed))
             if failed := np.count_nonzero(np.isnan(drawn[:, 0])):
                 notes.append(f"{failed} of {resamples} resamples did not determine the unknowns")
         if not np.all(np.isfinite(one)):
@@ -327,16 +338,16 @@ def tie(
     on = resources or Resources(
         workers, None, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits
     )
-    if row_groups.are_enough(satellite, reference, asked):
+    if in_row_groups(satellite, reference, asked):
         if ESTIMATE in asked.jitter:
             raise SweepError("jitter estimate needs a table that is solved as a whole; say how large it is, motion=0.1")
         with mapped(EXPERIMENT, on, logging.getLogger("linksweep").warning) as run:
-            setup, sources = row_groups.set_up_row_groups(satellite, asked, run, per_source)
+            setup, sources = set_up_row_groups(satellite, asked, run, per_source)
             link = solve_link(setup, *how, sources, per_source)
     elif on.none_requested:
         link = solve_link(set_up(satellite, reference, asked), *how)
     else:
-        large = f"Parquet tables of {row_groups.FROM_ROWS:,} quasars or more without a reference, missions or where"
+        large = f"Parquet tables of {FROM_ROWS:,} quasars or more without a reference, missions or where"
         raise SweepError(f"workers are for {large}; others are solved in this process: leave --workers and so on out")
     result = as_dataset(link, asked, per_source)
     if link.misfit.absurd and not asked.accept_misfit:
@@ -407,8 +418,8 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "matched_by": setup.matched.by,
         "rows_unmatched": len(setup.matched.unmatched),
         **setup.attributes(),
-        "missions": {name: table.path for name, table in setup.missions.items()},
-        "missions_sha256": {name: table.digest for name, table in setup.missions.items()},
+        "missions": {name: setup.tables[name].path for name in problem.tables[1:]},
+        "missions_sha256": {name: setup.tables[name].digest for name in problem.tables[1:]},
         "epochs": {} if setup.epochs is None else setup.epochs.files,
         **{name: str(getattr(options, name) or "none") for name in ("known_spin", "known_orientation", "jitter")},
         "aberration_uas_yr": options.aberration,
@@ -446,7 +457,7 @@ def _of_rows(link: Link, sign: float) -> dict[str, Any]:
     shift = np.einsum("nik,k->ni", problem.unknowns.matrix(*problem.objects(satellite)), link.solution.estimate)
     after = before.values - np.einsum("rij,rj->ri", before.by_frames, shift[source])
     error = np.sqrt(np.einsum("rii->ri", before.whole(satellite.covariance()[source])))
-    normalised, plain = solution.separation(problem)
+    normalised, plain = solving.separation(problem)
 
     def shown(values: Array) -> tuple[tuple[str, str], Array]:
         return ("row", "observable"), np.where(before.present, values / MAS, np.nan)
@@ -457,7 +468,7 @@ def _of_rows(link: Link, sign: float) -> dict[str, Any]:
         "row_source_index": ("row", source),
         "row_source": ("row", names[source].astype(str)),
         "row_kind": ("row", kinds(rows)),
-        "row_table": ("row", np.array(["reference", *link.setup.missions])[rows.frame]),
+        "row_table": ("row", np.array(problem.tables)[rows.frame]),
         "row_epoch": ("row", rows.epoch, {"units": "yr"}),
         "difference": shown(sign * before.values),
         "residual": shown(sign * after),
@@ -533,3 +544,287 @@ def _of_bins(link: Link, errors: Array, sign: float) -> dict[str, Any]:
         "spin_by_bin": (in_bins, next(spins), unit),
         "spin_by_bin_error": (in_bins, next(spins), unit),
     }
+
+
+# ---- a forecast
+
+
+def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None = None, **options: Any) -> "xr.Dataset":
+    """Predict the formal errors of a link with further observations, and the sources to observe first.
+
+    Args:
+        satellite: the table with the five astrometric parameters, as for `tie`.
+        reference: the table with the measurements of the same objects so far.
+        unknowns: blocks like "orientation,spin".
+        options: those of `sweep forecast`, under the names of `ForecastOptions` and `Options` in `sweep.tie.options`:
+            ``add`` (epochs, Julian years, at which a single-epoch position of each source is added), ``error`` (mas, of
+            its coordinates), ``release`` (to which the satellite's errors are scaled), ``from_release``, ``number`` (of
+            sources to choose), ``goal`` (the blocks for which these are best), ``criterion`` ("A": the trace of their
+            covariance, "D": its determinant), ``all_sources``, and those of tables as for `tie`.
+
+    Returns:
+        A dataset with ``error`` (stage, unknown) in mas and mas/yr, ``error_with_epoch`` (new_epoch, unknown),
+        ``criterion_alone`` and ``rank`` of each source, and the steps of the choice; `plot` draws it.
+
+    Raises:
+        SweepError: for bad input, or if the tables do not determine the unknowns.
+
+    Example:
+        >>> plan = forecast("psrpi", "psrpi", "orientation,spin", add=[2030], number=2, goal=["spin"])
+        >>> plan.stage.values.tolist()
+        ['now', 'all observed']
+        >>> plan.step_source.values.tolist()
+        ['', 'J1537+1155', 'J2354+6155']
+    """
+    plan = ForecastOptions.named(FORECAST, options, Options)
+    asked = Options.named(FORECAST, {"unknowns": unknowns, **options}, ForecastOptions)
+    goal = tuple(listed(plan.goal))
+    add = _epochs(plan)
+    if ESTIMATE in asked.jitter:
+        raise SweepError("a forecast uses no measured values: sweep tie --jitter estimate says how large a jitter is")
+    setup = set_up(satellite, reference, asked, plan.all_sources)
+    problem = setup.problem
+    goals = planning.Goal(problem.unknowns, goal, plan.criterion)
+    try:
+        _ = goals.parts  # raises for an unknown block
+        future, old, further = released(problem, plan.release, plan.from_release, asked.epoch is None)
+        variables, coordinates = _planned(setup, future, plan.release, add, plan.error * MAS, plan.number, goals)
+    except ValueError as problem_found:
+        raise SweepError(str(problem_found)) from problem_found
+    attributes = {
+        "result": "forecast",
+        "epoch_of_forecast": future.epoch,
+        "release": plan.release if old else "",
+        "from_release": old,
+        "new_error_mas": plan.error,
+        "goal": ", ".join(goal or problem.unknowns.names),
+        "criterion": plan.criterion,
+        **setup.attributes(),
+        "notes": [*further, *setup.notes],
+    }
+    import xarray as xr
+
+    return xr.Dataset(variables, coords=coordinates, attrs=attributes)
+
+
+def released(
+    problem: Problem, release: str, from_release: str, epoch_moves: bool
+) -> tuple[Problem, str, Sequence[str]]:
+    """Return a problem with the errors of a release, the release that they were of, and notes; "table" leaves them."""
+    if release == TABLE:
+        return problem, "", ()
+    return planning.released(problem, release, None if from_release == TABLE else from_release, epoch_moves)
+
+
+def _epochs(plan: ForecastOptions) -> list[float]:
+    """Return the epochs of new positions; raises SweepError for what is no list of years, and for none to choose."""
+    try:
+        epochs = [DECLARED["epoch"].parse(number(year)) for year in listed(plan.add)]
+    except ValueError as error:
+        raise SweepError(f"add: {error}") from None
+    if plan.number and not epochs:
+        raise SweepError(f"{plan.number} sources to choose, but no epochs to observe them at")
+    return epochs
+
+
+def _planned(
+    setup: Setup, future: Problem, release: str, add: list[float], error: float, number: int, goal: planning.Goal
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the variables and coordinates of the dataset; ``error`` (rad) is that of the new positions."""
+    base = source_sums(future)
+    planned = source_sums(planning.with_new_rows(future, add, error)) if add else base
+    sources, normals = planning.choose(base, planned, number, goal)
+    unknowns, total = setup.problem.unknowns, base.normal.sum(axis=0)
+    stages = {"now": source_sums(setup.problem).normal.sum(axis=0)}
+    stages |= {} if release == TABLE else {release: total}
+    stages |= {"all observed": planned.normal.sum(axis=0)} if add else {}
+    gain = np.array([goal.value(total + one) for one in planned.normal - base.normal])
+    variables: dict[str, Any] = {
+        "error": (("stage", "unknown"), np.array([_errors(normal) for normal in stages.values()])),
+        "criterion": ("stage", _scaled([goal.value(normal) for normal in stages.values()], goal)),
+        "criterion_alone": ("source", _scaled(gain, goal), {"long_name": "if this source alone is observed"}),
+        "rank": ("source", np.argsort(np.argsort(gain)) + 1),
+    }
+    if add:
+        observed = (source_sums(planning.with_new_rows(future, [epoch], error)).normal.sum(axis=0) for epoch in add)
+        errors = np.array([_errors(normal) for normal in observed])
+        variables["error_with_epoch"] = (("new_epoch", "unknown"), errors)
+    if sources:
+        chosen = np.array(["", *setup.names[sources]]).astype(str)
+        variables |= {
+            "step_source": ("step", chosen),
+            "step_error": (("step", "unknown"), np.array([_errors(normal) for normal in normals])),
+            "step_criterion": ("step", _scaled([goal.value(normal) for normal in normals], goal)),
+        }
+    coordinates = {
+        "stage": list(stages),
+        "unknown": list(unknowns.labels),
+        "unit": ("unknown", list(unknowns.units)),
+        "block": ("unknown", [b.name for b in unknowns.blocks for _ in b.labels]),
+        "source": setup.names.astype(str),
+    } | ({"new_epoch": add} if add else {})
+    return variables, coordinates
+
+
+def _errors(normal: Array) -> Array:
+    """Return formal errors in mas and mas/yr; NaN where the unknowns are not determined."""
+    try:
+        return np.sqrt(np.diag(solving.inverted(normal))) / MAS
+    except LinkError:
+        return np.full(len(normal), np.nan)
+
+
+def _scaled(values: Sequence[float] | Array, goal: planning.Goal) -> Array:
+    """Return a criterion in mas instead of rad: the root of the mean variance, or the log determinant."""
+    numbers, n = np.asarray(values), len(goal.parts)
+    return np.asarray(np.sqrt(numbers / n) / MAS if goal.criterion == "A" else numbers - 2.0 * n * np.log(MAS))
+
+
+# ---- a table in the other frame
+
+# The formats that astropy knows by the names of files.
+FORMATS = (".csv", ".ecsv", ".fits", ".parquet")
+
+ROTATION = link_unknowns()
+
+
+def apply(
+    link: "xr.Dataset | str | Path",
+    table: "str | Path | Table",
+    output: str | Path | None = None,
+    *,
+    inverse: bool = False,
+    epoch: float | None = None,
+) -> "Table":
+    """Return a table of the satellite's frame in that of the reference, or back.
+
+    Positions and motions are turned by the orientation at the epoch of each row, and motions by the spin, exactly; the
+    sign of the link does not matter.  Parallaxes stay.  The covariance of the link is added to that of each row, which
+    correlates the rows with each other: nothing in the table says so.
+
+    Args:
+        link: what `tie` returned, or the store that `sweep tie -o` wrote.
+        table: a table in the satellite's frame: a file in any format of `tie`, the name of a built-in one, or a Table
+            of astropy, which is copied.
+        output: the file to write: .csv, .ecsv, .fits or .parquet.
+        inverse: whether the table is in the frame of the reference, and is carried into that of the satellite.
+        epoch: the epoch (Julian year) of a table without a column of epochs.
+
+    Returns:
+        The table with its own columns, in their own units; ``meta["comments"]`` says what was done.
+
+    Raises:
+        SweepError: for a link with other unknowns than orientation and spin, a table of another release's epoch,
+            columns that cannot hold the result, and a file that exists.
+
+    Example:
+        >>> import linksweep
+        >>> link = linksweep.tie("psrpi-de200", "timing-de200", "orientation")
+        >>> moved = apply(link, "psrpi-de200")
+        >>> [round(float(dec), 7) for dec in moved["dec"][:2]]
+        [53.1172503, 53.1172503]
+    """
+    output = None if output is None else Path(output)
+    if output is not None:
+        require_free(output)
+        if output.suffix not in FORMATS:
+            raise SweepError(f"a table is written as {', '.join(FORMATS)}", str(output))
+    if isinstance(link, (str, Path)):
+        if (stored := stored_table(link)) is None or stored.kind != "tie":
+            raise SweepError("is no link of two tables, which sweep tie -o writes", str(link))
+        link = stored.dataset
+    path = built_in(Path(table)) if isinstance(table, (str, Path)) else Path("the table")
+    raw = read_table(path) if isinstance(table, (str, Path)) else table.copy()
+    stars = astrometric_table(raw, str(path), "", TableOptions(epoch=epoch)).astrometry
+    notes = _notes(link, stars, inverse, str(path))
+    if not any(first_found(names, raw.colnames) for names in CORRELATIONS.items()):
+        if stars.correlations is not None:
+            raise SweepError("has no columns like ra_dec_corr for its correlations: write them first", str(path))
+        notes.append("the table has no columns of correlations: those that the link adds are lost")
+    read = Columns(raw, str(path))
+    _put(read, _moved(stars, link, inverse), output is not None and output.suffix == ".csv")
+    raw.meta["comments"] = [*raw.meta.get("comments", []), *notes]
+    if output is not None:
+        write_at_once(output, raw.write)  # it warns of long names in a FITS header
+    return raw
+
+
+def _notes(link: "xr.Dataset", stars: Astrometry, inverse: bool, path: str) -> list[str]:
+    """Return what is to be said of a link and a table; raises SweepError where one cannot be applied to the other."""
+    blocks = dict.fromkeys(map(str, link["block"].values.tolist()))
+    applied = [name for name in blocks if name.partition(":")[0] not in link.attrs["missions"]]
+    if further := [name for name in applied if name not in ROTATION.names]:
+        raise SweepError(
+            f"the link has {', '.join(further)} too, and only orientation and spin are applied: solve again"
+        )
+    known = [name for name in ("known_spin", "known_orientation") if link.attrs.get(name, "none") != "none"]
+    if "bin" in link.dims or known:
+        raise SweepError(f"the link is beside {' and '.join(known) or 'spins by bins'}: solve for orientation and spin")
+    low, high = link.attrs.get("satellite_epochs", [link.attrs["epoch"]] * 2)
+    other = np.flatnonzero((stars.epoch < low - planning.SAME_EPOCH) | (stars.epoch > high + planning.SAME_EPOCH))
+    if len(other) and not inverse:
+        epochs = f"{low:g}" if low == high else f"{low:g} to {high:g}"
+        said = f"epoch {stars.epoch[other[0]]:g} in {named_rows(other)}, and the link is of {epochs}"
+        raise SweepError(f"{said}: the frame of another release is another one", path)
+    if len(without := np.flatnonzero(~np.isfinite(stars.values[:2]).all(axis=0))):
+        raise SweepError(f"no position in {named_rows(without)}", path)
+    frames = "reference to the satellite" if inverse else "satellite to the reference"
+    notes = [
+        f"carried from the frame of the {frames} by {' and '.join(applied)}, with the covariance of the link added"
+    ]
+    notes += [f"the link has no {name}, which is not changed" for name in ROTATION.names if name not in applied]
+    return [*notes, "rows are correlated with each other by the link, whose covariance they share"]
+
+
+def _moved(stars: Astrometry, link: "xr.Dataset", inverse: bool) -> dict[str, Array]:
+    """Return values, errors and correlations of stars in the other frame, in rad and rad/yr."""
+    at = [link["unknown"].values.tolist().index(label) if label in link["unknown"] else -1 for label in ROTATION.labels]
+    known = np.array(at) >= 0
+    x = np.where(known, link["estimate"].values[at], 0.0) * SIGNS[link.attrs["sign"]] * MAS
+    covariance = np.where(known[:, None] & known, link["covariance"].values[np.ix_(at, at)], 0.0) * MAS**2
+    years = np.nan_to_num(stars.epoch - link.attrs["epoch"]) * known[0]
+    turn = Rotation.from_rotvec(x[:3] + years[:, None] * x[3:])
+    turn = turn.inv() if inverse else turn
+    old = triad(*stars.values[:2])
+    motion = np.nan_to_num(stars.values[3:])
+    velocity, spin = (old.p * motion[0] + old.q * motion[1]).T, np.broadcast_to(x[3:], (len(stars), 3))
+    r = turn.apply(old.r.T)
+    velocity = turn.apply(velocity - np.cross(spin, old.r.T)) if inverse else turn.apply(velocity) + np.cross(spin, r)
+    ra, dec = position(r.T)
+    axes = triad(ra, dec)[:2]
+    values = stars.values.copy()
+    values[0] += (ra - values[0] + np.pi) % (2.0 * np.pi) - np.pi
+    values[1] = dec
+    values[3:] = np.where(stars.present[3:], [np.sum(axis * velocity.T, axis=0) for axis in axes], np.nan)
+    effect = ROTATION.matrix(Objects(ra, dec, *np.nan_to_num(values[3:])), years) * stars.present.T[..., None]
+    # the axes of errors turn too, by so little (1e-7) that their covariance does not change
+    whole = stars.covariance()[:, :5, :5] + effect @ covariance @ effect.swapaxes(1, 2)
+    whole[:, [0, 1], [0, 1]] -= stars.shared[:, None] ** 2  # the part of a calibrator has a column of its own
+    errors = np.where(stars.present, np.sqrt(np.einsum("nii->in", whole)), np.nan)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        of_pairs = {(i, j): whole[:, i, j] / (errors[i] * errors[j]) for i, j in PAIRS}
+    new = {name: values[i] for i, name in enumerate(PARAMETERS) if name != "parallax"}
+    new |= {f"{name}_error": errors[i] for i, name in enumerate(PARAMETERS) if name != "parallax"}
+    return new | {f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr": values for (i, j), values in of_pairs.items()}
+
+
+def _put(read: Columns, new: dict[str, Array], is_csv: bool) -> None:
+    """Put quantities into their columns, in the units of these; raises SweepError for columns that cannot hold them."""
+    for quantity, values in new.items():
+        if (name := read.name(quantity)) not in read.names or name is None:
+            continue
+        unit, usual = read.table[name].unit, unit_of(quantity)
+        if read.kind(name) not in "fiu" or (quantity in ALONG_RA and read.in_time(quantity)):
+            read.problems.append(f"column {name!r} is text or in units of time: write it in {usual} first")
+        elif is_csv and unit is not None and usual and Unit(unit) != Unit(usual):
+            read.problems.append(f"column {name!r} is in {unit}, which CSV cannot say: write .ecsv or .fits")
+        else:
+            scale = 1.0 if not usual else DEGREE if quantity in ("ra", "dec") else MAS
+            stated = read.numbers(name)
+            before = read.quantity(quantity, "allowed", scale) if usual else stated
+            some = np.isfinite(before) & (stated != 0.0)
+            factor = np.median(before[some] / stated[some]) if np.any(some) else scale
+            at = np.isfinite(before) & np.isfinite(values)
+            read.table[name] = read.table[name].astype(np.float64)
+            read.table[name][at] = values[at] / factor
+    read.finish()

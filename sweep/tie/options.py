@@ -93,3 +93,8 @@ class ForecastOptions(Declared):
     number: int = option("how many sources to choose", "N", 0, "int", FORECAST, minimum=0)
     criterion: str = one_of("trace or determinant of the covariance", "A", "D", only=FORECAST)
     all_sources: bool = _flag("also choose among sources without rows of the reference", FORECAST)
+
+
+def listed(text: str) -> list[str]:
+    """Return the names in a text, which commas divide."""
+    return [name for part in text.split(",") if (name := part.strip())]

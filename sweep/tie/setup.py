@@ -1,9 +1,10 @@
 """The problem of two or more tables: the options, which source a row belongs to, what is doubtful about that, what is
-done to the rows, and the unknowns.
+done to the rows, and the unknowns; of a Parquet table of millions of quasars one row group at a time.
 """
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -13,31 +14,22 @@ from scipy.spatial import cKDTree
 
 from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Indices, triad
 from linksweep.core.link import LinkError
-from linksweep.core.tie.astrometry import (
-    KINDS,
-    Astrometry,
-    bends,
-    from_tangent_plane,
-    joined,
-    kinds,
-    named_rows,
-    of_five,
-    propagated,
-    with_variance,
-)
+from linksweep.core.tie import astrometry as core
+from linksweep.core.tie.astrometry import Astrometry, kinds, named_rows
 from linksweep.core.tie.forecast import releases_at
 from linksweep.core.tie.noise import ALL, ESTIMATE
-from linksweep.core.tie.problem import Problem
-from linksweep.core.tie.solution import sources_of
+from linksweep.core.tie.problem import Problem, StreamedSources, sources_of
 from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
 from linksweep.sweep.contract import SweepError, suggest
+from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
+from linksweep.sweep.tables import reader
+from linksweep.sweep.tables.columns import conditions
 from linksweep.sweep.tables.options import by_table, number, parameter
-from linksweep.sweep.tables.reader import read_table as read_file
-from linksweep.sweep.tables.where import conditions
+from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.epochs import Epochs, with_observations
-from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options
-from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, built_in, read_table
+from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, listed
+from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, astrometric_table, read_table
 
 DECLARED = {one.name: parameter(one) for one in fields(Options)}
 
@@ -105,27 +97,9 @@ def table_options(options: Options) -> dict[str, TableOptions]:
     }
 
 
-def listed(text: str) -> list[str]:
-    """Return the names in a text, which commas divide."""
-    return [name for part in text.split(",") if (name := part.strip())]
-
-
-def jitter_of(jitter: Mapping[str, Any], mission: str | None, missions: Collection[str]) -> dict[str, Any]:
-    """Return the jitter by kind of row of the reference, or of a mission: ``hipparcos:position``."""
-    chosen = {}
-    for key, size in jitter.items():
-        table, colon, kind = key.rpartition(":")
-        if (table if colon else None) == mission:
-            chosen[kind] = size
-        elif colon and table not in missions:
-            raise SweepError(f"jitter of {key!r}: no mission {table!r}")
-    return chosen
-
-
-def parse_jitter(text: str) -> dict[str, Any]:
-    """Return the jitter of each kind of row of a line like ``position=0.2,five-parameter=0.2:0.05``, or ``estimate``.
-
-    Raises SweepError for any other line.
+def parse_jitter(text: str, missions: Collection[str]) -> dict[str, dict[str, Any]]:
+    """Return the jitter by table and kind of row, of a line like ``position=0.2,hipparcos:five-parameter=0.2:0.05`` or
+    ``estimate``; raises SweepError for any other line.
     """
     jitter: dict[str, Any] = {}
     for item in filter(None, map(str.strip, text.split(","))):
@@ -139,11 +113,15 @@ def parse_jitter(text: str) -> dict[str, Any]:
         # one number is the jitter of motions where a kind of rows has nothing else
         both = (0.0, *sizes) if len(sizes) == 1 and kind.rpartition(":")[2] in MOTIONS else (*sizes, 0.0)[:2]
         jitter[kind] = ESTIMATE if size == ESTIMATE else both
-    return jitter
+    return by_table("jitter", jitter.items(), [*SIDES[1:], *missions], SIDES[1:])
 
 
 def parse_bins(text: str) -> tuple[str, list[float]]:
-    """Return the column and the edges of a text like phot_g_mean_mag=6,8,10; raises SweepError for any other text."""
+    """Return the column and the edges of a text like phot_g_mean_mag=6,8,10, or none of an empty one; raises SweepError
+    for any other text.
+    """
+    if not text:
+        return "", []
     column, edges = split_assignment(text)
     try:
         numbers = [float(part) for part in edges.split(",")]
@@ -161,27 +139,25 @@ def parse_bins(text: str) -> tuple[str, list[float]]:
 class Setup:
     """The problem of the matched sources (S) and rows (R), the tables as read, and how they were matched.
 
-    ``names`` (S,) are the names of the sources, or numbers.  ``missions`` are the further tables by name; the rows of
-    the first one have the frame 1, and so on.  ``jitter`` says which noise is still to be estimated.  The rows of
-    ``epochs`` are numbers of sources, -1 for others.
+    ``names`` (S,) are the names of the sources, or numbers.  ``tables`` are by name: satellite, reference and missions.
+    ``jitter`` by table says which noise is still to be estimated.  The rows of ``epochs`` are numbers of sources, -1
+    for others.
     """
 
-    satellite: AstrometricTable
-    reference: AstrometricTable
+    tables: Mapping[str, AstrometricTable]
     matched: "Match"
     problem: Problem
     names: NDArray[Any]
     notes: tuple[str, ...] = ()
-    missions: Mapping[str, AstrometricTable] = field(default_factory=dict)
     epochs: Epochs | None = None
-    jitter: Mapping[str, Any] = field(default_factory=dict)
+    jitter: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def attributes(self) -> dict[str, Any]:
         """Return what a dataset says of the tables."""
-        epochs = self.satellite.astrometry.epoch
+        epochs = self.tables[SIDES[0]].astrometry.epoch
         known = epochs[np.isfinite(epochs)].tolist() or [self.problem.epoch]
         said = {"epoch": self.problem.epoch, "satellite_epochs": [min(known), max(known)]}
-        for name, table in (("satellite", self.satellite), ("reference", self.reference)):
+        for name, table in ((name, self.tables[name]) for name in SIDES):
             said |= {name: table.path, f"{name}_columns": table.columns, f"{name}_sha256": table.digest}
         return said
 
@@ -195,7 +171,8 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
 
     ``all_sources`` keeps sources without rows, for forecasts.
     """
-    how, missions, jitter = table_options(options), dict(options.missions), parse_jitter(options.jitter)
+    how, missions = table_options(options), dict(options.missions)
+    jitter = parse_jitter(options.jitter, missions)
     if (options.star_models or options.orbits) and not options.epochs:
         raise SweepError("models and orbits are of stars with epoch astrometry: give its files as epochs")
     left = read_table(Path(satellite), how["satellite"])
@@ -209,44 +186,43 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         files = list(dict(options.epochs).values())
         left, epochs = with_observations(left, files, dict(options.star_models), options.orbits)
         notes += epochs.notes
-    tables, matches, parts = [], [], []
-    for frame, name in enumerate((None, *missions)):
-        if name is None and str(reference) == ZERO_MOTION:
+    tables, matches, parts = {SIDES[0]: left}, [], []
+    for frame, (name, path) in enumerate({SIDES[1]: str(reference), **missions}.items()):
+        if not frame and path == ZERO_MOTION:
             table = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
             matched = Match(np.arange(n), np.arange(n), EVERY_SOURCE)
             rows = table.astrometry
         else:
-            table = read_table(Path(missions[name] if name else reference), how[name or "reference"])
+            table = read_table(Path(path), how[name])
             matched = match(left, table, options.by or None)
             rows = _taken(table.astrometry, matched.rows)
             far = far_rows(left, table, matched)
             notes += [*table.named_notes(), *match_notes(left, table, matched, rows), *far]
-        rows = with_jitter(of_five(rows), jitter_of(jitter, name, missions))
-        if name is not None:
+        rows = with_jitter(core.of_five(rows), jitter.get(name, {}))
+        if frame:
             rows = replace(rows, frame=np.full(len(rows), frame))
         elif options.aberration:
             rows = _aberrated(rows, left.astrometry.epoch[matched.source], options.aberration)
-        tables.append(table)
+        tables[name] = table
         matches.append(matched)
         parts.append(rows)
     source = np.concatenate([matched.source for matched in matches])
     sources = np.arange(n) if all_sources else np.unique(source)
-    names = _names(left, tables[0], matches[0])[sources]
+    names = _names(left, tables[SIDES[1]], matches[0])[sources]
     stars = replace(_taken(left.astrometry, sources), names=names)
-    rows, source = parts[0] if len(parts) == 1 else joined(*parts), np.searchsorted(sources, source)
+    rows, source = parts[0] if len(parts) == 1 else core.joined(*parts), np.searchsorted(sources, source)
     epoch = default_epoch(stars.epoch) if options.epoch is None else options.epoch
     notes += _resting(stars, rows, source)
-    problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights)
+    problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights, tables=tuple(tables)[1:])
     try:
         unknowns = unknowns_for(options, problem, notes)
         problem = replace(problem, unknowns=unknowns, known=known_unknowns(options, stars))
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
-    further = dict(zip(missions, tables[1:], strict=True))
     if epochs is not None:
         number = {row: k for k, row in enumerate(sources.tolist())}
         epochs = epochs._replace(rows=np.array([number.get(row, -1) for row in epochs.rows]))
-    return Setup(left, tables[0], matches[0], problem, names, tuple(dict.fromkeys(notes)), further, epochs, jitter)
+    return Setup(tables, matches[0], problem, names, tuple(dict.fromkeys(notes)), epochs, jitter)
 
 
 def _taken(table: Astrometry, rows: Indices) -> Astrometry:
@@ -390,10 +366,11 @@ def _directions(sources: Astrometry, epoch: Array) -> Array:
     """Return unit vectors to sources at epochs, (3, N); their own where either has none."""
     both = np.isfinite(epoch) & np.isfinite(sources.epoch)
     start, end = (np.where(both, one, 0.0) for one in (sources.epoch, epoch))
-    ra, dec = propagated(sources.values, sources.radial_velocity, start, end)[:2]
+    ra, dec = core.propagated(sources.values, sources.radial_velocity, start, end)[:2]
     if sources.further is not None:
-        bend = np.einsum("nij,jn->in", bends(end - start, sources.orbit, sources.averaged)[:, :2], sources.further[0])
-        ra, dec = from_tangent_plane(bend[0], bend[1], ra, dec)
+        bend = core.bends(end - start, sources.orbit, sources.averaged)[:, :2]
+        bend = np.einsum("nij,jn->in", bend, sources.further[0])
+        ra, dec = core.from_tangent_plane(bend[0], bend[1], ra, dec)
     return triad(ra, dec).r
 
 
@@ -498,7 +475,7 @@ def with_jitter(rows: Astrometry, jitter: Mapping[str, Any]) -> Astrometry:
     """
     if not jitter:
         return rows
-    known = [*KINDS, "single epoch", ALL]
+    known = [*core.KINDS, "single epoch", ALL]
     if unknown := sorted(set(jitter) - set(known)):
         raise SweepError(f"jitter: no kind of row {', '.join(unknown)}; kinds are {', '.join(known)}")
     kind_of_row = kinds(rows)
@@ -512,7 +489,7 @@ def with_jitter(rows: Astrometry, jitter: Mapping[str, Any]) -> Astrometry:
             raise SweepError(f"jitter of {kind}: {position:g}, {motion:g}: must be finite and not negative")
         at = kind_of_row == kind if kind != ALL else ~np.isin(kind_of_row, list(jitter))  # a named kind has its own
         added[:, at] = MAS * np.array([position, position, position, motion, motion])[:, None]
-    return with_variance(rows, added**2)
+    return core.with_variance(rows, added**2)
 
 
 def _aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astrometry:
@@ -557,7 +534,7 @@ def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] |
         return None
     if not isinstance(spin, str):
         return Unknowns((spin_block(),)), sign * np.array(spin) * MAS
-    table, at = read_file(built_in(Path(spin))), releases_at(stars.epoch)
+    table, at = reader.read_table(files.built_in(Path(spin))), releases_at(stars.epoch)
     if (release := table.meta.get("release")) is not None and at != [release]:
         there = " and ".join(at) or "no release"
         raise SweepError(f"spins of {release}, and the satellite's epochs are those of {there}", str(spin))
@@ -611,8 +588,8 @@ def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknow
     for mission in missions:
         if not any(name.startswith(f"{mission}:") for name in of_missions):
             names += _determined(problem, names, mission, missions)
-    bins = parse_bins(options.bins) if options.bins else None
-    return parse_unknowns(",".join(names), bins, problem.satellite.columns, missions=missions)
+    bins = parse_bins(options.bins)
+    return parse_unknowns(",".join(names), bins if options.bins else None, problem.satellite.columns, missions=missions)
 
 
 def _determine(problem: Problem, names: Sequence[str], missions: Sequence[str] = ()) -> bool:
@@ -636,3 +613,135 @@ def _determined(
             return names
     frame = f"the frame of {mission}" if mission else "the satellite's frame"
     raise LinkError(f"the tables determine neither the orientation nor the spin of {frame}")
+
+
+# ---- a satellite's table of millions of quasars, read again in each pass of `StreamedSources`
+
+# Smaller tables are solved as a whole.
+FROM_ROWS = 100_000
+
+# At most so many notes on rows are shown.
+MOST_NOTES = 5
+
+
+def in_row_groups(satellite: str | Path, reference: str | Path, options: Options) -> bool:
+    """Return whether a table is read by row groups: many quasars in Parquet, of which no row needs a match."""
+    path = Path(satellite)
+    alone = str(reference) == ZERO_MOTION and not (options.missions or options.where or options.epochs)
+    return alone and path.is_file() and reader.is_parquet(path) and sum(reader.row_groups(path)[0]) >= FROM_ROWS
+
+
+@dataclass(frozen=True)
+class RowGroup:
+    """The rows of a table from ``first`` on, and the options; ``unknowns`` are empty until they are known."""
+
+    path: Path
+    digest: str
+    number: int
+    first: int
+    columns: tuple[str, ...]
+    options: Options
+    epoch: float = np.nan
+    unknowns: Unknowns = Unknowns(())  # noqa: RUF009 (it is frozen)
+
+    def problem(self) -> Problem:
+        """Return the problem of the rows; raises SweepError for wrong ones, with their numbers in the row group."""
+        stars = self.read().astrometry
+        known, source = known_unknowns(self.options, stars), np.arange(len(stars))
+        jitter = parse_jitter(self.options.jitter, ())
+        rows = with_jitter(zero_motion(len(stars)), jitter.get("reference", {}))
+        return Problem(stars, rows, source, self.unknowns, self.epoch, self.options.weights, known)
+
+    def read(self) -> AstrometricTable:
+        """Read the rows."""
+        if digest_once(self.path) != self.digest:
+            raise SweepError("is not the same file on every worker, or was changed", str(self.path))
+        table = reader.read_row_group(self.path, self.number, self.columns)
+        where = f"{self.path}, the {len(table)} rows from row {self.first + 1} on"
+        rows = astrometric_table(table, where, self.digest, table_options(self.options)["satellite"])
+        if not np.all(np.isfinite(rows.astrometry.values[:2])):
+            raise SweepError("sources without a position", where)
+        return rows
+
+
+# Return the SHA-256 of a file, which a process reads only once.
+digest_once = lru_cache(maxsize=8)(files.digest_of)
+
+
+def look_through(group: RowGroup, per_source: bool) -> tuple[Array, tuple[Array, Indices], Array | None, Sequence[str]]:
+    """Return what a first look at a row group finds: one value in each bin of the column of bins; the epochs and how
+    many sources have each; the positions of the sources (2, n), rad, if ``per_source``; and notes.
+    """
+    table = group.read()
+    stars, sample = table.astrometry, np.zeros(0)
+    name, edges = parse_bins(group.options.bins)
+    if name in stars.columns:
+        bin_of = np.searchsorted(edges, stars.columns[name], side="right")
+        sample = stars.columns[name][np.unique(bin_of, return_index=True)[1]]
+    epochs = np.unique(stars.epoch[np.isfinite(stars.epoch)], return_counts=True)
+    return sample, epochs, stars.values[:2] if per_source else None, table.notes
+
+
+def set_up_row_groups(
+    satellite: str | Path, options: Options, run: Map, per_source: bool = True
+) -> tuple[Setup, StreamedSources]:
+    """Look through a table once; raises SweepError for whatever is wrong with it or the options.
+
+    Without ``per_source`` the result has no positions of the sources, which saves memory.
+    """
+    path = Path(satellite).resolve()
+    sizes, names = reader.row_groups(path)
+    if not isinstance(options.known_spin, str):
+        names = files.columns_needed(names, table_options(options)["satellite"], parse_bins(options.bins)[:1])
+    digest, n = digest_once(path), sum(sizes)
+    firsts = np.cumsum([0, *sizes]).tolist()
+    groups = [
+        RowGroup(path, digest, number, firsts[number], tuple(names), options)
+        for number, size in enumerate(sizes)
+        if size
+    ]
+    values = np.zeros((5, n)) if per_source else np.broadcast_to(np.nan, (5, n))  # takes no memory
+    noted: dict[str, int] = {}
+    samples, epochs = [], []
+    for group, look in zip(groups, run(look_through, ((group, per_source) for group in groups)), strict=True):
+        sample, different, places, notes = look
+        samples.append(sample)
+        epochs.append(different)
+        if places is not None:
+            values[:2, group.first : group.first + places.shape[1]] = places
+        for note in notes:
+            noted.setdefault(note, group.first)
+    epoch = options.epoch
+    if epoch is None:
+        epoch = default_epoch(np.concatenate([np.repeat(*one) for one in epochs]))
+    said = [f"{path.name}, from row {first + 1} on: {note}" for note, first in noted.items()]
+    if (more := len(said) - MOST_NOTES) > 0:
+        said[MOST_NOTES:] = [f"{path.name}: {more} more such notes"]
+    try:
+        unknowns = _unknowns(replace(groups[0], epoch=epoch), np.concatenate(samples), said)
+    except ValueError as error:  # LinkError is one
+        raise SweepError(str(error)) from error
+    problems = [replace(group, epoch=epoch, unknowns=unknowns).problem for group in groups]
+    numbers = np.arange(n + 1)  # one array for the sources and, from 1, for their names
+    stars = Astrometry(values, np.broadcast_to(np.nan, (5, n)), np.broadcast_to(epoch, n))
+    problem = Problem(stars, zero_motion(n), numbers[:-1], unknowns, epoch, options.weights)
+    left = AstrometricTable(str(satellite), digest, stars, {})
+    right = AstrometricTable(ZERO_MOTION, "", problem.rows, {})
+    matched = Match(numbers[:-1], numbers[:-1], EVERY_SOURCE)
+    said.append(f"read in {len(groups)} row groups; sources are named by their row numbers")
+    whole = Setup(dict(zip(SIDES, (left, right), strict=True)), matched, problem, numbers[1:], tuple(said))
+    return whole, StreamedSources(unknowns.labels, problems, [group.first for group in groups], n, run)
+
+
+def _unknowns(group: RowGroup, sample: Array, notes: list[str]) -> Unknowns:
+    """Return the unknowns of the whole table: the first rows say which are determined, all rows which bins are used."""
+    stars = group.read().astrometry
+    few = stars.taken(slice(0, min(len(stars), 1000)))
+    rows = zero_motion(len(few))
+    if group.options.bins:
+        few = replace(few, columns={parse_bins(group.options.bins)[0]: sample} if len(sample) else {})
+    problem = Problem(few, rows, np.arange(len(few)), group.unknowns, group.epoch)
+    try:
+        return unknowns_for(group.options, problem, notes)
+    except LinkError as error:
+        raise LinkError(f"of the first rows: {error}") from error

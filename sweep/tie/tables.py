@@ -13,19 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.core.frames import DEGREE, MAS, Array, Flags
+from linksweep.core.tie import astrometry as core
 from linksweep.core.tie import mistakes
-from linksweep.core.tie.astrometry import (
-    ALL_PAIRS,
-    FURTHER,
-    HALF_SPAN,
-    PAIRS,
-    Astrometry,
-    by_errors,
-    kinds,
-    named_rows,
-    positive_definite,
-    with_variance,
-)
+from linksweep.core.tie.astrometry import FURTHER, Astrometry, kinds, named_rows
 from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
@@ -36,9 +26,9 @@ from linksweep.sweep.tables.columns import (
     Columns,
     column_of,
     first_found,
+    rows_where,
 )
 from linksweep.sweep.tables.reader import read_table as read_file
-from linksweep.sweep.tables.where import rows_where
 from linksweep.sweep.tie.options import POSITIONS
 
 # Columns that name a source, in upper or lower case, best first; other columns of text come after them.
@@ -196,34 +186,33 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     read.finish()
     if not len(read):
         raise SweepError("has no rows", where)
-    notes: list[str] = []
     values, errors = np.full((2, 5, len(read)), np.nan)
     for value, error, name in zip(values, errors, PARAMETERS, strict=True):
         if read.has(name):
             value[:] = _in_radians(read, name, options)
             read.check(np.isinf(value), f"an infinite {name}")
         if read.has(f"{name}_error"):
-            error[:] = _errors(read, name, options, notes)
+            error[:] = _errors(read, name, options)
         elif np.any(np.isfinite(value)):
-            notes.append(f"no errors of {name}, which counts as not measured")
+            read.notes.append(f"no errors of {name}, which counts as not measured")
     read.finish()
-    _note_lost(read, np.isfinite(values) & ~np.isfinite(errors), notes)
-    _note_unlikely(values, errors, notes)
-    _note_unequal(errors, notes)
+    _note_lost(read, np.isfinite(values) & ~np.isfinite(errors))
+    _note_unlikely(read, values, errors)
+    _note_unequal(read, errors)
     _check_positions(read, values, errors)
     present = np.isfinite(values) & np.isfinite(errors)
-    further = _accelerations(read, np.all(present, axis=0), options, notes)
+    further = _accelerations(read, np.all(present, axis=0), options)
     whole = present if further is None else np.concatenate([present, further[1] > 0.0])
-    correlations = _correlations(read, whole, notes)
+    correlations = _correlations(read, whole)
     if correlations is None and np.any(np.all(present, axis=0)):
-        notes.append("no correlations of the five parameters: they count as 0")
-    epoch = _epochs(read, options, notes)
+        read.notes.append("no correlations of the five parameters: they count as 0")
+    epoch = _epochs(read, options)
     if options.parallax_zero_point:
-        values[2] -= _zero_points(read, epoch, notes)
+        values[2] -= _zero_points(read, epoch)
     exact = errors[0] < 10.0 * MAS
     if np.any(exact & ((epoch < EARLIEST) | (epoch > LATEST))):
         span = f"{np.nanmin(epoch[exact]):g} to {np.nanmax(epoch[exact]):g}"
-        notes.append(f"epochs from {span}, when no position had errors below 10 mas: are they right?")
+        read.notes.append(f"epochs from {span}, when no position had errors below 10 mas: are they right?")
     positions = options.positions or table.meta.get("positions", "single-epoch")
     if positions not in POSITIONS:
         read.problems.append(f"positions {positions!r}: must be {' or '.join(POSITIONS)}")
@@ -232,12 +221,12 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         errors=errors,
         epoch=epoch,
         correlations=correlations,
-        radial_velocity=_radial_velocity(read, notes),
+        radial_velocity=_radial_velocity(read),
         columns={name: read.numbers(name) for name in read.names if read.kind(name) in "fiu"},
         apparent=(positions == "single-epoch") & np.isfinite(epoch),
         further=further,
-        averaged=None if further is None else _averaged(read, epoch, further, options, notes),
-        **_calibrators(read, notes),
+        averaged=None if further is None else _averaged(read, epoch, further, options),
+        **_calibrators(read),
     )
     try:
         kinds(astrometry)
@@ -246,8 +235,8 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     names = _names(read)
     releases = _releases(read, names, epoch[np.all(present, axis=0)])
     read.finish()
-    astrometry = with_variance(astrometry, np.outer([1.0, 1.0, 0.0, 0.0, 0.0], astrometry.shared**2))
-    return AstrometricTable(where, digest, astrometry, names, notes, _used(read), releases)
+    astrometry = core.with_variance(astrometry, np.outer([1.0, 1.0, 0.0, 0.0, 0.0], astrometry.shared**2))
+    return AstrometricTable(where, digest, astrometry, names, read.notes, _used(read), releases)
 
 
 def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Array) -> dict[str, str]:
@@ -277,7 +266,7 @@ def _used(read: Columns) -> str:
     return f"{', '.join(plain)}; {len(there) - len(plain)} of errors and correlations"
 
 
-def _zero_points(read: Columns, epoch: Array, notes: list[str]) -> Array:
+def _zero_points(read: Columns, epoch: Array) -> Array:
     """Return the zero points of the parallaxes of DR3 (N,), rad, 0 for rows that are out of their range.
 
     Source: Lindegren et al. 2021, A&A 649, A4, as the authors' package has them.
@@ -294,7 +283,7 @@ def _zero_points(read: Columns, epoch: Array, notes: list[str]) -> Array:
         known = np.isin(columns[-1], (31, 95))
         zpt.load_tables()
         shift[known] = zpt.get_zpt(*columns[:, known], _warnings=False)
-    notes.append(
+    read.notes.append(
         f"zero points of {np.isfinite(shift).sum()} of {len(read)} parallaxes subtracted (Lindegren et al. 2021)"
     )
     return np.asarray(np.nan_to_num(shift) * MAS)
@@ -306,7 +295,7 @@ def _in_radians(read: Columns, quantity: str, options: TableOptions) -> Array:
     return read.quantity(quantity, "allowed", DEGREE if quantity in ("ra", "dec") else MAS, cos_dec)
 
 
-def _errors(read: Columns, parameter: str, options: TableOptions, notes: list[str]) -> Array:
+def _errors(read: Columns, parameter: str, options: TableOptions) -> Array:
     quantity = f"{parameter}_error"
     name, column = read.name(quantity), read.name(parameter)
     if column in read.names and read.table[name].unit is None and quantity not in read.units:
@@ -326,7 +315,7 @@ def _errors(read: Columns, parameter: str, options: TableOptions, notes: list[st
     return np.where(errors == 0.0, np.nan, errors) if options.zero_errors == "missing" else errors
 
 
-def _note_lost(read: Columns, lost: Flags, notes: list[str]) -> None:
+def _note_lost(read: Columns, lost: Flags) -> None:
     """Note values (5, N) that have no error, and so decide the kind of their rows."""
     alike: dict[bytes, list[str]] = {}
     for row, name in zip(lost, PARAMETERS, strict=True):
@@ -334,16 +323,18 @@ def _note_lost(read: Columns, lost: Flags, notes: list[str]) -> None:
             alike.setdefault(row.tobytes(), []).append(name)
     for flags, names in alike.items():
         rows = np.flatnonzero(np.frombuffer(flags, dtype=bool))
-        notes.append(f"{len(rows)} rows have no error of {', '.join(names)}, which is not used: {named_rows(rows)}")
+        read.notes.append(
+            f"{len(rows)} rows have no error of {', '.join(names)}, which is not used: {named_rows(rows)}"
+        )
 
 
-def _note_unlikely(values: Array, errors: Array, notes: list[str], quantities: Mapping[str, str] = UNITS) -> None:
+def _note_unlikely(read: Columns, values: Array, errors: Array, quantities: Mapping[str, str] = UNITS) -> None:
     """Note numbers of a size that no star and no instrument has, with the likely mistake in their unit."""
     for (name, unit), value, error in zip(quantities.items(), values, errors, strict=False):
         most = np.inf if name in ("ra", "dec") else mistakes.LARGEST[unit]
         if len(beyond := np.flatnonzero((np.abs(value) > most * MAS) & (np.abs(value) > 5.0 * error))):
             what = f"{name} beyond {most:g} {unit}, which no star has"
-            notes.append(f"{what}: is its unit right? {named_rows(beyond)}")
+            read.notes.append(f"{what}: is its unit right? {named_rows(beyond)}")
         known = error[np.isfinite(error) & (error > 0.0)] / MAS
         low, high = mistakes.PLAUSIBLE
         if len(known) and not low <= (median := float(np.median(known))) <= high:
@@ -351,16 +342,16 @@ def _note_unlikely(values: Array, errors: Array, notes: list[str], quantities: M
             likely = [said for factor, said in units if TYPICAL[0] <= median * factor <= TYPICAL[1]]
             cause = f" The likely cause: {', or '.join(likely)}." if likely else ""
             what = f"errors of {name} of {median:.2g} {unit}, which no instrument has."
-            notes.append(f"{what}{cause} Say --unit {name}_error=UNIT")
+            read.notes.append(f"{what}{cause} Say --unit {name}_error=UNIT")
 
 
-def _note_unequal(errors: Array, notes: list[str]) -> None:
+def _note_unequal(read: Columns, errors: Array) -> None:
     """Note errors of the two coordinates, or of their motions, of which one is likely to be in another unit."""
     for one, other in ((0, 1), (3, 4)):
         both = errors[[one, other]][:, np.isfinite(errors[[one, other]]).all(axis=0)]
         if both.size and not 1.0 / UNEQUAL < (ratio := np.divide(*np.median(both, axis=1))) < UNEQUAL:
             names = f"{PARAMETERS[one]} are {ratio:.3g} times those of {PARAMETERS[other]}"
-            notes.append(f"errors of {names}: is one of them in another unit?")
+            read.notes.append(f"errors of {names}: is one of them in another unit?")
 
 
 def _check_positions(read: Columns, values: Array, errors: Array) -> None:
@@ -377,7 +368,7 @@ def _check_positions(read: Columns, values: Array, errors: Array) -> None:
     read.check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
 
 
-def _accelerations(read: Columns, five: Flags, options: TableOptions, notes: list[str]) -> Array | None:
+def _accelerations(read: Columns, five: Flags, options: TableOptions) -> Array | None:
     """Return values and errors of `FURTHER` (2, 5, N), zero where a row has none; None for a table without
     accelerations.  ``five`` are the rows with five parameters.
     """
@@ -392,7 +383,7 @@ def _accelerations(read: Columns, five: Flags, options: TableOptions, notes: lis
             both[1, k] = _in_radians(read, f"{name}_error", options)
             read.check(both[1, k] < 0.0, f"a negative {name}_error")
     units = dict(zip(ACCELERATIONS, ("mas/yr2", "mas/yr2", "mas/yr3", "mas/yr3"), strict=True))
-    _note_unlikely(both[0], both[1], notes, units)
+    _note_unlikely(read, both[0], both[1], units)
     there = np.isfinite(both).all(axis=0) & (both[1] > 0.0)
     half = np.any((np.nan_to_num(both) != 0.0).any(axis=0) & ~there, axis=0)
     half |= (there[0] != there[1]) | (there[2] != there[3]) | (there[2] & ~there[0])
@@ -402,17 +393,17 @@ def _accelerations(read: Columns, five: Flags, options: TableOptions, notes: lis
         return None
     sizes = zip(*np.unique((5 + 2 * there[0].astype(int) + 2 * there[2])[five], return_counts=True), strict=True)
     counted = ", ".join(f"{number} of {size}" for size, number in sizes)
-    notes.append(f"rows by the number of parameters of their model: {counted}; each is propagated with its own")
+    read.notes.append(f"rows by the number of parameters of their model: {counted}; each is propagated with its own")
     return np.where(there, both, 0.0)
 
 
-def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions, notes: list[str]) -> Array:
+def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions) -> Array:
     """Return half the time (N,) over which positions and motions of accelerated rows are averages; 0 for none."""
     of_dr3 = first_found([SOLUTION_TYPE], read.names) and releases_at(epoch[further[1, 0] > 0.0]) == ["dr3"]
     how = options.accelerations or ("mean" if of_dr3 else "at-epoch")
     words = "averages, as in DR3" if how == "mean" else "those at their epoch"
-    notes.append(f"positions and motions of rows with accelerations are {words}: --accelerations mean or at-epoch")
-    return np.full(len(epoch), HALF_SPAN if how == "mean" else 0.0)
+    read.notes.append(f"positions and motions of rows with accelerations are {words}: --accelerations mean or at-epoch")
+    return np.full(len(epoch), core.HALF_SPAN if how == "mean" else 0.0)
 
 
 def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str]) -> Array:
@@ -424,13 +415,13 @@ def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str]) -> Ar
     return vectors
 
 
-def _correlations(read: Columns, present: Flags, notes: list[str]) -> Array | None:
+def _correlations(read: Columns, present: Flags) -> Array | None:
     """Return the correlations (10 or 36, N), 0 unless both parameters are ``present`` (5 or 9, N); None if there are
     none.
     """
     if _is_hipparcos(read) and (elements := _hipparcos_elements(read)) is not None:
         return hipparcos_correlations(elements)
-    pairs = ALL_PAIRS[: len(PAIRS) if len(present) == 5 else len(CORRELATIONS)]
+    pairs = core.ALL_PAIRS[: len(core.PAIRS) if len(present) == 5 else len(CORRELATIONS)]
     names = [read.name(name) for name in CORRELATIONS][: len(pairs)]
     if not any(names) and not read.has("corr_vec"):
         return None
@@ -439,7 +430,7 @@ def _correlations(read: Columns, present: Flags, notes: list[str]) -> Array | No
         names, correlations = ["corr_vec"] * len(pairs), _vectors(read, str(read.name("corr_vec")), 36, _ELEMENT)
         correlations = correlations[[j * (j - 1) // 2 + i for i, j in pairs]]  # upper triangles, by columns
     elif len(pairs) > 10 and not any(names[10:]):
-        notes.append("no correlations of the accelerations: they count as 0, although they are large")
+        read.notes.append("no correlations of the accelerations: they count as 0, although they are large")
     absent = []
     for row, key, name, (i, j) in zip(correlations, CORRELATIONS, names, pairs, strict=False):
         both = present[i] & present[j]
@@ -453,12 +444,12 @@ def _correlations(read: Columns, present: Flags, notes: list[str]) -> Array | No
     matrices = np.tile(np.eye(len(present)), (len(read), 1, 1))
     for row, (i, j) in zip(correlations, pairs, strict=True):
         matrices[:, i, j] = matrices[:, j, i] = row
-    good = positive_definite(matrices)
+    good = core.positive_definite(matrices)
     read.check(~good, f"correlations that are impossible (not positive definite){zero}")
     return correlations
 
 
-def _epochs(read: Columns, options: TableOptions, notes: list[str]) -> Array:
+def _epochs(read: Columns, options: TableOptions) -> Array:
     """Return the Julian years of the rows, NaN for positions that hold at any."""
     epoch, any_epoch = options.epoch, options.extragalactic or read.table.meta.get("extragalactic") is True
     if options.extragalactic and epoch is not None:
@@ -469,7 +460,7 @@ def _epochs(read: Columns, options: TableOptions, notes: list[str]) -> Array:
     stated = HIPPARCOS_EPOCH if _is_hipparcos(read) else read.stated_epoch() if read.has("pmra") else None
     if not any_epoch and stated not in (None, epoch):
         instead = "" if epoch is None else f", not of {epoch:g}"
-        notes.append(f"positions are of {stated:g}{instead}, says column {read.name('ra')!r}")
+        read.notes.append(f"positions are of {stated:g}{instead}, says column {read.name('ra')!r}")
         epoch = stated if epoch is None else epoch
     if epoch is None and not any_epoch and read.has("ra"):
         said = "no column ref_epoch; give the epochs in one, or with --satellite-epoch, --reference-epoch or --epoch"
@@ -479,7 +470,7 @@ def _epochs(read: Columns, options: TableOptions, notes: list[str]) -> Array:
     return np.full(len(read), np.nan if epoch is None else epoch)
 
 
-def _calibrators(read: Columns, notes: list[str]) -> dict[str, Any]:
+def _calibrators(read: Columns) -> dict[str, Any]:
     """Return the calibrators of rows and the errors (rad) that rows of a source share by them, if there are any."""
     if not read.has("calibrator"):
         read.check(np.full(len(read), read.has("calibrator_error")), "a calibrator_error but no column calibrator")
@@ -495,18 +486,18 @@ def _calibrators(read: Columns, notes: list[str]) -> dict[str, Any]:
     if np.any(unlikely := (shared > 0.0) & ~((shared >= low * MAS) & (shared <= high * MAS))):
         size = f"{np.median(shared[unlikely]) / MAS:.2g} mas"
         unit = "is it in arcsec" if np.median(shared[unlikely]) < low * MAS else "is it in uas"
-        notes.append(f"calibrator_error of {size}, {named_rows(np.flatnonzero(unlikely))}: {unit}? Say --unit")
+        read.notes.append(f"calibrator_error of {size}, {named_rows(np.flatnonzero(unlikely))}: {unit}? Say --unit")
     return {"calibrator": names, "shared": shared}
 
 
-def _radial_velocity(read: Columns, notes: list[str]) -> Array | None:
+def _radial_velocity(read: Columns) -> Array | None:
     if not read.has("radial_velocity"):
         return None
     velocity = read.quantity("radial_velocity", "allowed")
     fast = np.abs(velocity) > FASTEST_KM_S
     if np.any(fast):
         what = f"{read.name('radial_velocity')} beyond {FASTEST_KM_S:g} km/s, which no star has, is not used"
-        notes.append(f"{what}: {named_rows(np.flatnonzero(fast))}")
+        read.notes.append(f"{what}: {named_rows(np.flatnonzero(fast))}")
     return np.where(fast, np.nan, velocity)
 
 
@@ -547,4 +538,4 @@ def hipparcos_correlations(elements: Array) -> Array:
     for (row, column), element in zip(places, elements, strict=True):
         upper[:, row, column] = element
     half = np.linalg.inv(upper)
-    return np.asarray(by_errors(half @ half.swapaxes(1, 2))[1][*np.array(PAIRS).T])
+    return np.asarray(core.by_errors(half @ half.swapaxes(1, 2))[1][*np.array(core.PAIRS).T])

@@ -31,7 +31,7 @@ from linksweep.core.simulate import can_stack, simulate, simulate_stack
 from linksweep.core.unknowns import Objects, link_unknowns
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import Named
-from linksweep.sweep.tables.file import table_file
+from linksweep.sweep.tables.columns import table_file
 
 
 def point(**changes):

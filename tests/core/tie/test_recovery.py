@@ -11,8 +11,7 @@ from astropy.time import Time
 
 from linksweep.core.frames import MAS, position, triad
 from linksweep.core.tie.astrometry import Astrometry, parallax_factors, propagated
-from linksweep.core.tie.problem import Problem, source_sums
-from linksweep.core.tie.solution import solve
+from linksweep.core.tie.problem import Problem, solve, source_sums
 from linksweep.core.unknowns import parse_unknowns
 from tests.core.tie.made import seen_by_satellite, stars
 

@@ -5,10 +5,9 @@ import pytest
 from scipy.linalg import block_diag, lstsq
 
 from linksweep.core.fields import terms
-from linksweep.core.tie import solution as solutions
+from linksweep.core.tie import problem as solutions
 from linksweep.core.tie.astrometry import Astrometry, differences
-from linksweep.core.tie.problem import Problem, source_sums
-from linksweep.core.tie.solution import solve
+from linksweep.core.tie.problem import Problem, solve, source_sums
 from linksweep.core.unknowns import parse_unknowns
 from tests.core.tie.made import MAS, missions
 

@@ -64,7 +64,7 @@ def test_a_forecast_is_printed():
         ("psrpi psrpi --mission spin=psrpi", "none of the unknowns"),
         ("psrpi psrpi --mission a=psrpi --mission a=psrpi", "named twice"),
         ("psrpi psrpi --mission a=psrpi --mission-epoch b=1991.25", "no table 'b'"),
-        ("psrpi psrpi --mission a=psrpi --jitter b:position=1", "no mission 'b'"),
+        ("psrpi psrpi --mission a=psrpi --jitter b:position=1", "no table 'b'"),
     ],
 )
 def test_wrong_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, arguments, message):

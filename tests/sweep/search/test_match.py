@@ -13,7 +13,7 @@ from click.testing import CliRunner
 import linksweep
 from linksweep import SweepError
 from linksweep.sweep.cli import main
-from linksweep.sweep.search.outputs import LETTERS, galaxy_table, sky_map
+from linksweep.sweep.search.search import LETTERS, galaxy_table, sky_map
 from tests.documents import commands
 
 ARCSEC = 1.0 / 3600.0

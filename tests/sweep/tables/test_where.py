@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linksweep import SweepError
-from linksweep.sweep.tables.where import rows_where
+from linksweep.sweep.tables.columns import rows_where
 
 NUMBERS, TEXTS = ("a", "b", "n"), ("s",)
 FRAME = pd.DataFrame(

@@ -314,7 +314,7 @@ def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypa
     tables = drawn_tables(folder, 8, n=14, far=(3, 7))
     options = {"clip": clip, "errors": "formal,scaled,cells"}
     plain = linked(tables, **options)
-    monkeypatch.setattr("linksweep.core.tie.solution.KEPT_NUMBERS", 0)
+    monkeypatch.setattr("linksweep.core.tie.problem.KEPT_NUMBERS", 0)
     monkeypatch.setattr("linksweep.core.tie.problem.BLOCK", 4)
     monkeypatch.setattr("linksweep.core.tie.problem.GATHERED", 11)
     link = linked(tables, **options)

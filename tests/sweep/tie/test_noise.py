@@ -14,8 +14,7 @@ import linksweep
 from linksweep import SweepError
 from linksweep.core.tie.forecast import Simulation
 from linksweep.core.tie.noise import estimated, noises
-from linksweep.core.tie.problem import Problem, source_sums
-from linksweep.core.tie.solution import solve
+from linksweep.core.tie.problem import Problem, solve, source_sums
 from tests.core.tie.made import MAS, gaia, joined, main, noise, parse_unknowns, stars
 from tests.sweep.tie.test_against_least_squares import drawn_tables, linked, pieces_of, turned
 from tests.tiers import slow
@@ -140,7 +139,7 @@ def test_the_truth_is_within_the_error_as_often_as_it_should_be(seeds, case):
     inside, plain = [], []
     for seed in range(seeds):
         problem = drawn(seed, *case)
-        wanted = noises(problem, {"all": "estimate"}, ("reference",))
+        wanted = noises(problem, {"reference": {"all": "estimate"}})
         found = estimated(problem, wanted)
         solved = solve(source_sums(found.added_to(problem, wanted)))
         inside.append(np.abs(solved.estimate) < np.sqrt(np.diag(found.covariance(solved))))

@@ -36,7 +36,7 @@ def quasars(path, n=3000, group=700, **changes):
 
 @pytest.fixture
 def by_groups(monkeypatch):
-    monkeypatch.setattr("linksweep.sweep.tie.row_groups.FROM_ROWS", 1000)
+    monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", 1000)
 
 
 OPTIONS = [
@@ -52,7 +52,7 @@ OPTIONS = [
 def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
     path = quasars(tmp_path / "quasars.parquet")
     whole = tie(path, "zero-motion", **options)
-    monkeypatch.setattr("linksweep.sweep.tie.row_groups.FROM_ROWS", 1000)
+    monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", 1000)
     found = tie(path, "zero-motion", **options)
     error = whole.errors.sel(error_kind="formal").values
     np.testing.assert_allclose(found.estimate / error, whole.estimate / error, atol=1e-9)
@@ -100,7 +100,7 @@ def test_without_sources_the_rest_is_the_same(tmp_path, by_groups, clip):
 @pytest.mark.parametrize("seed", [*map(slow, range(1, 6, 2)), 6, slow(7)])
 def test_the_epoch_is_the_median_of_all_row_groups(tmp_path, by_groups, monkeypatch, seed):
     """With one epoch in the middle or two, few different ones or many, in groups of any size."""
-    monkeypatch.setattr("linksweep.sweep.tie.row_groups.FROM_ROWS", 10)
+    monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", 10)
     rng = np.random.default_rng(seed)
     n = 20 + seed
     epochs = np.round(rng.uniform(2014.0, 2018.0, n), [0, 5][seed // 2 % 2])
@@ -109,7 +109,7 @@ def test_the_epoch_is_the_median_of_all_row_groups(tmp_path, by_groups, monkeypa
     path = quasars(tmp_path / "q.parquet", n, int(rng.integers(3, 12)), ref_epoch=epochs)
     link = tie(path, "zero-motion", "spin")
     assert link.attrs["epoch"] == np.median(epochs)
-    monkeypatch.setattr("linksweep.sweep.tie.row_groups.FROM_ROWS", 1000)
+    monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", 1000)
     assert tie(path, "zero-motion", "spin").attrs["epoch"] == np.median(epochs)
 
 
