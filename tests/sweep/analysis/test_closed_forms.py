@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from scipy.linalg import null_space
 from scipy.optimize import brentq, curve_fit
@@ -49,30 +49,33 @@ def drawn(seed, least=4):
 
 
 def factor(samples):
-    return 1.0 + 2.0 / (samples - 3.0)
+    return 1.0 + 2.0 / (samples - 3.0) if samples >= 5 else np.nan
+
+
+def best(x, y, covariance, samples):
+    """Constant and exponent of the best law with all weights, or with those of the diagonal where the covariance is
+    itself an estimate, and their covariance.
+    """
+    design, relative = np.stack([np.ones_like(x), np.log(x)], axis=1), covariance / np.outer(y, y)
+    weights = np.linalg.inv(relative if samples is None else np.diag(np.diag(relative)))
+    solve = np.linalg.inv(design.T @ weights @ design) @ design.T @ weights
+    return solve @ np.log(y), solve @ relative @ solve.T * (1.0 if samples is None else factor(samples))
 
 
 @several
 @given(seeds, st.sampled_from([None, 20, 100]))
 def test_a_power_law_through_correlated_points(seed, samples):
-    """The best estimate with all weights, or with those of the diagonal where the covariance is itself an estimate."""
     _, x, y, _, covariance = drawn(seed)
     found = linksweep.fit_power_law(results(x, y, covariance=covariance, samples=samples), "width", "n")
-    design, relative = np.stack([np.ones_like(x), np.log(x)], axis=1), covariance / np.outer(y, y)
-    weights = np.linalg.inv(relative if samples is None else np.diag(np.diag(relative)))
-    solve = np.linalg.inv(design.T @ weights @ design) @ design.T @ weights
-    constant, exponent = solve @ np.log(y)
-    spread = solve @ relative @ solve.T * (1.0 if samples is None else factor(samples))
+    law, spread = best(x, y, covariance, samples)
     at_pivot = np.array([1.0, np.log(found["pivot"].item())])
-    amplitude = np.exp(at_pivot @ [constant, exponent])
-    height = np.sqrt(at_pivot @ spread @ at_pivot)
-    assert found["exponent"].item() == pytest.approx(exponent, rel=1e-8)
-    assert found["exponent_error"].item() == pytest.approx(np.sqrt(spread[1, 1]), rel=1e-6)
-    assert found["amplitude"].item() == pytest.approx(amplitude, rel=1e-8)
-    assert found["amplitude_error"].item() == pytest.approx(amplitude * height, rel=1e-6)
-    together = at_pivot @ spread[:, 1] / (height * np.sqrt(spread[1, 1]))
-    assert found["correlation"].item() == pytest.approx(together, abs=1e-6)
-    free = null_space(design.T)  # what no power law explains
+    height, tilt = np.sqrt(at_pivot @ spread @ at_pivot), np.sqrt(spread[1, 1])
+    together = at_pivot @ spread[:, 1] / (height * tilt)
+    wanted = {"exponent": law[1], "exponent_error": tilt, "amplitude": np.exp(at_pivot @ law), "correlation": together}
+    wanted["amplitude_error"] = height * wanted["amplitude"]
+    assert {name: found[name].item() for name in wanted} == pytest.approx(wanted, rel=1e-6, abs=1e-6)
+    relative = covariance / np.outer(y, y)
+    free = null_space(np.stack([np.ones_like(x), np.log(x)]))  # what no power law explains
     rest = free.T @ np.log(y)
     chi2 = rest @ np.linalg.solve(free.T @ relative @ free, rest)
     dof = len(x) - 2
@@ -82,25 +85,27 @@ def test_a_power_law_through_correlated_points(seed, samples):
         return
     assert found["chi2"].item() == pytest.approx(chi2, rel=1e-6)
     scaled = chi2 if samples is None else chi2 * (samples - dof) / (dof * (samples - 1))
-    law = chi2_law(dof) if samples is None else f_law(dof, samples - dof)
-    assert found["p_value"].item() == pytest.approx(law.sf(scaled), rel=1e-6)
+    tail = chi2_law(dof) if samples is None else f_law(dof, samples - dof)
+    assert found["p_value"].item() == pytest.approx(tail.sf(scaled), rel=1e-6)
 
 
-@settings(max_examples=4)
+@settings(max_examples=1)
+@example(1, 20)
 @given(seeds, st.sampled_from([None, 20]))
 def test_the_band_of_a_drawn_law_is_that_of_its_errors(seed, samples):
+    """In the unit that reads best: the numbers are drawn a thousand times as large."""
     _, x, y, _, covariance = drawn(seed)
-    upper = linksweep.plot(results(x, y, covariance=covariance, samples=samples), "law").axes[0]
-    design, relative = np.stack([np.ones_like(x), np.log(x)], axis=1), covariance / np.outer(y, y)
-    weights = np.linalg.inv(relative if samples is None else np.diag(np.diag(relative)))
-    solve = np.linalg.inv(design.T @ weights @ design) @ design.T @ weights
-    spread = solve @ relative @ solve.T * (1.0 if samples is None else factor(samples))
+    y, covariance = 0.02 * y / y.max(), covariance * (0.02 / y.max()) ** 2
+    dataset = results(x, y, covariance=covariance, samples=samples)
+    dataset["width"].attrs["units"] = "mas"
+    upper = linksweep.plot(dataset, "law").axes[0]
+    law, spread = best(x, y, covariance, samples)
     [band] = [one for one in upper.collections if str(one.get_label()).startswith("_law band")]
     corners = band.get_paths()[0].vertices
     for at in (x[0], x[-1]):
         heights = corners[np.isclose(corners[:, 0], at, rtol=1e-9), 1]
         row = np.array([1.0, np.log(at)])
-        middle, half = np.exp(row @ solve @ np.log(y)), np.sqrt(row @ spread @ row)
+        middle, half = 1000.0 * np.exp(row @ law), np.sqrt(row @ spread @ row)
         assert [heights.min(), heights.max()] == pytest.approx([middle * (1 - half), middle * (1 + half)], rel=1e-6)
 
 
@@ -152,30 +157,19 @@ def test_the_levelling_law_is_that_of_scipy_with_its_errors(seed, quality):
     fall = 0.2 * truth[2]
     found = linksweep.fit_levelling(results(x, y, relative * y), "width", "n", fall=fall)
     options = {"p0": truth, "sigma": relative, "absolute_sigma": True, "xtol": 1e-14, "ftol": 1e-14}
-    best, spread = curve_fit(lambda at, *law: np.log(level(at, *law)), x, np.log(y), **options)
-    assume(best[2] > 2.2 * fall)  # else it falls by less everywhere
-    chi2 = float(np.sum(((np.log(y) - np.log(level(x, *best))) / relative) ** 2))
+    law, spread = curve_fit(lambda at, *law: np.log(level(at, *law)), x, np.log(y), **options)
+    # else it falls by less everywhere, or the best law has no plateau, which a root of a square cannot say
+    assume(law[2] > 2.2 * fall and abs(law[0]) > 0.1 * truth[0])
+    chi2 = float(np.sum(((np.log(y) - np.log(level(x, *law))) / relative) ** 2))
     dof = len(x) - 3
     spread = spread * max(1.0, chi2 / dof)
     assert found["chi2"].item() == pytest.approx(chi2, rel=1e-4)
     assert (found["dof"].item(), found["points"].item()) == (dof, len(x))
     assert found["p_value"].item() == pytest.approx(chi2_law(dof).sf(chi2), rel=1e-3, abs=1e-12)
-    wanted = np.array([best[0], best[2], *derived(x, fall, *best)])
-    steps = np.array([1e-5 * np.abs(best) * (np.arange(3) == k) for k in range(3)])
-    gradient = np.stack(
-        [
-            [1.0, 0.0, 0.0],
-            [0.0, 0.0, 1.0],
-            *np.transpose(
-                [
-                    (np.array(derived(x, fall, *(best + s))) - derived(x, fall, *(best - s))) / (2.0 * s.sum())
-                    for s in steps
-                ]
-            ),
-        ]
-    )
-    errors = np.sqrt(np.diag(gradient @ spread @ gradient.T))
-    for name, value, error in zip(("plateau", "rate", "end_fall", "limit"), wanted, errors, strict=True):
+    of_law = {"plateau": lambda at: abs(at[0]), "rate": lambda at: at[2]}
+    of_law |= {n: lambda at, k=k: derived(x, fall, *at)[k] for k, n in enumerate(("end_fall", "limit"))}
+    for name, function in of_law.items():
+        value, error = function(law), delta(function, law, spread, 1e-5)
         assert found[name].item() == pytest.approx(value, abs=0.01 * error), name
         assert found[f"{name}_error"].item() == pytest.approx(error, rel=0.02), name
 
@@ -194,15 +188,15 @@ def test_a_law_too_slow_for_the_fall_falls_by_less_everywhere(seed, times):
             assert found["limit"].item() == -np.inf
 
 
-def delta(function, values, covariance):
+def delta(function, values, covariance, step=1e-6):
     """Return the error of a function of values, to first order."""
-    steps = [1e-6 * np.abs(values) * (np.arange(len(values)) == k) for k in range(len(values))]
+    steps = step * np.diag(np.abs(values))
     gradient = np.array([(function(values + s) - function(values - s)) / (2.0 * s.sum()) for s in steps])
     return np.sqrt(gradient @ covariance @ gradient)
 
 
 @several
-@given(seeds, st.floats(0.01, 0.99), st.booleans(), st.sampled_from([None, 20]))
+@given(seeds, st.floats(0.01, 0.99), st.booleans(), st.sampled_from([None, 4, 5, 20]))
 def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, samples):
     _, x, y, errors, covariance = drawn(seed)
     y = np.sort(y)
@@ -216,7 +210,8 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
 
     found = linksweep.interpolate(dataset, "width", over="n", at=at)
     assert found["width"].item() == pytest.approx(between(y), rel=1e-9)
-    assert found["width_mc_error"].item() == pytest.approx(delta(between, y, spread) * np.sqrt(more), rel=1e-5)
+    wanted = delta(between, y, spread) * np.sqrt(more)
+    assert found["width_mc_error"].item() == pytest.approx(wanted, rel=1e-5, nan_ok=True)
     limit = float(np.exp(np.interp(share, [0.0, 1.0], np.log(y[[0, -1]]))))
 
     def place(values):
@@ -224,7 +219,8 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
 
     crossing = linksweep.find(dataset, f"width < {limit!r}", over="n")
     assert crossing["first"].item() == crossing["last"].item() == pytest.approx(place(y), rel=1e-9)
-    assert crossing["first_error"].item() == pytest.approx(delta(place, y, spread) * np.sqrt(more), rel=1e-4)
+    wanted = delta(place, y, spread) * np.sqrt(more)
+    assert crossing["first_error"].item() == pytest.approx(wanted, rel=1e-4, nan_ok=True)
 
 
 @several
@@ -232,11 +228,11 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
 def test_first_last_and_number_of_crossings(seed):
     rng = np.random.default_rng(seed)
     y = rng.uniform(-1.0, 1.0, 12)
+    magnitudes = "v", np.arange(1.0, 13.0), {"units": "mag"}
+    dataset = results(magnitudes[1], y, name="v").assign_coords(v=magnitudes)
     found = linksweep.find(
-        results(np.arange(1.0, 13.0), y, name="v").assign_coords(v=("v", np.arange(1.0, 13.0), {"units": "mag"})),
-        "width > 0",
-        over="v",
-    )
+        dataset.isel(v=rng.permutation(12)), "width > 0", over="v"
+    )  # rows of a store are in any order
     flips = [i for i in range(11) if (y[i] > 0.0) != (y[i + 1] > 0.0)]
     assert found["crossings"].item() == len(flips)
     if flips:
@@ -293,16 +289,26 @@ def table(columns, y):
     return xr.Dataset(variables, coords, attributes)
 
 
+def as_design(made, **ranges):
+    """Let the points of a table be those of a design."""
+    told = {"parameters": list(ranges), "design": "sobol", "n": made.sizes["point"], "ranges": ranges}
+    return made.assign_attrs(point_table=json.dumps(told))
+
+
 @several
 @given(seeds, st.integers(1, 6), st.integers(64, 150))
 def test_a_function_of_the_ranks_alone_is_all_that_decides(seed, waves, n):
-    """The places of given points are their ranks, ties in the middle of theirs; waves over them are fitted exactly."""
+    """The places of given points are their ranks, ties in the middle of theirs, and those of a design the middle of the
+    part of the range that is an integer's; waves over them are fitted exactly.
+    """
     rng = np.random.default_rng(seed)
-    x = np.round(rng.uniform(0.0, 5.0, n), 1)
-    place = np.array([(np.sum(x < one) + 0.5 * np.sum(x == one)) / n for one in x])
-    found = linksweep.sensitivity(table({"x": x, "other": rng.random(n)}, np.cos(np.pi * waves * place)))
-    assert found["first"].values[0] == pytest.approx(1.0, abs=1e-9)
-    assert found["first"].values[1] < 0.9
+    x, k = np.round(rng.uniform(0.0, 5.0, n), 1), rng.integers(1, 41, n)
+    ranks = np.array([(np.sum(x < one) + 0.5 * np.sum(x == one)) / n for one in x])
+    for column, place, ranges in ((x, ranks, None), (k, (k - 0.5) / 40.0, {"x": [1, 40], "other": [0, 1]})):
+        made = table({"x": column, "other": rng.random(n)}, np.cos(np.pi * waves * place))
+        found = linksweep.sensitivity(as_design(made, **ranges) if ranges else made)
+        assert found["first"].values[0] == pytest.approx(1.0, abs=1e-9)
+        assert found["first"].values[1] < 0.9
 
 
 @several
@@ -317,8 +323,7 @@ def test_groups_explain_the_adjusted_share(seed, groups, n):
     share = 1.0 - inside / np.sum((y - y.mean()) ** 2) * (n - 1) / (n - groups)
     assert found["first"].values[0] == pytest.approx(share, abs=1e-9)
     even = table({"kind": names, "x": rng.random(n)}, y)
-    told = {"parameters": ["kind", "x"], "design": "sobol", "n": n, "ranges": {"kind": {"values": ["a"]}, "x": [0, 1]}}
-    even.attrs["point_table"] = json.dumps(told)
+    even = as_design(even, kind={"values": ["a"]}, x=[0, 1])
     chance = inside / np.sum((y - y.mean()) ** 2) * (groups - 1) / (n - groups)
     spread = linksweep.sensitivity(even)
     assert spread["first"].values[0] == pytest.approx(share + 0.5 * chance, abs=1e-9)
