@@ -1,9 +1,13 @@
 """What is declared wrongly, or returned otherwise than declared, is told by name in one message; nothing is guessed."""
 
 import json
+import math
+import sys
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import linksweep
 from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
@@ -15,8 +19,8 @@ GOOD = {
     "parameters": (Parameter("rate", "float", 1.0, "rate"),),
     "sums": {"total": ()},
     "outputs": (Output("mean", "", "mean"),),
-    "evaluate": lambda points, n_sim, rng, catalogue_rng: {},
-    "summarise": lambda sums, n, n_cat: {},
+    "evaluate": lambda points, n_sim, rng, catalogue_rng: {"total": [n_sim * p["rate"] for p in points]},
+    "summarise": lambda sums, n, n_cat: {"mean": sums["total"] / n},
 }
 
 WRONG = {
@@ -70,6 +74,24 @@ def test_a_right_declaration_is_taken():
     Experiment(**GOOD | {"parameters": decided, "outputs": (Output("rate", "", "what it decided"),)})
 
 
+few, bound = st.integers(-3, 3), st.none() | st.integers(-2, 2)
+
+
+@given(st.sampled_from(["float", "int"]), few | few.map(float) | st.booleans() | st.just(0.5), bound, bound, bound)
+def test_a_number_is_allowed_within_its_bounds_and_nowhere_else(kind, raw, minimum, above, maximum):
+    parameter = Parameter("x", kind, minimum=minimum, above=above, maximum=maximum)
+    inside = (
+        (minimum is None or raw >= minimum) and (above is None or raw > above) and (maximum is None or raw <= maximum)
+    )
+    if inside and not isinstance(raw, bool) and (kind == "float" or raw == int(raw)):
+        value = parameter.parse(raw)
+        assert (value, type(value).__name__, math.copysign(1.0, value)) == (raw, kind, -1.0 if raw < 0 else 1.0)
+    else:
+        with pytest.raises(ValueError, match="x = "):
+            parameter.parse(raw)
+    assert math.copysign(1.0, Parameter("x", "float").parse(-0.0)) == 1.0  # else zero would be two points
+
+
 def test_all_mistakes_of_a_file_are_told_at_once_and_shortly(tmp_path, sweep):
     write_experiment(
         tmp_path,
@@ -86,89 +108,88 @@ def test_all_mistakes_of_a_file_are_told_at_once_and_shortly(tmp_path, sweep):
     assert not (tmp_path / "s.zarr").exists()
 
 
+def run(place, rates=(1.0, 2.0), sampling=None, **changed):
+    """The results of an experiment that differs in some parts from one that is right."""
+    study = {"title": "t", "axes": {"rate": list(rates)}, "sampling": {"n_sim": 4} | (sampling or {})}
+    experiment = Experiment(**GOOD | changed)
+    return linksweep.run(study | {"experiment": experiment}, place, pool="serial", max_failures="100%")
+
+
+class Stop(BaseException):
+    """An exception of a user's that is no Exception."""
+
+
+def stop(points, n_sim, rng, catalogue_rng):
+    raise Stop("enough")
+
+
+def of(*values):
+    """An evaluate that returns some values as the sum of each point."""
+    return lambda points, n_sim, rng, catalogue_rng: {"total": [list(values) if len(values) > 1 else values[0]]}
+
+
 RESULTS = {
     "sums of another length": (
-        {"sums": '{"total": (5,)}', "evaluate": '{"total": [[1.0] * 4 for p in points]}'},
+        {"sums": {"total": (5,)}, "evaluate": of(1.0, 1.0, 1.0, 1.0)},
         "evaluate: the sum 'total' has the shape (1, 4), expected (1, 5)",
     ),
-    "complex": ({"evaluate": '{"total": [1j for p in points]}'}, "of type complex128, expected real numbers"),
+    "one sum for several": ({"sums": {"total": (2, 2)}, "evaluate": of(1.0, 1.0)}, "shape (1, 2), expected (1, 2, 2)"),
+    "complex": ({"evaluate": of(1j)}, "of type complex128, expected real numbers"),
     "a misspelt sum": (
-        {"evaluate": '{"totl": [1.0 for p in points]}'},
+        {"evaluate": lambda points, n_sim, rng, catalogue_rng: {"totl": [1.0]}},
         "evaluate returns 'totl', which is no declared sum; did you mean 'total'?; evaluate does not return the sum",
     ),
     "a misspelt output": (
-        {"summarise": '{"maen": sums["total"] / n}'},
+        {"summarise": lambda sums, n, n_cat: {"maen": sums["total"]}},
         "summarise returns 'maen', which is no declared output; did you mean 'mean'?",
+    ),
+    "one output for several points": (
+        {"summarise": lambda sums, n, n_cat: {"mean": np.ones((3, len(n)))}},
+        "summarise: the output 'mean' has the shape (3, ",
     ),
     "NaN in an array": (
         {
-            "sums": '{"total": (3,)}',
-            "evaluate": '{"total": [[1.0, float("nan"), float("inf")] for p in points]}',
-            "summarise": '{"mean": sums["total"][:, 0]}',
+            "sums": {"total": (3,)},
+            "evaluate": of(1.0, math.nan, math.inf),
+            "summarise": lambda sums, n, n_cat: {"mean": sums["total"][:, 0]},
         },
         "total has 1 NaN and 1 infinite of 3 values",
     ),
-    "NaN in a result": ({"summarise": '{"mean": sums["total"] * float("nan")}'}, "mean is NaN"),
-    "sys.exit": ({"before": "import sys\n", "evaluate": "sys.exit(3)"}, "SystemExit: 3"),
-    "an exception of its own": (
-        {
-            "before": "class Stop(BaseException):\n    pass\n\n\ndef stop():\n    raise Stop('enough')\n",
-            "evaluate": "stop()",
-        },
-        "Stop: enough",
-    ),
+    "NaN in a result": ({"summarise": lambda sums, n, n_cat: {"mean": sums["total"] * math.nan}}, "mean is NaN"),
+    "sys.exit": ({"evaluate": lambda points, n_sim, rng, catalogue_rng: sys.exit(3)}, "SystemExit: 3"),
+    "an exception of its own": ({"evaluate": stop}, "Stop: enough"),
 }
 
 
 @pytest.mark.parametrize("case", RESULTS)
-def test_a_result_that_is_not_what_is_declared_fails_its_point_by_name(case, tmp_path, sweep):
-    parts, sentence = RESULTS[case]
-    write_experiment(tmp_path, **parts)
-    write_study(tmp_path, "kind = [1, 2, 3]")
-    code, out, err = sweep("run", "s.toml", "-o", "s.zarr", "--json", cwd=tmp_path)
-    assert code == 1
-    assert "Traceback" not in err
-    assert json.loads(out)
-    dataset = linksweep.open(tmp_path / "s.zarr")
-    assert dataset["status"].values.tolist() == [2, 2, 2]
+def test_a_result_that_is_not_what_is_declared_fails_its_point_by_name(case, tmp_path):
+    changed, sentence = RESULTS[case]
+    dataset = run(tmp_path / "s.zarr", **changed)
+    assert dataset["status"].values.tolist() == [2, 2]
     assert np.isnan(dataset["mean"]).all()
-    failures = json.loads(dataset.attrs["failures"])
-    assert all(sentence in message for message in failures.values())
-    assert "3 points failed" in err
-    assert ", for example at kind=1" in err
-    code, _, _ = sweep("run", "--retry", "s.zarr", cwd=tmp_path)
-    assert code == 1  # and is not taken for done because its blocks are in the ledger
+    assert all(sentence in message for message in json.loads(dataset.attrs["failures"]).values())
 
 
-def test_only_points_with_wrong_results_fail_among_many(tmp_path, sweep):
+def test_only_points_with_wrong_results_fail_among_many_and_again(tmp_path, sweep):
     write_experiment(tmp_path, summarise='{"mean": 1.0 / (sums["total"] - 3.0 * n) + 0.0 * n}')
     write_study(tmp_path, "rate = [1.0, 2.0, 3.0, 4.0]")
-    code, _, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)
-    assert code == 1
-    assert "1 point failed: mean is infinite, at rate=3.0" in err
+    for command in (("run", "s.toml", "-o", "s.zarr"), ("run", "--retry", "s.zarr")):  # its blocks are in the ledger
+        code, _, err = sweep(*command, cwd=tmp_path)
+        assert code == 1
+        assert "1 point failed: mean is infinite, at rate=3.0" in err
     assert linksweep.open(tmp_path / "s.zarr")["mean"].values[[0, 1, 3]].tolist() == [-0.125, -0.25, 0.25]
 
 
-def test_nan_is_a_value_where_it_is_declared(tmp_path, sweep):
-    write_experiment(
-        tmp_path,
-        evaluate='{"total": [float("nan") for p in points]}',
-        outputs='Output("mean", "", "mean", headline=True, nan=True),',
-        rest='nan_sums=("total",),',
-    )
-    write_study(tmp_path)
-    code, _, _ = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)
-    assert code == 0
-    assert linksweep.open(tmp_path / "s.zarr")["status"].values.tolist() == [1, 1]
+def test_nan_is_a_value_where_it_is_declared(tmp_path):
+    declared = {"outputs": (Output("mean", "", "mean", nan=True),), "nan_sums": ("total",)}
+    assert run(tmp_path / "s.zarr", evaluate=of(math.nan), **declared)["status"].values.tolist() == [1, 1]
 
 
-def test_samples_are_held_to_what_is_declared(tmp_path, sweep):
-    before = """
-        def draw(points, n_sim, rng, outer):
-            kept = [rng.normal(size=n_sim + 1) for p in points]
-            return {"total": [k.sum() for k in kept], "each": kept}
-    """
-    write_experiment(tmp_path, before=before, rest='samples=draw, sample_outputs=(Output("each", "", "each"),),')
-    write_study(tmp_path, sampling="n_sim = 4\nkeep_samples = true")
-    code, _, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)
-    assert (code, "'each' has the shape (1, 5), expected (1, 4)" in err) == (1, True)
+def test_samples_are_held_to_what_is_declared(tmp_path):
+    def draw(points, n_sim, rng, catalogue_rng):
+        kept = [rng.normal(size=n_sim + 1) for p in points]
+        return {"total": [k.sum() for k in kept], "each": kept}
+
+    declared = {"samples": draw, "sample_outputs": (Output("each", "", "each"),)}
+    failures = run(tmp_path / "s.zarr", sampling={"keep_samples": True}, **declared).attrs["failures"]
+    assert "'each' has the shape (1, 5), expected (1, 4)" in failures

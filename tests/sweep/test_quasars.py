@@ -148,16 +148,3 @@ def test_underestimated_errors_show_in_chi2(dataset_of):
     over = (dataset["chi2"] / dataset["dof"]).mean("v_max")
     np.testing.assert_allclose(over.sel(satellite_error_ratio=1.0), 1.0, atol=0.05)
     np.testing.assert_allclose(over.sel(satellite_error_ratio=1.5), 2.25, atol=0.12)
-
-
-def test_every_sigma_is_within_four_of_its_own_errors_of_the_prediction(dataset):
-    off = np.abs(dataset["sigma"] - dataset["sigma_predicted"]) / dataset["sigma_mc_error"]
-    assert off.max() < 4
-    off = np.abs(dataset["sigma_spin"] - dataset["sigma_spin_predicted"]) / dataset["sigma_spin_mc_error"]
-    assert off.max() < 4
-    assert 0.5 < np.sqrt((off**2).mean()) < 1.5  # the errors are honest, neither too small nor too large
-
-
-def test_there_is_no_bias(dataset):
-    off = np.abs(dataset["bias"]) / (dataset["sigma"] / np.sqrt(dataset["n_sim_done"]))
-    assert off.max() < 4.5  # 156 values

@@ -45,18 +45,36 @@ def test_programs_get_every_number_exactly_and_missing_ones_as_such():
 
 
 def test_columns_stand_below_each_other_whatever_the_letters():
-    title, long, heads, *rows = TABLE.text().splitlines()
+    title, long, heads, *rows = TABLE.text(40).splitlines()
     assert (title, long.split(), heads.split()) == ("Widths", ["width_of_all"], ["name", "k", "[mas]", "curve"])
     latin, chinese, last = (row.index("[") for row in rows)
     assert latin == last == chinese + 2  # two Chinese letters are as wide as four
     assert "nan" not in rows[1]
 
 
-def test_what_does_not_fit_is_left_out_by_rank_and_named():
-    kept, left_out = TABLE.fitting(30)
-    assert left_out == "width width_of_all"
-    assert max(map(len, kept.text(30).splitlines())) <= 40
-    assert TABLE.fitting(None) == (TABLE, "")
+@given(st.lists(st.integers(0, 3), max_size=6), st.integers(1, 60))
+def test_what_does_not_fit_is_left_out_by_rank_and_named(ranks, width):
+    columns = [Column(f"c{i}", [10**6], quantity=f"c{i}", rank=rank) for i, rank in enumerate([0, *ranks])]
+    kept, left_out = Table(columns).fitting(width)
+    names = [column.name for column in kept.columns]
+    assert sorted([*names, *filter(None, left_out.split(", "))]) == [column.name for column in columns]
+    gone = [column.rank for column in columns if column not in kept.columns]
+    assert not gone or min(gone) >= max([1, *(column.rank for column in kept.columns)])
+    line = max(map(len, kept.text(width).splitlines()))
+    assert line <= width or not any(column.rank for column in kept.columns)
+    assert not gone or len(Table(columns).text().splitlines()[-1]) > width
+    assert Table(columns).fitting(None) == (Table(columns), "")
+
+
+@given(st.floats(), st.integers(), st.text())
+def test_every_number_and_text_comes_back_from_json_and_numbers_from_csv(number, whole, text):
+    table = Table([Column("x", [number]), Column("k", [whole]), Column("t", [text])], about={"x": [number]})
+    document = json.loads(table.json())
+    known = number if math.isfinite(number) else None
+    assert (document["x"], document["rows"]) == ([known], [{"x": known, "k": whole, "t": text}])
+    cells = next(csv.reader(table.csv().partition("\n")[2].splitlines()[:1]))
+    assert (math.nan if cells[0] == "" else float(cells[0])) == pytest.approx(number, rel=0, abs=0, nan_ok=True)
+    assert int(cells[1]) == whole
 
 
 def test_a_column_that_may_wrap_takes_several_lines_and_loses_no_word():
@@ -118,7 +136,7 @@ def test_a_prefix_that_reads_well(values, unit, chosen):
 @pytest.mark.parametrize(
     ("value", "unit"),
     [(1e-6, unit) for unit in ("", "d", "deg", "mag", "users / d", "%", "mas2 / yr2", "mas, mas", "1 / s", "yr", "h")]
-    + [(5000.0, "s"), (5000.0, "arcsec"), (np.nan, "mas"), (0.0, "mas"), (np.inf, "mas")],
+    + [(5000.0, "s"), (5000.0, "arcsec"), (np.nan, "mas"), (0.0, "mas"), (np.inf, "mas"), (0.1, "mas"), (999.0, "mas")],
 )
 def test_what_takes_no_prefix_stays(value, unit):
     assert prefixed(value, unit) == (unit, 1.0)
