@@ -243,26 +243,28 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
             return [start + step * i for i in range((stop - start) // step + 1)]
         # The stop is one of the values although start and stop are rounded, and the step may not divide their distance.
         unsure = 1e-9 + 2 * sys.float_info.epsilon * max(abs(start), abs(stop)) / abs(step)
-        return [_rounded(start + step * i, step) for i in range(math.floor(count + min(unsure, 1e-3)) + 1)]
+        return _rounded([start + step * i for i in range(math.floor(count + min(unsure, 1e-3)) + 1)], step)
     num = number_at("num", spec)
     if not isinstance(num, int) or not 1 <= num <= MAX_VALUES:
         raise ValueError(f"num = {shown(num)}: must be an integer from 1 to {MAX_VALUES}")
     parts = max(num - 1, 1)
     if _is_log(spec, start, stop):
-        values = [_rounded(start * (stop / start) ** (i / parts)) for i in range(num)]
+        values = _rounded([start * (stop / start) ** (i / parts) for i in range(num)])
         ends = {0: start, parts: stop} if exact else {}  # they may have more than 12 digits
         return [ends.get(i, round(v) if math.isfinite(v) else v) for i, v in enumerate(values)] if whole else values
     if exact and (stop - start) % parts == 0:
         return [start + (stop - start) // parts * i for i in range(num)]
-    return [_rounded(start + (stop - start) * i / parts, (stop - start) / parts) for i in range(num)]
+    return _rounded([start + (stop - start) * i / parts for i in range(num)], (stop - start) / parts)
 
 
-def _rounded(x: float, step: float = math.inf) -> float:
-    """Return x with 12 digits, or with 15 where 12 would move it by a thousandth of a step, as they do Julian dates
-    that are a second apart.
+def _rounded(values: Sequence[float], step: float = math.inf) -> list[float]:
+    """Return numbers with 12 digits, or with 15 where 12 would move one by a thousandth of a step, as they do Julian
+    dates that are a second apart.  The rounding error that steps across zero leave of it is zero.
     """
-    short = float(f"{x:.12g}")
-    return short if step == 0 or abs(short - x) <= 1e-3 * abs(step) else float(f"{x:.15g}")
+    error = 4 * sys.float_info.epsilon * max(map(abs, values)) if step < math.inf else 0.0
+    short = [float(f"{x:.12g}") for x in [values[0], *(0.0 if abs(x) <= error else x for x in values[1:])]]
+    fine = 1e-3 * abs(step)
+    return [s if step == 0 or abs(s - x) <= fine else float(f"{x:.15g}") for s, x in zip(short, values, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -1,28 +1,30 @@
 """What is given beside or in place of a study file: options that contradict each other, texts and objects as axes."""
 
 import contextlib
+import operator
+from decimal import Decimal
+from itertools import product
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from linksweep import SweepError, load_study, run
+from tests.sweep.opening import make_grid
 
 LAW = """
 def law(a: float = 1.0, n: int = 2, m: str = "x", e=None):
     return a
-
-
-def seeded(x=1.0, seed=2):
-    return x * seed
 """
 
 
-@pytest.fixture
-def law(tmp_path, monkeypatch):
-    (tmp_path / "law.py").write_text(LAW)
-    monkeypatch.chdir(tmp_path)
-    return "law.py:law"
+@pytest.fixture(scope="module")
+def law(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("law")
+    (folder / "law.py").write_text(LAW)
+    with contextlib.chdir(folder):
+        yield "law.py:law"
 
 
 def refusal(*arguments, **options):
@@ -63,6 +65,7 @@ def test_no_option_is_dropped_for_another_and_a_wrong_one_is_named(options, said
 def test_options_that_go_together():
     study = load_study("quasars", settings=["n_sim=10", "n_sim=10"], axes=["v_max=14,15", "v_max=14,15"])
     assert (study.sampling.n_sim, study.axes["v_max"]) == (10, (14.0, 15.0))
+    assert load_study("quasars", settings=["n_sim=2000000", "precision=0.5"]).sampling.most == 2_000_000
     study = load_study("quasars", ["points.seed=4"], design="sobol:8", ranges=["error_scale=1:2"])
     assert study.points.origin["seed"] == 4
     study = load_study("quasars", axes=["""model="amex",'gaia'"""])
@@ -79,29 +82,68 @@ def test_any_text_is_an_axis_or_a_clear_error(text):
         load_study(f"{__file__}:named", axes=[f"word={text}"])
 
 
-@pytest.mark.parametrize(
-    ("spec", "expected"),
-    [
-        ({"start": 1234567890123, "stop": 1234567890143, "step": 10}, range(1234567890123, 1234567890144, 10)),
-        ({"start": 2**62 + 1, "stop": 2**62 + 3, "step": 1}, range(2**62 + 1, 2**62 + 4)),
-        ({"start": 2**62 + 9, "stop": 2**62 + 1, "step": -3}, range(2**62 + 9, 2**62 + 1, -3)),
-        ({"start": 1234567890123, "stop": 1234567890143, "num": 3}, range(1234567890123, 1234567890144, 10)),
-        ({"start": 7, "stop": 1234567890123, "num": 2, "spacing": "log"}, [7, 1234567890123]),
-        ({"start": 1234567890123, "stop": 1234567890123, "num": 1}, [1234567890123]),
-    ],
-)
-def test_a_range_of_integers_is_exact(spec, expected, law, tmp_path):
-    assert run(law, tmp_path / "s.zarr", axes={"n": spec}, pool="serial").n.values.tolist() == list(expected)
+def axis(text):
+    return list(load_study("law.py:law", axes=[text]).axes[text.partition("=")[0]])
 
 
-def test_a_step_is_not_rounded_away(law, tmp_path):
+large = st.integers(-(2**62), 2**62)
+
+
+@given(large, st.integers(1, 10**6), st.integers(0, 30), st.integers(0, 10), st.sampled_from([1, -1]))
+def test_a_range_of_integers_is_exact_and_has_both_ends(law, start, step, count, beyond, sign):
+    """It ends at the last step that is not beyond its stop."""
+    step, beyond = sign * step, sign * min(beyond, step - 1)
+    stop = start + count * step
+    if abs(stop + beyond) < 2**63:
+        assert axis(f"n={start}:{stop + beyond}:{step}") == [start + i * step for i in range(count + 1)]
+        assert axis(f"n={start}:{stop}:lin{count + 1}") == [start + i * step for i in range(count + 1 if count else 1)]
+
+
+@given(st.integers(-(10**6), 10**6), st.integers(1, 10**4), st.integers(1, 30), st.integers(0, 5), st.booleans())
+def test_a_range_of_decimal_numbers_has_the_numbers_that_are_written(law, start, step, count, places, falls):
+    step = -step if falls else step
+    written = [str(Decimal(start + i * step).scaleb(-places)) for i in range(count + 1)]
+    spec = f"a={written[0]}:{written[-1]}"
+    assert axis(f"{spec}:{Decimal(step).scaleb(-places)}") == [float(text) for text in written]
+    assert axis(f"{spec}:lin{count + 1}") == [float(text) for text in written]
+
+
+@given(st.floats(1e-6, 1e3), st.floats(1.5, 1e6), st.integers(2, 20))
+def test_a_logarithmic_range_has_equal_ratios_and_both_ends(law, low, times, number):
+    values = axis(f"a={low!r}:{low * times!r}:log{number}")
+    assert values == pytest.approx(np.geomspace(low, low * times, number), rel=1e-11)
+    assert axis("n=7:1234567890123:log2") == [7, 1234567890123]
+
+
+def test_a_step_is_not_rounded_away(law):
     """Twelve digits of a Julian date are 0.9 s, and made equal steps of 2.5e-5 days unequal without a word."""
     dates = [2460000.5, 2460000.500025, 2460000.50005, 2460000.500075, 2460000.5001]
-    for more in ({"step": 2.5e-5}, {"num": 5}):
-        axes = {"a": {"start": 2460000.5, "stop": 2460000.5001, **more}}
-        assert run(law, tmp_path / f"{len(more)}.zarr", axes=axes, pool="serial", fresh=True).a.values.tolist() == dates
-    thirds = run(law, tmp_path / "s.zarr", axes={"a": {"start": 0, "stop": 1, "num": 4}}, pool="serial")
-    assert thirds.a.values[1] == 0.333333333333  # stored: it must never change
+    for more in ("2.5e-5", "lin5"):
+        assert axis(f"a=2460000.5:2460000.5001:{more}") == dates
+    assert axis("a=0:1:lin4")[1] == 0.333333333333  # stored: it must never change
+
+
+MEETS = {"=": operator.eq, "<": operator.lt, ">": operator.gt}
+bounds = st.lists(st.tuples(st.sampled_from("an"), st.sampled_from("<>"), st.integers(0, 4)), max_size=3)
+
+
+@given(st.lists(st.tuples(bounds, st.integers(0, 4)), min_size=1, max_size=2))
+def test_a_point_is_left_out_where_all_conditions_of_an_option_are_met(law, options):
+    """``n`` has bounds, or one value."""
+    options = [
+        {(name, sign): number for name, sign, number in some if name == "a" or value in (0, 4)}
+        | ({} if value in (0, 4) and some else {("n", "="): value})
+        for some, value in options
+    ]
+    kept = {
+        (a, n)
+        for a, n in product((1, 2, 3), repeat=2)
+        if not any(all(MEETS[s]({"a": a, "n": n}[name], x) for (name, s), x in one.items()) for one in options)
+    }
+    written = [",".join(f"{name}{sign}{number}" for (name, sign), number in one.items()) for one in options]
+    study = load_study("law.py:law", axes=["a=1,2,3", "n=1,2,3"], exclude=written)
+    with contextlib.nullcontext() if kept else pytest.raises(SweepError, match="every point"):
+        assert {(point["a"], point["n"]) for _, point in make_grid(study).parameters()} == kept
 
 
 @pytest.mark.parametrize(
