@@ -24,9 +24,8 @@ KEYS = """
     max_n_sim keep_samples common_random_numbers method catalogue_file
 """.split()  # noqa: SIM905
 
-VALUE = re.compile(r"""=\s*("(?:[^"\\]|\\.)*"|\{[^{}]*\}|\[[^\[\]]*\]|[^\s,}\]\#"{\[]+)""")
-
-Mutation = Callable[[str, random.Random], str]
+VALUE = r"""=\s*("(?:[^"\\]|\\.)*"|\{[^{}]*\}|\[[^\[\]]*\]|[^\s,}\]\#"{\[]+)"""
+NUMBERS = ("0", "-1", "2", "17", "0.5", "16.25", "1e3", "1000000", "1e-9", "1e18", "4294967296")
 
 
 def corpus() -> dict[str, str]:
@@ -39,90 +38,51 @@ def corpus() -> dict[str, str]:
     return studies
 
 
-def _line(text: str, change: Callable[[list[str], int], None], chance: random.Random) -> str:
+def lines_changed(text: str, chance: random.Random) -> str:
+    """A line that is missing, doubled, elsewhere or new, or no more lines."""
     lines = text.split("\n")
-    change(lines, chance.randrange(len(lines)))
-    return "\n".join(lines)
+    i, j = chance.randrange(len(lines)), chance.randrange(len(lines))
+    key, value = chance.choice(KEYS), chance.choice(NASTY)
+    new = chance.choice([f"{key} = {value}", f"[{key}]", f"[[{key}]]", f"{key}.{chance.choice(KEYS)} = {value}"])
+    rest = [lines[i + 1 :], [lines[i], *lines[i:]], [lines[j], *lines[i + 1 :]], [new, *lines[i:]], [lines[i][:5]]]
+    return "\n".join([*lines[:i], *chance.choice(rest)])
 
 
-def flip_bytes(text: str, chance: random.Random) -> str:
+def bytes_flipped(text: str, chance: random.Random) -> str:
     content = bytearray(text.encode())
     for _ in range(chance.randint(1, 3)):
         content[chance.randrange(len(content))] ^= 1 << chance.randrange(8)
     return content.decode("latin-1")
 
 
-def drop_line(text: str, chance: random.Random) -> str:
-    return _line(text, lambda lines, i: lines.pop(i) and None, chance)
+def replaced(text: str, chance: random.Random, pattern: str, change: Callable[[str], str], group: int = 0) -> str:
+    """Return a text in which something of a kind is another."""
+    found = chance.choice(list(re.finditer(pattern, text)))
+    start, stop = found.span(group)
+    return text[:start] + change(found[group]) + text[stop:]
 
 
-def double_line(text: str, chance: random.Random) -> str:
-    return _line(text, lambda lines, i: lines.insert(i, lines[i]), chance)
+def value_changed(text: str, chance: random.Random) -> str:
+    """Something that ought not to be after an equals sign, or a list, a table or a text of what is there."""
+    wrapped = chance.choice(["{}", "[{}]", "{{ values = [{}] }}", "'{}'"])
+    nasty = chance.choice(NASTY)
+    return replaced(text, chance, VALUE, lambda value: nasty if wrapped == "{}" else wrapped.format(value), 1)
 
 
-def swap_lines(text: str, chance: random.Random) -> str:
-    lines = text.split("\n")
-    i, j = chance.randrange(len(lines)), chance.randrange(len(lines))
-    lines[i], lines[j] = lines[j], lines[i]
-    return "\n".join(lines)
+def key_misspelt(text: str, chance: random.Random) -> str:
+    def other(key: str) -> str:
+        at = chance.randrange(len(key))
+        return chance.choice([key[:at] + key[at + 1 :], key + "s", key.upper(), chance.choice(KEYS)])
+
+    return replaced(text, chance, r"\w+(?=\s*=)", other)
 
 
-def cut(text: str, chance: random.Random) -> str:
-    return text[: chance.randrange(len(text))]
-
-
-def nasty_value(text: str, chance: random.Random) -> str:
-    """Replace what stands after an equals sign, or a word, by something that ought not to be there."""
-    places = [m.span(1) for m in VALUE.finditer(text)]
-    start, stop = chance.choice(places)
-    return text[:start] + chance.choice(NASTY) + text[stop:]
-
-
-def misspell_key(text: str, chance: random.Random) -> str:
-    places = [m.span(0) for m in re.finditer(r"\w+(?=\s*=)", text)]
-    start, stop = chance.choice(places)
-    key = text[start:stop]
-    at = chance.randrange(len(key))
-    return (
-        text[:start]
-        + chance.choice([key[:at] + key[at + 1 :], key + "s", key.upper(), chance.choice(KEYS)])
-        + text[stop:]
-    )
-
-
-def add_line(text: str, chance: random.Random) -> str:
-    new = chance.choice(
-        [
-            f"{chance.choice(KEYS)} = {chance.choice(NASTY)}",
-            f"[{chance.choice(KEYS)}]",
-            f"[[{chance.choice(KEYS)}]]",
-            f"[{chance.choice(KEYS)}.{chance.choice(KEYS)}]",
-            f"{chance.choice(KEYS)}.{chance.choice(KEYS)}.{chance.choice(KEYS)} = {chance.choice(NASTY)}",
-        ]
-    )
-    return _line(text, lambda lines, i: lines.insert(i, new), chance)
-
-
-def change_number(text: str, chance: random.Random) -> str:
+def number_changed(text: str, chance: random.Random) -> str:
     """Another number where one stands: the study may well be good."""
-    places = [m.span(0) for m in re.finditer(r"(?<![\w.\"])\d+(\.\d+)?(?![\w.\"])", text)]
-    start, stop = chance.choice(places)
-    other = chance.choice(["0", "-1", "2", "17", "0.5", "16.25", "1e3", "1000000", "1e-9", "1e18", "4294967296"])
-    return text[:start] + other + text[stop:]
+    return replaced(text, chance, r"(?<![\w.\"])\d+(\.\d+)?(?![\w.\"])", lambda _: chance.choice(NUMBERS))
 
 
-def wrap_value(text: str, chance: random.Random) -> str:
-    """A value as a list, a string or a table of itself."""
-    places = [m.span(1) for m in VALUE.finditer(text)]
-    start, stop = chance.choice(places)
-    value = text[start:stop]
-    return text[:start] + chance.choice([f"[{value}]", f"{{ values = [{value}] }}", f"'{value}'", "1"]) + text[stop:]
-
-
-MUTATIONS: tuple[Mutation, ...] = (
-    *(flip_bytes, drop_line, double_line, swap_lines, cut, nasty_value, nasty_value, nasty_value),
-    *(misspell_key, add_line, change_number, change_number, wrap_value),
-)
+MUTATIONS = (lines_changed, lines_changed, bytes_flipped, value_changed, value_changed, key_misspelt, number_changed)
 
 
 def mutants(seed: int, n: int) -> list[tuple[str, str]]:
