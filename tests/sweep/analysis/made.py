@@ -6,6 +6,7 @@ import numpy as np
 import xarray as xr
 from click.testing import CliRunner
 
+from linksweep.sweep.analysis.answer import answers
 from linksweep.sweep.analysis.compare import compare
 from linksweep.sweep.cli import main
 from linksweep.sweep.contract import Status
@@ -14,7 +15,7 @@ from linksweep.sweep.result import Result
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.studies.study import printed_rounding
 
-__all__ = ["compare", "report_of", "report_page", "study_from_dict"]
+__all__ = ["answers", "compare", "report_of", "report_page", "study_from_dict"]
 
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
 MISSING, DONE, FAILED, EXCLUDED = Status.MISSING, Status.DONE, Status.FAILED, Status.EXCLUDED
