@@ -69,22 +69,23 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         """Read the files; raises SweepError where there is none, and OSError where one cannot be read."""
         if not path.exists():
             raise SweepError(f"there is no file {shown(str(path))}")
-        self.path, self.contents = str(path), dict[str, bytes]()
+        self.path, self.contents, files = str(path), dict[str, bytes](), {path.stem: str(path)}
         # All that could be imported is read now, also by statements inside of functions: a file that changes during a
         # run must not mix its versions, and workers may not have it at all.
-        self.files = {"": "", path.stem: path.name}  # by the names of modules
         for name in (todo := [path.stem]):
-            self.contents[self.files[name]] = content = (path.parent / self.files[name]).read_bytes()
-            for imported in _imported(name, self.files[name], content):
-                stem = imported.replace(".", "/")
-                beside = [stem + suffix for suffix in SUFFIXES if (path.parent / (stem + suffix)).is_file()]
-                if beside and imported not in self.files:
-                    self.files[imported] = beside[0]
+            self.contents[name] = content = Path(files[name]).read_bytes()
+            for imported in _imported(name, files[name], content):
+                stem = str(path.parent.joinpath(*imported.split(".")))
+                beside = [stem + suffix for suffix in SUFFIXES if Path(stem + suffix).is_file()]
+                if beside and imported not in files:
+                    files[imported] = beside[0]
                     todo.append(imported)
-                    for folder in itertools.accumulate(imported.split(".")[:-1], "{}.{}".format):
-                        self.files.setdefault(folder, folder.replace(".", "/") + "/")  # counts as a package
         self.digest = digest_of(repr(sorted(self.contents.items())))
         self.package = reach.PREFIX + digest_of(f"{path} {self.digest}")
+        # Folders count as packages, with or without a file __init__.py.
+        folders = {name[: dot.start()] for name in files for dot in re.finditer(r"\.", name)} | {""}
+        inits = {name: str(path.parent.joinpath(*name.split("."), "__init__.py")) for name in folders}
+        self.files = {f"{self.package}.{name}".strip("."): file for name, file in {**inits, **files}.items()}
 
     def module(self) -> ModuleType:
         """Return the module of the file, executed once; raises whatever it raises."""
@@ -94,37 +95,31 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> importlib.machinery.ModuleSpec | None:
         """Return how Python loads a module of the package."""
-        package, _, name = fullname.partition(".")
-        if package != self.package or (file := self.files.get(name)) is None:
-            return None
-        inside: list[str] | None = (
-            None if file.endswith((".py", *EXTENSIONS)) and not file.endswith("__init__.py") else []
-        )
-        loader = None if file.endswith(EXTENSIONS) else self  # else Python's own
-        place = Path(self.path).parent / file
-        return importlib.util.spec_from_file_location(fullname, place, loader=loader, submodule_search_locations=inside)
+        file = self.files.get(fullname, "")
+        loader = self if file.endswith(".py") else None  # Python's own
+        inside: list[str] | None = [] if file.endswith("__init__.py") else None
+        options: dict[str, Any] = {"loader": loader, "submodule_search_locations": inside}
+        return importlib.util.spec_from_file_location(fullname, file, **options) if file else None
 
     def exec_module(self, module: ModuleType) -> None:
         """Execute a module of the package."""
         name, place = module.__name__.partition(".")[2], str(module.__file__)
-        tree = ast.parse(self.contents.get(self.files[name], b""), place)
+        tree = ast.parse(self.contents.get(name, b""), place)
         # A file random.py may import Python's module random, as it does where it is run as a script.
-        local = {known.partition(".")[0] for known in self.files} - {"" if "/" in self.files[name] else name}
+        own = "" if place.endswith("__init__.py") else name
+        local = {known.split(".")[1] for known in self.files if "." in known} - {own}
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
-                node.names = [one for alias in node.names for one in self._localised(alias, local)]
+                for alias in [one for one in node.names if one.name.partition(".")[0] in local]:
+                    top = alias.name.partition(".")[0]
+                    if not alias.asname:  # "import a.b" loads a.b and binds a
+                        node.names.append(ast.alias(f"{self.package}.{top}", top))
+                    alias.name, alias.asname = f"{self.package}.{alias.name}", alias.asname or top
             elif isinstance(node, ast.ImportFrom) and not node.level and str(node.module).partition(".")[0] in local:
                 node.module = f"{self.package}.{node.module}"
         code = compile(ast.fix_missing_locations(tree), place, "exec", dont_inherit=True)
         vars(module)[reach.TREE] = reach.without_docstrings(tree)
         exec(code, vars(module))
-
-    def _localised(self, alias: ast.alias, local: set[str]) -> list[ast.alias]:
-        top = alias.name.partition(".")[0]
-        whole = ast.alias(f"{self.package}.{alias.name}", alias.asname or top)
-        # "import a.b" loads a.b and binds a.
-        binding = [] if alias.asname else [ast.alias(f"{self.package}.{top}", top)]
-        return [whole, *binding] if top in local else [alias]
 
 
 def _imported(name: str, file: str, content: bytes) -> Iterator[str]:
@@ -139,11 +134,11 @@ def _imported(name: str, file: str, content: bytes) -> Iterator[str]:
 
 
 class Live:
-    """A function or experiment as a session has it, with its ``parts``: see `code_of`."""
+    """A function or experiment as this process has it, with its ``parts``: see `code_of`."""
 
     def __init__(self, value: Callable[..., Any] | Experiment) -> None:
         self.value, self.reach = value, _reach(value)
-        self.parts, self.digest, self.paths = self.reach.parts, _digest(self.reach.parts), sys.path
+        self.parts, self.digest, self.paths = self.reach.parts, _digest(self.reach), sys.path
         self.name = value.name if isinstance(value, Experiment) else name_of(value)
         self.path = _importable(value) or f"{SESSION}:{self.name}-{self.digest}"
 
@@ -159,7 +154,7 @@ class Live:
             # By value, since workers may not have these modules, or not as they are in this session.
             for module in mine:
                 cloudpickle.register_pickle_by_value(module)
-            _pickler(file, self.reach).dump(self.value)
+            _pickler(file).dump(self.value)
         except Exception as error:  # whatever keeps an object from being pickled
             raise SweepError(
                 f"the function {self.name} cannot be sent to workers "
@@ -185,8 +180,8 @@ class Live:
         self.value = pickle.loads(self.pickled)
 
 
-def _pickler(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
-    """Return a pickler of functions as they are: with the attributes of modules that they take, without caches."""
+def _pickler(file: io.BytesIO) -> pickle.Pickler:
+    """Return a pickler of functions without caches."""
     import cloudpickle
 
     reducers: dict[type, Callable[[Any], Any]] = {
@@ -198,13 +193,6 @@ def _pickler(file: io.BytesIO, reached: Reach) -> pickle.Pickler:
 
     class Pickler(cloudpickle.Pickler):  # type: ignore[misc]
         dispatch_table: ClassVar = ChainMap(reducers, cloudpickle.Pickler.dispatch_table)
-
-        def reducer_override(self, value: Any) -> Any:
-            if isinstance(value, ModuleType) and value.__name__ in cloudpickle.list_registry_pickle_by_value():
-                # cloudpickle fails where a function in a module refers to the module.
-                taken = reached.taken[value.__name__] & vars(value).keys()
-                return ModuleType, (value.__name__,), {name: vars(value)[name] for name in taken}
-            return super().reducer_override(value)
 
     return Pickler(file)
 
@@ -228,7 +216,7 @@ class SourceFunction:
 @lru_cache(maxsize=16)
 def _function(wanted: SourceFunction) -> Any:
     value = _find(wanted.reference)
-    if _digest(_reach(value).parts) != wanted.digest:
+    if _digest(_reach(value)) != wanted.digest:
         raise SweepError(f"{wanted.reference}: its code is not that with which the study was read")
     return value
 
@@ -249,10 +237,10 @@ class Code:
     def function(self, reference: str, folder: Path) -> SourceFunction:
         """Return the function at a reference; raises SweepError as `load_experiment`."""
         self.check(reference)
-        absolute = absolute_reference(reference, folder)
         value = _find(reference, folder, afresh=self.afresh)
         _require(callable(value), "a function", reference, value)
-        return SourceFunction(absolute, absolute.rpartition(":")[2], _digest(_reach(value).parts))
+        absolute = absolute_reference(reference, folder)
+        return SourceFunction(absolute, absolute.rpartition(":")[2], _digest(_reach(value)))
 
 
 def load_experiment(
@@ -354,7 +342,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
     except SweepError as error:
         raise SweepError(error.problems, error.where and f"{reference}, {error.where}") from error
     except (Exception, SystemExit) as error:  # whatever a user's module raises while it is imported
-        text = reach.without_package(error.msg if isinstance(error, SyntaxError) else str(error))
+        text = reach.without_package(str(error))
         message = f"{type(error).__name__}{f': {text}' if text else ''}{_line_of(error)}"
         if isinstance(error, ImportError) and f"{place}.".startswith(f"{error.name or place}."):  # also if relative
             message += "; name a function of a package by its module, and put the package's folder in PYTHONPATH"
@@ -367,13 +355,9 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
 
 def _line_of(error: BaseException) -> str:
     """Return the file and line of a user's code at which an exception was raised, in brackets."""
-    frames = [(frame.filename, frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
-    users = [
-        one for one in frames if one[0].endswith(".py") and reach.distributions_at(one[0], Path(one[0]).stem) is None
-    ]
-    if isinstance(error, SyntaxError) and error.filename:
-        users = [(error.filename, error.lineno)]
-    return f" ({users[-1][0]}, line {users[-1][1]})" if users else ""
+    frames = [one for one in traceback.extract_tb(error.__traceback__) if one.filename.endswith(".py")]
+    users = [one for one in frames if reach.distributions_at(one.filename, Path(one.filename).stem) is None]
+    return f" ({users[-1].filename}, line {users[-1].lineno})" if users else ""
 
 
 def file_of(reference: str) -> str:
@@ -427,33 +411,8 @@ def _warn(sentence: str) -> None:
     log.warning("%s", sentence)
 
 
-def _digest(parts: Mapping[str, str]) -> str:
-    return digest_of(repr(sorted(parts.items())))
-
-
-def _differing(one: Mapping[str, str], other: Mapping[str, str]) -> list[str]:
-    return sorted(name for name in {*one, *other} if one.get(name) != other.get(name))
-
-
-def changes_of_code(code: Mapping[str, str], reference: str, experiment: Experiment) -> list[str]:
-    """Return a phrase for each difference between the code that a store has recorded and that of a loaded reference."""
-    now = code_of(reference, experiment)
-    changed = _differing(code, now)
-    if changed and not reference.startswith(f"{SESSION}:") and all(name.startswith("value ") for name in changed):
-        now |= {name: code[name] for name in _unsteady(reference) if name in code}
-    return code_differences(code, now, "in the store", "now")
-
-
-@cache
-def _unsteady(reference: str) -> list[str]:
-    """Return the names of values that two new processes of the same code have otherwise, such as a time; say so."""
-    code = f"import json; from linksweep.sweep.code.load import parts_of; print(json.dumps(parts_of({reference!r})))"
-    processes = [new_process(code, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) for _ in range(2)]
-    one, other = (json.loads((each.communicate()[0].splitlines() or [b"{}"])[-1]) for each in processes)
-    # Where one of them has failed, nothing is known.
-    for name in (differing := [name for name in one if name in other and one[name] != other[name]]):
-        _warn(f"{name} differs from process to process; its changes are not noticed")
-    return differing
+def _digest(reached: Reach) -> str:
+    return digest_of(repr(sorted(reached.parts.items())))
 
 
 def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
@@ -467,10 +426,9 @@ def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
 def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
     """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
     phrases = []
-    for name in _differing(old, new):
+    for name in sorted(name for name in {*old, *new} if old.get(name) != new.get(name)):
         before, after = old.get(name, ""), new.get(name, "")
-        is_short = name.startswith(("value ", "default ", "package ")) and not DIGEST.search(f"{before} {after}")
-        how = f"is {before} {was}, {after} {now}" if is_short else "has changed"
+        how = "has changed" if DIGEST.search(f"{before} {after}") else f"is {before} {was}, {after} {now}"
         if not before or not after:
             how = f"is only {was if before else now}"
         phrases.append(f"{name} ({_places[name]}) {how}" if name in _places else f"{name} {how}")

@@ -43,12 +43,6 @@ TREE = "__linksweep_tree__"
 # Characters of a value that a store records as it is; of a longer one it records a digest.
 LONGEST = 40
 
-# Characters of a form that is kept as it is.
-LONG_FORM = 200
-
-# Objects of a value that are followed: about a second.
-MOST_OBJECTS = 500_000
-
 PLAIN = (bool, int, float, complex, str, bytes, type(None))
 
 # Methods that change their object: those that its unchangeable twin lacks.
@@ -57,8 +51,8 @@ CHANGING = {*dir(list), *dir(set), *dir(dict)} - {*dir(tuple), *dir(frozenset), 
 # Methods that make an object: what they set is how it begins, not a change.
 MAKING = ("__init__", "__new__", "__post_init__", "__init_subclass__", "__set_name__")
 
-# What each number that is drawn changes; the seed is in the statement that begins it.
-RANDOM = (np.random.Generator, np.random.RandomState, random.Random)
+# What pickle may take apart, but is not the same from call to call.
+UNSTEADY = (io.IOBase, np.random.Generator, np.random.RandomState, random.Random)
 
 # With which code may name anything of its module.
 BY_NAME = ("globals", "eval", "exec", "sys.modules")
@@ -122,10 +116,10 @@ def distributions_of(module: str | None) -> tuple[str, ...] | None:
     if not module or module == "__main__" or module.startswith(PREFIX):
         return None
     top = module.partition(".")[0]
-    there = sys.modules.get(module) or sys.modules.get(top) or find_spec(top)
-    folders = getattr(there, "__path__", None) or getattr(there, "submodule_search_locations", None) or ()
-    file = getattr(there, "__file__", None) or getattr(there, "origin", None)
-    return distributions_at(file or next(iter(folders), None), top)
+    there = sys.modules.get(module) or sys.modules.get(top)
+    spec = getattr(there, "__spec__", None) if there else find_spec(top)
+    file = (spec.origin or next(iter(spec.submodule_search_locations or ()), None)) if spec else None
+    return distributions_at(file, top)
 
 
 def reach_of(roots: Mapping[str, Any]) -> "Reach":
@@ -143,7 +137,7 @@ class Reach:
 
     ``parts`` has the digest or a short form of each function, class, value and distribution, by its kind and name;
     ``places`` the file and line of what is in a file; ``unnoticed`` the types of values that have no canonical form, by
-    name; ``modules`` the user's modules among them, and ``taken`` the attributes that are taken of each.
+    name; ``modules`` the user's modules among them.
     """
 
     def __init__(self, roots: Mapping[str, Any], changed: Collection[str] | None = None) -> None:
@@ -154,7 +148,6 @@ class Reach:
         self.places: dict[str, str] = {}
         self.unnoticed: dict[str, str] = {}
         self.modules: dict[str, ModuleType] = {}
-        self.taken: dict[str, set[str]] = defaultdict(set)
         # Closures of one function, or functions that a decorator has made, have one label.
         self._texts: dict[str, set[str]] = defaultdict(set)
         # Whose form is made, and whether any of it is left out.
@@ -163,7 +156,7 @@ class Reach:
         self._met: dict[Any, Any] = {}
         self._todo: list[tuple[Any, ...]] = []
         for name, value in roots.items():
-            self._keep(f"value {name}", self._refer(name, value))
+            self._keep(f"value {name}", self._refer(name, value, {}))
         for add, *what in self._todo:  # which grows meanwhile
             add(*what)
         texts = {label: ", ".join(sorted(some)) for label, some in self._texts.items()}
@@ -183,22 +176,25 @@ class Reach:
         if text:
             self._texts[without_package(label)].add(without_package(text))
 
-    def _refer(self, label: str, value: Any, names: Names = MappingProxyType({})) -> str:
-        """Follow a name, of a module that has these names; return what it stands for where that is code, else ''."""
+    def _refer(self, label: str, value: Any, names: Names | None = None) -> str:
+        """Follow a name, of a module that has these names; return what it stands for where that is code, else ''.
+
+        Without names, what the value begins with is in the code of what has it.
+        """
         if (code := self._code(value)) is None:
             self._follow(self._noted, value, label, names)
         return code or ""
 
-    def _noted(self, value: Any, label: str, names: Names) -> None:
+    def _noted(self, value: Any, label: str, names: Names | None) -> None:
         """Add a value; what is left out of it counts by the statements that name it in its module."""
-        name = label.partition(" of ")[0].rpartition(".")[2]
-        statements = _index(tree_of(names.get("__file__") or "", names))[name]
+        name, around = label.partition(" of ")[0].rpartition(".")[2], names or {}
+        statements = _index(tree_of(around.get("__file__") or "", around))[name]
         if statements:
-            self.places[f"value {label}"] = f"{names['__file__']}, line {statements[0].lineno}"
-        self._value, self._is_partial = label, not self._changed.isdisjoint([name, f".{name}"])
+            self.places[f"value {label}"] = f"{around['__file__']}, line {statements[0].lineno}"
+        self._value, self._is_partial = label, name in self._changed
         text = "" if self._is_partial else self._form(value, {})
-        begins = self._text(statements, names) if self._is_partial else ""
-        if self._is_partial and names and not begins:  # as in a notebook
+        begins = self._text(statements, around) if self._is_partial else ""
+        if self._is_partial and names is not None and not begins:  # as in a notebook
             self.unnoticed[label] = label_of(type(value))
         self._keep(f"value {label}", text + begins)
 
@@ -235,12 +231,10 @@ class Reach:
         # Objects may refer to each other in a circle: inside it, one stands for itself by its number.
         known[id(value)] = value, f"object {len(known)}"
         try:
-            if len(known) > MOST_OBJECTS or value is os.environ:
-                raise OverflowError
             forms = [self._form(one, known) for one in self._pieces(value)]
             inside = ", ".join(sorted(forms) if kind in (set, frozenset) else forms)
             # Digested where it is long: objects that share parts would else repeat their text at each level.
-            text = f"{label_of(kind)} [{inside if len(inside) < LONG_FORM else digest_of(inside)}]"
+            text = f"{label_of(kind)} [{inside if len(inside) < LONGEST else digest_of(inside)}]"
         except Exception:  # whatever keeps an object from being taken apart; also where it is too deep
             self.unnoticed[self._value] = text = label_of(kind)
             self._is_partial = True
@@ -264,11 +258,8 @@ class Reach:
         is_library = distributions_of(kind.__module__) is not None
         if is_library and callable(value) and hasattr(value, "__wrapped__") and kind is not MethodType:
             return (value.__wrapped__,)
-        if isinstance(value, RANDOM):
-            self._is_partial = True
-            return ()
-        if isinstance(value, io.IOBase) or (kind is np.ufunc and "vectorized" in value.__name__):
-            raise TypeError("an open file, or made by frompyfunc, which does not tell of what")
+        if isinstance(value, UNSTEADY) or value is os.environ or (kind is np.ufunc and "vectorized" in value.__name__):
+            raise TypeError("not the same from call to call, or made by frompyfunc, which does not tell of what")
         reduce = cloudpickle.Pickler.dispatch_table.get(kind)
         reduced = reduce(value) if reduce is not None else value.__reduce_ex__(4)
         if isinstance(reduced, str):  # to be found in its module
@@ -283,8 +274,7 @@ class Reach:
         """Return the attributes of an object that neither code changes nor are cached properties, in order; None if
         there is none, as before anything was cached.
         """
-        owners = ["", *map(label_of, kind.__mro__)]
-        changed = {key for key in state if not self._changed.isdisjoint(f"{owner}.{key}" for owner in owners)}
+        changed = state.keys() & self._changed
         self._is_partial |= bool(changed)
         cached = {key for key in state if isinstance(getattr(kind, str(key), None), functools.cached_property)}
         return [(key, state[key]) for key in sorted(state.keys() - changed - cached - {"__doc__"}, key=str)] or None
@@ -311,14 +301,9 @@ class Reach:
             self._keep(f"module {name}", self._text(acts, vars(module)))
 
     def _whole(self, module: ModuleType) -> None:
-        for name in [name for name in vars(module) if not name.startswith("__") or name == "__getattr__"]:
-            self._named(name, vars(module), self._attribute(module, name))
-
-    def _attribute(self, module: ModuleType, name: str) -> Any:
-        """Note that an attribute of a module is taken, and return it; None where there is none."""
-        self.taken[module.__name__].add(name)
-        with suppress(Exception):  # raised again by the function where it is called
-            return getattr(module, name)
+        for name, value in list(vars(module).items()):
+            if not name.startswith("__") or name == "__getattr__":
+                self._named(name, vars(module), value)
 
     def _named(self, name: str, names: Names, value: Any) -> str:
         """Follow what a module has under a name, as `_refer`, wherever it is imported from."""
@@ -341,16 +326,13 @@ class Reach:
         by_name = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
         by_name |= {name: value for name, value in vars(function).items() if not name.startswith("__")}
         text = "".join(self._refer(f"{label}.{k}", v) for k, v in (by_name | (function.__kwdefaults__ or {})).items())
+        text += "".join(self._refer(f"{k} of {label}", v, names) for k, v in _closure(function).items())
         if nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {code.co_firstlineno}"
-            changes = [key for node in nodes for key in _changes(node, function)]
-            keys = {home_of(key, names, names.get(key))[0] for key in changes}
-            self._changes += [] if function.__name__ in MAKING else [(function.__name__, keys)]
+            if function.__name__ not in MAKING:
+                self._changes.append((function.__name__, {name for node in nodes for name in _changes(node)}))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
-            text += self._text([ast.Name(name) for name in sorted(_names_in(code))], names, function)
-            for one in _inside(code):
-                constants = [self._form(c, {}) for c in one.co_consts if not isinstance(c, CodeType)]
-                text += f"{one.co_code.hex()} {constants}"
+            self.unnoticed[label] = "function without source"
         text += self._text(nodes, names, function)
         self._keep(f"function {label}", text)
 
@@ -380,27 +362,23 @@ class Reach:
         if function is None and self._is_running:  # runs while it is imported, before any root is called
             return ""
         self._called |= {one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute)}
-        cells = _closure(function) if function else {}
-        bound = self._imported(nodes, names) | cells
+        bound = self._imported(nodes, names)
         scope, wanted = ChainMap(bound, dict(names)), {*bound, *(_names_in(function.__code__) if function else names)}
         text = "".join(map(unparsed, nodes))
         for whole in sorted({one for node in nodes for one in _chains(node)}):
             name, *path = whole.split(".")
-            is_pythons = name not in scope or scope[name] is sys
-            if function and whole in BY_NAME and is_pythons and names.get("__name__") in sys.modules:
+            if function and whole in BY_NAME and names.get("__name__") in sys.modules:
                 self._follow(self._whole, sys.modules[names["__name__"]])
             if name not in scope or name not in wanted:
                 continue
             value, home = scope[name], names
-            while path and isinstance(value, ModuleType):
-                home, name = vars(value), path.pop(0)
-                value = self._attribute(value, name)
+            with suppress(Exception):  # raised again by the function where it is called
+                while path and isinstance(value, ModuleType):
+                    home, name = vars(value), path.pop(0)
+                    value = getattr(value, name)
             if isinstance(value, type) and path[:1] == ["__subclasses__"]:
                 value = [value, *type.__subclasses__(value)]
-            if function and home is names and name in cells:
-                stands = self._refer(f"{name} of {label_of(function)}", value, names)
-            else:
-                stands = self._named(name, home, value)
+            stands = self._named(name, home, value)
             text += f" {whole} {stands}" if stands else ""
         return text
 
@@ -445,12 +423,8 @@ def tree_of(filename: str, names: Names) -> ast.Module:
     """Return the syntax tree of the file, cell or argument that some code is from; empty where there is no source."""
     if TREE in names and filename == names["__file__"]:
         return names[TREE]  # type: ignore[no-any-return]
-    return _parsed(_source(filename, names))
-
-
-def _source(filename: str, names: Names) -> str:
     linecache.checkcache(filename)
-    return "".join(linecache.getlines(filename, dict(names)))
+    return _parsed("".join(linecache.getlines(filename, dict(names))))
 
 
 @lru_cache(maxsize=256)
@@ -479,14 +453,14 @@ def definitions_of(function: FunctionType) -> Sequence[Function]:
     # are compiled here, as pytest and coverage change what they import.  A cell of a notebook has no file.
     with suppress(OSError):
         is_younger = TREE not in names and os.stat(code.co_filename).st_mtime > _BEGAN
-        if is_younger and code not in _codes(_source(code.co_filename, names), code.co_filename):
+        if is_younger and code not in _codes(Path(code.co_filename).read_bytes(), code.co_filename):
             why = "has changed since it was imported: import it again, or start a new session"
             raise SweepError(why, code.co_filename)
     return _index(tree_of(code.co_filename, names))[code.co_firstlineno, code.co_name]
 
 
 @lru_cache(maxsize=64)
-def _codes(text: str, filename: str) -> frozenset[CodeType]:
+def _codes(text: bytes, filename: str) -> frozenset[CodeType]:
     return frozenset(_inside(compile(text, filename, "exec", dont_inherit=True)))
 
 
@@ -499,8 +473,8 @@ def _inside(code: CodeType) -> Iterator[CodeType]:
 
 @lru_cache(maxsize=4096)
 def _names_in(code: CodeType) -> frozenset[str]:
-    """Return the names in the code of a function that are not bound there, and those of attributes."""
-    return frozenset(name for one in _inside(code) for name in (*one.co_names, *one.co_freevars))
+    """Return the names in the code of a function that are bound in its module, and those of attributes."""
+    return frozenset(name for one in _inside(code) for name in one.co_names)
 
 
 @lru_cache(maxsize=256)
@@ -533,13 +507,23 @@ def _chains(node: ast.AST) -> frozenset[str]:
     return frozenset(chain for chain in chains if re.fullmatch(r"[\w.]+", chain))
 
 
-def _written(node: ast.AST) -> Iterator[ast.expr]:
-    """Yield the attributes and items that some code sets, and what it calls a method of that changes its object."""
+def _changes(node: ast.AST) -> Iterator[str]:
+    """Yield the names, also of attributes, that some code changes: those that it declares to be of others, and those of
+    which it sets an attribute or an item, or calls a method that changes its object.
+    """
     for one in ast.walk(node):
-        if isinstance(one, ast.Attribute | ast.Subscript) and not isinstance(one.ctx, ast.Load):
-            yield one
+        if isinstance(one, ast.Global | ast.Nonlocal):
+            yield from one.names
+        elif isinstance(one, ast.Attribute | ast.Subscript) and not isinstance(one.ctx, ast.Load):
+            yield _name_of(one)
         elif isinstance(one, ast.Call) and isinstance(one.func, ast.Attribute) and one.func.attr in CHANGING:
-            yield one.func.value
+            yield _name_of(one.func.value)
+
+
+def _name_of(node: ast.expr) -> str:
+    while isinstance(node, ast.Subscript):
+        node = node.value
+    return str(getattr(node, "attr", getattr(node, "id", "")))
 
 
 def _is_act(statement: ast.stmt, calls: bool) -> bool:
@@ -547,23 +531,4 @@ def _is_act(statement: ast.stmt, calls: bool) -> bool:
     is_script = isinstance(statement, ast.If) and "__name__" in unparsed(statement.test)
     inside = [] if is_script or isinstance(statement, DEFINITIONS) else [*ast.walk(statement)]
     called = [one for one in inside if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)]
-    return bool((inside and any(_written(statement))) or (calls and called))
-
-
-def _changes(node: Function, function: FunctionType) -> Iterator[str]:
-    """Yield the names that a function changes while it runs: as they are, with the label of its class before them for
-    attributes of its own object, ``.name`` for those of others.
-    """
-    code, owner = function.__code__, label_of(function).rpartition(".")[0]
-    itself = code.co_varnames[:1] if "." in function.__qualname__ and not owner.endswith("<locals>") else ()
-    names = _names_in(code) | set(code.co_varnames[: code.co_argcount + code.co_kwonlyargcount])
-    for one in ast.walk(node):
-        yield from one.names if isinstance(one, ast.Global | ast.Nonlocal) else ()
-    for written in _written(node):
-        changed = written
-        while isinstance(changed, ast.Subscript):
-            changed = changed.value
-        if isinstance(changed, ast.Attribute):
-            yield f"{owner if unparsed(changed.value) in itself else ''}.{changed.attr}"
-        elif isinstance(changed, ast.Name) and changed.id in names:
-            yield changed.id
+    return bool((inside and any(True for _ in _changes(statement))) or (calls and called))

@@ -3,7 +3,7 @@ the ledger that its ``code`` made.
 """
 
 import json
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -20,12 +20,10 @@ def records_of(attributes: Mapping[str, Any]) -> list[dict[str, Any]]:
     return records
 
 
-def differences_of_code(attributes: Mapping[str, Any], study: Study) -> list[str]:
-    """Say how a study's code differs from that which made the last blocks of a store; nothing if it does not, or if the
-    store has no record.
-    """
-    records = records_of(attributes)
-    return load.changes_of_code(records[-1]["code"], study.experiment_reference, study.experiment) if records else []
+def differences_of_code(records: Sequence[Mapping[str, Any]], study: Study) -> list[str]:
+    """Say how a study's code differs from that of the last of some records; nothing where there is none."""
+    now = load.code_of(study.experiment_reference, study.experiment) if records else {}
+    return [text for one in records[-1:] for text in load.code_differences(one["code"], now, "in the store", "now")]
 
 
 def rows_of_other_code(store: Store, study: Study) -> list[range]:
@@ -35,7 +33,7 @@ def rows_of_other_code(store: Store, study: Study) -> list[range]:
     return [
         range(first, end)
         for record, (first, end) in zip(records, pairwise(starts), strict=True)
-        if load.changes_of_code(record["code"], study.experiment_reference, study.experiment)
+        if differences_of_code([record], study)
     ]
 
 
@@ -47,7 +45,7 @@ def check_code(store: Store, study: Study, gone: Collection[bytes] = ()) -> None
     if gone:
         last = max((row for key, row in store.rows.items() if key[:DIGEST_BYTES] not in gone), default=-1)
         records = [record for record in records if record["first_row"] <= last]
-    if store.rows and (changes := differences_of_code({CODE: json.dumps(records)}, study)):
+    if store.rows and (changes := differences_of_code(records, study)):
         meaning = (
             "was made by other code, whose numbers would be mixed up with those of today's; --redo old (in Python "
             'redo="old") computes its points again, --accept-code (accept_code=True) goes on and records for each '
@@ -60,7 +58,7 @@ def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
     """Record which code makes the blocks from now on, and tell the user if it has changed."""
     rows = store.next_row
     records = [record for record in records_of(store.attributes) if record["first_row"] < rows]  # others made no rows
-    changes = differences_of_code({CODE: json.dumps(records)}, study)
+    changes = differences_of_code(records, study)
     for sentence in changes:
         say(f"other code goes on with {store.location}: {sentence}")
     if changes or not records:

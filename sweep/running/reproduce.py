@@ -20,7 +20,7 @@ from linksweep.sweep.executing.task import Task, TaskResult
 from linksweep.sweep.executing.worker import run_task
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
-from linksweep.sweep.running.code import differences_of_code
+from linksweep.sweep.running.code import differences_of_code, records_of
 from linksweep.sweep.running.run import Session
 from linksweep.sweep.stores.location import Folder, Where, located
 from linksweep.sweep.stores.store import OpenStore, was_written_here
@@ -129,7 +129,7 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
         one, other = xr.align(stored, result, join="inner")  # a ragged one of others is longer: their lengths tell
         pairs = {name: (one[name].values, other[name].values) for name in map(str, other) if name in one}
         differences = {name: pair for name, pair in pairs.items() if not _equal(*pair)}
-    other_code = differences_of_code(opened.attributes, study)
+    other_code = differences_of_code(records_of(opened.attributes), study)
     return Reproduction(describe(study, place), result, status.word, differences, other_code)
 
 

@@ -102,7 +102,6 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "own distribution": "import scipy.stats\n\nclass D_NAME(scipy.stats.rv_continuous):\n    def _pdf(self, x):\n        return 1.0 / CONSTANT\n\nNAME_d = D_NAME(a=0.0, b=1.0)\n\ndef NAME(x):\n    return x + float(NAME_d.pdf(0.5))",
     "exec": "exec('def NAME(x):\\n    return x + CONSTANT')",
     "exec of a global": "D_NAME = {'K': CONSTANT}\nexec('def one(x):\\n    return x + K', D_NAME)\n\nNAME = D_NAME['one']",
-    "eval of a tuple": "NAME = eval('lambda x: x + (CONSTANT, 1.0)[0] if x in (1.0, 2.0) else x * CONSTANT')",
     "make dataclass": "import dataclasses\n\nC_NAME = dataclasses.make_dataclass('C_NAME', [('k', float, CONSTANT)])\n\ndef NAME(x):\n    return x + C_NAME().k",
     "with statement": "import contextlib\n\nwith contextlib.nullcontext(CONSTANT) as K_NAME:\n    pass\n\ndef NAME(x):\n    return x + K_NAME",
     "weak": "import weakref\n\nclass C_NAME:\n    def __init__(self, k):\n        self.k = k\n\nNAME_o = C_NAME(CONSTANT)\nW_NAME = weakref.ref(NAME_o)\n\ndef NAME(x):\n    return x + W_NAME().k",
