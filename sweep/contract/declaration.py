@@ -443,6 +443,12 @@ def parameter_problems(parameter: Parameter) -> Iterator[str]:
         yield f"minimum, above and maximum must be numbers, not {shown(bounds)}"
     elif text := unit_problem(parameter.unit):
         yield text
+    elif not isinstance(parameter.when, Mapping) or not all(
+        isinstance(values, list | tuple) and values and name != parameter.name
+        for name, values in parameter.when.items()
+    ):
+        example = '{"kernel": ["rbf"]}, with other parameters and a list of values of each'
+        yield f"when = {shown(parameter.when)}: must be like {example}"
     elif parameter.default is not None:
         try:
             parameter.parse(parameter.written_default())

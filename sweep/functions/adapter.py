@@ -7,7 +7,7 @@ import inspect
 import sys
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Annotated, Any, Literal, TypeGuard, TypeVar, Union, cast, get_args, get_origin
 
@@ -42,7 +42,8 @@ class experiment:  # noqa: N801 (a decorator)
 
     Args:
         outputs: units, meanings, dimensions and coordinates of results, and which statistics are computed from them if
-            the function takes ``rng``.  Results that are not declared are kept too.
+            the function takes ``rng``; or only their names, or units by name, ``{"range": "m"}``.  Results that are not
+            declared are kept too.
         vectorised: whether the function takes an array of each parameter, all of one length, and returns arrays of that
             length; it is then called for many points at once.
         packages: distributions whose versions determine the results; a store is not continued with another version.
@@ -54,6 +55,8 @@ class experiment:  # noqa: N801 (a decorator)
             tried at the first one; False accepts any result.
         shared: parameters that do not change the random numbers: points that differ in these alone get the same
             ``rng``, so that their differences have small errors; the errors of such points are correlated.
+        when: the values of other parameters with which one has an effect, ``{"gamma": {"kernel": ["rbf"]}}``, as
+            `Parameter` has them.
 
     Returns:
         A decorator that returns the function.  If that is already defined, for example in another package, it returns
@@ -71,7 +74,7 @@ class experiment:  # noqa: N801 (a decorator)
         10.19
     """
 
-    outputs: Sequence[Output | str] = ()
+    outputs: Sequence[Output | str] | Mapping[str, str] = ()
     vectorised: bool = False
     packages: Sequence[str] = ()
     citation: str | Sequence[str] = ()
@@ -79,8 +82,11 @@ class experiment:  # noqa: N801 (a decorator)
     reads: str | Sequence[str] = ()
     deterministic: bool = True
     shared: str | Sequence[str] = ()
+    when: Mapping[str, Mapping[str, Sequence[Any]]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if isinstance(self.outputs, Mapping):
+            object.__setattr__(self, "outputs", [Output(name, unit=unit) for name, unit in self.outputs.items()])
         for name in ("outputs", "packages", "citation", "reads", "shared"):
             object.__setattr__(self, name, _sequence(getattr(self, name)))
         object.__setattr__(self, "outputs", tuple(map(_output, self.outputs)))
@@ -236,8 +242,13 @@ def declaration_of(function: Callable[..., Any]) -> experiment:
 def _checked(function: Callable[..., Any], declaration: experiment) -> "FunctionExperiment":
     """Return the experiment of a function; raises SweepError with each mistake in its signature and declaration."""
     problems: list[str] = []
-    made = _read_signature(function, problems)
-    for parameter in made.parameters:
+    made, when = _read_signature(function, problems), declaration.when
+    if not isinstance(when, Mapping):
+        problems.append(f"when = {shown(when)}: must be like {{'gamma': {{'kernel': ['rbf']}}}}")
+        when = {}
+    problems += rules.named("when", list(when), [parameter.name for parameter in made.parameters], "parameter")
+    parameters = tuple(replace(one, when=when.get(one.name, one.when)) for one in made.parameters)
+    for parameter in parameters:
         texts = [rules.name_problem(parameter.name), *rules.parameter_problems(parameter)]
         problems += [f"parameter {parameter.name!r}: {text}" for text in texts if text]
     outputs = [one for one in declaration.outputs if isinstance(one, Output)]
@@ -264,6 +275,7 @@ def _checked(function: Callable[..., Any], declaration: experiment) -> "Function
         raise SweepError(problems, f"function {made.name}")
     return replace(
         made,
+        parameters=parameters,
         declared=tuple(outputs),
         vectorised=declaration.vectorised,
         tolerance=tolerance,
@@ -549,10 +561,10 @@ def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
     by_name = {output.name: output for output in declared}
     headline = layout.headline(declared)
     made = []
-    for field in layout.fields:
-        output = by_name.get(field.name, Output(field.name))
-        meaning, is_main = field.meaning or field.name.replace("_", " "), field.name in headline
-        made.append(replace(output, unit=field.unit, meaning=meaning, dims=field.dims, headline=is_main, coords=None))
+    for one in layout.fields:
+        output = by_name.get(one.name, Output(one.name))
+        meaning, is_main = one.meaning or one.name.replace("_", " "), one.name in headline
+        made.append(replace(output, unit=one.unit, meaning=meaning, dims=one.dims, headline=is_main, coords=None))
     return tuple(made)
 
 

@@ -485,6 +485,8 @@ class _Reader:
             place = ("when", name)
             with self.problems.at(place):
                 values.experiment.parameter(name)
+                if name in conditions:
+                    raise ValueError("its effect cannot depend on its own value")
             allowed[name] = {
                 other: values.several((*place, other), other, some) or () for other, some in conditions.items()
             }

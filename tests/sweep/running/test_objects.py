@@ -147,10 +147,9 @@ def test_what_may_be_none_can_be_none(tmp_path, sweep):
 
 
 DECLARED = """
-from typing import Annotated
-from linksweep import Parameter
-Width = Annotated[float, Parameter("width", when={"kernel": ["rbf", "poly"]})]
-def fit(kernel: str, gamma: Width = 7.0, c: float = 1.0):
+from linksweep import experiment
+@experiment(when={"gamma": {"kernel": ["rbf", "poly"]}}, outputs={"fit": "mm"})
+def fit(kernel: str, gamma: float = 7.0, c: float = 1.0):
     return {"linear": 0.0, "rbf": 10.0, "poly": 20.0}[kernel] + gamma + 100.0 * c
 """
 
@@ -177,6 +176,20 @@ def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(
     for kernel, values in expected.items():
         found = linksweep.open(tmp_path / "s.zarr").fit.sel(kernel=kernel).values
         assert sorted(found[np.isfinite(found)]) == values
+    assert ds.fit.attrs["units"] == "mm"
+
+
+WRONG = ({"gam": {"kernel": ["rbf"]}}, {"gamma": {"kernl": ["rbf"]}}, {"gamma": {"kernel": "rbf"}}, {"gamma": ["rbf"]})
+
+
+@pytest.mark.parametrize("when", [*WRONG, "gamma", {"gamma": {"kernel": []}}, {"gamma": {"gamma": [1.0]}}])
+def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
+    def fit(kernel: str = "rbf", gamma: float = 1.0):
+        return gamma
+
+    with pytest.raises(SweepError, match="when"):
+        linksweep.run(linksweep.experiment(when=when)(fit), tmp_path / "s.zarr", axes={"kernel": ["rbf"]})
+    assert not (tmp_path / "s.zarr").exists()
 
 
 def chained(a: str, b: int = 0, c: int = 0, d: int = 0):
