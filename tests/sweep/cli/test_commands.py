@@ -83,13 +83,6 @@ def test_one_thing_has_one_name_in_all_commands():
             assert "json" not in getattr(option.type, "choices", ()), name
 
 
-@pytest.mark.parametrize("command", ["show", "compare"])
-def test_two_formats_are_refused(coin_store, command):
-    code, out, err = run_sweep(command, coin_store, "--json", "--format", "csv")
-    assert (code, out) == (2, "")
-    assert "--json and --format csv are two formats; name one" in err
-
-
 # Parts of a grid that --at names: those that the study excludes are not shown as if they were empty.
 
 

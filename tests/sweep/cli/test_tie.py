@@ -50,31 +50,6 @@ def test_a_forecast_is_printed():
     assert max(map(len, out.splitlines())) <= 88  # a page of the documentation has room for it
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ("psrpi nowhere.fits", "nowhere.fits: no such file"),
-        ("psrpi icrf3", "within 1 arcsec"),
-        ("psrpi psrpi --unknowns spinn", "'spinn' are not known"),
-        ("psrpi psrpi --jitter position", "KIND=MAS"),
-        ("psrpi psrpi --column ra", "must be [TABLE:]KEY=COLUMN"),
-        ("psrpi psrpi -o out.nc", "ends in .zarr"),
-        ("icrf3 icrf2 --unknowns spin", "nothing in the tables determines omega_x"),
-        ("psrpi psrpi --mission hip", "NAME=TABLE"),
-        ("psrpi psrpi --mission spin=psrpi", "none of the unknowns"),
-        ("psrpi psrpi --mission a=psrpi --mission a=psrpi", "named twice"),
-        ("psrpi psrpi --mission a=psrpi --mission-epoch b=1991.25", "no table 'b'"),
-        ("psrpi psrpi --mission a=psrpi --jitter b:position=1", "no table 'b'"),
-    ],
-)
-def test_wrong_input_is_one_message_and_exit_code_2(tmp_path, monkeypatch, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    code, _, err = run_sweep("tie", *arguments.split())
-    assert (code, "Traceback" in err) == (2, False), err
-    assert message in err
-    assert not list(tmp_path.iterdir())
-
-
 def test_show_prints_what_the_command_printed_and_formats_for_programs(stored):
     folder, link, plan = stored
     assert run_sweep("show", folder / "tie.zarr")[1] == link
