@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from tests.conftest import run_sweep
-from tests.sweep.opening import Column, Table, harmless, sealed
+from tests.sweep.opening import IN_TEXT, Column, Table, harmless, places_in, replaced, sealed
 from tests.tiers import slow
 
 MARK = "\x1b]0;owned\x07\x9b2J\u202e\x1b[31m\r\x08"
@@ -113,51 +113,28 @@ def _read(descriptor):
         return b""
 
 
-def texts_in(value, path=()):
-    """Yield where the texts in a document are; texts that are JSON are documents themselves."""
-    if isinstance(value, str):
-        if value[:1] in ("{", "["):
-            yield from ((*path, None, *inner) for inner in texts_in(json.loads(value)))
-        else:
-            yield path
-    elif isinstance(value, dict):
-        for key, item in value.items():
-            yield from texts_in(item, (*path, key))
-    elif isinstance(value, list):
-        for key, item in enumerate(value):
-            yield from texts_in(item, (*path, key))
-
-
-def with_mark(value, path):
-    """Return a document whose text at a place is marked."""
-    if not path:
-        return value + MARK
-    key, *rest = path
-    if key is None:
-        return json.dumps(with_mark(json.loads(value), rest))
-    items = value.copy()
-    items[key] = with_mark(value[key], rest)
-    return items
-
-
-FILES = ("zarr.json", "blocks/zarr.json")
+def value_at(document, at):
+    for step in at:
+        document = json.loads(document) if step is IN_TEXT else document[step]
+    return document
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("file", FILES)
-def test_commands_escape_every_text_of_a_store(store, folder, sweep, file):
+@pytest.mark.parametrize(("file", "least"), [("zarr.json", 20), ("blocks/zarr.json", 1)])
+def test_commands_escape_every_text_of_a_store(store, folder, sweep, file, least):
     original = (store / file).read_bytes()
     document = json.loads(original)
-    places = [path for path in texts_in(document["attributes"]) if path != ("checksum",)]
-    assert len(places) > 20 or file != FILES[0]
+    texts = {("attributes", *at): value_at(document["attributes"], at) for at in places_in(document["attributes"])}
+    marked = {at: text + MARK for at, text in texts.items() if isinstance(text, str) and text[:1] not in ("{", "[")}
+    marked.pop(("attributes", "checksum"), None)
+    assert len(marked) >= least
     try:
-        for path in places:
-            changed = document | {"attributes": with_mark(document["attributes"], path)}
-            (store / file).write_bytes(sealed(changed, file))
+        for at, text in marked.items():
+            (store / file).write_bytes(sealed(replaced(document, at, text), file))
             for look in LOOKS[:1] + LOOKS[3:7]:
                 _, out, err = sweep(*look, cwd=folder)
-                assert "Traceback" not in err, (path, look, err)
-                assert not found(out + err), (path, look)
+                assert "Traceback" not in err, (at, look, err)
+                assert not found(out + err), (at, look)
     finally:
         (store / file).write_bytes(original)
 
@@ -168,12 +145,11 @@ def test_harmless_text_is_what_it_was_but_for_controls(text):
     assert json.loads(f'"{harmless(json.dumps(text, ensure_ascii=False)[1:-1])}"') == text
 
 
-@example("0\r", 0.0)
-@given(st.text(), st.floats(allow_nan=False))
-def test_no_cell_of_csv_is_a_formula(text, number):
-    table = Table([Column("a", [""]), Column("b", [text]), Column("c", [number])])
-    ((_, said, written),) = list(csv.reader([*table.csv().partition("\n")[2].splitlines(True)]))
-    assert float(written) == number
+@example("0\r")
+@given(st.text())
+def test_no_cell_of_csv_is_a_formula(text):
+    table = Table([Column("a", [""]), Column("b", [text])])
+    ((_, said),) = list(csv.reader([*table.csv().partition("\n")[2].splitlines(True)]))
     assert not found(said)
     try:
         float(text)

@@ -11,26 +11,17 @@ BIN = Path(sys.executable).parent
 
 def offered(folder, *words):
     """What bash offers for the last word, by the function that the script defines."""
-    line = " ".join(words)
-    array = " ".join(f"'{word}'" for word in words)
     script = f"""
 eval "$(_SWEEP_COMPLETE=bash_source sweep)"
 compopt() {{ echo "option: $1 $2" >> options; }}
-COMP_WORDS=({array})
+COMP_WORDS=({" ".join(f"'{word}'" for word in words)})
 COMP_CWORD={len(words) - 1}
-COMP_LINE='{line}'
 _sweep_completion sweep
 printf '%s\\n' "${{COMPREPLY[@]}}"
 cat options 2>/dev/null || true
 """
-    done = subprocess.run(
-        ["bash", "-c", script],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"PATH": f"{BIN}:/usr/bin:/bin"},
-    )
+    here = {"PATH": f"{BIN}:/usr/bin:/bin"}
+    done = subprocess.run(["bash", "-c", script], cwd=folder, capture_output=True, text=True, check=True, env=here)
     assert done.stderr == ""
     return done.stdout.split("\n")
 
