@@ -2,6 +2,7 @@
 
 import json
 import math
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep.sweep.contract import SweepError
+from tests.sweep.opening import Silent, bare
 from tests.tiers import examples, slow
 
 ELEVEN = {"x": np.linspace(0.0, 1.0, 11)}
@@ -33,12 +35,8 @@ def wave(x: float) -> float:
     return math.sin(2.0 * math.pi * x)
 
 
-def crossings(ds, condition, **more):
-    return linksweep.find(ds, condition, over="x", **more)
-
-
-def bits(ds):
-    return ds.drop_vars("wall_time", errors="ignore")
+def crossings(ds, condition, over="x"):
+    return linksweep.find(ds, condition, over=over)
 
 
 def rounds(ds):
@@ -85,11 +83,11 @@ def test_every_line_gets_points_at_its_own_crossing_and_further_runs_leave_no_ga
     new = ~np.isin(ds.x.values, ELEVEN["x"])
     assert (ds.status.values[new] == 1).sum(axis=1).tolist() == [1] * new.sum()  # on one line each
     again = linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.01, **goal)
-    assert bits(again).equals(bits(ds))
+    assert bare(again).equals(bare(ds))
     finer = linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.001, **goal)
     assert rounds(finer)[: len(rounds(ds))] == rounds(ds)
     linksweep.run(decay, "s.zarr", axes=ELEVEN | rates, pool="serial")
-    assert bits(linksweep.open("s.zarr")).equals(bits(finer))
+    assert bare(linksweep.open("s.zarr")).equals(bare(finer))
     linksweep.run(decay, "s.zarr", axes=ELEVEN | {"rate": [4.0]}, pool="serial")
     whole = linksweep.open("s.zarr")
     assert whole.attrs["complete"] == 1
@@ -108,9 +106,9 @@ def test_values_between_points_are_interpolated_to_the_error_that_was_asked_for(
 
 def test_points_get_realisations_until_the_noise_between_them_is_below_the_error():
     """Two errors of a value less what its neighbours say of it; realisations grow by factors of four."""
-    goal = {"axes": {"x": [0.0, 0.5, 1.0]}, "sampling": {"n_sim": 60, "seed": 3}, "pool": "serial"}
+    goal = {"axes": {"x": [0.0, 0.1, 1.0]}, "sampling": {"n_sim": 60, "seed": 3}, "pool": "serial"}
     ds = linksweep.refine(noisy, until="error < 0.01", variable="y_mean", max_realisations=10**6, **goal)
-    noise = 2.0 * np.linalg.norm(ds.y_mean_mc_error * [0.5, 1.0, 0.5])
+    noise = 2.0 * np.linalg.norm(ds.y_mean_mc_error * [0.9, 1.0, 0.1])
     assert noise < 0.01 < 2.0 * noise
     assert ds.sizes["x"] == 3  # a line has no use for more points
 
@@ -153,7 +151,7 @@ def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no
     lavish = linksweep.refine(noisy, "n.zarr", within=0.005, max_realisations=10**5, **goal)
     assert abs(float(crossings(lavish, "y_mean > 0")["first"]) - 0.4321) < 0.0075
     mine = linksweep.run(noisy, "n.zarr", axes=ELEVEN, sampling=sampling, pool="serial")
-    assert bits(mine).equals(bits(lavish.sel(x=ELEVEN["x"])))
+    assert bare(mine).equals(bare(lavish.sel(x=ELEVEN["x"])))
 
 
 @pytest.mark.slow
@@ -164,9 +162,8 @@ def test_what_is_said_to_be_known_of_a_noisy_crossing_is_true_as_often_as_two_er
     inside = []
     for seed in range(60):
         command = ["refine", "noise.py:noisy", "--axis", "x=0:1:0.1", "--set", f"seed={seed}", "--set", "n_sim=200"]
-        status, out, err = sweep(
-            *command, "--find", "y_mean > 0", "--within", "0.01", "--json", "-o", f"{seed}.zarr", cwd=tmp_path
-        )
+        goal = ("--find", "y_mean > 0", "--within", "0.01", "--json", "-o", f"{seed}.zarr")
+        status, out, err = sweep(*command, *goal, cwd=tmp_path)
         assert status == 0, err
         report = json.loads(out)
         assert report["spent"] <= 0.2 * report["full"]
@@ -176,14 +173,11 @@ def test_what_is_said_to_be_known_of_a_noisy_crossing_is_true_as_often_as_two_er
     assert np.mean(inside) >= 0.9
 
 
-class Stop:
+class Stop(Silent):
     """Ends a run after some points, as Ctrl-C does."""
 
     def __init__(self, after):
         self.left = after
-
-    def __getattr__(self, name):
-        return lambda *_: None
 
     def advance(self, *_):
         self.left -= 1
@@ -196,15 +190,13 @@ class Stop:
 def test_what_is_stopped_in_any_round_goes_on_to_the_same_bits(after, pool):
     goal = {"axes": ELEVEN, "sampling": {"n_sim": 600}, "find": "y_mean > 0", "within": 0.02}
     whole = linksweep.refine(noisy, "whole.zarr", **goal, pool="serial")
-    watching = Stop(after)
-    for _ in range(20):
-        try:
-            ds = linksweep.refine(noisy, "stopped.zarr", **goal, pool=pool, progress=watching)
-            break
-        except KeyboardInterrupt:
-            watching = Stop(after + 3)
+    ds = None
+    while ds is None:
+        with suppress(KeyboardInterrupt):
+            ds = linksweep.refine(noisy, "stopped.zarr", **goal, pool=pool, progress=Stop(after))
+        after += 3
     stopped = linksweep.open("stopped.zarr")
-    assert all(one.drop_vars("wall_time").equals(whole.drop_vars("wall_time")) for one in (ds, stopped))
+    assert all(bare(one).equals(bare(whole)) for one in (ds, stopped))
     assert rounds(ds) == rounds(whole)
 
 
@@ -253,16 +245,11 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     (tmp_path / "f.py").write_text("def step(x: float):\n    return float(x > 0.618)\n")
     command = ["refine", "f.py:step", "--axis", "x=0:1:0.25", "--find", "step > 0.5", "--within", "0.1", "-o", "s.zarr"]
     status, out, err = sweep(*command, cwd=tmp_path)
-    assert status == 0, err
-    assert "round 1: 1 new point" in err
-    status, again, err = sweep(*command, "--json", cwd=tmp_path)
-    assert status == 0, err
-    report = json.loads(again)
+    assert (status, "round 1: 1 new point" in err, "step > 0.5" in out) == (0, True, True), err
+    report = json.loads(sweep(*command, "--json", cwd=tmp_path)[1])
     assert (report["spent"], report["full"], report["upcoming"]) == (7, 11, None)
     assert report["known"] == {"": pytest.approx(0.0625, rel=0.3)}
-    assert "step > 0.5" in out
-    status, shown, err = sweep("status", "s.zarr", cwd=tmp_path)
-    assert status == 0, err
+    shown = sweep("status", "s.zarr", cwd=tmp_path)[1]
     assert shown.count("of sweep refine") == len(report["rounds"]) == 2
 
 
@@ -274,11 +261,7 @@ def test_the_crossing_of_the_quasars_is_that_of_the_full_grid(sweep, tmp_path):
     assert status == 0, err
     status, _, err = sweep("run", *few, "--axis", "v_max=14:16:0.02", "-o", "full.zarr", cwd=tmp_path)
     assert status == 0, err
-    first, last = (
-        float(linksweep.find(linksweep.open(tmp_path / name), "sigma_spin < 0.6", over="v_max")[which].item())
-        for name, which in (("full.zarr", "first"), ("full.zarr", "last"))
-    )
-    mine = float(linksweep.find(linksweep.open(tmp_path / "r.zarr"), "sigma_spin < 0.6", over="v_max")["first"].item())
-    assert first - 0.02 <= mine <= last + 0.02
+    full, mine = (crossings(linksweep.open(tmp_path / f"{n}.zarr"), goal[1], over="v_max") for n in ("full", "r"))
+    assert float(full["first"]) - 0.02 <= float(mine["first"]) <= float(full["last"]) + 0.02
     report = json.loads(out)
     assert report["spent"] <= 0.2 * report["full"]
