@@ -3,6 +3,7 @@ errors that are shown to a user as sentences.
 """
 
 import difflib
+import pickle
 import re
 import reprlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -213,6 +214,20 @@ class Named:
 
     def __str__(self) -> str:
         return self.name
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return how it is made again elsewhere; raises SweepError where its value cannot be sent there."""
+        import cloudpickle  # which takes lambdas and what only this session defines
+
+        try:
+            return _sent, (self.name, self.identity, cloudpickle.dumps(self.value))
+        except Exception as error:  # whatever keeps an object from being pickled
+            why = f"cannot be sent to other processes ({type(error).__name__}: {error}); use pool='threads' or 'serial'"
+            raise SweepError(f"the value {shown(self.name)} {why}") from error
+
+
+def _sent(name: str, identity: str, pickled: bytes) -> Named:
+    return Named(name, identity, pickle.loads(pickled))
 
 
 class Define(Protocol):

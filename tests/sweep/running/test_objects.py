@@ -192,6 +192,13 @@ def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
     assert not (tmp_path / "s.zarr").exists()
 
 
+@pytest.mark.parametrize("pool", [None, "serial", "threads", "processes"])
+def test_lambdas_have_labels_and_reach_every_kind_of_worker(tmp_path, pool):
+    axes = {"law": {"square": lambda x: x * x, "cube": lambda x: x**3}}
+    ds = linksweep.run(lambda law: law(2.0), tmp_path / "s.zarr", axes=axes, pool=pool)
+    assert ds.result.sel(law=["square", "cube"]).values.tolist() == [4.0, 8.0]
+
+
 def chained(a: str, b: int = 0, c: int = 0, d: int = 0):
     return f"{a} {b} {c} {d}"
 
