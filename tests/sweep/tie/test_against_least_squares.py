@@ -14,7 +14,6 @@ from scipy import stats
 from scipy.linalg import block_diag
 
 import linksweep
-from linksweep import SweepError
 from tests.core.tie.made import MAS, Objects, gaia, joined, noise, parse_unknowns, seen_by_satellite, stars
 from tests.tiers import slow
 
@@ -116,7 +115,7 @@ def least_squares(tables, difference, weights, factor):
 
     G are the weights, those of each source times its ``factor``.
     """
-    pieces, n = list(pieces_of(tables, difference)), len(tables.own)
+    pieces, n, rng = list(pieces_of(tables, difference)), len(tables.own), np.random.default_rng(1)
     plain = []
     for one in pieces:
         d, b = one.d, one.b
@@ -137,14 +136,14 @@ def least_squares(tables, difference, weights, factor):
     places = [slice(*edge) for edge in pairwise(np.cumsum([0, *(len(one.y) for one in pieces)]))]
     used = np.flatnonzero(factor > 0.0)
 
-    def without(left):
+    def solution(left):
         return np.linalg.solve(normals[left].sum(axis=0), right[left].sum(axis=0))
 
     def scatter(solutions):
         return (len(solutions) - 1) * np.cov(np.transpose(solutions), bias=True)
 
     alone = np.full((n, 6), np.nan)
-    alone[used] = [without(np.arange(n) != s) for s in used]
+    alone[used] = [solution(np.arange(n) != s) for s in used]
     cell = sky_cells(tables.own)
     scores = np.array([one.a.T @ g @ residual[p] for one, g, p in zip(pieces, w, places, strict=True)])[used]
     formal = to_x @ big_d @ to_x.T
@@ -158,7 +157,8 @@ def least_squares(tables, difference, weights, factor):
         formal=formal,
         scaled=formal * chi2 / expected,
         jackknife=scatter(alone[used]),
-        cells=scatter([without(cell != one) for one in np.unique(cell[used])]),
+        cells=scatter([solution(cell != one) for one in np.unique(cell[used])]),
+        bootstrap=np.cov(np.transpose([solution(rng.integers(0, n, n)) for _ in range(1000)])),
         sandwich=inverse @ (scores.T @ scores) @ inverse * len(used) / (len(used) - 1),
         without=alone,
         cook=np.einsum("sk,kl,sl->s", alone - x, total, alone - x) / 6.0,
@@ -195,8 +195,10 @@ def compare(link, tables, weights, sign=1.0):
     for kind in map(str, link.error_kind.values):
         expected = getattr(found, kind)
         got = link.covariances.sel(error_kind=kind).values
-        np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max(), err_msg=kind)
-        np.testing.assert_allclose(link.errors.sel(error_kind=kind), np.sqrt(np.diag(expected)), rtol=5e-5)
+        rtol = 0.2 if kind == "bootstrap" else 5e-5  # of other random numbers
+        np.testing.assert_allclose(link.errors.sel(error_kind=kind), np.sqrt(np.diag(expected)), rtol=rtol)
+        if kind != "bootstrap":
+            np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max(), err_msg=kind)
     np.testing.assert_array_equal(link.n_observations, found.count)
     kept = link.weight_factor.values > 0.0
     np.testing.assert_allclose(sign * link.estimate_without.values[kept], found.without[kept], rtol=1e-4, atol=1e-6)
@@ -223,8 +225,8 @@ SEEDS = [1, *map(slow, (2, 3))]
 @pytest.mark.parametrize("weights", ["covariance", "variance", "equal"])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_solution_is_that_of_full_matrices(folder, seed, weights):
-    tables = drawn_tables(folder, seed)
-    link = linked(tables, weights=weights, errors=KINDS)
+    tables = drawn_tables(folder, seed, n=40)  # several in some cells of the sky
+    link = linked(tables, weights=weights, errors=f"{KINDS},bootstrap")
     compare(link, tables, weights)
     assert float(link.discrepancy_expected.sum()) == pytest.approx(float(link.chi2_expected))
     np.testing.assert_allclose(link.estimate, np.concatenate([EPSILON, OMEGA]) / MAS, atol=0.5)
@@ -249,9 +251,9 @@ def test_weights_of_huber_have_their_own_covariance(folder, seed, weights):
     compare(link, tables, weights)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", [3, *map(slow, (1, 4))])
 def test_what_a_clip_drops_has_no_part_in_the_rest(folder, seed):
-    tables = drawn_tables(folder, seed, far=(3, 7))
+    tables = drawn_tables(folder, seed, far=(3, 7), scale=1.6)  # some are significant alone, and not among so many
     link = linked(tables, errors=KINDS, clip="discrepancy")
     dropped = np.flatnonzero(link.weight_factor.values == 0.0)
     assert {3, 7} <= set(dropped)
@@ -325,11 +327,11 @@ def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypa
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_clip_median_is_its_own_solution(folder, seed):
-    tables = drawn_tables(folder, seed, far=(2, 5, 6))
-    link = linked(tables, errors=KINDS, clip="median:4")
+    tables = drawn_tables(folder, seed, n=30, far=(2, 5, 6))
+    link = linked(tables, errors=KINDS, clip="median:1.5")
     compare(link, tables, "covariance")
     residual = np.sqrt(link.discrepancy.values / link.n_observations.values)
-    kept = residual <= 4.0 * np.median(residual)
+    kept = residual <= 1.5 * np.median(residual)
     np.testing.assert_array_equal(kept, link.weight_factor.values > 0.0)
     assert not kept[[2, 5, 6]].any()
 
@@ -368,12 +370,13 @@ def test_separations_and_the_clip_of_rayleigh(folder, seed):
     np.testing.assert_array_equal(link.weight_factor.values > 0.0, (x <= limit) & (apart < 10.0))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_jitter_is_what_one_would_add_by_hand(folder, seed):
+@pytest.mark.parametrize("some", [("motion", "all"), *map(slow, (("five-parameter", "position"), ("all",)))])
+def test_jitter_is_what_one_would_add_by_hand(folder, some):
     """To the errors of each row of its kind, wherever it stands in the table; covariances stay."""
-    tables, rng = drawn_tables(folder, seed), np.random.default_rng(seed)
-    some = rng.permutation(["five-parameter", "position", "motion", "all"])[: 1 + seed % 4]
-    jitter = {str(kind): tuple(rng.uniform(0.0, 1.0, 2).tolist()) for kind in some}
+    tables, rng = drawn_tables(folder, 1), np.random.default_rng(1)
+    jitter = {kind: (0.0 if kind == "motion" else rng.uniform(0.0, 1.0), rng.uniform(0.0, 1.0)) for kind in some}
+    # one number is that of motions for rows that have nothing else
+    said = ",".join(f"{kind}={a}:{b}" if kind != "motion" else f"{kind}={b}" for kind, (a, b) in jitter.items())
     rows = tables.rows
     present = np.isfinite(rows.errors)
     kinds = np.where(present[2], "five-parameter", np.where(present[0], "position", "motion"))
@@ -390,12 +393,10 @@ def test_jitter_is_what_one_would_add_by_hand(folder, seed):
         correlations=np.array([covariance[:, i, j] / (safe[i] * safe[j]) for i, j in pairs]),
     )
     expected = gaia(folder / "by_hand.ecsv", by_hand, source_id=tables.source + 10**17)
-    found = linked(tables, jitter=jitter)
+    found = linked(tables, jitter=said)
     other = linked(SimpleNamespace(satellite=tables.satellite, reference=expected))
     for name in ("estimate", "errors", "chi2", "discrepancy", "difference_error"):
         np.testing.assert_allclose(found[name], other[name], rtol=1e-7, atol=1e-10, err_msg=name)
-    with pytest.raises(SweepError, match="no kind of row five"):
-        linked(tables, jitter={"five": (1.0, 1.0)})
 
 
 def test_powers_are_the_integrals_of_their_fields_over_the_sky(folder):

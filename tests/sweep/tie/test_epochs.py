@@ -247,7 +247,8 @@ def with_every_parameter(link, sky, models):
 def orbits(folder, names, campbell=False):
     """Write elements of `ORBIT` as Gaia's archive does, with a semi-axis of 3.2 mas or with angles."""
     table = Table({"source_id": np.asarray(names, dtype=np.int64)})
-    table["period"], table["eccentricity"], table["t_periastron"] = ORBIT[0] * 365.25, ORBIT[1], ORBIT[2] * 365.25
+    table["period"], table["eccentricity"], table["ref_epoch"] = ORBIT[0] * 365.25, ORBIT[1], EPOCH - 1.5 * campbell
+    table["t_periastron"] = (ORBIT[2] + EPOCH - table["ref_epoch"]) * 365.25
     if campbell:
         for name, angle in (("nodeangle", NODE), ("inclination", INCLINATION), ("arg_periastron", PERIASTRON)):
             table[name] = np.degrees(angle)

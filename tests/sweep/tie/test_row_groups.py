@@ -97,7 +97,7 @@ def test_without_sources_the_rest_is_the_same(tmp_path, by_groups, clip):
     assert rest.attrs == all_of_it.attrs
 
 
-@pytest.mark.parametrize("seed", [*map(slow, range(1, 6, 2)), 6, slow(7)])
+@pytest.mark.parametrize("seed", [1, *map(slow, (3, 5)), 6, slow(7)])
 def test_the_epoch_is_the_median_of_all_row_groups(tmp_path, by_groups, monkeypatch, seed):
     """With one epoch in the middle or two, few different ones or many, in groups of any size."""
     monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", 10)

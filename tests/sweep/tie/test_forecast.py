@@ -1,0 +1,201 @@
+"""Forecasts against links of tables that have the new rows, against all choices, and with errors scaled by hand."""
+
+from dataclasses import replace
+from itertools import permutations
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import linksweep
+from linksweep import SweepError, forecast, tie
+from tests.core.tie.made import MAS, gaia, joined, noise, stars
+from tests.tiers import examples, slow
+
+EPOCH = {"dr1": 2015.0, "dr2": 2015.5, "dr3": 2016.0, "dr4": 2017.5, "dr5": 2020.0}
+MONTHS = {"dr1": 14, "dr2": 22, "dr3": 34, "dr4": 66, "dr5": 126}
+EPOCHS = (2019.0, 2031.0)
+ERROR = 0.07
+
+
+def scaled(own, old, new):
+    """The table of a release as a later one may give it: positions by T^-1/2, motions by T^-3/2, another epoch."""
+    ratio = MONTHS[old] / MONTHS[new]
+    errors = own.errors * np.array([ratio**0.5] * 3 + [ratio**1.5] * 2)[:, None]
+    return replace(own, errors=errors, epoch=own.epoch + EPOCH[new] - EPOCH[old])
+
+
+def seen(own, rows):
+    """The values of rows of sources that do not move."""
+    return own.values + noise(np.random.default_rng(1), rows) / np.array(
+        [np.cos(own.values[1]), *np.ones((4, len(own)))]
+    )
+
+
+@pytest.fixture(params=[1, slow(2)])
+def tables(request, tmp_path):
+    """A satellite of DR3, its rows so far, and the satellite's table as DR4 may give it."""
+    own = replace(stars(4, request.param, pm=1e-3, parallax=1e-3), radial_velocity=np.zeros(4))
+    rows = replace(stars(4, request.param + 50), epoch=np.full(4, 2004.0))
+    rows = replace(rows, values=seen(own, rows))
+    found = SimpleNamespace(folder=tmp_path, own=own, rows=rows, known={})
+    found.satellite = gaia(tmp_path / "dr3.ecsv", own)
+    found.scaled = gaia(tmp_path / "dr4.ecsv", scaled(own, "dr3", "dr4"))
+    found.reference = gaia(tmp_path / "rows.ecsv", replace(rows, radial_velocity=np.zeros(4)))
+    return found
+
+
+def covariance(tables, satellite, sources=(), epochs=EPOCHS):
+    """The formal covariance of the link whose reference has a new position of some sources at each epoch."""
+    key = satellite, frozenset(sources), tuple(epochs)
+    if key in tables.known:
+        return tables.known[key]
+    pieces, source = [tables.rows], [np.arange(4)]
+    for epoch in epochs:
+        own = replace(tables.own.taken(np.array(sources, dtype=np.int64)), correlations=None)
+        errors = np.full((5, len(sources)), np.nan)
+        errors[:2] = ERROR * MAS
+        one = replace(own, errors=errors)
+        values = np.where(np.isnan(errors), np.nan, seen(own, one))
+        single = np.ones(len(sources), dtype=bool)
+        pieces.append(replace(one, errors=errors, values=values, epoch=np.full(len(sources), epoch), apparent=single))
+        source.append(np.array(sources, dtype=np.int64))
+    joint, which = joined(*pieces), np.concatenate(source)
+    joint = replace(joint, radial_velocity=np.zeros(len(joint)), correlations=np.nan_to_num(joint.correlations))
+    path = gaia(tables.folder / "extended.ecsv", joint, source_id=which + 10**17)
+    link = tie(satellite, path, "orientation,spin", errors="formal", epoch=2016.0, accept_misfit=True)
+    tables.known[key] = link.covariance.values
+    return tables.known[key]
+
+
+def value(matrix, blocks, criterion):
+    part = np.concatenate([np.arange(3) + 3 * ["orientation", "spin"].index(name) for name in blocks])
+    chosen = matrix[np.ix_(part, part)]
+    return np.sqrt(np.trace(chosen) / len(part)) if criterion == "A" else np.linalg.slogdet(chosen)[1]
+
+
+@pytest.mark.parametrize("criterion", ["A", slow("D")])
+@pytest.mark.parametrize("blocks", [("spin",), slow(("orientation", "spin"))])
+def test_every_stage_and_choice_is_the_link_with_the_new_rows(tables, criterion, blocks):
+    plan = forecast(
+        tables.satellite,
+        tables.reference,
+        "orientation,spin",
+        add=EPOCHS,
+        error=ERROR,
+        release="dr4",
+        number=2,
+        goal=blocks,
+        criterion=criterion,
+        epoch=2016.0,
+    )
+    every, scaled = range(4), tables.scaled
+    close = {"rtol": 1e-5, "atol": 1e-5 if criterion == "D" else 0.0}
+    stages = {
+        "now": covariance(tables, tables.satellite),
+        "dr4": covariance(tables, scaled),
+        "all observed": covariance(tables, scaled, every),
+    }
+    for stage, matrix in stages.items():
+        np.testing.assert_allclose(plan.error.sel(stage=stage), np.sqrt(np.diag(matrix)), rtol=1e-5, err_msg=stage)
+        expected = value(matrix, blocks, criterion)
+        np.testing.assert_allclose(plan.criterion.sel(stage=stage), expected, **close, err_msg=stage)
+    for epoch in EPOCHS:
+        matrix = covariance(tables, scaled, every, [epoch])
+        found = plan.error_with_epoch.sel(new_epoch=epoch)
+        np.testing.assert_allclose(found, np.sqrt(np.diag(matrix)), rtol=1e-5)
+    alone = np.array([value(covariance(tables, scaled, [s]), blocks, criterion) for s in every])
+    np.testing.assert_allclose(plan.criterion_alone, alone, **close)
+    np.testing.assert_array_equal(plan["rank"], [1 + int(np.sum(alone < one)) for one in alone])
+    chosen = []
+    for step, name in enumerate(plan.step_source.values):
+        if step:
+            left = [s for s in every if s not in chosen]
+            best = min(left, key=lambda s: value(covariance(tables, scaled, [*chosen, s]), blocks, criterion))
+            assert str(name) == str(plan.source.values[best])
+            chosen.append(best)
+        matrix = covariance(tables, scaled, chosen)
+        np.testing.assert_allclose(plan.step_error.values[step], np.sqrt(np.diag(matrix)), rtol=1e-5)
+        np.testing.assert_allclose(plan.step_criterion.values[step], value(matrix, blocks, criterion), **close)
+
+
+def resting(epoch):
+    return stars(12, 5, pm=1e-3, parallax=1e-3, epoch=epoch)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A reference of a later epoch, and the satellite's table at the epoch of each release and at others."""
+    made = tmp_path_factory.mktemp("releases")
+    reference = resting(2008.0)
+    gaia(made / "reference.ecsv", replace(reference, values=seen(reference, reference)))
+    for name, epoch in EPOCH.items():
+        gaia(made / f"{name}.ecsv", resting(epoch))
+    gaia(made / "other.ecsv", resting(1991.25))
+    mixed = resting(2016.0)
+    gaia(made / "mixed.ecsv", replace(mixed, epoch=np.where(np.arange(12) < 6, 2016.0, 2017.5)))
+    gaia(made / "various.ecsv", replace(mixed, epoch=np.where(np.arange(12) < 6, 2016.0, 2017.3)))
+    return made
+
+
+def planned(folder, table, release, **options):
+    return forecast(folder / f"{table}.ecsv", folder / "reference.ecsv", "orientation,spin", release=release, **options)
+
+
+def errors_by_hand(folder, table, old, new):
+    """The formal errors with a table whose errors were multiplied and whose epoch was moved by hand."""
+    gaia(folder / "scaled.ecsv", scaled(resting(EPOCH.get(table, 1991.25)), old, new))
+    return forecast(folder / "scaled.ecsv", folder / "reference.ecsv", "orientation,spin").error.values[0]
+
+
+@settings(max_examples=examples(25), deadline=None)
+@given(pair=st.sampled_from(list(permutations(EPOCH, 2))))
+def test_errors_are_scaled_from_the_release_that_has_the_epoch(folder, pair):
+    """A table of DR4 was scaled from DR3, which made its motions 2.7 times too good."""
+    old, new = pair
+    if MONTHS[new] < MONTHS[old]:
+        with pytest.raises(SweepError, match=f"is that of {old}, the same or a later one"):
+            planned(folder, old, new)
+        plan = planned(folder, old, new, from_release=old)
+    else:
+        plan = planned(folder, old, new)
+    np.testing.assert_allclose(plan.error.sel(stage=new), errors_by_hand(folder, old, old, new), rtol=1e-9)
+    assert plan.attrs["from_release"] == old
+    assert plan.attrs["epoch_of_forecast"] == EPOCH[new]
+    assert any(f"scaled from {old} ({EPOCH[old]:g}) to {new}" in note for note in plan.attrs["notes"])
+    assert any("Hipparcos" in note for note in plan.attrs["notes"]) == ("dr1" in pair)
+
+
+@pytest.mark.parametrize("named", [None, "dr3", "dr4"])
+def test_errors_are_not_scaled_twice(folder, named):
+    with pytest.raises(SweepError, match="of dr4, the same or" if named != "dr3" else r"2017.5\) are those of dr4"):
+        planned(folder, "dr4", "dr4", from_release=named)
+    with pytest.raises(SweepError, match=r"those of dr4 .*from_release"):
+        planned(folder, "dr4", "dr5", from_release="dr3")
+
+
+def test_a_table_at_another_epoch_needs_the_name_of_its_release(folder):
+    for table, said in (("other", "1991.25"), ("various", "2016 to 2017.3")):
+        with pytest.raises(SweepError, match=rf"epochs \({said}\) are those of no release .*from_release"):
+            planned(folder, table, "dr4")
+    found = planned(folder, "other", "dr4", from_release="dr2").error.sel(stage="dr4")
+    np.testing.assert_allclose(found, errors_by_hand(folder, "other", "dr2", "dr4"), rtol=1e-9)
+    with pytest.raises(SweepError, match="epochs of dr3 and dr4"):
+        planned(folder, "mixed", "dr5", from_release="dr3")
+    with pytest.raises(SweepError, match="from_release = 'dr9'"):
+        planned(folder, "dr3", "dr4", from_release="dr9")
+
+
+def test_a_study_scales_from_the_same_release(folder):
+    tables = {name: str(folder / f"{one}.ecsv") for name, one in (("satellite", "dr4"), ("reference", "reference"))}
+    fixed = tables | {"accept_misfit": True, "release": "dr5"}
+    study = {"experiment": "linksweep.sweep.tie.experiment:tie", "sampling": {"n_sim": 2}}
+    predicted = linksweep.run(study | {"fixed": fixed}, folder / "s.zarr", pool="serial").sigma_predicted.values[
+        ..., :6
+    ]
+    np.testing.assert_allclose(predicted.ravel(), errors_by_hand(folder, "dr4", "dr4", "dr5"), rtol=1e-9)
+    for changes, words in (({"from_release": "dr3"}, "are those of dr4"), ({"release": "dr3"}, "a later one")):
+        with pytest.raises(SweepError, match=words):
+            linksweep.run(study | {"fixed": fixed | changes}, folder / "t.zarr", pool="serial")

@@ -1,0 +1,99 @@
+"""What cannot be linked is refused by name: each table or option with one thing wrong."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.table import MaskedColumn, Table
+
+import linksweep
+from linksweep import SweepError
+from tests.core.tie.made import gaia_table, stars
+
+N = 12
+
+
+def at(row, value, others=0.1):
+    """A column of a row that differs, counted from 1."""
+    return np.where(np.arange(1, N + 1) == row, value, others)
+
+
+def text(first):
+    return [first, *["2016-01-01"] * (N - 1)]
+
+
+POSITION = ("ra", "dec", "ra_error", "dec_error")
+ACCELERATED = {f"accel_{axis}{end}": at(0, 0) for axis in ("ra", "dec") for end in ("", "_error")}
+DR4 = {"ref_epoch": at(0, 0, 2017.5)}
+CALIBRATED = {"calibrator": ["J1"] * N}
+GAP = MaskedColumn(at(0, 0, 2016.0), mask=at(2, 1, 0))
+FEW = np.where(np.arange(N) < 4, 10**17 + np.arange(N), 1)  # all but four match no source
+SPIN = {f"omega_{axis}": [10.0] for axis in "xyz"}
+DR3 = {"phot_g_mean_mag": at(1, 8.0, 12.0), "nu_eff_used_in_astrometry": np.full(N, 1.5), "pseudocolour": at(1, 1.4)}
+DR3 |= {"ecl_lat": at(1, 30.0), "astrometric_params_solved": np.full(N, 31)}
+SHIFTED = {"parallax_zero_point": "satellite"}
+
+# The sentence, the changes of the columns (None: without it) of either table, and the options.
+REFUSED = [
+    # columns
+    ("a pmra_error of 0 .* in row 3", {"pmra_error": at(3, 0.0)}, {}, {}),
+    ("only one coordinate of the motion .* in row 2", {"pmra_error": at(2, np.nan)}, {}, {}),
+    ("impossible .* in row 3", {"ra_dec_corr": at(3, 1.5, 0.0)}, {}, {}),
+    ("single precision .* too coarse .* in row 1, 2, 3", {"ra": np.full(N, 100.0, np.float32)}, {}, {}),
+    (r"no ra_dec_corr \(write 0 for none\) in row 2", {"ra_dec_corr": at(2, np.nan)}, {}, {}),
+    ("each source needs a position, .* row 1, 2, 3, 4, 5 and 7 more", dict.fromkeys(POSITION), {}, {}),
+    (r"determines .*rows: 12 three-parameter", {}, dict.fromkeys(POSITION), {"unknowns": "orientation"}),
+    ("give the epoch", {}, {"ref_epoch": None}, {}),
+    ("no column 'q'", {}, {}, {"columns": {"parallax": "q"}}),
+    ("is no quantity", {}, {}, {"columns": {"paralax": "p"}}),
+    # epochs
+    ("no Julian year, MJD or JD from 1700 to 2300 in row 2", {}, {"ref_epoch": at(2, 0.0, 2016.0)}, {}),
+    ("no Julian year, MJD or JD from 1700 to 2300 in row 1, 2, 3", {}, {"ref_epoch": at(0, 0, 15.5)}, {}),
+    ("no date like .* row 1 has 'June 2015'", {}, {"ref_epoch": text("June 2015")}, {}),
+    (r"no epoch \(column 'ref_epoch'\) in row 2", {}, {"ref_epoch": GAP}, {}),
+    # accelerations
+    ("without one of its coordinates", ACCELERATED | {"accel_dec": at(0, 0, np.nan)}, {}, {}),
+    ("no accel_ra_accel_dec_corr", ACCELERATED | {"accel_ra_accel_dec_corr": at(2, np.nan, 0.0)}, {}, {}),
+    # calibrators
+    ("'calibrator' has no errors; give", {}, CALIBRATED, {}),
+    ("a calibrator without an error that is 0 .* row 1", {}, CALIBRATED | {"calibrator_error": at(1, np.nan)}, {}),
+    # what is known of Gaia
+    ("those of dr3, and the epochs are of dr4", DR3 | DR4, {}, SHIFTED),
+    ("no column 'ecl_lat'", DR3 | {"ecl_lat": None}, {}, SHIFTED),
+    ("spins of dr3, and the satellite's epochs are those of dr4", DR4, {}, {"known_spin": "edr3-spin"}),
+    ("omega_x, omega_y, omega_z with units", {}, {}, {"known_spin": {"mag_min": [0.0], "mag_max": [30.0]} | SPIN}),
+    (r"known_orientation = .* three finite numbers", {}, {}, {"known_orientation": [1.0, 2.0]}),
+    # options
+    ("sign = 'minus'", {}, {}, {"sign": "minus"}),
+    ("no option degrees", {}, {}, {"degrees": 3}),
+    ("no numbers 'mag'", {}, {}, {"bins": ("mag", [3.0])}),
+    ("no row of the reference is such a position", {}, {}, {"aberration": 5.8}),
+    ("match by 'star'", {}, {}, {"by": "star"}),
+    ("position:-1: the radius must be above 0", {}, {}, {"by": "position:-1"}),
+    ("no row is of the kind position; there are five-parameter", {}, {}, {"jitter": {"position": (0.1, 0.0)}}),
+    ("no row is of the kind position", {}, {}, {"jitter": "estimate,position=0.1"}),
+    ("KIND=MAS", {}, {}, {"jitter": "estimated"}),
+    ("in mas and mas/yr", {}, {}, {"jitter": {"five-parameter": "0.2 mas"}}),
+    ("no kind of row five", {}, {}, {"jitter": {"five": (1.0, 1.0)}}),
+    ("not negative", {}, {}, {"jitter": {"five-parameter": -0.1}}),
+    ("weights by covariance", {}, {}, {"jitter": "estimate", "weights": "equal"}),
+    ("5 rows of .* and there are 4", {}, {"source_id": FEW}, {"jitter": "estimate"}),
+    ("did you mean 'phot_g_mean_mag'", {}, {}, {"where": "phot_g_mean_mg < 1"}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "own", "rows", "options"), REFUSED, ids=[one[0] for one in REFUSED])
+def test_what_is_wrong_is_named(tmp_path, words, own, rows, options):
+    paths = [tmp_path / "own.fits", tmp_path / "rows.ecsv"]
+    for path, changes in zip(paths, (own, rows), strict=True):
+        table = gaia_table(replace(stars(N, 1), correlations=np.zeros((10, N))))
+        for name, column in changes.items():
+            table[name] = column if column is not None else table.columns[0]
+        table.remove_columns([name for name, column in changes.items() if column is None])
+        table.write(path)
+    if isinstance(options.get("known_spin"), dict):
+        Table(options["known_spin"]).write(tmp_path / "spins.csv")
+        options = {"known_spin": tmp_path / "spins.csv"}
+    with pytest.raises(SweepError, match=words) as error:
+        linksweep.tie(*paths, **options)
+    assert len(error.value.problems) == 1
