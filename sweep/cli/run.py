@@ -623,12 +623,11 @@ def submit(
     from linksweep.sweep.planning.grid import make_grid
     from linksweep.sweep.running.merge import require_free
     from linksweep.sweep.stores.location import Folder
-    from linksweep.sweep.studies.reader import Overrides
 
     study, store = asked.load()
     make_grid(study)  # its mistakes are named here, not in a hundred logs
     require_free(store, study, [{"study_digest": study.digest(), "parts": tasks}])
-    overrides = [f"{name}={text}" for name, text in Overrides(**asked.overrides).written]
+    overrides = [written.replace(" ", "=", 1) for written in study.overrides]
     trust = ["--trust"] if asked.trust else []
     sweep = [sys.executable, "-P", "-m", "linksweep"]
     folder = (store.path.parent if isinstance(store, Folder) else Path.cwd()) / f"{store.name}.slurm"

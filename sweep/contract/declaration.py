@@ -6,7 +6,7 @@ import difflib
 import pickle
 import re
 import reprlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -428,6 +428,37 @@ def name_problem(name: object) -> str | None:
     if not isinstance(name, str) or not GOOD_NAME.fullmatch(name):
         return "a name begins with a letter and has letters, digits and any of _ . - only"
     return TAKEN if name in RESERVED else None
+
+
+# Endings that the platform adds to an output's name, for variables of its own.
+ADDED = ("_published", "_published_rounding")
+
+
+def names_problems(
+    parameters: Sequence[str],
+    names: Sequence[tuple[str, Any]],
+    with_units: Iterable[str] = (),
+    may_repeat: Collection[str] = (),
+) -> Iterator[str]:
+    """Yield what is wrong with names, which with those of the parameters are used in one dataset.
+
+    Each of ``names`` stands behind "output" or "dimension".  Dimensions ``with_units`` have a coordinate of these, and
+    outputs may have the names of parameters that ``may_repeat``.
+    """
+    added = {f"{name}_unit": f"the unit of each {name}" for name in with_units}
+    added |= {
+        f"{name}{end}": f"what is published of {name}" for kind, name in names if kind == "output" for end in ADDED
+    }
+    first: list[tuple[str, Any]] = []
+    for kind, name in [*(("parameter", name) for name in parameters), *names]:
+        others = [other for other, one in first if one == name]
+        if wrong := name_problem(name):
+            yield f"{kind} {shown(name)}: {wrong}"
+        elif name in added:
+            yield f"{kind} {name!r}: this name is for {added[name]}; take another"
+        elif others and not (name in may_repeat and (others[0], kind) == ("parameter", "output")):
+            yield f"{kind} {name!r}: is the name of another {others[0]}"
+        first.append((kind, name))
 
 
 def members(what: str, values: object, kind: type[T], problems: list[str]) -> list[T]:

@@ -18,9 +18,6 @@ from linksweep.sweep.contract.rows import Array, Outcome, Reducer, Rows, Sums, c
 GeneratorPair = tuple[np.random.Generator, np.random.Generator]
 
 
-# Endings that the platform adds to an output's name, for variables of its own.
-ADDED = ("_published", "_published_rounding")
-
 # The functions of an experiment, and what they are called with.
 CALLS = {
     "evaluate": ("points", "n_sim", "rng", "catalogue_rng"),
@@ -337,7 +334,10 @@ def _problems(experiment: Experiment) -> list[str]:
         texts += declaration.named("dims", output.dims, list(labels), "dimension with labels in coordinates")
         texts += declaration.named("errors", output.errors, alike, "output with its dimensions and unit")
         problems += [f"output {output.name!r}: {text}" for text in texts]
-    problems += _names(parameters, [*outputs, *samples], [*labels], [*units])
+    names = [*(("output", one.name) for one in (*outputs, *samples)), *(("dimension", name) for name in labels)]
+    # If the experiment itself decides the value of a parameter, an output of the same name may report it.
+    decided = {parameter.name for parameter in parameters if parameter.default is None}
+    problems += declaration.names_problems([one.name for one in parameters], names, units, decided)
     if not isinstance(experiment.sums, Mapping) or not experiment.sums:
         problems.append(f"sums = {shown(experiment.sums)}: must give the shape of each sum, such as {{'squares': ()}}")
     else:
@@ -371,27 +371,6 @@ def _of_no_function(one: Parameter | Output) -> Iterator[str]:
         yield "required is for the signatures of plain functions"
     elif one.choices and (one.kind != "str" or not all(isinstance(choice, str) for choice in one.choices)):
         yield f"choices = {shown(one.choices)}: must be strings, of a parameter of kind 'str'"
-
-
-def _names(
-    parameters: Sequence[Parameter], outputs: Sequence[Output], dimensions: Sequence[str], units: Sequence[str]
-) -> Iterator[str]:
-    """Yield what is wrong with names, all of which are used in one dataset."""
-    used = [("parameter", parameter.name) for parameter in parameters]
-    used += [("output", output.name) for output in outputs] + [("dimension", name) for name in dimensions]
-    added = {f"{name}_unit": f"the unit of each {name}" for name in units}
-    added |= {f"{o.name}{end}": f"what is published of {o.name}" for o in outputs for end in ADDED}
-    # If the experiment itself decides the value of a parameter, an output of the same name may report it.
-    decided = {parameter.name for parameter in parameters if parameter.default is None}
-    first: dict[str, str] = {}
-    for kind, name in used:
-        if wrong := declaration.name_problem(name):
-            yield f"{kind} {shown(name)}: {wrong}"
-        elif name in added:
-            yield f"{kind} {name!r}: this name is for {added[name]}; take another"
-        elif name in first and not (name in decided and (first[name], kind) == ("parameter", "output")):
-            yield f"{kind} {name!r}: is the name of another {first[name]}"
-        first.setdefault(name, kind)
 
 
 def _calls(name: str, function: Any) -> Iterator[str]:

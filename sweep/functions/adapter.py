@@ -249,8 +249,7 @@ def _checked(function: Callable[..., Any], declaration: experiment) -> "Function
     problems += rules.named("when", list(when), [parameter.name for parameter in made.parameters], "parameter")
     parameters = tuple(replace(one, when=when.get(one.name, one.when)) for one in made.parameters)
     for parameter in parameters:
-        texts = [rules.name_problem(parameter.name), *rules.parameter_problems(parameter)]
-        problems += [f"parameter {parameter.name!r}: {text}" for text in texts if text]
+        problems += [f"parameter {parameter.name!r}: {text}" for text in rules.parameter_problems(parameter)]
     outputs = [one for one in declaration.outputs if isinstance(one, Output)]
     problems += [f"outputs: {shown(one)} is no Output" for one in declaration.outputs if not isinstance(one, Output)]
     problems += _problems_of_outputs(outputs, made)
@@ -288,11 +287,9 @@ def _checked(function: Callable[..., Any], declaration: experiment) -> "Function
 
 def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") -> Iterator[str]:
     coordinates: dict[str, results.Coordinate] = {}
-    for number, output in enumerate(outputs):
+    for output in outputs:
         dims, coords = output.dims, output.coords or {}
         texts = [rules.unit_problem(output.unit), *map(statistic_problem, output.statistics)]
-        if output.name in [earlier.name for earlier in outputs[:number]]:
-            texts.append("is declared twice")
         if output.statistics and not made.rng:
             texts.append("statistics are made of realisations, and the function takes no rng")
         if output.ragged and made.rng:
@@ -318,12 +315,8 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
                 texts.append(f"the coordinate {dim!r} has other values than in another output")
         yield from (f"output {shown(output.name)}: {text}" for text in texts if text)
     dimensions = dict.fromkeys(dim for output in outputs for dim in output.dims)
-    layout = Layout(
-        tuple(results.Field(output.name, "float") for output in outputs),
-        tuple(results.Coordinate(dim, "int", ()) for dim in dimensions),
-    )
-    names = tuple(parameter.name for parameter in made.parameters)
-    yield from results.problems_of_names.__wrapped__(layout, names)  # uncached: a wrong name may have no hash
+    names = [*(("output", output.name) for output in outputs), *(("dimension", dim) for dim in dimensions)]
+    yield from rules.names_problems([parameter.name for parameter in made.parameters], names)
 
 
 @dataclass(frozen=True)

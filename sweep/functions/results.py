@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, shown, suggest
-from linksweep.sweep.contract.declaration import is_quantity, name_problem, same_unit
+from linksweep.sweep.contract.declaration import is_quantity, names_problems, same_unit
 from linksweep.sweep.contract.rows import LENGTH, REFERENCE, beyond_floats, chunk_grid, is_large, not_finite, padded
 
 Type = Literal["float", "int", "bool", "text", "datetime"]
@@ -118,16 +118,8 @@ def layout_of_json(document: Mapping[str, Any]) -> Layout:
 @lru_cache(maxsize=256)
 def problems_of_names(layout: Layout, parameters: tuple[str, ...]) -> tuple[str, ...]:
     """Return what is wrong with the names of results, which share one dataset with the parameters."""
-    problems = []
-    outputs = [field.name for field in layout.fields]
-    for kind, name in [("output", n) for n in outputs] + [("dimension", n) for n in layout.sizes]:
-        if wrong := name_problem(name):
-            problems.append(f"the {kind} {shown(name)}: {wrong}")
-        elif name in parameters or (kind == "dimension" and name in outputs):
-            problems.append(
-                f"the {kind} {name!r} has the name of {'a parameter' if name in parameters else 'an output'}"
-            )
-    return tuple(problems)
+    names = [*(("output", field.name) for field in layout.fields), *(("dimension", name) for name in layout.sizes)]
+    return tuple(names_problems(parameters, names))
 
 
 @lru_cache(maxsize=256)  # workers send equal layouts again and again, each time as a new object

@@ -87,24 +87,12 @@ def parsed(text: str, path: Path) -> dict[str, Any]:
 
 @dataclass
 class Overrides:
-    """The options of the command line that change a study, as `load_study` has them; ``by_place`` says which of them
-    gave the value at a place of the document.
+    """The options of the command line that change a study, pairs of a flag and its text; ``by_place`` says which of
+    them gave the value at a place of the document.
     """
 
-    settings: Sequence[str] = ()
-    axes: Sequence[str] = ()
-    points: str | None = None
-    design: str | None = None
-    ranges: Sequence[str] = ()
-    exclude: Sequence[str] = ()
+    written: Sequence[tuple[str, str]] = ()
     by_place: dict[KeyPath, str] = field(default_factory=dict)
-
-    @property
-    def written(self) -> list[tuple[str, str]]:
-        """All options, as pairs of a flag and its text."""
-        flags = {"--set": self.settings, "--axis": self.axes, "--points": [self.points], "--design": [self.design]}
-        flags |= {"--range": self.ranges, "--exclude": self.exclude}
-        return [(flag, text) for flag, texts in flags.items() for text in texts if text is not None]
 
     def apply(
         self, document: dict[str, Any], parameters: Collection[str], texts: Collection[str], problems: list[str]
@@ -116,8 +104,9 @@ class Overrides:
         """
         points, axes = (table if isinstance(table := document.get(key), dict) else {} for key in ("points", "axes"))
         axes_before, other = set(axes), {"axes": "fixed", "fixed": "axes"}
-        if self.points is not None or self.design is not None:
-            kept = ("seed", "ranges") if self.points is None else ()
+        flags = {flag for flag, _ in self.written}
+        if flags & {"--points", "--design"}:
+            kept = () if "--points" in flags else ("seed", "ranges")
             document["points"] = {key: points[key] for key in kept if key in points}
         slots: dict[KeyPath, str] = {}  # of two options that set the same, one would be lost
         for flag, text in self.written:
@@ -325,7 +314,9 @@ def load_study(
         path = find_study(name_or_path)
         text = read_text(path)
         document = parsed(text, path)
-    options = Overrides(settings, axes, points, design, ranges, exclude)
+    by_flag = {"--set": settings, "--axis": axes, "--points": [points], "--design": [design]}
+    by_flag |= {"--range": ranges, "--exclude": exclude}
+    options = Overrides([(flag, text) for flag, texts in by_flag.items() for text in texts if text is not None])
     return _Reader(document, text, path, function or str(path), options, Code()).study()
 
 
