@@ -30,7 +30,7 @@ ONLY_IN = {
     "pygaia": "core.missions",
     "pandas": "sweep core.missions.calibrate",  # a script, which nobody imports
     "core": "core __init__ sweep.plots.sky sweep.plots.tie sweep.search sweep.tie",
-    "sweep.search": "sweep.search sweep.cli.tables",
+    "sweep.search": "sweep.search sweep.cli.run",
 }
 # By who imports, the only modules of the platform that it may, and the only other libraries.
 OF_THE_PLATFORM = {

@@ -320,7 +320,7 @@ NO_LEAK_WARNING = "ignore:resource_tracker"
 them would warn the user.
 """
 
-MODULES = ("run", "look", "tables")
+MODULES = ("run", "look")
 """The modules of commands, as the help lists them; each is imported if none before it has the one that is asked for."""
 
 SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Compare", "Store care", "Your own")}
