@@ -109,6 +109,10 @@ class Task:
         return crc32(unit.stream, crc32(f"{self.seed} {tuple(unit.block)}".encode()))
 
 
+class TimeLimitError(BaseException):
+    """Raised inside a block at its time limit; not an Exception, because a block may catch those."""
+
+
 @dataclass(frozen=True)
 class Failure:
     """Why a block has no result: in a sentence, with the traceback where Python has one; both limited in length and
@@ -124,8 +128,11 @@ class Failure:
         object.__setattr__(self, "traceback", _printable(self.traceback, MAX_TRACEBACK))
 
     @classmethod
-    def raised(cls, error: BaseException) -> "Failure":
-        """Return why a point failed, from what was raised."""
+    def raised(cls, error: BaseException, limit_s: float | None = None) -> "Failure":
+        """Return why a point failed, from what was raised; ``limit_s`` is the time that it had."""
+        trace = "".join(traceback.format_exception(error))
+        if isinstance(error, TimeLimitError):
+            return cls.too_long(limit_s or 0.0, trace)
         if isinstance(error, NotFiniteError):
             return cls("NaN", str(error))
         if isinstance(error, ResultError):
@@ -134,7 +141,7 @@ class Failure:
             text = str(error)
         except Exception as unsaid:  # whatever a class of the user's raises
             text = f"its message cannot be made: {type(unsaid).__name__}"
-        return cls("exception", f"{type(error).__name__}{f': {text}' if text else ''}", traceback.format_exc())
+        return cls("exception", f"{type(error).__name__}{f': {text}' if text else ''}", trace)
 
     @classmethod
     def too_long(cls, limit_s: float, trace: str) -> "Failure":

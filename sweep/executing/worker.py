@@ -14,7 +14,7 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from itertools import chain, groupby
 from pathlib import Path
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.code.load import load_experiment
 from linksweep.sweep.contract import Experiment, Outcome, Point, SweepError, shown
-from linksweep.sweep.executing.task import Call, Captured, Failure, PointBlock, Task, TaskResult
+from linksweep.sweep.executing.task import Call, Captured, Failure, PointBlock, Task, TaskResult, TimeLimitError
 from linksweep.sweep.functions.results import layout_differences, same_value
 from linksweep.sweep.planning.plan import generators_of
 
@@ -186,10 +186,6 @@ def _working_folder() -> str | None:
     return None
 
 
-class TimeLimitError(BaseException):
-    """Raised inside a block at its time limit; not an Exception, because a block may catch those."""
-
-
 class Deadlines:
     """The times by which the blocks under way in this process must have ended, one for each thread.
 
@@ -346,9 +342,20 @@ class _Computing:
                 else:
                     yield _with_printed(result, printed)
 
-    def _limit(self, points: int) -> float | None:
-        """Return the seconds that so many points may take."""
-        return None if self.task.time_limit_s is None else self.task.time_limit_s * points
+    def _outcomes(
+        self, unit: PointBlock, points: int, call: Callable[[], list[Outcome]], turn: int = 0
+    ) -> list[Outcome] | BaseException:
+        """Return what a call for so many points returns or raises, unless that is an interruption; in another ``turn``
+        the generators of the process start elsewhere.
+        """
+        limit = self.task.time_limit_s
+        try:
+            with undisturbed(self.task.seed_of(unit) ^ turn), self._deadlines.within(limit and limit * points):
+                return call()
+        except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
+            if is_interruption(error):
+                raise
+            return error
 
     def _one_by_one(self, units: Sequence[PointBlock], said: Captured) -> Iterator[TaskResult]:
         """Yield the result of each of these units, with what was ``said`` meanwhile."""
@@ -371,22 +378,17 @@ class _Computing:
         task, experiment = self.task, self.experiment
         pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
         points = [experiment.defaults() | unit.points[row] for row in rows]
-        try:
-            with undisturbed(task.seed_of(unit)), self._deadlines.within(self._limit(len(rows))):
-                outcomes = experiment.compute(points, unit.block.n_sim, pairs, task.keep_samples)
-        except TimeLimitError:
-            reason = Failure.too_long(task.time_limit_s or 0.0, traceback.format_exc())
-        except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
-            if is_interruption(error) or not task.caught:
-                raise
-            reason = Failure.raised(error)
-        else:
-            result.outcomes.update(zip(rows, outcomes, strict=True))
-            for row in rows:
-                result.failures.pop(row, None)
-            return True
-        result.failures.update(dict.fromkeys(rows, reason))
-        return False
+        n_sim, samples = unit.block.n_sim, task.keep_samples
+        got = self._outcomes(unit, len(rows), lambda: experiment.compute(points, n_sim, pairs, samples))
+        if isinstance(got, BaseException):
+            if not task.caught and not isinstance(got, TimeLimitError):
+                raise got
+            result.failures.update(dict.fromkeys(rows, Failure.raised(got, task.time_limit_s)))
+            return False
+        result.outcomes.update(zip(rows, got, strict=True))
+        for row in rows:
+            result.failures.pop(row, None)
+        return True
 
     def _catalogues_together(self, units: tuple[PointBlock, ...]) -> TaskResult | None:
         """Return the sums of blocks of one point whose catalogues are evaluated in one call.
@@ -398,16 +400,14 @@ class _Computing:
             return None
         points = [self.experiment.defaults() | point for point in units[0].points]
         begun = time.perf_counter()
-        try:
-            with undisturbed(self.task.seed_of(units[0])):  # without a limit: see `takes_several`
-                blocks = (generators_of(self.task.seed, unit.stream, unit.block) for unit in units)
-                pairs = list(chain.from_iterable(blocks))
-                outcomes = self.experiment.compute_catalogues(points, units[0].block.n_sim, pairs, n_cat)
-        except BaseException as error:
-            if is_interruption(error):
-                raise
-            return None
-        return _succeeded(outcomes, time.perf_counter() - begun)
+
+        def call() -> list[Outcome]:
+            blocks = (generators_of(self.task.seed, unit.stream, unit.block) for unit in units)
+            pairs = list(chain.from_iterable(blocks))
+            return self.experiment.compute_catalogues(points, units[0].block.n_sim, pairs, n_cat)
+
+        got = self._outcomes(units[0], len(points), call)
+        return None if isinstance(got, BaseException) else _succeeded(got, time.perf_counter() - begun)
 
     def _points_together(self) -> TaskResult | None:
         """Return the results of all points from one call of a vectorised function, or None where it raises.
@@ -418,26 +418,25 @@ class _Computing:
         units, experiment = self.task.units, self.experiment
         points = [experiment.defaults() | unit.points[0] for unit in units]
         who = self.who, experiment.tolerance
-        wrong = _dependence.get(who, "")
-        if wrong:
+        if wrong := _dependence.get(who, ""):
             return TaskResult.failed(len(points), Failure("exception", wrong))
         begun = time.perf_counter()
+
+        def call() -> list[Outcome]:
+            outcomes = experiment.compute(points, 1, ())
+            if who not in _dependence:
+                wrong = dependence(experiment, points, outcomes, [unit.stream for unit in units])
+                if wrong or len(points) > CHECKED:
+                    _dependence[who] = wrong
+            return outcomes
+
         with captured() as said:
-            try:
-                limit = self._limit(len(points) + CHECKED)
-                with undisturbed(self.task.seed_of(units[0])), self._deadlines.within(limit):
-                    outcomes = experiment.compute(points, 1, ())
-                    if who not in _dependence:
-                        wrong = dependence(experiment, points, outcomes, [unit.stream for unit in units])
-                        if wrong or len(points) > CHECKED:
-                            _dependence[who] = wrong
-            except BaseException as error:  # which point is to blame is found out one by one
-                if is_interruption(error):
-                    raise
-                return None
+            outcomes = self._outcomes(units[0], len(points) + CHECKED, call)
+            if isinstance(outcomes, BaseException):
+                return None  # which point is to blame is found out one by one
             printed, seconds = said.taken(), time.perf_counter() - begun
             refused = self._how_it_differs(units, outcomes, seconds)
-        result = _with_printed(_succeeded(outcomes, seconds), printed)
+        result, wrong = _with_printed(_succeeded(outcomes, seconds), printed), _dependence.get(who, "")
         if wrong:
             result.outcomes, result.failures = {}, dict.fromkeys(range(len(points)), Failure("exception", wrong))
         result.refused = refused
@@ -450,18 +449,14 @@ class _Computing:
         if not self.task.repeatable or self.who in _agreed or seconds > LONGEST_S:
             return ""
         points = [self.experiment.defaults() | unit.points[0] for unit in units]
-        try:
-            # Other random numbers than at first, if it takes those of the process.
-            again = self.task.seed_of(units[0]) ^ 1
-            with undisturbed(again), self._deadlines.within(self._limit(len(points))):
-                second = self.experiment.compute(points, 1, ())
-            how = next(filter(None, map(_difference, first, second)), "")
-        except TimeLimitError:
+        # Other random numbers than at first, if it takes those of the process.
+        again = self._outcomes(units[0], len(points), lambda: self.experiment.compute(points, 1, ()), turn=1)
+        if isinstance(again, TimeLimitError):
             return ""
-        except BaseException as error:
-            if is_interruption(error):
-                raise
-            how = f"and then raises {type(error).__name__}"
+        if isinstance(again, BaseException):
+            how = f"and then raises {type(again).__name__}"
+        else:
+            how = next(filter(None, map(_difference, first, again)), "")
         if not how:
             _agreed.add(self.who)
             return ""
