@@ -438,24 +438,17 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
 def _print_status(report: Mapping[str, Any], store: str) -> None:
     """Print for people how far a run is."""
     from linksweep.sweep.contract.rows import progress_in_words
-    from linksweep.sweep.planning.union import EARLIER
     from linksweep.sweep.running.progress import reasons_of
 
     points, made, part = report["points"], report["provenance"], f" of part {report['part']}" if report["part"] else ""
     unfinished = points["missing"]
     total = points["done"] + points["failed"] + unfinished
-    is_left = unfinished and not report["running"]
-    has_gaps = is_left and EARLIER in made.get("study_overrides", "")
-    state = "incomplete" if has_gaps else "stopped" if is_left else "finished"
-    if report["running"]:
-        state = f"running, {report['running']}"
+    state = f"running, {report['running']}" if report["running"] else report["state"]
     cli.print_styled(report["title"], bold=True)
     share = ""
     if unfinished and "realisations" in report:
         share = f", {100 * report['realisations_done'] // report['realisations']} % of the realisations"
     cli.print_wrapped(f"{state}: {progress_in_words(points['done'], points['failed'], total, part)}{share}")
-    if has_gaps:
-        cli.print_wrapped("of several runs: points of the grid that none has asked for are missing")
     for key in ("note", "lost_parts"):
         if key in report:
             cli.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")
@@ -476,8 +469,7 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
         cli.print_wrapped(f"by {report['command']}", later="   ")
     nexts = {
         f"sweep watch {store}": report["running"],
-        "the same command goes on": is_left and not has_gaps,
-        "the same command, or one with the values that are missing": has_gaps,
+        "the same command goes on": state == "stopped",
         f"sweep run --retry {store}": points["failed"] and not report["running"],
         f"sweep show {store}": report["complete"],
     }

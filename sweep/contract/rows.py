@@ -430,6 +430,11 @@ REFERENCE = np.dtype("V16")
 """What a row has in place of each chunk of a large array: the checksum of its file; zeros are none."""
 
 
+def absent(dtype: np.dtype[Any]) -> float:
+    """Return what an array of numbers has where they are missing."""
+    return np.nan if dtype.kind == "f" else MISSING_INT
+
+
 def is_large(shape: Sequence[int]) -> bool:
     """Return whether an array of this shape at a point is large: no chunk has two points."""
     return math.prod(shape) > MOST_VALUES // 2

@@ -13,7 +13,6 @@ import tempfile
 import time
 import tomllib
 import warnings
-from asyncio import run_coroutine_threadsafe
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future as Fetching
@@ -27,8 +26,7 @@ from threading import Event
 from typing import Annotated, Any
 
 import dask
-from distributed import Client, Future, KilledWorker, LocalCluster, SpecCluster, WorkerPlugin, get_worker, rpc
-from distributed.security import Security
+from distributed import Client, Future, KilledWorker, LocalCluster, Security, SpecCluster, WorkerPlugin, get_worker, rpc
 from pydantic import BaseModel, BeforeValidator, Field, ValidationError, model_validator
 from threadpoolctl import threadpool_limits
 from tornado.ioloop import PeriodicCallback
@@ -731,7 +729,7 @@ class DaskDriver:
         not begun yet, as on a machine that stalls for a moment, all that the client fetches later fails.
         """
         loop: Any = self.client.loop
-        return run_coroutine_threadsafe(self.client.gather(futures, asynchronous=True), loop.asyncio_loop)
+        return asyncio.run_coroutine_threadsafe(self.client.gather(futures, asynchronous=True), loop.asyncio_loop)
 
     def _result(self, future: Future[Any]) -> Reply:
         """Wait for a result, and watch the workers meanwhile: if the worker that had it has died since, it is computed

@@ -27,26 +27,8 @@ from threadpoolctl import threadpool_limits
 
 from linksweep.sweep.code import load
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.executing.pools import (
-    DASK,
-    DEFAULT_POOL,
-    NO_LIMITS,
-    POOLS,
-    Limits,
-    Place,
-    Resources,
-    available_cores,
-)
-from linksweep.sweep.executing.task import (
-    AnyJob,
-    Call,
-    Executor,
-    Failure,
-    Identity,
-    PointBlock,
-    Task,
-    TaskResult,
-)
+from linksweep.sweep.executing.pools import DEFAULT_POOL, NO_LIMITS, Limits, Place, Resources, available_cores
+from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, PointBlock, Task, TaskResult
 from linksweep.sweep.executing.worker import ENOUGH_S, Deadlines, compute, ignored, run_units, takes_several
 from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.studies.study import Study
@@ -417,8 +399,6 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
     """Compute the tasks that come by a channel, and answer with results, and None at the end of each task."""
     import faulthandler
 
-    from threadpoolctl import threadpool_limits
-
     for number in (signal.SIGINT, signal.SIGHUP):  # only the parent answers; programs that a block starts may too
         signal.signal(number, ignored)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
@@ -485,15 +465,7 @@ def choose_executor(study: Study, cost: float, resources: Resources, say: Callab
     """
     if resources.none_requested and (not study.experiment.says_cost or cost < CERTAINLY_LONG):
         return _measured_first(study, cost, say)
-    return _opened(study.experiment_reference, resources, say)
-
-
-def _opened(reference: str, resources: Resources, say: Callable[[str], None]) -> Opened:
-    if (resources.scheduler, resources.cluster, resources.client, resources.dashboard) != (None, None, None, False):
-        opened: Opened = DASK.open(reference, resources, say)
-    else:
-        pool, workers = POOLS[resources.pool or DEFAULT_POOL], resources.workers or available_cores()
-        opened = pool.open(reference, workers, resources.limits)
+    opened: Opened = resources.open(study.experiment_reference, say)
     return opened
 
 
@@ -619,7 +591,7 @@ def mapped(reference: str, resources: Resources, say: Callable[[str], None]) -> 
     """
     if resources.limits and resources.pool not in (None, DEFAULT_POOL):
         raise SweepError("limits of time and memory need worker processes here")
-    opened = serial(reference) if resources.none_requested else _opened(reference, resources, say)
+    opened = serial(reference) if resources.none_requested else resources.open(reference, say)
     with opened as (_, execute):
 
         def ordered(function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]]) -> Iterator[Any]:

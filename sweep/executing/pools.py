@@ -4,7 +4,7 @@ A new pool needs an entry in `POOLS` and a name in `PoolName`.
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -123,6 +123,12 @@ class Resources:
                 state = f", which is {one.status}" if isinstance(one, Client) else ""
                 wanted = "a distributed.Client that is connected, without asynchronous=True"
                 raise SweepError(f"client = {shown(one)}{state}: must be {wanted}")
+
+    def open(self, reference: str, say: Callable[[str], None]) -> Any:
+        """Return the context manager of `Pool.open`, for an experiment with this reference."""
+        if (self.scheduler, self.cluster, self.client, self.dashboard) != (None, None, None, False):
+            return DASK.open(reference, self, say)
+        return POOLS[self.pool or DEFAULT_POOL].open(reference, self.workers or available_cores(), self.limits)
 
     @property
     def none_requested(self) -> bool:

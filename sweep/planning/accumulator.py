@@ -109,7 +109,7 @@ class Accumulator:
     def _only_block(self) -> Block | None:
         """Return the one block that every point consists of, None if points have several blocks or different ones."""
         study = self.plan.grid.study
-        is_varied = study.draws_together or study.sampling.precision is not None or study.counts
+        is_varied = study.draws_together or study.sampling.precision is not None or any(study.counts.values())
         alike = self.plan.costs_nothing_special and not is_varied
         blocks = self.plan.blocks(1.0) if alike and self._samples is None else ()
         return blocks[0] if len(blocks) == 1 else None
@@ -251,7 +251,7 @@ class Accumulator:
         """Return whether each work is all that its points need."""
         study = self.plan.grid.study
         whole = study.sampling.n_cat * study.sampling.n_sim
-        simple = study.sampling.precision is None and not study.counts and not self.reducer.samples_width
+        simple = study.sampling.precision is None and not any(study.counts.values()) and not self.reducer.samples_width
         return simple and all(work.block.realisations == whole for work in works)
 
     def add_whole(self, works: Sequence[Work], rows: Rows, seconds: Array) -> list[GridPoint]:

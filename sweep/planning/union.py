@@ -19,8 +19,9 @@ from linksweep.sweep.studies.points import MAX_VALUES, labels_of, require_distin
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
 from linksweep.sweep.tables.columns import sorted_json
 
-# A grid of more points than this becomes a table where fewer than one in so many of its points are there.
-SMALL, SPARSEST = 1000, 10
+# A grid of more points than this becomes a table where fewer than one in so many of its points are there, or where so
+# many are not: the study names each of these.
+SMALL, SPARSEST, MOST_LEFT_OUT = 1000, 10, 10_000
 
 UNITED = "united"
 """The key in the origin of a table of points that was made of several studies: others may add rows to it."""
@@ -32,13 +33,14 @@ Rows = dict[tuple[str, ...], list[Row]]
 """The values at each place along a dimension, by its axes."""
 
 
-def united(stored: Study, asked: Study, digests: Collection[bytes] | None = None) -> Study:
+def united(stored: Study, asked: Study, held: Collection[bytes] = (), *, is_whole: bool = True) -> Study:
     """Return the study of all points that a store holds and that are asked for; ``asked`` itself where it has them all.
 
     Axes get the values of both; a constant that is another one, or an axis, in the other study becomes an axis.  Where
-    that makes no grid, or a large one that is nearly empty, the points are a table.  ``stored`` is the study of the
-    store, and ``digests`` has the digests of the points in its ledger, None where these are all points of its study.
-    Raises SweepError for values that cannot be on one axis, and for one name of two different values.
+    that makes no grid, or a large one that is nearly empty, the points are a table; those of a grid that neither has
+    are left out.  ``stored`` is the study of the store, and ``held`` has the digests of the points in its ledger: some
+    of that study unless it ``is_whole``, and perhaps others.  Raises SweepError for values that cannot be on one axis,
+    and for one name of two different values.
     """
     theirs, mine = Grid(stored), Grid(asked)
     defaults = asked.experiment.defaults()
@@ -46,8 +48,8 @@ def united(stored: Study, asked: Study, digests: Collection[bytes] | None = None
     defined = {(one.name, named.name): named for one in asked.experiment.parameters for named in one.defined}
 
     places = theirs.indices()
-    if digests is not None:
-        places = places[np.array([digest in digests for digest in theirs.digests(places)], dtype=bool)]
+    if not is_whole:
+        places = places[np.array([digest in held for digest in theirs.digests(places)], dtype=bool)]
     if not len(places):
         return asked
     along = np.unravel_index(places, theirs.shape) if theirs.shape else ()
@@ -68,10 +70,11 @@ def united(stored: Study, asked: Study, digests: Collection[bytes] | None = None
     kept.pop(POINT, None)  # with rows that repeat others, and those that are not there yet
     rows = _crossed((theirs, was, kept), (mine, now, {}))
     rows |= {(name,): [(was[name],), (now[name],)] for name in changed}
-    most = min(MAX_POINTS, max(SMALL, SPARSEST * (len(places) + len(mine))))
+    n = len(places) + len(mine)
+    most = min(MAX_POINTS, max(SMALL, min(SPARSEST * n, n + MOST_LEFT_OUT)))
     are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
     if are_lost or not _is_crossed(theirs, mine) or math.prod(map(len, rows.values())) > most:
-        names = tuple(dict.fromkeys([*asked.axes, *stored.axes, *changed]))
+        names = tuple(dict.fromkeys([*stored.axes, *asked.axes, *changed]))
         old = [tuple({**was, **p.parameters}[name] for name in names) for p in theirs.points(theirs.repeated(places))]
         new = [tuple(p.parameters[name] for name in names) for p in mine.points(mine.repeated(mine.indices()))]
         rows, excluded, tables = {names: _joined(old, new)}, (), [PointTable(names)]
@@ -97,10 +100,11 @@ def united(stored: Study, asked: Study, digests: Collection[bytes] | None = None
         excluded=excluded,
         counts={},
     )
-    result = replace(result, counts=_counts(theirs, places, mine, result))
-    if result.digest() == asked.digest():
+    result = replace(result, counts=_counts(theirs, places, mine, result, held))
+    is_same = result.digest() == asked.digest()
+    if is_same and [*result.dimensions] == [*asked.dimensions]:
         return asked
-    overrides = asked.overrides if EARLIER in asked.overrides else (*asked.overrides, EARLIER)
+    overrides = asked.overrides if is_same or EARLIER in asked.overrides else (*asked.overrides, EARLIER)
     conclusion = asked.conclusion if values.keys() == asked.axes.keys() else None
     result = replace(result, overrides=overrides, conclusion=conclusion)
     return replace(result, document=_document(stored, asked, result))
@@ -159,7 +163,7 @@ def _crossed(*sides: tuple[Grid, Mapping[str, Value], Mapping[str, NDArray[np.in
     along its dimensions are kept, all if that does not say.
     """
     rows: Rows = {}
-    for names in (axes for grid, _, _ in reversed(sides) for axes in grid.dimensions.values()):
+    for names in (axes for grid, _, _ in sides for axes in grid.dimensions.values()):
         if any(names[0] in known for known in rows):
             continue
         both = list[list[Row]]()
@@ -214,15 +218,15 @@ def _sampling(stored: Study, asked: Study) -> Sampling:
     return old if same and (old.precision or 1.0) <= (new.precision or 0.0) else new
 
 
-def _counts(theirs: Grid, places: NDArray[np.intp], mine: Grid, whole: Study) -> dict[str, int]:
-    """Return the realisations of single points of two studies, the larger ones; where either was refined, points of
-    their union that neither has are left out.
+def _counts(
+    theirs: Grid, places: NDArray[np.intp], mine: Grid, whole: Study, held: Collection[bytes]
+) -> dict[str, int]:
+    """Return the realisations of single points of two studies, the larger ones; none of points of their union that
+    neither has.
     """
     both = [*theirs.study.counts.items(), *mine.study.counts.items()]
     counts = {name: n for name, n in sorted(both, key=lambda one: one[1]) if n}
-    if all(n for _, n in both):
-        return counts
-    return counts | all_but(whole, {*theirs.digests(places), *mine.digests(mine.indices())})
+    return counts | all_but(whole, {*theirs.digests(places), *mine.digests(mine.indices()), *held})
 
 
 def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:

@@ -29,11 +29,10 @@ from linksweep.sweep.planning.union import united
 from linksweep.sweep.running.code import records_of
 from linksweep.sweep.running.reproduce import study_of
 from linksweep.sweep.running.run import BLOCK, Writer, attributes_of, find_store, open_store, study_differences
-from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
-from linksweep.sweep.stores.ledger import Ledger, Record
+from linksweep.sweep.stores.ledger import Ledger, Record, references
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
-from linksweep.sweep.stores.store import CODE, OpenStore, Store, is_new
+from linksweep.sweep.stores.store import CODE, OpenStore, Store, create_store, is_new, store_at
 from linksweep.sweep.studies.record import RECORD, recorded_study
 from linksweep.sweep.studies.study import LOST, PART, Part, Study, in_ranges
 
@@ -83,15 +82,16 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     place, part = located(into), sources[0].study.part
     experiment = _experiment(sources)
     study = replace(sources[0].study, experiment=experiment, part=None)
+    held = {key[DIGEST] for source in sources for key in source.keys}.union(*(source.failed for source in sources))
     for source in sources[1:] if part is None else ():
-        study = united(source.study, study)
+        study = united(source.study, study, held)
     about = _about(sources)
     origin = {MERGED: json.dumps(about)}
     require_free(place, study, about)
     _require_same_bits(sources, experiment.reducer.dtype)
     plan = Plan(Grid(study))
     with locked(place):
-        existing = find_store(place, study) or stores.create_store(place, attributes_of(plan) | origin)
+        existing = find_store(place, study) or create_store(place, attributes_of(plan) | origin)
         store = open_store(existing, study)
         store.keep_copy()
         store.clear_failures([*store.failures])
@@ -125,7 +125,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
     sources: list[_Source] = []
     studies: dict[tuple[Any, ...], tuple[Study, Layout | None]] = {}
     for location in map(located, places):
-        opened = stores.find_store(location)
+        opened = store_at(location)
         if (runs := holder(location)) is not None:
             if opened is None or PART not in opened.attributes:
                 raise SweepError(f"is being written by {runs}; merge it when that has ended", str(location))
@@ -299,7 +299,7 @@ def _take(
             places = [rows[key] for key in part]
             samples = [ledger.samples(key) for key in part] if source.study.keeps_samples else []
             some = converted(values[places], dtype)
-            store.adopt(source.location, some)
+            store.adopt(source.location, references(some))
             store.append(part, some, samples, seconds[places])
     return refused
 

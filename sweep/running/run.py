@@ -30,10 +30,9 @@ from linksweep.sweep.planning.union import REFINED, UNITED, united
 from linksweep.sweep.running.code import check_code, record_code, records_of, rows_of_other_code
 from linksweep.sweep.running.progress import FailureCount, MaxFailures, Progress, Silent, Taken
 from linksweep.sweep.running.results import Labelled, assemble, assemble_samples, code_variable, covariances, masked
-from linksweep.sweep.stores import store as stores
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, locked, writing
-from linksweep.sweep.stores.store import BLOCKS, RESCUED, OpenStore, Store, create_store, free_beside, replace_store
+from linksweep.sweep.stores.store import BLOCKS, OpenStore, Store, create_store, replace_store, store_at
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import PART, Study
 from linksweep.sweep.tables.columns import content_digest, rows_where
@@ -66,7 +65,7 @@ def with_stored(store: Store, study: Study) -> tuple[Study, Set[bytes] | None]:
     The study itself, and None, where it has all of them.  Raises SweepError as `united`.
     """
     attributes, where = store.attributes, str(store.location)
-    if attributes.get("study_digest") == study.digest():
+    if attributes.get("study_digest") == study.digest() and json.loads(attributes["study_axes"]) == [*study.axes]:
         return study, None
     document = json.loads(attributes["study_document"])
     # The same files, as the caller has found; that which the store names may have moved.
@@ -79,7 +78,7 @@ def with_stored(store: Store, study: Study) -> tuple[Study, Set[bytes] | None]:
     digests = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
     is_whole = attributes.get("complete") and attributes.get(BLOCKS) == len(store.rows)
     try:
-        whole = united(stored, study, None if is_whole else digests)
+        whole = united(stored, study, digests, is_whole=bool(is_whole))
     except SweepError as error:
         raise SweepError(error.problems, where) from error
     if whole is study:
@@ -147,7 +146,7 @@ def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | No
     outputs = (output.name for output in (*study.experiment.outputs, *study.experiment.sample_outputs))
     if RESERVED in {*study.axes, *study.experiment.coordinates, *outputs}:
         raise SweepError(f"no axis or result can be named {RESERVED}: a store has a group of that name")
-    opened = stores.find_store(where)
+    opened = store_at(where)
     if opened is None:
         return None
     different = study_differences(opened.attributes, study, keep)
@@ -433,13 +432,9 @@ class Writer:
         if not (lost := self.store.lost()):
             return
         if self._rescued is None:
-            attributes = self._attributes() | {RESCUED: str(place)}
+            left = replace(assemble(self.plan, self.accumulator, place), attrs=self._attributes())
             with self._postponed(), self._lock:
-                beside = Store(stores.create_store(free_beside(place), attributes))
-                # Of arrays that were only in the lost files nothing is left.
-                left = assemble(self.plan, self.accumulator, place).drop_vars(self.plan.grid.study.experiment.large())
-                beside.write(replace(left, attrs=attributes))
-            self._rescued = str(beside.location)
+                self._rescued = str(self.store.rescue(left, lost))
         more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
         sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {self._rescued}"
         raise SweepError([*problems, sentence], str(place))
@@ -823,5 +818,5 @@ def run_study(
 def _left_alone(session: Session, progress: Progress) -> tuple[Labelled, dict[str, str]]:
     assert session.store is not None, "it has more points"
     where = session.store.location
-    progress.say(f"{where} holds more than this study asks for; it is left as it is, and these are its points")
+    progress.say(f"{where} has all that this study asks for; it is left as it is, and these are its points")
     return session.part()

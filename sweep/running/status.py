@@ -21,16 +21,15 @@ from linksweep.sweep.planning.grid import Grid, describe, failures_by_place
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.union import rounds_of
 from linksweep.sweep.running.progress import Reasons
-from linksweep.sweep.stores import integrity, ledger
-from linksweep.sweep.stores.integrity import MANIFEST, ROOT
-from linksweep.sweep.stores.ledger import Record
+from linksweep.sweep.stores.integrity import MANIFEST, ROOT, STORE, newest
+from linksweep.sweep.stores.ledger import Record, read_failures, read_keys
 from linksweep.sweep.stores.location import Location, Where, holder, located, reading
 from linksweep.sweep.stores.store import UNFINISHED, OpenStore, find_root, is_new, manifest_of
 from linksweep.sweep.studies.record import recorded_study
 from linksweep.sweep.studies.study import LOST, PART, Part, in_ranges
 
 # Attributes of a store without which its points are others.
-ASKED = (integrity.STORE, "study_document", "study_digest", PART)
+ASKED = (STORE, "study_document", "study_digest", PART)
 
 # Attributes of a store that its status shows. Not ``finished``, which is the time of the last writing.
 PROVENANCE = ("study_digest", "study_overrides", "seed", "started", "host", "git_commit")
@@ -147,6 +146,7 @@ def status_report(store: Where) -> dict[str, Any]:
     blocks = points.blocks(_numbers(ledger.rows.keys_of_rows()).reshape(-1, 4))
     status, realisations, _ = points.progress(opened, blocks, ledger.failures)
     complete = bool(np.isin(status, (DONE, EXCLUDED)).all())
+    state, why = _state_of(location, status)
     note = {"note": UNFINISHED} if is_new(opened.root) else {}
     if points.is_adaptive and not note and not complete:
         note = {"note": "as of the last writing: only the experiment can say how many realisations are needed"}
@@ -162,7 +162,9 @@ def status_report(store: Where) -> dict[str, Any]:
         "part": None if study.part is None else str(study.part),
         **note,
         "complete": complete,
-        "running": None if (runs := holder(location)) is None else str(runs),
+        "state": state,
+        "why": why,
+        "running": why if state == "running" else None,
         "last_written": attributes.get("finished"),
         "points": {code.word: n for code, n in count_status(status).items()},
         "blocks": len(ledger.rows),
@@ -174,6 +176,13 @@ def status_report(store: Where) -> dict[str, Any]:
         "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")}
         | {"versions": json.loads(attributes.get("versions", "{}"))},
     }
+
+
+def _state_of(store: Location, status: NDArray[np.int8]) -> tuple[str, str]:
+    """Return whether a store is "running", "finished" or "stopped" (nobody runs it), and why."""
+    if (runs := holder(store)) is not None:
+        return "running", str(runs)
+    return ("stopped", "nobody runs it") if (status == MISSING).any() else ("finished", "")
 
 
 def _parts_beside(store: Location) -> list[Part]:
@@ -210,8 +219,8 @@ class Tile(NamedTuple):
 class Watched:
     """A store that is watched, whether it is there or not.
 
-    ``state`` is "waiting" (for the store), "running", "finished", "stopped" (nobody runs it), "gone" or "unreadable",
-    and ``words`` say more; ``opened`` is the store as it was last read.  ``reasons`` say how many points failed for
+    ``state`` is "waiting" (for the store), "gone", "unreadable" or as `_state_of` says, and
+    ``words`` say more; ``opened`` is the store as it was last read.  ``reasons`` say how many points failed for
     each reason, the most frequent first, with the record of one of them.  ``status`` and ``share``, which of their
     realisations is done, are those of all points in C order.
     """
@@ -237,21 +246,18 @@ class Watched:
     @property
     def is_over(self) -> bool:
         """Whether nothing will change unless somebody begins another run."""
-        return self.state in ("finished", "stopped", "gone") or (self.state == "unreadable" and self.opened is None)
+        is_lost = self.state == "unreadable" and self.opened is None
+        return is_lost or self.state in ("finished", "stopped", "gone")
 
     def look(self) -> None:
         """Read what has changed."""
         try:
             with reading(self.location):
                 self._read()
-            if self._points is None:
-                self.state, self.words = ("waiting", "no store yet") if self.opened is None else ("gone", "removed")
-            elif (runs := holder(self.location)) is not None:
-                self.state, self.words = "running", str(runs)
-            elif (self.status == MISSING).any():
-                self.state, self.words = "stopped", "nobody runs it"
+            if self.opened is not None and self._points is not None:
+                self.state, self.words = _state_of(self.location, self.status)
             else:
-                self.state, self.words = "finished", ""
+                self.state, self.words = ("waiting", "no store yet") if self.opened is None else ("gone", "removed")
         except SweepError as error:
             self.state, self.words = "unreadable", "; ".join(error.problems)
 
@@ -285,12 +291,12 @@ class Watched:
         return self.opened, self._points
 
     def _take(self, opened: OpenStore, points: _Points, content: bytes | None) -> None:
-        manifest = integrity.newest(content, manifest_of(opened.root))
-        failed = ledger.read_failures(self.location, manifest)
+        manifest = newest(content, manifest_of(opened.root))
+        failed = read_failures(self.location, manifest)
         is_shown = points.find(_numbers(failed)[:, 0]) >= 0  # others have left the dataset
         self._keep({digest: failed[digest] for digest, shown in zip(failed, is_shown, strict=True) if shown})
         new = [part for part in manifest.parts if part.rows.name not in self._parts]
-        keys = zip(new, ledger.read_keys(self.location, new), strict=True)
+        keys = zip(new, read_keys(self.location, new), strict=True)
         known = self._parts | {part.rows.name: points.blocks(one) for part, one in keys}
         self._parts = {part.rows.name: known[part.rows.name] for part in manifest.parts}
         blocks = np.hstack([np.zeros((2, 0), dtype=np.int64), *self._parts.values()])

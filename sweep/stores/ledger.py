@@ -27,15 +27,7 @@ from numcodecs import zstd
 from numpy.typing import ArrayLike, NDArray
 
 from linksweep.sweep.contract import Array, Outcome, Rows, SweepError
-from linksweep.sweep.contract.rows import (
-    KEY_BYTES,
-    MISSING_INT,
-    REFERENCE,
-    BlockRows,
-    chunk_grid,
-    chunk_shape,
-    converted,
-)
+from linksweep.sweep.contract.rows import KEY_BYTES, REFERENCE, BlockRows, absent, chunk_grid, chunk_shape, converted
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT, STORE, File, LedgerPart, Manifest, noting
 from linksweep.sweep.stores.location import Location, located, reading, writing
@@ -99,18 +91,13 @@ def _put(array: NDArray[Any], location: Location) -> NDArray[np.void]:
     if array.dtype == REFERENCE:
         return array
     files: dict[str, Any] = {}
-    new_array(files, ARRAY, array.shape, dtype=array.dtype, fill_value=missing_value(array.dtype))[...] = array
+    new_array(files, ARRAY, array.shape, dtype=array.dtype, fill_value=absent(array.dtype))[...] = array
     chunks: list[bytes] = []
     for place in np.ndindex(chunk_grid(array.shape)):
         content = files.pop(chunk_name(ARRAY, CHUNK_NAMES[0], place)).to_bytes()
         chunks.append(bytes.fromhex(integrity.checksum(content)))
         location.put(file_of(chunks[-1]), content)
     return np.array(chunks, dtype=REFERENCE)
-
-
-def missing_value(dtype: np.dtype[Any]) -> float:
-    """Return what a large array of numbers has where they are missing."""
-    return np.nan if dtype.kind == "f" else MISSING_INT
 
 
 @dataclass(frozen=True)
@@ -152,6 +139,10 @@ class Stored:
         """The bytes of references, which are all that is in memory."""
         return self.chunks.nbytes
 
+    def used(self) -> set[bytes]:
+        """Return the references to its chunks."""
+        return {bytes(chunk) for chunk in self.chunks.reshape(-1).tolist()} - {bytes(REFERENCE.itemsize)}
+
     def files(self, array: str, names: Mapping[str, str]) -> Iterator[tuple[str, str, bytes]]:
         """Yield the name of each chunk, that of the same chunk of the first point, and its reference."""
         axes = self.chunks.ndim - 1
@@ -166,7 +157,7 @@ class Stored:
         """The array of Zarr, whose chunks are read from the store."""
         chunks = {file: chunk for file, _, chunk in self.files(ARRAY, CHUNK_NAMES[0]) if any(chunk)}
         dims = [f"dim_{k}" for k in range(len(self.shape))]
-        how = {"dtype": self.dtype, "fill_value": missing_value(self.dtype), "dimension_names": dims}
+        how = {"dtype": self.dtype, "fill_value": absent(self.dtype), "dimension_names": dims}
         return new_array(Files(lambda key: read_chunk(self.location, chunks[key])), ARRAY, self.shape, **how)
 
     def __getitem__(self, index: Any) -> Any:

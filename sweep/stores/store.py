@@ -18,17 +18,17 @@ import platform
 import re
 import sys
 import warnings
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Set
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Outcome, Rows, SweepError, suggest
-from linksweep.sweep.contract.rows import DIGEST_BYTES, EXACT_INT, LENGTH, MISSING_INT, is_large, lost_integers
+from linksweep.sweep.contract import Outcome, SweepError, suggest
+from linksweep.sweep.contract.rows import DIGEST_BYTES, EXACT_INT, LENGTH, MISSING_INT, absent, is_large, lost_integers
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores import ledger as ledgers
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
@@ -187,9 +187,9 @@ class Store(OpenStore):
         with writing(self.location):
             return ledgers.written(outcomes, self.location)
 
-    def adopt(self, source: Location, rows: Rows) -> None:
-        """Copy the chunks of rows of another store; raises SweepError as `read_chunk`."""
-        for chunk in ledgers.references(rows) - self._ledger.chunks:
+    def adopt(self, source: Location, chunks: Set[bytes]) -> None:
+        """Copy chunks of another store, by their references; raises SweepError as `read_chunk`."""
+        for chunk in chunks - self._ledger.chunks:
             with writing(self.location):
                 self.location.put(ledgers.file_of(chunk), ledgers.read_chunk(source, chunk))
 
@@ -268,6 +268,19 @@ class Store(OpenStore):
             gone |= set() if self._ledger.is_unchanged() else {MANIFEST}
         return sorted(gone if content == integrity.sealed(self.root, ROOT) else gone | {ROOT})
 
+    def rescue(self, dataset: Any, lost: Collection[str]) -> Location:
+        """Write a labelled dataset beside this store, of which files are ``lost``, and return where; large arrays that
+        have a chunk among these are left out.
+        """
+        names = (f"{self.location}.rescued{number if number > 1 else ''}" for number in itertools.count(1))
+        place = next(place for place in map(located, names) if place.is_free())
+        beside = Store(create_store(place, {**dataset.attrs, RESCUED: str(self.location)}))
+        chunks = {n: one.data.used() for n, one in dataset.variables.items() if isinstance(one.data, ledgers.Stored)}
+        gone = [name for name, some in chunks.items() if not {*map(ledgers.file_of, some)}.isdisjoint(lost)]
+        beside.adopt(self.location, {chunk for name, some in chunks.items() if name not in gone for chunk in some})
+        beside.write(replace(dataset.drop_vars(gone), attrs={**dataset.attrs, RESCUED: str(self.location)}))
+        return place
+
     def _delete(self, keys: Iterable[str]) -> None:
         for key in keys:
             self.location.delete(key)
@@ -311,7 +324,7 @@ def _fits(before: np.dtype[np.void], dtype: np.dtype[np.void]) -> bool:
     )
 
 
-def find_store(where: Where) -> OpenStore | None:
+def store_at(where: Where) -> OpenStore | None:
     """Return the store at a place, None where the place is free; raises SweepError where something else is there."""
     location = located(where)
     root = find_root(location)
@@ -360,12 +373,6 @@ def put_root(location: Location, attributes: Mapping[str, Any]) -> dict[str, Any
     root = integrity.group_document({**attributes, FORMAT_OF: FORMAT, "complete": 0, "generation": 0}, {})
     location.put(ROOT, integrity.sealed(root, ROOT))
     return root
-
-
-def free_beside(location: Location) -> Location:
-    """Return a free place beside a store, for what was computed for it."""
-    names = (f"{location}.rescued{number if number > 1 else ''}" for number in itertools.count(1))
-    return next(place for place in map(located, names) if place.is_free())
 
 
 def open_dataset(where: Where, running: bool = False) -> "xr.Dataset":
@@ -552,7 +559,7 @@ def encode(
             array[...] = values
             continue
         # The first point is written as a missing one: all others that are missing have the same chunks.
-        array[(0,) * (values.chunks.ndim - 1)] = ledgers.missing_value(values.dtype)
+        array[(0,) * (values.chunks.ndim - 1)] = absent(values.dtype)
         empty = dict(files)
         for file, first, chunk in values.files(name, chunk_names):
             files[file] = empty[first]

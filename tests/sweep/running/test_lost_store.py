@@ -16,10 +16,11 @@ from tests.tiers import PATIENCE_S, slow
 MODEL = """
 import time
 from pathlib import Path
+import numpy as np
 def model(x: float = 1.0):
     while x == {last} and not Path({go!r}).exists():
         time.sleep(0.02)
-    return {{"y": x * x, "name": f"{{x:g}}"}}
+    return {{"y": x * x, "name": f"{{x:g}}", "large": np.full(600_000, x)}}
 """
 LAST = 9
 
@@ -78,6 +79,8 @@ def test_it_is_said_and_what_was_computed_is_kept(started, tmp_path, sweep, chan
     kept = linksweep.open(tmp_path / "s.zarr.rescued")
     done = kept.isel(x=kept.status.values == 1)
     assert done.sizes["x"] > 0
+    assert ("large" in kept) == (lost in ("", MANIFEST))  # its files are there
+    assert "large" not in kept or (done.large.values == done.x.values[:, None]).all()
     assert np.array_equal(done.y.values, done.x.values**2)
     assert done.name.values.tolist() == [f"{x:g}" for x in done.x.values]
     assert holder(tmp_path / "s.zarr") is None

@@ -28,8 +28,8 @@ def test_points_that_nobody_asked_for_and_failures_that_left_a_store_are_told(sw
         sweep("run", "f.py:f", *options, "-o", "s.zarr", "-q", "--pool", "serial", cwd=tmp_path)
         said.append([" ".join(sweep(look, "s.zarr", cwd=tmp_path)[1].split()) for look in ("status", "watch")])
     assert "finished: 4 of 5 points done, 1 failed" in said[0][0]
-    assert "incomplete: 5 of 12 points done, 1 failed" in said[1][0]
-    assert "the same command goes on" not in said[1][0]
+    assert "finished: 5 of 6 points done, 1 failed" in said[1][0]
+    assert "(s.zarr): finished" in said[1][1]
     assert ["ZeroDivisionError" in watched for _, watched in said] == [True, True, False]
 
 

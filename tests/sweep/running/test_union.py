@@ -5,6 +5,7 @@ of code against a dictionary.
 import itertools
 import math
 import shutil
+from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -152,8 +153,9 @@ class Sweeps:
         return {point: self.result(point, self.ledger[point]) for point in self.shown}
 
     def now(self):
-        is_there = (self.store / "status").exists() and (self.store / "zarr.json").exists()
-        return found_in(linksweep.open(self.store), self.fixed) if is_there else {}
+        with suppress(SweepError):  # there are no results yet
+            return found_in(linksweep.open(self.store), self.fixed)
+        return {}
 
 
 def in_grid_of(points, some):
@@ -222,7 +224,7 @@ COMMANDS = st.fixed_dictionaries(
 )
 def test_a_store_shows_every_point_that_it_holds(tmp_path_factory, kind, commands):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("linksweep.sweep.contract.large.MOST_VALUES", 64)
+        patch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 64)
         sweeps = Sweeps(tmp_path_factory.mktemp("union"), patch, kind)
         for command in commands:
             sides = {name: command[name] for name in ("x", "y", "name")}

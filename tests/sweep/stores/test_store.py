@@ -100,7 +100,7 @@ def test_a_study_that_grows_and_shrinks_keeps_all_blocks(path, coins):
     assert part["share"].shape == (1, 2)
     whole = xr.open_zarr(path).load()
     assert whole["share"].shape == (2, 4, 2)
-    assert (int((whole["status"] == 1).sum()), int((whole["status"] == 0).sum())) == (13, 3)
+    assert (int((whole["status"] == 1).sum()), int((whole["status"] == 3).sum())) == (13, 3)
     xr.testing.assert_equal(whole["share"].sel(coins=[1, 5, 20]), wider["share"])
     assert len(existing_store(path, coins).rows) == (12 + 1) * 4
 
