@@ -8,7 +8,7 @@ import xarray as xr
 from astropy.table import Table
 
 import linksweep
-from tests.sweep.analysis.made import shown, text_of
+from tests.sweep.analysis.made import grid, shown, text_of
 
 LARGE = 2**60
 
@@ -54,6 +54,15 @@ def test_the_dataset_has_exact_integers_beside_gaps(store, sweep):
     for command in ("plot", "fit"):
         code, _, err = sweep(command, store, "--over", "a", "--variable", "k")
         assert (code, "no numbers to draw or to fit" in err) == (2, True)
+
+
+def test_a_prediction_is_shown_with_its_parts_and_a_published_number_with_the_difference():
+    dataset = grid(0.6, 0.003, published={(0, 0): "0.5"})
+    axes = dataset["width"].dims
+    parts = {"width_rms_predicted": 0.5, "width_predicted": 0.4}  # 0.5² = 0.4² + 0.3²
+    dataset = dataset.assign({name: (axes, np.full((2, 5), x), {"units": "mas"}) for name, x in parts.items()})
+    first = next(line for line in text_of(dataset).splitlines() if line.split()[:1] == ["old"])
+    assert first.split()[2:] == ["0.6000", "±", "0.0030", "0.5000", "0.4000", "0.3000", "0.5", "+20.0", "%"]
 
 
 def test_an_integer_beyond_those_of_floats_chooses_its_own_point(tmp_path):
