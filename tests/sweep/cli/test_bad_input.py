@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -38,6 +37,12 @@ def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "study.toml").write_text(GOOD)
     return tmp_path
+
+
+def write(folder, files):
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
 
 
 def check_refused(here, arguments, *phrases):
@@ -158,11 +163,9 @@ def test_bad_experiment_file(here, monkeypatch, statement, phrase):
 
 
 def test_a_package_that_is_not_installed(here):
-    (here / "own" / "inner").mkdir(parents=True)
-    (here / "own" / "__init__.py").touch()
-    (here / "own" / "inner" / "__init__.py").touch()
-    (here / "own" / "inner" / "part.py").write_text("from ..other import unit\ndef f(x: float): return x\n")
-    (here / "own" / "other.py").write_text("unit = 1.0\n")
+    part = b"from ..other import unit\ndef f(x: float): return x\n"
+    files = {"__init__.py": b"", "inner/__init__.py": b"", "inner/part.py": part, "other.py": b"unit = 1.0\n"}
+    write(here / "own", files)
     command = [sys.executable, "-P", "-m", "linksweep", "run", "own/inner/part.py:f", "--axis", "x=1"]  # as the command
     done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
@@ -184,10 +187,24 @@ def test_byte_order_mark_and_crlf_are_read(here):
     assert run_sweep("plan", "study.toml")[0] == 0
 
 
+DECAY = b"def decay(years: float, half_life: float, rng):\n    return {'left': rng.random() ** years, 'lost': years}\n"
+
+
+@pytest.fixture(scope="module")
+def decayed(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("decay")
+    (folder / "decay.py").write_bytes(DECAY)
+    axes = ("--axis", "years=1,2", "--axis", "half_life=3,4", "--set", "n_sim=5")
+    assert run_sweep("run", "decay.py:decay", *axes, "-o", folder / "s.zarr", "--pool", "serial", cwd=folder)[0] == 0
+    return folder / "s.zarr"
+
+
 FILES = {
     "french.toml": edited("A good study", "Etude").encode().replace(b"Etude", b"\xc9tude"),
     "large.toml": GOOD.encode() + b"#" * 1_000_000,
     "mine.py": b"def f(x: float):\n    return x\n",
+    "decay.py": DECAY,
+    "decay.zarr/zarr.json": b"{}",
 }
 COMMANDS = [
     ("run french.toml", "french.toml: not UTF-8 text: byte 0xc9 in line 1"),
@@ -234,14 +251,33 @@ COMMANDS = [
     ("tie psrpi psrpi --mission a=psrpi --mission a=psrpi", "named twice"),
     ("tie psrpi psrpi --mission a=psrpi --mission-epoch b=1991.25", "no table 'b'"),
     ("tie psrpi psrpi --mission a=psrpi --jitter b:position=1", "no table 'b'"),
+    # typical mistakes, with what solves them
+    ("run quasars --set n_sims=4", "'n_sim'"),
+    ("run quasars --axis n_sim=4,5", "--set n_sim="),
+    ("run quasars.toml", "'quasars'"),
+    ("run decay", "'decay.py'"),
+    ("show decay", "'decay.zarr'"),
+    ("run decay.zarr", "sweep run --retry"),
+    ("plot decay.zarr --kind heatmap", "'map'"),
+    ("run decay.py:decay --axis years 1,2", "--axis NAME=1,2,3"),
+    ("run decay.py:decay years=1,2", "--axis NAME=1,2,3"),
+    ("run decay.py:decay --axis years=1,2 --set half_life=2 --seed 4", "--set NAME=VALUE"),
+    ("run decay.py:decay --axis years=1,2", "--set half_life=VALUE"),
+    ("run decay.py:decay --axis years=1-2 --set half_life=2", "1:2:0.5"),
+    ("run decay.py:decay --axis years=1,2 --axis years=3 --set half_life=2", "leave out one"),
+    ("show DECAYED --at year=1", "'years'"),
+    ("fit DECAYED", "--over"),
+    ("plot DECAYED --at years=3", "1.0, 2.0"),
+    ("find DECAYED", "--where"),
+    ("plot DECAYED --logy", "'--log'"),
 ]
 
 
 @pytest.mark.parametrize(("command", "phrase"), COMMANDS, ids=lambda value: value[:60])
-def test_a_command_that_cannot_be_run_says_why(here, coin_store, command, phrase):
-    for name, content in FILES.items():
-        (here / name).write_bytes(content)
-    words = [coin_store if word == "STORE" else word.replace("1_mas", "1 mas") for word in command.split()]
+def test_a_command_that_cannot_be_run_says_why(here, coin_store, decayed, command, phrase):
+    write(here, FILES)
+    stores = {"STORE": coin_store, "DECAYED": decayed}
+    words = [stores.get(word, word.replace("1_mas", "1 mas")) for word in command.split()]
     check_refused(here, words, *phrase.split(", name it "))
 
 
@@ -275,9 +311,7 @@ FOREIGN = {  # by what stands there: its files, and what is said
 @pytest.mark.parametrize("case", FOREIGN)
 def test_something_else_where_the_store_should_be(here, case):
     files, phrase = FOREIGN[case]
-    for name, content in files.items():
-        (here / "s.zarr" / name).parent.mkdir(parents=True, exist_ok=True)
-        (here / "s.zarr" / name).write_text(content)
+    write(here, {f"s.zarr/{name}".rstrip("/"): content.encode() for name, content in files.items()})
     for command in (("run", "study.toml", "-o"), ("plan", "study.toml", "-o"), ("show",), ("status",)):
         check_refused(here, (*command, "s.zarr"), "s.zarr: ", phrase)
 
@@ -304,53 +338,3 @@ def test_store_of_another_study(here):
     for command in ("run", "plan"):
         options = ("--set", "seed=8", "--set", "catalogue=synthetic")
         check_refused(here, (command, "study.toml", "-o", "s.zarr", *options), *expected, *changed)
-
-
-DECAY = "def decay(years: float, half_life: float, rng):\n    return {'left': rng.random() ** years, 'lost': years}\n"
-
-
-@pytest.fixture(scope="module")
-def decayed(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("decay")
-    (folder / "decay.py").write_text(DECAY)
-    axes = ("--axis", "years=1,2", "--axis", "half_life=3,4", "--set", "n_sim=5")
-    assert run_sweep("run", "decay.py:decay", *axes, "-o", folder / "s.zarr", "--pool", "serial", cwd=folder)[0] == 0
-    return folder / "s.zarr"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "hint"),
-    [
-        (("run", "quasars", "--set", "n_sims=4"), "'n_sim'"),
-        (("run", "quasars", "--axis", "n_sim=4,5"), "--set n_sim="),
-        (("run", "quasars.toml"), "'quasars'"),
-        (("run", "decay"), "'decay.py'"),
-        (("show", "decay"), "'decay.zarr'"),
-        (("plot", "decay.zarr", "--kind", "heatmap"), "'map'"),
-        (("run", "decay.py:decay", "--axis", "years", "1,2"), "--axis NAME=1,2,3"),
-        (("run", "decay.py:decay", "years=1,2"), "--axis NAME=1,2,3"),
-        (("run", "decay.py:decay", "--axis", "years=1,2", "--set", "half_life=2", "--seed", "4"), "--set NAME=VALUE"),
-        (("run", "decay.py:decay", "--axis", "years=1,2"), "--set half_life=VALUE"),
-        (("run", "decay.py:decay", "--axis", "years=1-2", "--set", "half_life=2"), "1:2:0.5"),
-        (("run", "decay.zarr"), "sweep run --retry"),
-        (("show", "done.zarr", "--at", "year=1"), "'years'"),
-        (("fit", "done.zarr"), "--over"),
-        (("plot", "done.zarr", "--at", "years=3"), "1.0, 2.0"),
-        (("find", "done.zarr"), "--where"),
-        (("plot", "done.zarr", "--logy"), "'--log'"),
-        (
-            ("run", "decay.py:decay", "--axis", "years=1,2", "--axis", "years=3", "--set", "half_life=2"),
-            "leave out one",
-        ),
-    ],
-)
-def test_a_typical_mistake_gets_a_hint_that_solves_it(sweep_here, tmp_path, monkeypatch, decayed, arguments, hint):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "decay.py").write_text(DECAY)
-    (tmp_path / "decay.zarr").mkdir()
-    if "done.zarr" in arguments:
-        shutil.copytree(decayed, tmp_path / "done.zarr")
-    code, out, err = sweep_here(*arguments)
-    assert (code, out) == (2, "")
-    assert err.startswith("error: ")
-    assert hint in err
