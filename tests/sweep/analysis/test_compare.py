@@ -102,11 +102,10 @@ def test_a_claim_of_a_law_for_each_model():
     assert found[0].allowance == 3 * found[0].mc_error
     assert (found[0].quantity, found[0].unit) == ("slope of width over n", "")
     of_one = grid(value, 0.01 * value, claims=[claim(published="-0.5", slope=LAW, where={"model": "old"})])
-    fit = linksweep.fit_power_law(of_one, "width", "n")  # which expects it of that model alone
-    assert (fit["expected"].values.tolist(), fit["conclusion"].values.tolist()) == (
-        [-0.5, pytest.approx(np.nan, nan_ok=True)],
-        ["as expected", ""],
-    )
+    laws = [linksweep.fit_power_law(of_one, "width", "n", expected) for expected in (None, -0.5, -0.7)]
+    assert np.isfinite(laws[0]["expected"]).values.tolist() == [True, False]  # the claim is about one model
+    words = [law["conclusion"].values.tolist() for law in laws]
+    assert words == [["as expected", ""], ["as expected", "NOT as expected"], ["NOT as expected", "as expected"]]
 
 
 def test_a_ratio_of_points_that_are_not_done_or_not_finite():
@@ -158,11 +157,15 @@ def test_a_tolerance_that_a_wrong_program_passes_gives_no_verdict():
 
 
 def test_an_effect_must_be_told_from_none():
-    assert about("1.1", 1.018, 0.011).verdict == "reproduced"  # what is claimed is the tenth, not the one
-    assert about("1.1", 1.018, 0.011, null=1.0).verdict == "incomplete"
-    assert about("1.1", 1.018, 0.005, null=1.0).verdict == "NOT reproduced"
-    assert about("1.1", 1.09, 0.005, null=1.0).verdict == "reproduced"
-    assert about("1.1", 1.09, 0.005, null=1.06).verdict == "not comparable"
+    for value, error, null, verdict in (
+        *((1.018, 0.011, None, "reproduced"), (1.018, 0.011, 1.0, "incomplete")),  # the tenth is claimed, not the one
+        *(
+            (1.018, 0.005, 1.0, "NOT reproduced"),
+            (1.09, 0.005, 1.0, "reproduced"),
+            (1.09, 0.005, 1.06, "not comparable"),
+        ),
+    ):
+        assert about("1.1", value, error, null=null).verdict == verdict
 
 
 def test_a_claim_may_say_why_it_is_not_comparable():

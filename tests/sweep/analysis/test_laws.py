@@ -88,6 +88,8 @@ def test_truth_values_and_integers_have_crossings_and_values_between():
         (N**-0.5, "width > 0.5", "never", 10.0**-0.5),
         (N**-0.5, "width >= 0.05", "always", 300.0**-0.5),
         (N**-0.5, "width < -1", "never", 300.0**-0.5),
+        *((2.0 + 0 * N, f"width {sign} 2", where, 2.0) for sign, where in (("<", "never"), ("<=", "always"))),
+        *((2.0 + 0 * N, f"width {sign} 2", where, 2.0) for sign, where in ((">", "never"), (">=", "always"))),
         (N**-0.5, "width > 0.1", "up to", None),
         (N**-0.5, "width < 0.1", "from", None),
         ([1.0, 3.0, 1.0, 3.0, 1.0], "width < 2", "several times", None),
