@@ -52,8 +52,10 @@ PAGES = {
 @pytest.mark.parametrize("document", [page if page in QUICK else slow(page) for page in PAGES])
 def test_the_commands_of_a_page_run_and_write_what_it_shows(document, tmp_path, sweep):
     save_files(document, tmp_path)
-    if document == "missions.md":  # which shows the study without a command
-        status, _, err = sweep("run", "missions.toml", cwd=tmp_path)
+    if document in ("missions.md", "studies.md"):  # which show a study without a command
+        study = tmp_path / document.replace(".md", ".toml")
+        study.write_text(code(document, "toml")[0])
+        status, _, err = sweep("run", study.name, "--set", "n_sim=10", cwd=tmp_path)
         assert status == 0, err
     run_commands(document, sweep, tmp_path)
     for name in PAGES[document]:
@@ -134,13 +136,11 @@ def test_the_same_sweep_with_each_tool_gives_the_same_numbers(tool, tmp_path):
     pytest.importorskip(tool)
     text = save_files("coming-from.md", tmp_path)
     (words,) = re.findall(r"`python (lost_hydra.py .*?)`", text) if tool == "hydra" else [""]
-    script = next(
-        (one for one in code("coming-from.md", "python") if f"import {tool}" in one or f"from {tool}" in one), ""
-    )
+    scripts = code("coming-from.md", "python")
+    script = next((one for one in scripts if f"import {tool}" in one or f"from {tool}" in one), "")
     script += 'print({"half_life": ds.half_life.values.tolist(), "lost": ds.lost.values.astype(float).tolist()})'
-    arguments = {"hydra": shlex.split(words), "snakemake": ["-m", "snakemake", "--cores", "1"]}.get(
-        tool, ["-c", script]
-    )
+    commands_of = {"hydra": shlex.split(words), "snakemake": ["-m", "snakemake", "--cores", "1"]}
+    arguments = commands_of.get(tool, ["-c", script])
     said = python(tmp_path, *arguments)
     if tool in ("hydra", "snakemake"):
         results = [json.loads(file.read_text()) for file in tmp_path.rglob("*.json") if "lost" in file.read_text()]
@@ -150,12 +150,6 @@ def test_the_same_sweep_with_each_tool_gives_the_same_numbers(tool, tmp_path):
         pairs = zip(printed["half_life"], printed["lost"], strict=True)
         got = {(h, years): value for h, row in pairs for years, value in zip((5, 10), row, strict=True)}
     assert got == {(h, y): 1.0 - 0.5 ** (y / h) for h in (1.0, 2.0, 5.0, 10.0) for y in (5, 10)}
-
-
-def test_the_study_of_the_document_can_be_run(tmp_path, sweep):
-    (tmp_path / "study.toml").write_text(code("studies.md", "toml")[0])
-    status, _, err = sweep("plan", "study.toml", cwd=tmp_path)
-    assert status == 0, err
 
 
 @pytest.mark.parametrize(
@@ -171,12 +165,6 @@ def test_the_numbers_of_real_tables_are_those_that_are_printed(document, command
     shown = [line for line in code(document, "text")[text].splitlines() if re.search(r"\d\.\d{5}", line)]
     assert len(shown) >= 3
     assert set(shown) <= set(out.splitlines())
-
-
-def test_links_between_documents_lead_somewhere():
-    for document in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
-        for target in re.findall(r"\]\(([^)#]+)\)", document.read_text()):
-            assert target.startswith("https://") or (document.parent / target).exists(), f"{document.name}: {target}"
 
 
 def test_the_readme_shows_the_table_that_the_study_prints(tmp_path, sweep):
@@ -243,22 +231,18 @@ def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
     assert "--nworkers 8" in scripts["pbs.yaml"]
 
 
-def test_every_page_is_in_the_navigation():
-    """Once, in a list of docs/index.md, of which docs/conf.py makes the sidebar."""
-    _, *groups = re.split(r"^## ", (ROOT / "docs" / "index.md").read_text(), flags=re.MULTILINE)
+def test_pages_link_to_what_is_there_and_list_every_page_name_and_extra():
+    pages = {path.name: path.read_text() for path in (ROOT / "docs").glob("*.md")}
+    for name, text in {"../README.md": (ROOT / "README.md").read_text(), **pages}.items():
+        for target in re.findall(r"\]\(([^)#]+)\)", text):
+            assert target.startswith("https://") or ((ROOT / "docs" / name).parent / target).exists(), (name, target)
+    _, *groups = re.split(r"^## ", pages["index.md"], flags=re.MULTILINE)  # of which docs/conf.py makes the sidebar
     assert [group.splitlines()[0] for group in groups] == ["Tutorials", "How-to guides", "Reference", "Explanation"]
-    listed = re.findall(r"\]\(([\w-]+\.md)\)", "".join(groups))
-    assert sorted(listed) == sorted(path.name for path in (ROOT / "docs").glob("*.md") if path.name != "index.md")
-
-
-def test_the_api_page_has_every_public_name():
-    listed = re.findall(r"^\.\. auto\w+:: (\w+)", (ROOT / "docs" / "api.md").read_text(), flags=re.MULTILINE)
+    assert sorted(re.findall(r"\]\(([\w-]+\.md)\)", "".join(groups))) == sorted(pages.keys() - {"index.md"})
+    listed = re.findall(r"^\.\. auto\w+:: (\w+)", pages["api.md"], flags=re.MULTILINE)
     assert sorted(set(listed) - {"linksweep"}) == sorted(linksweep.__all__)
-
-
-def test_every_extra_is_named_where_one_installs():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    table = re.findall(r"^\| (`.*?) \|", (ROOT / "docs" / "install.md").read_text(), flags=re.MULTILINE)
+    table = re.findall(r"^\| (`.*?) \|", pages["install.md"], flags=re.MULTILINE)
     assert sorted(re.findall(r"`([\w-]+)`", " ".join(table))) == sorted(project["optional-dependencies"])
 
 
