@@ -39,6 +39,22 @@ def test_equal_errors_on_an_isotropic_sky_give_the_textbook_value(weighting):
     assert sigma == pytest.approx(0.3 * np.sqrt(1.5 / 116), rel=0.012)
 
 
+@pytest.mark.parametrize("model", CALIBRATED)
+def test_the_error_of_a_curve_is_that_of_its_constants(model):
+    """By differences of ln sigma by the logarithms of amplitudes and slopes."""
+    calibrated, v_mag, step = CALIBRATED[model], np.linspace(5.0, 20.0, 7), 1e-6
+    constants = np.log([one for a, slope, _ in calibrated.curve.terms for one in (a, slope)])
+
+    def log_sigma(at):
+        terms = zip(*np.exp(at).reshape(-1, 2).T, calibrated.curve.terms, strict=True)
+        return np.log(sum(a * np.exp(slope * (v_mag - pivot)) for a, slope, (_, _, pivot) in terms))
+
+    shifts = step * np.eye(len(constants))
+    gradient = np.array([(log_sigma(constants + d) - log_sigma(constants - d)) / (2.0 * step) for d in shifts])
+    expected = np.sqrt(np.einsum("iv,ij,jv->v", gradient, np.array(calibrated.log_covariance), gradient))
+    np.testing.assert_allclose(calibrated.relative_error(v_mag), expected, rtol=1e-6)
+
+
 def test_a_fit_finds_the_constants_that_made_the_numbers():
     truth = np.array([0.02, 0.5])
     skies = {"quasars": draw_skies("quasars", 5, seed=7, faintest=16.0)}

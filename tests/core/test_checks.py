@@ -238,6 +238,8 @@ def test_an_object_with_most_of_the_weight_is_named_with_its_share(tmp_path):
     weight = MISSIONS["amex"].sigma_pm_mas_yr(v_mag) ** -2.0
     assert f"row 1 (Mrk 421, V = 9.37) holds {100 * weight[0] / weight.sum():.0f} % of the weight" in found
     assert link.warn(one | {"v_min": 10.0}) == []
+    alike = {"reference_errors": "normal", "reference_sigma_pos": 1e3, "reference_sigma_pm": 1e3}
+    assert link.warn(one | alike) == []
     assert link.warn(one | {"weighting": "equal"}) == []
 
 

@@ -127,12 +127,14 @@ def test_columns_keep_their_units_and_names(tmp_path):
     ):
         table[name] = table[name] * factor
         table[name].unit = unit
+    table["ra"] = (table["ra"] + 180.0) % 360.0 - 180.0  # which the result keeps to
     table.rename_column("pmdec", "pm_dec")
     table.write(tmp_path / "units.ecsv")
     moved, expected = (linksweep.apply(link, tmp_path / name) for name in ("units.ecsv", "plain.ecsv"))
     assert str(moved["pmra"].unit) == "arcsec / yr"
-    for name, factor in (("pmra", 1e-3), ("ra_error", 1e3), ("dec", DEGREE), ("ra", 1.0)):
+    for name, factor in (("pmra", 1e-3), ("ra_error", 1e3), ("dec", DEGREE)):
         np.testing.assert_allclose(moved[name], expected[name] * factor, rtol=1e-12)
+    np.testing.assert_allclose(moved["ra"], (expected["ra"] + 180.0) % 360.0 - 180.0, atol=1e-12)
     np.testing.assert_allclose(moved["pm_dec"], expected["pmdec"], rtol=1e-12)
     with pytest.raises(SweepError, match="CSV cannot say"):
         linksweep.apply(link, tmp_path / "units.ecsv", tmp_path / "units.csv")

@@ -286,6 +286,10 @@ def test_a_link_is_that_of_all_observations_with_every_parameter(tmp_path_factor
     np.testing.assert_allclose(link.estimate / error, estimate / error, atol=1e-3)
     np.testing.assert_allclose(link.covariance / np.outer(error, error), covariance / np.outer(error, error), atol=1e-3)
     assert float(link.chi2) + float(link.path_chi2.sum()) == pytest.approx(squares, rel=1e-4)
+    # the colour is an unknown and has an expectation
+    assert link.path_dof.values.tolist() == [
+        len(y) - PARAMETERS[one] for y, one in zip(sky.values, models, strict=True)
+    ]
     for s in range(len(models)):
         found = link.path_estimate.values[s]
         np.testing.assert_allclose(found[free[s]] / sigma[s], paths[s] / sigma[s], atol=2e-3)

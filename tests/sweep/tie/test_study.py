@@ -66,6 +66,7 @@ def test_results_of_draws_are_those_of_the_samples():
     drawn = sums["drawn"][0, :, :3]
     off = drawn - found["estimate"][:3]
     np.testing.assert_allclose(found["sigma"][:3], np.sqrt(np.mean(off**2, axis=0)))
+    np.testing.assert_allclose(found["sigma_mc_error"][:3], found["sigma"][:3] / np.sqrt(2 * n))
     np.testing.assert_allclose(found["bias"][:3], off.mean(axis=0), atol=1e-12)
     np.testing.assert_allclose(found["sigma_orientation"], np.sqrt(np.mean(off**2)))
     np.testing.assert_allclose(
