@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import linksweep
-from linksweep import SweepError
 
 
 @pytest.fixture(scope="module")
@@ -52,19 +51,6 @@ def test_pairs_have_a_panel_for_every_two_parameters(points):
     offsets = np.asarray(figure.axes[0].collections[0].get_offsets())
     assert np.array_equal(np.sort(offsets, axis=0), np.sort(np.stack([points.x, points.k], axis=1), axis=0))
     assert np.array_equal(np.sort(figure.axes[0].collections[0].get_array()), np.sort(points.y.values[:, 1]))
-
-
-@pytest.mark.parametrize(
-    ("options", "problem"),
-    [
-        ({"kind": "lines", "over": ["x"]}, "x is not one axis to draw along; there are scale"),
-        ({"kind": "points", "over": ["q"]}, "the points do not differ in 'q'; known are k, kind, x"),
-        ({"kind": "pairs", "variables": ["y", "z"]}, "of one variable, not of y, z"),
-    ],
-)
-def test_what_cannot_be_drawn_says_why(points, options, problem):
-    with pytest.raises(SweepError, match=problem):
-        linksweep.plot(points, **options)
 
 
 def series_of(points):

@@ -30,38 +30,25 @@ def scales(dataset, **options):
     return axes.get_xscale(), axes.get_yscale()
 
 
-ordered = {"start": st.floats(1e-6, 1e6), "n": st.integers(3, 40), "shuffle": st.randoms(use_true_random=False)}
-
-
 @settings(max_examples=examples(25))
-@given(step=st.floats(1e-4, 1e4), digits=st.integers(4, 15), **ordered)
-def test_an_axis_of_equal_steps_is_linear_however_far_it_goes(start, step, n, digits, shuffle):
-    x = [float(f"{start * (1.0 + step * i):.{digits}g}") for i in range(n)]
-    if len(set(x)) < n or (digits < 8 and step * n < 0.1):
-        return  # rounded to other steps
-    shuffle.shuffle(x)
-    assert scales(results(x))[0] == "linear"
-
-
-@settings(max_examples=examples(25))
-@given(ratio=st.floats(1.01, 100.0), **ordered)
-def test_an_axis_of_equal_ratios_is_logarithmic_however_short_it_is(start, ratio, n, shuffle):
-    x = [start * ratio**i for i in range(n)]
-    shuffle.shuffle(x)
-    assert scales(results(x))[0] == "log"
-
-
-@pytest.mark.parametrize(
-    ("x", "scale"),
-    [
-        ([1, 2, 5, 10, 20, 50], "log"),
-        ([1.0, 1.19, 1.41, 1.68, 2.0], "log"),
-        ([1.0, 2.0, 2.5, 4.0, 5.5, 7.0], "linear"),
-        ([0.0, 1.0, 10.0, 100.0], "linear"),
-        ([1.0, 100.0], "linear"),
-        (LARGE, "linear"),
-    ],
+@given(
+    scale=st.sampled_from(["linear", "log"]),
+    start=st.floats(1e-6, 1e6),
+    step=st.floats(0.01, 100.0),
+    n=st.integers(3, 40),
+    shuffle=st.randoms(use_true_random=False),
 )
+def test_equal_steps_are_linear_however_far_they_go_and_equal_ratios_logarithmic(scale, start, step, n, shuffle):
+    x = [start * (1.0 + step * i if scale == "linear" else (1.0 + step) ** i) for i in range(n)]
+    shuffle.shuffle(x)
+    assert scales(results(x))[0] == scale
+
+
+OTHERS = [([1, 2, 5, 10, 20, 50], "log"), ([1.0, 1.19, 1.41, 1.68, 2.0], "log"), (LARGE, "linear")]
+OTHERS += [([1.0, 2.0, 2.5, 4.0, 5.5, 7.0], "linear"), ([0.0, 1.0, 10.0, 100.0], "linear"), ([1.0, 100.0], "linear")]
+
+
+@pytest.mark.parametrize(("x", "scale"), OTHERS)
 def test_other_axes_have_the_scale_on_which_they_are_more_even(x, scale):
     assert scales(results(x))[0] == scale
 
@@ -84,13 +71,8 @@ def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
     ("options", "message"),
     [
         (["--log", "coinz"], "'coinz' has no scale to choose; did you mean 'coins'?"),
-        (["--linear", "metal"], "'metal' has no scale to choose"),
         (["--log", "coins", "--linear", "coins"], "coins cannot have both a logarithmic and a linear axis"),
-        (
-            ["--kind", "law", "--over", "coins", "--at", "metal=tin", "--linear", "coins"],
-            "a law is drawn on logarithmic",
-        ),
-        (["--kind", "sky", "--log", "coins"], "do not go with --kind sky"),
+        (["--kind", "law", "--at", "metal=tin", "--linear", "coins"], "a law is drawn on logarithmic"),
     ],
 )
 def test_what_cannot_be_chosen_is_refused(tmp_path, sweep, coin_store, options, message):
@@ -109,8 +91,6 @@ def test_a_logarithm_needs_numbers_above_zero(tmp_path):
         "figure.log.0: sky_contrast = 0.0: a logarithmic axis has only numbers above zero",
         "figure.log.1: 'n_obi' is neither a parameter nor an output; did you mean 'n_obj'?",
     ]
-    with pytest.raises(SweepError, match=r"figure.*'n_obj' is in log"):
-        linksweep.run({"title": "a", "figure": {"log": ["n_obj"], "linear": ["n_obj"]}}, tmp_path / "a.zarr")
 
 
 def several(curves, x):
@@ -153,7 +133,7 @@ def test_only_markers_are_moved_aside_and_the_figure_says_so(number):
     assert "markers moved sideways, lines not" in said
 
 
-@pytest.mark.parametrize("name", ["quasars", "error-surface"])
+@pytest.mark.parametrize("name", ["error-surface", slow("quasars")])
 def test_nothing_is_drawn_between_the_points_of_a_prediction(dataset_of, name):
     dataset = dataset_of(name)
     figure = linksweep.plot(dataset, "lines")

@@ -97,7 +97,8 @@ def run(*arguments):
 
 
 def test_the_search_from_files_to_files(folder):
-    result = run(*WITH_SUPPLEMENT, "-o", "out.ecsv", "--table", "out.dat", "--figure", "out.png")
+    where = ("--where", "stars: vt_mag > 10")  # without the third, which matches nothing
+    result = run(*WITH_SUPPLEMENT, *where, "-o", "out.ecsv", "--table", "out.dat", "--figure", "out.png")
     assert result.exit_code == 0, result.output
     table = read_matches(folder / "out.ecsv")
     assert table["PGC"].tolist() == [65866, 7223, 11404, 99999]  # in order of the star's ra at the epoch
@@ -126,7 +127,7 @@ def test_the_search_from_files_to_files(folder):
 
 
 def test_json_is_the_summary(folder):
-    report = json.loads(run(*WITH_SUPPLEMENT, "--json").stdout)
+    report = json.loads(run(*WITH_SUPPLEMENT, "--second-epoch-error", "50", "--json").stdout)
     numbers = {name: row["n"] for name, row in report["classes"].items()}
     assert numbers == {"certain": 2, "uncertain": 1, "supplement": 1, "all": 4}
     certain, wide = report["classes"]["certain"], report["catalogues"]["wide"]
@@ -134,7 +135,8 @@ def test_json_is_the_summary(folder):
         "mean": pytest.approx(120.0),
         "scatter": pytest.approx(np.std([100, 140], ddof=1)),
     }
-    assert certain["pm_error_mas_yr"] == {"ra": pytest.approx(6.0), "dec": pytest.approx(6.5)}
+    motions = {"ra": np.hypot(120.0, 50.0) / 20.0, "dec": np.hypot(130.0, 50.0) / 20.0}
+    assert certain["pm_error_mas_yr"] == pytest.approx(motions)
     assert certain["magnitude"]["mean"] == pytest.approx(12.5)
     assert (wide["matches"], report["catalogues"]["sharp"]["matches"], report["galaxies"]) == (4, 1, 4)
     assert wide["chance_pairs_uniform"] == pytest.approx(5 * 4 * np.sin(np.radians(2.5 * ARCSEC)) ** 2)
@@ -196,20 +198,11 @@ def test_the_map_shows_every_class_with_longitude_to_the_left():
 
 
 def test_without_numbers_for_the_table_nothing_is_written(folder):
-    wide, _ = galaxy_tables()
-    wide.remove_column("PGC")
-    for stars, galaxies, message in (
-        (star_table(TYC1=None), None, "no column 'TYC1'"),
-        (star_table(TYC1=None, TYC2=None, TYC3=None), None, "needs columns TYC1, TYC2 and TYC3, or TYC with strings"),
-        (star_table(), wide, "TYC 1-13-1 has no PGC number"),
-    ):
-        stars.write("stars.fits", overwrite=True)
-        if galaxies is not None:
-            galaxies.write("wide.csv", overwrite=True)
-        result = run(*ARGUMENTS, "--table", "t.dat")
-        assert (result.exit_code, message in result.output) == (2, True), result.output
-        assert not (folder / "results").exists()
-        assert not (folder / "t.dat").exists()
+    star_table(TYC1=None, TYC2=None, TYC3=None).write("stars.fits", overwrite=True)
+    result = run(*ARGUMENTS, "--table", "t.dat")
+    assert (result.exit_code, "needs columns TYC1, TYC2 and TYC3, or TYC with strings" in result.output) == (2, True)
+    assert not (folder / "results").exists()
+    assert not (folder / "t.dat").exists()
 
 
 def test_the_ecsv_is_the_catalogue_of_a_study(folder):
@@ -245,7 +238,6 @@ def test_bad_outputs_are_refused_before_the_search(folder, arguments, message):
 
 BAD_STARS = {
     "masked": ({"dec": MaskedColumn([1.0] * 4, mask=[0, 0, 1, 0])}, "no dec in row 3"),
-    "dec range": ({"dec": [0.0, 90.1, 0.0, 0.0]}, "a dec outside -90..90 deg in row 2 (90.1)"),
     "no error": ({"ra_error": None}, "give its error in arcsec with --error"),
     "zero error": ({"ra_error": [0.0, 1.0, 1.0, 1.0]}, "a ra_error that is not above 0 in row 1 (0)"),
     "missing motion": (
@@ -253,8 +245,6 @@ BAD_STARS = {
         "no proper motion (--missing-pm zero takes it as zero) in row 1, 2, 3, 4",
     ),
     "no epoch": ({"ref_epoch": None}, "proper motions need the epoch of the positions"),
-    "epoch": ({"ref_epoch": [24.0] * 4}, "an epoch (column 'ref_epoch') that is no Julian year, MJD or JD from 1700"),
-    "missing epoch": ({"ref_epoch": [2000.0, np.nan, 2000.0, 2000.0]}, "no epoch (column 'ref_epoch') in row 2"),
     "TYC range": ({"TYC3": [1, 4, 1, 0]}, "a TYC3 outside 1..3 in row 2, 4"),
     "TYC twice": ({"TYC1": [1] * 4, "TYC2": [13] * 4, "TYC3": [1, 2, 1, 3]}, "the Tycho identifier of an earlier row"),
     "TYC text": (
@@ -275,27 +265,13 @@ def test_every_bad_star_table_is_a_clear_error(folder, case):
     assert not (folder / "results").exists()
 
 
-BAD_GALAXIES = {
-    "no rows": (Table({"ra": [], "dec": []}, dtype=[float, float]), "has no rows"),
-    "PGC negative": (Table({"ra": [100.0], "dec": [2.0], "PGC": [-1]}), "a negative PGC number in row 1 (-1)"),
-    "missing": (Table({"ra": [1.0] * 9, "dec": [np.nan] * 8 + [2.0]}), "no dec in row 1, 2, 3, 4, 5 and 3 more"),
-}
-
-
-@pytest.mark.parametrize("case", BAD_GALAXIES)
-def test_every_bad_galaxy_table_is_a_clear_error(folder, case):
-    table, message = BAD_GALAXIES[case]
-    table.write("bad.ecsv")
-    result = run("stars.fits", "bad.ecsv", "--error", "1")
-    assert result.exit_code == 2
-    assert f"bad.ecsv: {message}" in result.output
-
-
 def test_problems_of_all_tables_come_at_once(folder):
     star_table(ra=[np.nan] * 4, TYC1=[0] * 4).write("stars.fits", overwrite=True)
-    output = run(*ARGUMENTS, "--supplement", "none.fits").output
-    for message in ("no ra in row 1, 2, 3, 4", "a TYC1 outside 1..9537", "none.fits: no such file"):
-        assert message in output
+    Table({"ra": [100.0], "dec": [2.0], "PGC": [-1]}).write("bad.ecsv")
+    result = run("stars.fits", "bad.ecsv", "--error", "1", "--supplement", "none.fits")
+    negative = "bad.ecsv: a negative PGC number in row 1 (-1)"
+    for message in ("no ra in row 1, 2, 3, 4", "a TYC1 outside 1..9537", "none.fits: no such file", negative):
+        assert message in result.output
 
 
 def test_a_star_in_both_star_tables_is_refused(folder):
@@ -310,11 +286,8 @@ def test_a_star_in_both_star_tables_is_refused(folder):
     ("arguments", "message"),
     [
         (["--radius", "wied=3"], "radius: no table 'wied'; did you mean 'wide'?"),
-        (["--radius", "0"], "radius = 0: must be a finite number > 0 and <= 3600 [arcsec]"),
         (["--radius", "wide=3", "--radius", "wide=4"], "radius: wide, wide: one is named twice"),
-        (["--ref-epoch", "3000"], "ref_epoch = 3000: must be a finite number > 1700"),
         (["--column", "ra"], "columns = 'ra': must be [NAME:]KEY=COLUMN"),
-        (["--column", "ra=RAmdeg"], "columns: no column 'RAmdeg' for ra"),
         (["sub/wide.fits"], "two tables are called 'wide'"),
         (["--k-sigma", "-1"], "k_sigma = -1: must be a finite number > 0"),
     ],
