@@ -54,6 +54,7 @@ DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client"
 """The second does not pass its messages on to the first."""
 
 WHOLE = "every file is as it was written"
+OTHER_CODE = "computed by other code than the store was: "
 
 
 @parsed
@@ -246,6 +247,8 @@ def print_verified(study: "linksweep.Study", store: "Location", points: int, sho
     again = verify(study, store, points)
     for sentence in again.differing:
         click.echo(f"differs: {harmless(sentence)}", err=True)
+    for sentence in again.other_code:
+        click.echo(OTHER_CODE + sentence, err=True)
     if shown and not again.differing:
         computed = counted(again.points, "point")
         click.echo(f"{computed} computed again, alone and in two orders: every bit as in {store}", err=True)
@@ -548,7 +551,7 @@ def reproduce(
         sys.exit(cli.EXIT_FAILED_POINTS)
     cli.print_headlines(again.dataset.assign_attrs(title=again.place, complete=1), as_json)
     for sentence in again.other_code:
-        click.echo(f"computed by other code than the store was: {sentence}", err=True)
+        click.echo(OTHER_CODE + sentence, err=True)
     if again.differences is None:
         click.echo(f"{again.place} is {again.stored} in {store}; there is nothing to compare with", err=True)
     elif not again.differences:

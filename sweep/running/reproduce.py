@@ -102,10 +102,13 @@ def study_to_look_at(store: Where) -> Study:
 
 @dataclass(frozen=True)
 class Verified:
-    """How many points were computed again, and a sentence for each that differs."""
+    """How many points were computed again, a sentence for each that differs, and how today's code differs from that of
+    the store.
+    """
 
     points: int
     differing: list[str]
+    other_code: list[str]
 
 
 def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
@@ -173,7 +176,7 @@ def verify(study: Study, where: Where, number: int) -> Verified:
                 cause = STORED if all(_same(first, other, tolerance) for other in seen) else STATE
         failed = next((f"; computed again it fails: {one}" for one in seen if isinstance(one, str)), "")
         differing.append(f"{describe(study, point.parameters)} has {cause}{failed}")
-    return Verified(len(chosen), differing)
+    return Verified(len(chosen), differing, differences_of_code(records_of(opened.attributes), study))
 
 
 def _alone(

@@ -70,6 +70,9 @@ def test_other_code_is_refused_with_what_differs_and_nothing_is_written(kind, fo
     code, _, err = sweep("reproduce", "s.zarr", "--at", "rate=2.0", cwd=folder)
     assert named in err
     assert (code, "differs from s.zarr in mean" in err) == ((0, False) if kind == "default" else (1, True))
+    code, _, err = sweep("reproduce", "s.zarr", "--points", "1", cwd=folder)
+    assert named in err
+    assert ("differs: rate=" in err) == (code == 1) == (kind != "default")
 
 
 def test_accepted_code_is_told_for_each_point(folder, sweep):
