@@ -95,12 +95,3 @@ def test_there_is_one_name_to_import():
     code = "import sys, linksweep; from linksweep.sweep import cli; linksweep.run; linksweep.tie; print(*sys.modules)"
     done = python(ROOT, "-c", code)
     assert {"core", "sweep", "sweeps"}.isdisjoint(name.partition(".")[0] for name in done.stdout.split()), done.stderr
-
-
-@pytest.mark.slow
-def test_the_module_is_the_command(tmp_path):
-    for name in ("core.py", "sweep.py"):
-        (tmp_path / name).write_text("raise RuntimeError('a file of the user')")
-    done = python(tmp_path, "-m", "linksweep", "run", "quasars", "--axis", "v_max=14", "--set", "n_cat=2", "--quiet")
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "results" / "quasars.zarr" / "zarr.json").is_file()

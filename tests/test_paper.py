@@ -108,15 +108,6 @@ def test_the_error_surface_is_linear_at_its_edges_and_quadratic_inside(results):
 
 
 @pytest.mark.slow
-def test_the_samples_of_the_scatter_are_those_in_its_sums(results):
-    dataset = results("scatter").isel(model=0)
-    estimate = dataset["estimate"].sel(component=SPIN)
-    assert estimate.sizes == {"sample": 10_000, "component": 3}
-    rms = np.sqrt(((estimate - 1.0) ** 2).mean("sample"))
-    np.testing.assert_allclose(rms, dataset["sigma"].sel(component=SPIN), rtol=1e-10)
-
-
-@pytest.mark.slow
 def test_aberration_leaks_on_an_uneven_sky_and_not_when_it_is_solved_for(results):
     gaia = results("aberration").sel(model="gaia", component=SPIN, v_max=20, aberration=True)
     size = np.sqrt((gaia["bias"] ** 2).sum("component"))

@@ -117,19 +117,14 @@ def test_units_are_converted_and_lines_of_another_kind_left_out(dataset_of):
         find(dataset, "sigma_spin < 1 mag", "v_max")
 
 
-@pytest.mark.parametrize(
-    "text", ["", "width < ", "width = 1", "1 < width", "width < 1 nonsense", "width < 1e999", "width < 1 < 2"]
-)
-def test_what_is_no_condition_is_refused(text):
-    with pytest.raises(SweepError, match=r"a condition is VARIABLE|is not a unit that astropy knows"):
-        find(grid(N), text, "n")
-
-
 @settings(max_examples=examples(25))
 @given(st.text(max_size=40))
 def test_any_text_is_a_condition_or_a_clear_error(text):
     with contextlib.suppress(SweepError):  # any other exception fails
         find(grid(N), text, "n")
+    for wrong in ("", "width < ", "width = 1", "1 < width", "width < 1 no", "width < 1e999", "width < 1 < 2"):
+        with pytest.raises(SweepError, match=r"a condition is VARIABLE|is not a unit that astropy knows"):
+            find(grid(N), wrong, "n")
 
 
 @pytest.mark.parametrize(

@@ -113,14 +113,6 @@ def test_points_get_realisations_until_the_noise_between_them_is_below_the_error
     assert ds.sizes["x"] == 3  # a line has no use for more points
 
 
-@pytest.mark.slow
-def test_values_on_both_sides_of_a_step_are_not_interpolated():
-    fixed = {"root": 0.618, "is_step": True}
-    step = linksweep.refine(shape, axes=ELEVEN, fixed=fixed, until="error < 0.01", within=0.001, pool="serial")
-    assert np.diff(step.x.values).min() <= 0.001
-    assert step.sizes["x"] < 40  # the rest of the axis stays as it was
-
-
 def counted(x: int) -> float:
     return 1.0 / x
 
@@ -251,17 +243,3 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     assert report["known"] == {"": pytest.approx(0.0625, rel=0.3)}
     shown = sweep("status", "s.zarr", cwd=tmp_path)[1]
     assert shown.count("of sweep refine") == len(report["rounds"]) == 2
-
-
-@pytest.mark.slow
-def test_the_crossing_of_the_quasars_is_that_of_the_full_grid(sweep, tmp_path):
-    few = ["quasars", "--set", "n_sim=20", "--set", "n_cat=30", "--axis", "model=amex"]
-    goal = ["--find", "sigma_spin < 0.6", "--within", "0.02"]
-    status, out, err = sweep("refine", *few, "--axis", "v_max=14:16:0.5", *goal, "--json", "-o", "r.zarr", cwd=tmp_path)
-    assert status == 0, err
-    status, _, err = sweep("run", *few, "--axis", "v_max=14:16:0.02", "-o", "full.zarr", cwd=tmp_path)
-    assert status == 0, err
-    full, mine = (crossings(linksweep.open(tmp_path / f"{n}.zarr"), goal[1], over="v_max") for n in ("full", "r"))
-    assert float(full["first"]) - 0.02 <= float(mine["first"]) <= float(full["last"]) + 0.02
-    report = json.loads(out)
-    assert report["spent"] <= 0.2 * report["full"]
