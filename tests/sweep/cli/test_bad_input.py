@@ -109,13 +109,43 @@ STUDIES = {
 }
 
 
-@pytest.mark.parametrize("case", [slow(case) if case == "too many points" else case for case in STUDIES])
-def test_bad_study(here, case):
-    text, phrase = STUDIES[case]
-    (here / "study.toml").write_text(text, encoding="utf-8")
+PLACE = "published.file (line 15): 'published/table.csv'"
+MINE = "experiment (line 1): 'mine.py:experiment': "
+WITH_FILES = {  # by the content of a file beside the study: what is said
+    CSV: [
+        (b"v_max,sigma\n", f"{PLACE} holds no rows"),
+        (b"v_max,colour,sigma_spin\n16,red,1\n", "columns ['colour'], which are neither parameters nor outputs"),
+        (b"# c\nv_max,sigma_spin\n16,0.5\n17\n", "line 4: does not have 2 cells as the header has"),
+        (b"v_max,sigma_spin\n16," + b"1" * 200_000, "is not a CSV table: field larger than field limit"),
+        (b"v_max\n\xff\n", "not UTF-8 text: byte 0xff in line 2"),
+    ],
+    "mine.py": [
+        (b"raise RuntimeError('no licence')", f"{MINE}cannot be imported: RuntimeError: no licence"),
+        (b"def f(:\n", f"{MINE}cannot be imported: SyntaxError: invalid syntax"),
+        (b"import sys; sys.exit(0)", f"{MINE}cannot be imported: SystemExit: 0"),
+        (b"experiment = 1", f"{MINE}the module has a int, not an Experiment or a function, at 'experiment'"),
+        (
+            b"import dataclasses, linksweep.core.experiment\n"
+            b"def check(point): raise KeyError('lost')\n"
+            b"experiment = dataclasses.replace(linksweep.core.experiment.link, check=check)\n",
+            "check of a point raises KeyError: 'lost' (4 points)",
+        ),
+    ],
+}
+CASES = {name: (text, phrase, {}) for name, (text, phrase) in STUDIES.items()} | {
+    phrase: (after(PUBLISHED) if name == CSV else f'experiment = "mine.py:experiment"\n{GOOD}', phrase, {name: content})
+    for name, cases in WITH_FILES.items()
+    for content, phrase in cases
+}
+
+
+@pytest.mark.parametrize("case", [slow(case) if case == "too many points" else case for case in CASES])
+def test_bad_study(here, monkeypatch, case):
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)  # or no __pycache__ would be written anyway
+    text, phrase, files = CASES[case]
+    write(here, files | {"study.toml": text.encode()})
     for command in ("run", "plan"):
-        said = check_refused(here, (command, "study.toml"), phrase)
-        assert "study" in said.splitlines()[0]
+        assert "study" in check_refused(here, (command, "study.toml"), phrase).splitlines()[0]
 
 
 def test_all_problems_are_reported_in_one_message(here):
@@ -127,41 +157,6 @@ def test_all_problems_are_reported_in_one_message(here):
     assert [line.partition(":")[0].removeprefix("  - ") for line in said.splitlines()[1:]] == places
 
 
-@pytest.mark.parametrize(
-    ("content", "phrase"),
-    [
-        (b"v_max,sigma\n", "'published/table.csv' holds no rows"),
-        (b"v_max,colour,sigma_spin\n16,red,1\n", "columns ['colour'], which are neither parameters nor outputs"),
-        (b"# c\nv_max,sigma_spin\n16,0.5\n17\n", "line 4: does not have 2 cells as the header has"),
-        (b"v_max,sigma_spin\n16," + b"1" * 200_000, "is not a CSV table: field larger than field limit"),
-        (b"v_max\n\xff\n", "not UTF-8 text: byte 0xff in line 2"),
-    ],
-    ids=range(5),
-)
-def test_bad_published_table(here, content, phrase):
-    (here / "study.toml").write_text(after(PUBLISHED))
-    (here / CSV).parent.mkdir()
-    (here / CSV).write_bytes(content)
-    check_refused(here, ("run", "study.toml"), "published.file (line 15): 'published/table.csv'", phrase)
-
-
-@pytest.mark.parametrize(
-    ("statement", "phrase"),
-    [
-        ("raise RuntimeError('no licence')", "cannot be imported: RuntimeError: no licence"),
-        ("def f(:\n", "cannot be imported: SyntaxError: invalid syntax"),
-        ("import sys; sys.exit(0)", "cannot be imported: SystemExit: 0"),
-        ("experiment = 1", "has a int, not an Experiment or a function, at 'experiment'"),
-    ],
-)
-def test_bad_experiment_file(here, monkeypatch, statement, phrase):
-    monkeypatch.setattr(sys, "dont_write_bytecode", False)  # or no __pycache__ would be written anyway
-    (here / "mine.py").write_text(statement + "\n")
-    (here / "study.toml").write_text(f'experiment = "mine.py:experiment"\n{GOOD}')
-    check_refused(here, ("run", "study.toml"), "experiment (line 1): 'mine.py:experiment': ", phrase)
-    check_refused(here, ("params", "mine.py:experiment"), phrase)
-
-
 def test_a_package_that_is_not_installed(here):
     part = b"from ..other import unit\ndef f(x: float): return x\n"
     files = {"__init__.py": b"", "inner/__init__.py": b"", "inner/part.py": part, "other.py": b"unit = 1.0\n"}
@@ -170,16 +165,6 @@ def test_a_package_that_is_not_installed(here):
     done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert "put the package's folder in PYTHONPATH" in done.stderr
-
-
-def test_a_check_that_raises_is_a_reason(here):
-    (here / "mine.py").write_text(
-        "import dataclasses, linksweep.core.experiment\n"
-        "def check(point): raise KeyError('lost')\n"
-        "experiment = dataclasses.replace(linksweep.core.experiment.link, check=check)\n"
-    )
-    (here / "study.toml").write_text(f'experiment = "mine.py:experiment"\n{GOOD}')
-    check_refused(here, ("run", "study.toml"), "check of a point raises KeyError: 'lost' (4 points)")
 
 
 def test_byte_order_mark_and_crlf_are_read(here):
