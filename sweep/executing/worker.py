@@ -36,9 +36,33 @@ MOST_PRINTED, MOST_WARNINGS = 10_000, 100
 GRACE_S = 2.0
 
 
-class _Routes(io.TextIOBase):
-    """Standard output and warnings of this process while some of its threads are captured, and what is put back of the
-    process after each block: the working folder, the environment, the standard streams, the filters of warnings.
+class _Stream(io.TextIOBase):
+    """A standard stream that keeps what captured threads write; others write to the stream ``before``."""
+
+    def __init__(self, before: Any) -> None:
+        self.before = before
+
+    def write(self, text: str) -> int:
+        """Write a text."""
+        if (captured := _routes.captured()) is not None:
+            captured.printed += text[: MOST_PRINTED - len(captured.printed)]
+        else:
+            self.before.write(text)
+        return len(text)
+
+    def writable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        """Return where programs write that a block starts."""
+        number: int = self.before.fileno()
+        return number
+
+
+class _Routes:
+    """Standard output and error and warnings of this process while some of its threads are captured, and what is put
+    back of the process after each block: the working folder, the environment, the standard streams, the filters of
+    warnings.
     """
 
     def __init__(self) -> None:
@@ -49,9 +73,10 @@ class _Routes(io.TextIOBase):
         """Capture the calling thread."""
         with self._lock:
             if not self._threads:
-                self._before = sys.stdout, warnings.showwarning, list(warnings.filters)
+                self._before = sys.stdout, sys.stderr, warnings.showwarning, list(warnings.filters)
                 self._generators = np.random.get_state(), random.getstate()  # noqa: NPY002
-                sys.stdout, warnings.showwarning = self, self._warn  # type: ignore[assignment]
+                sys.stdout, sys.stderr = _Stream(sys.stdout), _Stream(sys.stderr)
+                warnings.showwarning = self._warn  # type: ignore[assignment]
                 seldom = ("default", "module", "once")  # count all of these; keep "ignore" and "error"
                 _set_filters([("always" if f[0] in seldom else f[0], *f[1:]) for f in warnings.filters])
                 warnings.simplefilter("always", append=True)
@@ -79,29 +104,23 @@ class _Routes(io.TextIOBase):
         with self._lock:
             del self._threads[threading.get_ident()]
             if not self._threads:
-                sys.stdout, warnings.showwarning, filters = self._before
+                sys.stdout, sys.stderr, warnings.showwarning, filters = self._before
                 _set_filters(filters)
                 np.random.set_state(self._generators[0])  # noqa: NPY002
                 random.setstate(self._generators[1])
 
-    def write(self, text: str) -> int:
-        """Keep what a thread prints; text of a thread that an experiment has started is kept with a block under way."""
-        if (captured := self._captured()) is not None:
-            captured.printed += text[: MOST_PRINTED - len(captured.printed)]
-        else:
-            self._before[0].write(text)
-        return len(text)
-
-    def writable(self) -> bool:
-        return True
-
-    def _captured(self) -> Captured | None:
+    def captured(self) -> Captured | None:
+        """Return what the calling thread is captured in: that of a block under way for a thread that one has started,
+        None for the main thread while others compute, as it then shows how far they are.
+        """
         with self._lock:
-            return self._threads.get(threading.get_ident()) or next(iter(self._threads.values()), None)
+            mine = self._threads.get(threading.get_ident())
+            is_main = threading.current_thread() is threading.main_thread()
+            return mine or (None if is_main else next(iter(self._threads.values()), None))
 
     def _warn(self, message: Any, category: type[Warning], filename: str, lineno: int, *rest: Any) -> None:
-        if (captured := self._captured()) is None:
-            self._before[1](message, category, filename, lineno, *rest)
+        if (captured := self.captured()) is None:
+            self._before[2](message, category, filename, lineno, *rest)
             return
         text = f"{category.__name__}: {message} ({Path(filename).name}, line {lineno})"
         if text in captured.warnings or len(captured.warnings) < MOST_WARNINGS:
