@@ -38,7 +38,7 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
                 names = (
                     "sweep.running.run",
                     "sweep.running.progress",
-                    "sweep.analysis.results_table",
+                    "sweep.analysis.tables",
                     "core.experiment",
                 )
                 modules = "import " + ", ".join(f"linksweep.{name}" for name in names)

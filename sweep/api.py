@@ -1,20 +1,24 @@
 """The platform as functions, for scripts and notebooks."""
 
+import base64
+import io
 import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
+from linksweep.sweep.analysis.answer import answer_in_short, completeness
 from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, PoolName, Resources
-from linksweep.sweep.formatting import harmless
-from linksweep.sweep.result import open_result
+from linksweep.sweep.formatting import harmless, with_micro_signs
+from linksweep.sweep.result import Result, open_result
 from linksweep.sweep.running.progress import (
     MaxFailures,
     NotebookProgress,
@@ -32,8 +36,6 @@ from linksweep.sweep.studies.study import Part, Study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from linksweep.sweep.report import Card
 
 log = logging.getLogger("linksweep")
 
@@ -264,7 +266,50 @@ def _drawable(dataset: xr.Dataset) -> xr.Dataset:
     return dataset.assign_coords(fixed)
 
 
-def answer(dataset: xr.Dataset) -> "Card":
+@dataclass(frozen=True)
+class Card:
+    """What results say: ``print`` shows the sentences, a notebook the figure too.
+
+    ``sentences`` are those of the answer, after what is missing if the results are incomplete; a link or a forecast of
+    real tables has the ``table`` of its unknowns instead.
+    """
+
+    title: str
+    question: str
+    sentences: list[str]
+    dataset: xr.Dataset
+    table: str = ""
+
+    def __repr__(self) -> str:
+        return harmless("\n".join(filter(None, [self.question or self.title, *self.sentences, self.table])))
+
+    def _repr_html_(self) -> str:
+        """Return the card; colours are those of the notebook, in either theme."""
+        heading = f"<p><strong>{escape(self.question or self.title)}</strong></p>"
+        sentences = "".join(f"<p>{escape(with_micro_signs(sentence))}</p>" for sentence in self.sentences)
+        table = f"<pre>{escape(self.table)}</pre>" if self.table else ""
+        return f'<div style="max-width: 46rem">{heading}{sentences}{table}{_picture(self.dataset)}</div>'
+
+
+def _picture(dataset: xr.Dataset) -> str:
+    """Return the figure as an image that is part of the page; a sentence where there is none."""
+    try:
+        from linksweep.sweep.plots.figure import description, draw_figure
+        from linksweep.sweep.plots.style import settings
+    except ImportError:
+        return "<p><small>A figure needs Matplotlib: <code>pip install 'linksweep[plot]'</code></small></p>"
+    out = io.BytesIO()
+    try:
+        with settings():
+            figure = draw_figure(dataset.assign_attrs(title=""))
+            figure.savefig(out, format="png", dpi=150)
+    except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
+        return f"<p><small>{escape(f'No figure: {error}')}</small></p>"
+    image, words = base64.b64encode(out.getvalue()).decode(), escape(description(figure, dataset), quote=True)
+    return f'<img src="data:image/png;base64,{image}" alt="{words}" style="max-width: 100%; background: #ffffff">'
+
+
+def answer(dataset: xr.Dataset) -> Card:
     """Return the answer that results give: ``print`` shows question and answer, a notebook also the figure.
 
     Args:
@@ -288,9 +333,11 @@ def answer(dataset: xr.Dataset) -> "Card":
         >>> answer(run(study, "limits.zarr", pool="serial")).question
         'What do fainter quasars bring?'
     """
-    from linksweep.sweep.report import card
-
-    return card(dataset)
+    result = Result(dataset)
+    if result.is_stored_table:
+        return Card(result.title, "", result.headline(), dataset, result.written("text"))
+    question, sentences = str(dataset.attrs.get("question", "")), [*completeness(dataset), *answer_in_short(dataset)]
+    return Card(result.title, question, sentences, dataset)
 
 
 def plot(

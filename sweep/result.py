@@ -111,8 +111,7 @@ class Result:
         write_at_once(path, lambda new: named.to_zarr(new, mode="w", zarr_format=3))
 
     def _made(self, what: str) -> Any:
-        modules = {"grid": "analysis.results_table", "tie": "tie.result", "forecast": "tie.result"}
-        module = modules.get(self.kind, "analysis.derived")
+        module = "tie.result" if self.kind in ("tie", "forecast") else "analysis.tables"
         return getattr(import_module(f"linksweep.sweep.{module}"), what)(self.dataset)
 
 

@@ -29,14 +29,14 @@ ONLY_IN = {
     "erfa": "core.tie.astrometry",
     "pygaia": "core.missions",
     "pandas": "sweep core.missions.calibrate",  # a script, which nobody imports
-    "core": "core __init__ sweep.plots.sky sweep.plots.tie sweep.search sweep.tie",
+    "core": "core __init__ sweep.plots.link sweep.search sweep.tie",
     "sweep.search": "sweep.search sweep.cli.run",
 }
 # By who imports, the only modules of the platform that it may, and the only other libraries.
 OF_THE_PLATFORM = {
     "core": "sweep.contract",
     "sweep.stores": "sweep.stores sweep.contract",
-    "sweep.search": "sweep.search sweep.contract sweep.tables sweep.formatting sweep.plots.sky sweep.table_writer "
+    "sweep.search": "sweep.search sweep.contract sweep.tables sweep.formatting sweep.plots.link sweep.table_writer "
     "sweep.stores.location",
 }
 OF_LIBRARIES = {

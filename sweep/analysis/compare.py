@@ -9,7 +9,7 @@ from __future__ import annotations  # names of xarray, which is imported only wh
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -33,6 +33,7 @@ FINDS = 1.6449  # a deviation this many errors beyond what is allowed is found w
 MOST_UNSEEN = 1.0 / 3.0  # no verdict is given that would miss a larger deviation, relative to the published number
 ARITHMETIC = 1e-9  # smaller relative differences come from the arithmetic: 0.605 - 0.6 in binary is more than 0.005
 NOT_DONE = "not done yet"
+RANKS = {"computed": 0, "published": 0, "difference": 0, "power": 1, "allowance": 2}  # of the columns of numbers
 POWER = "power: the deviation from the published number that the verdict finds with a probability of 95 %"
 
 
@@ -87,7 +88,7 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
         fixed = _fixed(dataset, claim.where)
         along = laws.lines_of(part.isel(fixed), name, derived.over)
         for line in along.lines:
-            yield _slope(line, quantity.place_at(dataset, fixed | dict(line.index)), derived.over)
+            yield _slope(line, quantity.place_at(dataset, fixed | dict(line.index)), derived.over, laws.power_law)
     elif isinstance(derived, Ratio):
         differing = {str(dataset[axis].dims[0]) for axis in derived.of if axis in dataset.coords}
         pairs = (_values(part, name, _fixed(dataset, {**claim.where, **at})) for at in (derived.of, derived.to))
@@ -144,8 +145,10 @@ def _ratio(
     return Measured(where, ratio, 0.0 if error is None else float(error))
 
 
-def _slope(line: laws.Line, where: Mapping[str, Any], over: str) -> Measured:
-    """Return the slope along a line of points; those that the study excludes do not belong to it."""
+def _slope(line: laws.Line, where: Mapping[str, Any], over: str, fit: Callable[..., dict[str, Any]]) -> Measured:
+    """Return the slope along a line of points, by the ``fit`` of a power law; those that the study excludes do not
+    belong to it.
+    """
     if undone := np.count_nonzero(line.status != Status.DONE):
         some = f"{undone:,} of {len(line.x):,} points"
         return Measured(where, missing=_why(set(line.status.tolist()) - {Status.DONE}, some))
@@ -153,13 +156,11 @@ def _slope(line: laws.Line, where: Mapping[str, Any], over: str) -> Measured:
         return Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(line.x)}")
     if not (np.all(line.x > 0.0) and np.all(np.isfinite(line.y)) and np.all(line.y > 0.0)):
         return Measured(where, broken="there are values that are not above 0, which have no power law")
-    from linksweep.sweep.analysis import fits
-
     try:
-        law = fits.power_law(line.x, line.y, line.errors, line.samples)
+        law = fit(line.x, line.y, line.errors, line.samples)
     except ValueError as error:
         return Measured(where, missing=str(error))
-    return Measured(where, law.exponent, law.exponent_error)
+    return Measured(where, law["exponent"], law["exponent_error"])
 
 
 def _why(codes: set[int], subject: str) -> str:
@@ -263,42 +264,25 @@ def judged(
     limits = [MOST_UNSEEN * abs(number)] if number else []
     most = min([*limits, *([] if null is None else [abs(number - null)])], default=math.inf)
     apart = f"more than {most:.3g}, which the verdict must find"
-    verdict: Verdict = "reproduced"
-    if ours.missing:
-        verdict, reason = "incomplete", ours.missing
-    elif ours.broken or not math.isfinite(ours.value):
-        verdict, reason = "NOT reproduced", ours.broken or "the result is not a finite number"
-    elif not_comparable:
-        verdict, reason = "not comparable", not_comparable
-    elif not math.isfinite(ours.error):
-        verdict, reason = "incomplete", "the error of our number is not known (docs/errors.md)"
-    elif off > allowance + allowed:
-        verdict, reason = "NOT reproduced", ""
-    elif (passes := rounding + allowed) > most:
-        verdict, reason = "not comparable", f"rounding and tolerance let pass a deviation of {passes:.3g}, {apart}"
-    elif detectable > most:
-        passing = f"our Monte-Carlo error lets pass a deviation of {detectable:.3g}, {apart}"
-        verdict, reason = "incomplete", f"{passing}: more realisations or catalogues are needed"
-    elif off > allowance:
-        verdict, reason = "within tolerance", f"{100.0 * tolerance:g} %: {reason}"
-    else:
-        reason = ""
+    passes, passing = rounding + allowed, f"our Monte-Carlo error lets pass a deviation of {detectable:.3g}, {apart}"
+    cases: list[tuple[bool, Verdict, str]] = [  # the first that is true
+        (bool(ours.missing), "incomplete", ours.missing),
+        (not math.isfinite(ours.value), "NOT reproduced", ours.broken or "the result is not a finite number"),
+        (bool(not_comparable), "not comparable", not_comparable),
+        (not math.isfinite(ours.error), "incomplete", "the error of our number is not known (docs/errors.md)"),
+        (off > allowance + allowed, "NOT reproduced", ""),
+        (passes > most, "not comparable", f"rounding and tolerance let pass a deviation of {passes:.3g}, {apart}"),
+        (detectable > most, "incomplete", f"{passing}: more realisations or catalogues are needed"),
+        (off > allowance, "within tolerance", f"{100.0 * tolerance:g} %: {reason}"),
+        (True, "reproduced", ""),
+    ]
+    _, verdict, why = next(case for case in cases if case[0])
     if not_comparable or not math.isfinite(ours.value):
         detectable = math.nan
-    return Comparison(
-        **about,
-        where=ours.where,
-        value=ours.value,
-        mc_error=ours.error,
-        published=number,
-        rounding=rounding,
-        allowance=allowance,
-        difference=ours.value - number,
-        detectable=detectable,
-        power=detectable / abs(number) if number else math.nan,
-        verdict=verdict,
-        reason=reason,
-    )
+    numbers: dict[str, Any] = {"value": ours.value, "mc_error": ours.error, "published": number, "rounding": rounding}
+    numbers |= {"allowance": allowance, "difference": ours.value - number, "detectable": detectable}
+    numbers["power"] = detectable / abs(number) if number else math.nan
+    return Comparison(**about, where=ours.where, **numbers, verdict=verdict, reason=why)
 
 
 def summary(comparisons: Sequence[Comparison]) -> dict[Verdict, int]:
@@ -352,23 +336,14 @@ def tables(comparisons: Sequence[Comparison]) -> Iterator[Table]:
 def table(comparisons: Sequence[Comparison]) -> Table:
     """Return one table of comparisons for reading."""
     readable = list(map(in_readable_unit, comparisons))
-    numbers = {
-        "computed": [c.value for c in readable],
-        "published": [c.published for c in readable],
-        "difference": [c.difference / abs(c.published or 1.0) for c in readable],
-        "power": [c.power if c.published else c.detectable for c in readable],
-        "allowance": [c.allowance for c in readable],
-    }
-    columns = zip(numbers.items(), zip(*map(_in_words, readable), strict=True), (0, 0, 0, 1, 2), strict=True)
-    return Table(
-        [
-            Column("what", [f"{c.what} [{in_ascii(c.unit)}]" if c.unit else c.what for c in readable]),
-            Column("where", [quantity.place_in_words(c.where) for c in readable]),
-            Column("verdict", [c.verdict for c in readable], left=True),
-            *(Column(name, values, cells, rank=rank) for (name, values), cells, rank in columns),
-            Column("source", [c.source for c in readable]),
-        ]
-    )
+    what = [f"{c.what} [{in_ascii(c.unit)}]" if c.unit else c.what for c in readable]
+    columns = [Column("what", what), Column("where", [quantity.place_in_words(c.where) for c in readable])]
+    columns.append(Column("verdict", [c.verdict for c in readable], left=True))
+    numbers = list(map(_numbers, readable))
+    for name, rank in RANKS.items():
+        values, cells = zip(*(one[name] for one in numbers), strict=True)
+        columns.append(Column(name, values, cells, rank=rank))
+    return Table([*columns, Column("source", [c.source for c in readable])])
 
 
 def records(comparisons: Sequence[Comparison]) -> Table:
@@ -398,22 +373,27 @@ def in_readable_unit(comparison: Comparison) -> Comparison:
     return replace(comparison, unit=unit, **{name: factor * getattr(comparison, name) for name in numbers})
 
 
-def _in_words(c: Comparison) -> tuple[str, str, str, str, str]:
-    """Return value, published number, difference, power and allowance, with significant digits only: the difference
+def _numbers(c: Comparison) -> dict[str, tuple[float, str]]:
+    """Return the numbers of a comparison, each to sort by and in words with significant digits only: the difference
     and the power in percent of the published number, or as they are if that is 0.
     """
     published = min(f"{c.published:g}", rounded(c.published, c.mc_error), key=len)  # no more digits than ours has
     if c.rounding > 0.0:  # half a unit of the last printed digit
         decimals = math.floor(math.log10(2.0 * c.rounding) + 1e-9)
         published = f"{c.published:.{min(300, max(0, -decimals))}f}"
-    if not math.isfinite(c.value):
-        return "", published, "", "", ""
-    sigma = c.mc_error if c.mc_error > 0.0 else 0.0 if float(c.value).is_integer() else c.rounding
+    sigma = c.mc_error if c.mc_error > 0.0 else 0.0 if c.value % 1.0 == 0.0 else c.rounding
     value = with_error(c.value, c.mc_error) if c.mc_error > 0.0 else rounded(c.value, sigma)
-    allowance = f"{c.allowance:.2g}" if c.allowance > 0.0 else "none"
+    difference, power = f"{'+' * (c.difference > 0.0)}{rounded(c.difference, sigma)}", f"{c.detectable:.2g}"
     if c.published:
         difference, power = f"{100.0 * c.difference / abs(c.published):+.1f} %", f"{100.0 * c.power:.2g} %"
-    else:
-        difference, power = f"{'+' * (c.difference > 0.0)}{rounded(c.difference, sigma)}", f"{c.detectable:.2g}"
     power = "any" if c.detectable == 0.0 else power if math.isfinite(c.detectable) else ""
-    return value, published, difference if c.difference else "none", power, allowance
+    allowance = f"{c.allowance:.2g}" if c.allowance > 0.0 else "none"
+    numbers = {
+        "computed": (c.value, value),
+        "published": (c.published, published),
+        "difference": (c.difference / abs(c.published or 1.0), difference if c.difference else "none"),
+        "power": (c.power if c.published else c.detectable, power),
+        "allowance": (c.allowance, allowance),
+    }
+    is_known = math.isfinite(c.value)
+    return {name: (number, text if is_known or name == "published" else "") for name, (number, text) in numbers.items()}

@@ -1,7 +1,7 @@
 """A quantity along an axis, for every combination of the other axes: laws, ratios, crossings and values in between.
 
 The points of a quantity along an axis are a `Line`, with errors that are found by the names which
-`linksweep.sweep.analysis.quantity` describes.  To each a law of `linksweep.sweep.analysis.fits` is fitted, and between
+`linksweep.sweep.analysis.quantity` describes.  To each a law is fitted, the power law or one that levels off; between
 two points a value or a crossing is interpolated: linearly in the logarithm of the quantity where that is above 0, and
 in that of the axis if all its values are above 0 and its unit is not logarithmic already, as magnitudes are.
 """
@@ -16,10 +16,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
+from scipy.special import chdtrc, exprel, fdtrc  # scipy.stats takes longer to import than a small study to run
 
-from linksweep.sweep.analysis import fits, quantity
-from linksweep.sweep.analysis.derived import derived
+from linksweep.sweep.analysis import quantity
+from linksweep.sweep.analysis.tables import derived
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, shown, small_sample_factor
 from linksweep.sweep.contract.declaration import factor_between, unit_problem
 from linksweep.sweep.contract.rows import LENGTH
@@ -32,6 +34,9 @@ DEVIATION_ALLOWED = 3.0  # an exponent may deviate from the expected one by this
 P_VALUE_ALLOWED = 1e-3  # a law is said not to hold if the probability of its chi2 is lower
 EXCLUDED = "excluded by the study"
 RATE_WANTED = 2.0  # a levelling off is significant if its rate is more than this many errors above 0
+# A law is judged only if the errors that points do not share are this many times the neglected second order.
+FIRST_ORDER = 5.0
+STARTS = (0.5, 2.0, 6.0)  # first guesses of the rate, times the range of the points; the best fit is kept
 
 # Where a condition is met along a line: at no point, at all points, from or up to one crossing, between several.
 # Lines are left out if the study excludes them, or if their unit cannot be converted to that of the limit.
@@ -221,10 +226,7 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
         used = status[number] != Status.EXCLUDED
         spread = errors[number][used] if covariance is None else errors[number][np.ix_(used, used)]
         made.append(Line(index, unit, x[used], value[number, used], spread, status[number, used], samples))
-    along = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(others)}
-    grid = xr.Dataset(
-        coords=along | {d: dataset[d].variable for d in others}, attrs={"title": str(dataset.attrs.get("title", ""))}
-    )
+    grid = quantity.grid_of(dataset, others)
     words = _errors_in_words(dataset, error is not None, covariance is not None, samples)
     return Lines(variable, over, units_of(dataset[over].attrs), others, grid, made, words)
 
@@ -233,10 +235,8 @@ def _errors_in_words(dataset: xr.Dataset, known: bool, correlated: bool, samples
     if correlated:
         return "covariance between points" + (f", from {samples:.0f} samples" if np.isfinite(samples) else "")
     if np.isnan(samples):
-        return (
-            "not known, as points share random numbers and the store has no covariance of them "
-            f"(it needs {FEWEST_SAMPLES} {outer_draw_of(dataset.attrs)}s, or as many blocks of one, and no `precision`)"
-        )
+        needed = f"{FEWEST_SAMPLES} {outer_draw_of(dataset.attrs)}s, or as many blocks of one, and no `precision`"
+        return f"not known, as points share random numbers and the store has no covariance of them (it needs {needed})"
     return "Monte Carlo, independent points" if known else "none: points weigh the same, errors come from the scatter"
 
 
@@ -280,7 +280,7 @@ def fit_power_law(
     made = lines(dataset, variable, over, covariance)
     if not_above := [x for line in made.lines for x in line.x if not x > 0.0]:
         raise SweepError(f"a power law needs {over} above 0; there is {min(not_above):g}")
-    rows = _fitted(made, fits.power_law)
+    rows = _fitted(made, power_law)
     wanted = [_expected(dataset, made, line) if expected is None else expected for line in made.lines]
     for row, exponent in zip(rows, wanted, strict=True):
         error = row.get("exponent_error", 0.0)
@@ -327,7 +327,7 @@ def fit_levelling(
     if not 0.0 < fall < 1.0:
         raise SweepError(f"fall = {fall:g}: must be above 0 and below 1, a fraction")
     made = lines(dataset, variable, over, covariance, least=LEVELLING_POINTS)
-    rows = _fitted(made, lambda x, y, errors, samples: fits.levelling(x, y, errors, fall, samples))
+    rows = _fitted(made, lambda x, y, errors, samples: levelling(x, y, errors, fall, samples))
     for row, line in zip(rows, made.lines, strict=True):
         row["conclusion"] = _levelling_in_words(row, line.x[-1], made.over_unit) if row["points"] else EXCLUDED
     formula = f"{variable}^2 = plateau^2 + c exp(-rate x {over}); errors are scaled where chi2 > dof"
@@ -384,7 +384,7 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
     return result
 
 
-def _fitted(made: Lines, fit: Callable[..., fits.PowerLaw | fits.Levelling]) -> list[dict[str, Any]]:
+def _fitted(made: Lines, fit: Callable[..., dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the numbers of a fit to every line, none for lines that the study excludes.
 
     Raises SweepError listing the fits that fail, and values that are not above 0.
@@ -399,8 +399,8 @@ def _fitted(made: Lines, fit: Callable[..., fits.PowerLaw | fits.Levelling]) -> 
             problems.append(f"{made.variable} must be above 0; it is {value:g}{place}")
         elif len(line.x):
             try:
-                law = fit(line.x, line.y, line.errors, line.samples)
-                row |= vars(law) | {"p_value": fits.p_value(law.chi2, law.dof, line.samples)}
+                row |= (law := fit(line.x, line.y, line.errors, line.samples))
+                row["p_value"] = p_value(law["chi2"], law["dof"], line.samples)
             except ValueError as error:
                 problems.append(f"{error}: {made.variable} over {made.over}{made.at(line)}")
     if problems:
@@ -456,9 +456,7 @@ class Limit:
 
 def parse_limit(text: str) -> Limit:
     """Return the limit that a text like "sigma_spin < 1 uas/yr" states; raises SweepError that says what is allowed."""
-    wanted = (
-        "a condition is VARIABLE, one of < <= > >=, and a finite number with or without a unit, like 'x < 1 uas/yr'"
-    )
+    wanted = "a condition is VARIABLE, one of < <= > >=, a finite number and perhaps its unit, like 'x < 1 uas/yr'"
     match = _LIMIT.fullmatch(text.strip())
     number = math.nan
     with suppress(ValueError):
@@ -583,11 +581,8 @@ def interpolate(
         row[:] = (np.exp(value), np.exp(value) * error) if logarithm else (value, error)
     attributes, rows = dataset[variable].attrs, rows.T.reshape(2, *(made.grid.sizes[d] for d in made.dims))
     of_error = described(units_of(attributes), f"one-sigma error of {variable}")
-    return (
-        made.grid.drop_attrs(deep=False)
-        .assign_coords({over: ((), at, dataset[over].attrs)})
-        .assign({variable: (made.dims, rows[0], attributes), f"{variable}_mc_error": (made.dims, rows[1], of_error)})
-    )
+    values = {variable: (made.dims, rows[0], attributes), f"{variable}_mc_error": (made.dims, rows[1], of_error)}
+    return made.grid.drop_attrs(deep=False).assign_coords({over: ((), at, dataset[over].attrs)}).assign(values)
 
 
 def _cross(line: Line, limit: Limit, threshold: float, over_unit: str) -> dict[str, Any]:
@@ -643,6 +638,181 @@ def _is_logarithmic(x: Array, unit: str) -> bool:
 def on_scale(x: Array, unit: str) -> Array:
     """Return the axis on the scale for interpolation: its logarithm, or itself if it is one already or has none."""
     return np.log(x) if _is_logarithmic(x, unit) else x
+
+
+# Fits: arrays in, numbers out
+
+
+def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> dict[str, Any]:
+    """Return the power law y = amplitude (x / pivot)^exponent through points, by generalised least squares of log y
+    against log x: these numbers with one-sigma errors of the first and the last, and their ``correlation``, which the
+    pivot makes 0 unless the covariance was estimated from samples.  ``chi2`` is NaN where the points have no errors.
+
+    ``x`` and ``y`` (n,) are positive; ``errors`` are one sigma of y, (n,), or the covariance of y, (n, n).  The errors
+    of the law follow from the errors of y, whatever the scatter.  Unless all errors (n,) are known and positive, all
+    points weigh the same, and the errors of the law come from the scatter (0 for two points, which have none).
+    If the covariance was estimated from ``samples``, only its diagonal gives weights, as its inverse would follow its
+    noise; the errors of the law with these weights are computed from all of it.  If ``samples`` is NaN, the
+    covariance of points with errors (n,) is not known: the errors give weights, and the errors of the law are NaN.
+    Raises ValueError for a covariance that is not positive definite.
+    """
+    relative, known = _relative_covariance(y, errors)
+    whiten, covariance = _weigh(relative, samples)
+    ones, u, v = whiten(np.ones_like(x)), whiten(np.log(x)), whiten(np.log(y))
+    total = ones @ ones
+    centre, mean = ones @ u / total, ones @ v / total
+    u, v = u - centre * ones, v - mean * ones  # about the centre, amplitude and exponent are not correlated
+    information = u @ u
+    exponent = u @ v / information
+    dof = len(x) - 2
+    chi2 = _chi2(v - exponent * u, np.stack([ones, u], axis=1), covariance, relative, samples)
+    unit = 1.0 if known else chi2 / dof if dof > 0 else 0.0
+    solve = np.stack([u / information, ones / total])
+    spread = unit * float(small_sample_factor(samples)) * solve @ covariance @ solve.T
+    exponent_error, relative_error = np.sqrt(np.diag(spread).clip(min=0.0))  # 0 but for rounding where all is shared
+    both = exponent_error * relative_error
+    amplitude = np.exp(mean)
+    return {
+        "exponent": float(exponent),
+        "exponent_error": float(exponent_error),
+        "amplitude": float(amplitude),
+        "amplitude_error": float(amplitude * relative_error),
+        "correlation": float(spread[0, 1] / both) if both > 0.0 else 0.0,
+        "pivot": float(np.exp(centre)),
+        "chi2": chi2 if known and not np.isnan(samples) else np.nan,
+        "dof": dof,
+    }
+
+
+def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = np.inf) -> dict[str, Any]:
+    """Return the law that levels off, y^2 = plateau^2 + c exp(-rate x), and where it falls by the fraction ``fall`` per
+    unit of x: `MEANINGS` has what these numbers are.  ``plateau`` is NaN where the points do not level off; ``limit``
+    is -inf if y falls by less everywhere, inf if nowhere, and may lie beyond the points.
+
+    ``x`` (n,) ascends, ``y`` (n,) is positive, n at least 4; ``errors`` and ``samples`` are as in `power_law`.  Unless
+    all errors are known, those of the law come from the scatter.  They are scaled up if points are farther from the law
+    than their own errors allow.
+    Raises ValueError where it does not converge, or for a covariance that is not positive definite.
+    """
+    # here, as a run that only compares with claims does not need to read it
+    from scipy.optimize import approx_fprime, least_squares
+
+    relative, known = _relative_covariance(y, errors)
+    whiten, covariance = _weigh(relative, samples)
+    first, length, scale = x[0], x[-1] - x[0], y[-1]
+    z, target = (x - first) / length, np.log(y / scale)  # z runs from 0 at the first point to 1 at the last
+
+    # The parameters are log y^2 at both ends and the rate: they are hardly correlated, and y^2 is positive in between
+    # whatever their values are.
+    def misfit(parameters: Array) -> Array:
+        start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
+        square = start + (end - start) * z * exprel(-rate * z) / exprel(-rate)
+        return whiten(0.5 * np.log(np.asarray(square)) - target)
+
+    converged = []
+    for guess in STARTS:
+        with np.errstate(all="ignore"), suppress(ValueError, LinAlgError):
+            # a trial value of the rate may overflow and is then rejected; a parameter that nothing depends on has
+            # no error, and its matrix no inverse
+            begin = np.array([2.0 * target[0], 0.0, guess])
+            fit = least_squares(misfit, begin, jac="3-point", xtol=1e-10, ftol=1e-12, gtol=1e-12, max_nfev=300)
+            jacobian = np.asarray(fit.jac, dtype=np.float64)
+            np.linalg.inv(jacobian.T @ jacobian)
+            if fit.success:
+                converged.append((2.0 * float(fit.cost), fit.x, jacobian))
+    if not converged:
+        raise ValueError("the levelling law does not converge")
+    misfit_squared, best, slopes = min(converged, key=lambda each: each[0])
+    dof = len(x) - 3
+    solve = np.linalg.pinv(slopes)
+    spread = solve @ covariance @ solve.T * float(small_sample_factor(samples))
+    if misfit_squared > dof or not known:
+        spread = spread * misfit_squared / dof
+
+    def derived(parameters: Array) -> Array:
+        start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
+        floor = float(start + (end - start) / -np.expm1(-rate)) if rate > 0.0 else np.nan  # what y^2 tends to
+        plateau = scale * np.sqrt(floor) if floor > 0.0 else np.nan
+        limit = first + length * _limit(start, end, rate, floor, fall * length)
+        return np.array([plateau, rate / length, 0.5 * (start - end) / end / exprel(rate) / length, limit])
+
+    values = derived(best)
+    with np.errstate(invalid="ignore"):
+        jacobian = approx_fprime(best, derived)
+        sigmas = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
+    sigmas = np.where(np.isfinite(values), sigmas, np.nan)
+    judged = known and not np.isnan(samples)
+    chi2 = _chi2(misfit(best), slopes, covariance, relative, samples) if judged else np.nan
+    law: dict[str, Any] = {}
+    for name, *both in zip(("plateau", "rate", "end_fall", "limit"), values.tolist(), sigmas.tolist(), strict=True):
+        law[name], law[f"{name}_error"] = both
+    return law | {"chi2": chi2, "dof": dof}
+
+
+def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
+    """Return the probability of a chi2 at least as large if the law holds; NaN without degrees of freedom.
+
+    With a covariance estimated from ``samples``, chi2 is Hotelling's T^2, which has an F distribution.
+    """
+    if not np.isfinite(samples):
+        return float(chdtrc(dof, chi2)) if dof > 0 else np.nan
+    left = samples - dof
+    return float(fdtrc(dof, left, chi2 * left / (dof * (samples - 1.0)))) if dof > 0 < left else np.nan
+
+
+def _relative_covariance(y: Array, errors: Array) -> tuple[Array, bool]:
+    """Return the covariance of log y to first order, (n, n), from errors (n,) or a covariance (n, n) of y, and whether
+    it is known: unless errors (n,) are all finite and positive, it is the unit matrix, for points of equal weight.
+    """
+    if errors.ndim == 2:
+        return errors / np.outer(y, y), True
+    known = bool(np.all((errors > 0.0) & np.isfinite(errors)))
+    return np.diag((errors / y) ** 2) if known else np.eye(len(y)), known
+
+
+def _weigh(covariance: Array, samples: float) -> tuple[Callable[[Array], Array], Array]:
+    """Return the function that weights points, and the covariance (n, n) of weighted points.  An exact covariance
+    gives all weights, and leaves the unit matrix; one estimated from ``samples`` gives weights by its diagonal only.
+    Raises ValueError for a covariance that is not positive definite, or one from samples with points without error.
+    """
+    if np.isfinite(samples):
+        sigma = np.sqrt(np.diag(covariance))
+        if not np.all(sigma > 0.0):
+            raise ValueError("the covariance between the points has points without error")
+        return (lambda vector: vector / sigma), covariance / np.outer(sigma, sigma)
+    try:
+        root = np.linalg.cholesky(covariance)
+    except LinAlgError:
+        root = np.full_like(covariance, np.nan)
+    if not np.all(np.isfinite(root)):  # NaN in is NaN out, without an error
+        raise ValueError("the covariance between the points is not positive definite")
+    return (lambda vector: np.linalg.solve(root, vector)), np.eye(len(covariance))
+
+
+def _chi2(residual: Array, design: Array, covariance: Array, relative: Array, samples: float) -> float:
+    """Return the sum of squared residuals of weighted points, in units of their errors, about a law with the ``design``
+    (n, parameters).  NaN if points with a ``relative`` covariance from ``samples`` share so much of their errors that
+    the rest is not known: the covariance is of first order, and the second is about the square of the relative error.
+    """
+    rest = np.linalg.qr(design, mode="complete")[0][:, design.shape[1] :]
+    free = rest.T @ covariance @ rest
+    if not free.size:
+        return 0.0
+    error = float(np.sqrt(np.max(np.diag(relative)))) if np.isfinite(samples) else 0.0
+    if np.linalg.eigvalsh(free)[0] < (FIRST_ORDER * error) ** 2:
+        return np.nan
+    return float(residual @ rest @ np.linalg.solve(free, rest.T @ residual))
+
+
+def _limit(start: float, end: float, rate: float, floor: float, fall: float) -> float:
+    """Return the z where -d ln y / dz is ``fall``: rate/2 c t / (floor + c t) with t = exp(-rate z)."""
+    if end >= start:
+        return -np.inf
+    if not floor > 0.0:
+        return np.inf
+    if rate <= 2.0 * fall:
+        return -np.inf
+    return float(np.log((start - floor) * (0.5 * rate / fall - 1.0) / floor) / rate)
 
 
 # Words

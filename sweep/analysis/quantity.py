@@ -220,13 +220,14 @@ def error_of_sum(
 
 
 def axes_of(dataset: xr.Dataset) -> list[str]:
-    """Return the dimensions that are axes of the study."""
-    return [str(d) for d in dataset["status"].dims]
+    """Return the dimensions that are axes of the study, or those of what is derived from one."""
+    array = dataset["status"] if "status" in dataset else next(iter(dataset.data_vars.values()))
+    return list(map(str, array.dims))
 
 
 def own_dimensions(dataset: xr.Dataset, name: str) -> list[str]:
     """Return the dimensions of an output that are not axes of the study."""
-    return [str(d) for d in dataset[name].dims if d not in dataset["status"].dims]
+    return [str(d) for d in dataset[name].dims if d not in axes_of(dataset)]
 
 
 def array_outputs(dataset: xr.Dataset) -> list[str]:
@@ -248,9 +249,8 @@ def numeric_axes(dataset: xr.Dataset, variable: str) -> list[str]:
     """
     dims = [d for d in dataset[variable].dims if d != POINT]
     names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in dims and c.dtype.kind in "if"]
-    sizes = {
-        n: int(dataset[n].notnull().sum()) for n in names if dataset[n].size > 1
-    }  # it may have no effect somewhere
+    # an axis may have no effect somewhere
+    sizes = {n: int(dataset[n].notnull().sum()) for n in names if dataset[n].size > 1}
     return sorted(sizes, key=lambda n: (-sizes[n], n not in dims, n))
 
 
@@ -291,6 +291,15 @@ def where_they_change(dataset: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
     return dataset.isel(dict.fromkeys(alike, 0), drop=True)
 
 
+def grid_of(dataset: xr.Dataset, dimensions: Sequence[str]) -> xr.Dataset:
+    """Return the coordinates along some dimensions and no others, under the title of a dataset."""
+    import xarray as xr  # which is not needed where results are only printed
+
+    along = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(dimensions)}
+    title = {"title": str(dataset.attrs.get("title", ""))}
+    return xr.Dataset(coords=along | {d: dataset[d].variable for d in dimensions}, attrs=title)
+
+
 def places_along(dataset: xr.Dataset | xr.DataArray, dimensions: Iterable[Hashable]) -> Iterator[dict[str, int]]:
     """Yield the index of every combination along some dimensions, in C order."""
     names = list(map(str, dimensions))
@@ -308,9 +317,7 @@ def units_along(dataset: xr.Dataset, variable: str, dimensions: Sequence[str]) -
         parts = [listed(dataset, name, dimensions) for name in names]
     if not parts:
         return [unit] * math.prod(dataset.sizes[d] for d in dimensions)
-    return (
-        parts[0] if len(parts) == 1 else [" ".join(f"({word})" for word in words) for words in zip(*parts, strict=True)]
-    )
+    return [one[0] if len(one) == 1 else " ".join(f"({unit})" for unit in one) for one in zip(*parts, strict=True)]
 
 
 def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
@@ -377,9 +384,8 @@ def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Datas
     values = dataset[axis].values
     inside = np.flatnonzero((values >= low) & (values <= high))
     if not inside.size:
-        raise SweepError(
-            f"{axis} has no value from {low:g} to {high:g}; it goes from {values.min():g} to {values.max():g}"
-        )
+        ends = f"it goes from {values.min():g} to {values.max():g}"
+        raise SweepError(f"{axis} has no value from {low:g} to {high:g}; {ends}")
     return dataset.isel(dict.fromkeys(_both(dataset, str(dataset[axis].dims[0])), inside))
 
 
@@ -512,33 +518,18 @@ def in_readable_units(dataset: xr.Dataset) -> xr.Dataset:
     """
     if "status" not in dataset:
         return dataset
-    names, changed, label_unit = quantities(dataset), dict[str, Any](), dict[str, Any]()
-    labels = [str(n) for n in dataset.coords if str(n).endswith("_unit") and not dataset[n].dims]
-    label = next((n for n in labels if n.removesuffix("_unit") in dataset.coords), "")
+    names, changed = quantities(dataset), dict[str, Any]()
     declared = {error for name in names for error in errors_beside(dataset, name)}
     for name in names:
-        unit = units_of(dataset[name].attrs)
-        by_component = "," in unit
-        if (
-            not unit
-            or dataset[name].dtype.kind != "f"
-            or name in declared
-            or (by_component and (not label or "(" in unit))
-        ):
-            continue  # a unit with brackets is that of products of two components
-        chosen = prefixed(dataset[name].values, str(dataset[label].item()) if by_component else unit)
-        if by_component:
-            chosen = label_unit.setdefault(label, chosen)
+        unit, stored = units_along(dataset, name, [])[0], units_of(dataset[name].attrs)
+        if "," in unit or dataset[name].dtype.kind != "f" or name in declared:
+            continue
+        readable, factor = prefixed(dataset[name].values, unit)
         beside = [name, *errors_beside(dataset, name), *(f"{name}_{suffix}" for suffix in BESIDE)]
-        factors = {
-            n: (chosen.factor, chosen.unit) for n in beside if n in dataset and units_of(dataset[n].attrs) == unit
-        }
-        squares = (f"{name}_{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords)
-        factors |= {n: (chosen.factor**2, f"({chosen.unit})2") for n in squares if n in dataset}
-        for other, (factor, new) in factors.items() if chosen.factor != 1.0 else ():
-            array = dataset[other]
-            changed[other] = scaled = array.copy(data=array.values * factor)
-            scaled.attrs["units"] = new
-    units = {name: dataset[name].copy(data=chosen.unit) for name, chosen in label_unit.items()}
-    dataset = dataset.assign(changed)
-    return dataset.assign_coords(units) if units else dataset
+        squares = [n for axis in dataset.coords if (n := f"{name}_{COVARIANCE_SUFFIX}_{axis}") in dataset]
+        alike = [n for n in beside if n in dataset and units_of(dataset[n].attrs) == stored]
+        factors = dict.fromkeys(alike, (factor, readable)) | dict.fromkeys(squares, (factor**2, f"({readable})2"))
+        for other, (times, new) in factors.items() if factor != 1.0 else ():
+            changed[other] = dataset[other].copy(data=dataset[other].values * times)
+            changed[other].attrs["units"] = new
+    return dataset.assign(changed)

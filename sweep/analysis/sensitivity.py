@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.analysis import quantity
-from linksweep.sweep.analysis.derived import derived
+from linksweep.sweep.analysis.tables import derived
 from linksweep.sweep.contract import Array, Status, SweepError
 from linksweep.sweep.formatting import units_of
 from linksweep.sweep.studies.points import DESIGNS, MORRIS_LEVELS, Range, salib, unit_cube
@@ -119,10 +119,8 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
         name: (one, unit, MEANINGS.get(name, f"one-sigma error of {name.removesuffix('_error')}"))
         for name, one in zip(method.indices, numbers, strict=True)
     }
-    coordinates = {n: c.variable for n, c in dataset.coords.items() if set(c.dims) <= set(others)}
-    labels = {"parameter": np.array(method.parameters, dtype=object)}
-    grid = xr.Dataset(coords={**{d: dataset[d].variable for d in others}, **coordinates, **labels})
-    about = {"title": str(dataset.attrs.get("title", "")), "output": output, METHOD: method.name, "points": points}
+    grid = quantity.grid_of(dataset, others).assign_coords(parameter=np.array(method.parameters, dtype=object))
+    about = {"output": output, METHOD: method.name, "points": points}
     return derived(grid, [*others, "parameter"], columns, [n for n in columns if n in MEANINGS], notes, **about)
 
 

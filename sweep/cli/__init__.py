@@ -610,7 +610,7 @@ def print_result(dataset: Any, table_format: str) -> None:
 
 def print_headlines(dataset: Any, as_json: bool) -> None:
     """Print the headline results of a study and what is to be said about them, or all results for programs."""
-    from linksweep.sweep.analysis.results_table import headline_table, notes
+    from linksweep.sweep.analysis.tables import headline_table, notes
 
     if as_json:
         print_result(dataset, "json")

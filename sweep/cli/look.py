@@ -146,7 +146,7 @@ class Drawing:
 
     def figure(self) -> tuple[Any, Any]:
         """Return a figure, and the dataset that it shows."""
-        from linksweep.sweep.plots import sky
+        from linksweep.sweep.plots import link as sky
         from linksweep.sweep.plots.figure import draw_figure
         from linksweep.sweep.running.reproduce import study_to_look_at
         from linksweep.sweep.stores.location import store_named
@@ -469,7 +469,7 @@ def watch(
 
 def _on_a_page(stores: "Iterable[Location]", interval: float) -> None:
     try:
-        from linksweep.sweep.report.watch import serve
+        from linksweep.sweep.report.page import serve
     except ImportError as error:
         raise click.UsageError(f"a page needs more packages: pip install 'linksweep[report]' ({error})") from error
     serve(stores, interval, lambda address: click.echo(f"{address}\nCtrl-C ends it", err=True))

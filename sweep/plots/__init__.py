@@ -39,30 +39,23 @@ KINDS: Mapping[str, Mapping[str, Kind]] = {
         "pairs": Kind("grid:PAIRS"),
         "curves": Kind("grid:CURVES"),
     },
-    "scaling": {"scaling": Kind("analyses:scaling_figure")},
-    "sensitivity": {"sensitivity": Kind("analyses:sensitivity_figure")},
-    "catalogue": {"sky": Kind("sky:sky_figure"), "accuracy": Kind("sky:accuracy_figure")},
+    "scaling": {"scaling": Kind("grid:scaling_figure")},
+    "sensitivity": {"sensitivity": Kind("grid:sensitivity_figure")},
+    "catalogue": {"sky": Kind("link:sky_figure"), "accuracy": Kind("link:accuracy_figure")},
     "tie": {
-        "solution": Kind("tie:solution_figure", "The unknowns with errors of several kinds"),
-        "residuals": Kind("tie:residual_figure", "Differences before and residuals after the fit on the sky"),
-        "separations": Kind(
-            "tie:separation_figure",
-            "Shares of sources beyond each normalised separation, beside the Rayleigh distribution of right errors",
-        ),
-        "weight": Kind(
-            "tie:weight_figure", "Discrepancy of each source per observation, against its share of the weight"
-        ),
-        "ranking": Kind("tie:influence_figure", "The most influential sources"),
-        "jackknife": Kind("tie:jackknife_figure", "Solutions without each source, and ellipses of the errors"),
-        "trajectory": Kind("tie:trajectory_figure", "The solution while the clip drops sources"),
-        "spectrum": Kind(
-            "tie:spectrum_figure", "Vector spherical harmonics by degree, beside noise, and their significance"
-        ),
-        "bins": Kind("tie:bin_figure", "The spin in each bin"),
+        "solution": Kind("link:solution_figure", "The unknowns with errors of several kinds"),
+        "residuals": Kind("link:residual_figure", "Differences before and residuals after the fit on the sky"),
+        "separations": Kind("link:separation_figure", "Shares of sources beyond each normalised separation"),
+        "weight": Kind("link:weight_figure", "Discrepancy per observation against the share of the weight"),
+        "ranking": Kind("link:influence_figure", "The most influential sources"),
+        "jackknife": Kind("link:jackknife_figure", "Solutions without each source, and ellipses of the errors"),
+        "trajectory": Kind("link:trajectory_figure", "The solution while the clip drops sources"),
+        "spectrum": Kind("link:spectrum_figure", "Vector spherical harmonics by degree, noise and significance"),
+        "bins": Kind("link:bin_figure", "The spin in each bin"),
     },
     "forecast": {
-        "epochs": Kind("tie:epoch_figure", "Formal errors against the epoch of new positions"),
-        "ranking": Kind("tie:ranking_figure", "The sources whose observation helps most"),
+        "epochs": Kind("link:epoch_figure", "Formal errors against the epoch of new positions"),
+        "ranking": Kind("link:ranking_figure", "The sources whose observation helps most"),
     },
 }
 """Kinds of figures by the kind of result that they are drawn of; the first that is possible is the default."""

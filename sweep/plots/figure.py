@@ -7,10 +7,9 @@ from contextlib import suppress
 
 import numpy as np
 import xarray as xr
+from matplotlib import container, lines
 from matplotlib.axes import Axes
-from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, quantity
@@ -153,9 +152,8 @@ def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
         return "curves"
     if len(over) == 2:
         return "map"
-    laws = {
-        (claim.slope.variable, claim.slope.over) for claim in quantity.claims_of(dataset) if claim.slope is not None
-    }
+    slopes = [claim.slope for claim in quantity.claims_of(dataset) if claim.slope is not None]
+    laws = [(slope.variable, slope.over) for slope in slopes]
     linear = any(dataset[name].attrs.get(style.SCALE) == "linear" for name in (variable, *numeric))
     is_law = any((variable, axis) in laws for axis in numeric) and not (dataset["status"] == Status.RUNNING).any()
     if is_law and not over and not linear and array.ndim == 1:
@@ -183,13 +181,10 @@ def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
     """Raise SweepError for components of several units, which cannot share an axis, and where none has a value."""
     for name in names:
         for dimension in dataset[name].dims:
-            units = dataset.coords.get(f"{dimension}_unit")
-            several = [] if units is None else list(dict.fromkeys(units.values.tolist()))
-            if len(several) > 1:
-                raise SweepError(
-                    f"{name} has components in {' and '.join(several)}; choose one with "
-                    f"--at {dimension}={dataset[dimension].values[0]}"
-                )
+            units = dataset.coords.get(f"{dimension}_unit", xr.DataArray([""]))
+            if len(several := dict.fromkeys(units.values.tolist())) > 1:
+                how = f"choose one with --at {dimension}={dataset[dimension].values[0]}"
+                raise SweepError(f"{name} has components in {' and '.join(several)}; {how}")
     if not any(np.isfinite(dataset[name].values).any() for name in names):
         unfinished = unfinished_in_words(count_status(dataset["status"].values))
         why = f": of {dataset['status'].size:,} points {unfinished}" if unfinished else ""
@@ -246,7 +241,7 @@ def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
     declared = dict.fromkeys(bars[0] for name in names if (bars := quantity.errors_beside(dataset, name)))
     sentences += [f"Error bars are {name}." for name in declared]
     if style.PREDICTED in entries:
-        dashes = isinstance(entries[style.PREDICTED], Line2D)
+        dashes = isinstance(entries[style.PREDICTED], lines.Line2D)
         sentences.append(f"{'Dashes are predicted' if dashes else 'The prediction is'} in closed form.")
     if style.PUBLISHED in entries:
         sources = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
@@ -255,7 +250,8 @@ def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
 
 
 def _has_error_bars(axes: Axes) -> bool:
-    bars = [one for one in axes.containers if isinstance(one, ErrorbarContainer) and (one.has_xerr or one.has_yerr)]
+    known = [one for one in axes.containers if isinstance(one, container.ErrorbarContainer)]
+    bars = [one for one in known if one.has_xerr or one.has_yerr]
     return any(str(one.get_label()).lstrip("_") != style.PUBLISHED for one in bars)
 
 

@@ -3,6 +3,7 @@ and a fitted law; points without an order, those of a table or a design, over ea
 and the kept samples of a single point.
 """
 
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -11,18 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from matplotlib import dates
+from matplotlib import colors, patheffects, ticker, transforms
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
-from matplotlib.patheffects import withStroke
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
-from matplotlib.transforms import ScaledTranslation
-from scipy.special import chdtri
 
 from linksweep.sweep import formatting
-from linksweep.sweep.analysis import fits, laws, quantity
+from linksweep.sweep.analysis import laws, quantity
 from linksweep.sweep.contract import Array, Status, SweepError, shown, suggest
 from linksweep.sweep.planning.union import REFINED
 from linksweep.sweep.plots import GridFigure, style
@@ -38,7 +33,11 @@ WIDE_COLOURS = 20.0  # values that span more than this factor have logarithmic c
 FAR = 30.0  # series whose largest values differ by more than this factor need panels with axes of their own
 
 OPEN: Mapping[str, Any] = {
-    **{"linestyle": "none", "marker": "o", "markersize": 4.5, "fillstyle": "none", "markeredgewidth": 0.8}
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 4.5,
+    "fillstyle": "none",
+    "markeredgewidth": 0.8,
 }
 # Dashes of predictions have one of the first two widths, or together the third, in points of print.
 NARROWEST_DASH, WIDEST_DASH, ALL_DASHES = 3.0, 10.0, 150.0
@@ -50,6 +49,7 @@ COVERED, COVERED_SHARE, ASIDE_PT = 0.015, 0.25, 4.5
 # Labels of what a caption explains; matplotlib leaves labels that begin with _ out of legends.
 ERROR_BAND, PREDICTION_BAND, LAW_BAND, JOINED = "_error band", "_prediction band", "_law band", "_joined"
 WITHOUT, RUNNING = "_without", "_running"
+BAND = "band"  # the attribute of a difference: how far it may be from zero by chance
 
 
 # Panels
@@ -136,9 +136,7 @@ def draw_panels(
     columns, rows, far = layout
     if len(variables) > 1:
         if rows is not None:
-            raise SweepError(
-                "several variables leave room for one dimension of panels; fix others with --at AXIS=VALUE"
-            )
+            raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
         columns, rows = None, columns
     panels = list(_panels(dataset, variables, columns, rows, layout.columns if far and not one_unit else None))
     if len(panels) > MOST_PANELS:
@@ -172,9 +170,7 @@ def _panels(
     dataset: xr.Dataset, variables: list[str], columns: str | None, rows: str | None, far: str | None
 ) -> Iterator[_Panel]:
     """Yield the panels that have anything to show, row by row; those along ``far`` have units of their own."""
-    across = [
-        (name, place) for name in variables for place in quantity.places_along(dataset, [columns] if columns else [])
-    ]
+    across = list(product(variables, quantity.places_along(dataset, [columns] if columns else [])))
     for row in quantity.places_along(dataset, [rows] if rows else []):
         for name, column in across:
             place = row | column
@@ -256,6 +252,9 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
         axes.plot([], [], color="0.15", **OPEN, label=style.PUBLISHED)
     if any(offsets) and not (joined and len(x) > MOST_MARKERS):
         axes.plot([], [], linestyle="none", label=style.MOVED)
+    if half := dataset[variable].attrs.get(BAND):
+        axes.axhline(0.0, color="black", linewidth=0.6)
+        axes.axhspan(-half, half, color=style.COLOURS[6], **style.BAND)
     style.fit_scale(axes, "y", dataset[variable])
     axes.set(xlabel=style.axis_label(dataset, over), ylabel=style.quantity_label(dataset, variable))
     axes.margins(x=max(0.05, EDGE_PT / (72.0 * style.panel_size(axes)[0] - 2.0 * EDGE_PT)))
@@ -294,8 +293,9 @@ def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
         style.fit_scale(axes, which, array)
         return np.asarray(array.values.astype(float))
     if array.dtype.kind == "M":
-        getattr(axes, f"{which}axis_date")()
-        return np.asarray(dates.date2num(array.values))  # type: ignore[no-untyped-call]
+        scale: Any = axes.xaxis if which == "x" else axes.yaxis
+        scale.update_units(array.values)
+        return np.asarray(scale.convert_units(array.values))
     values = array.values.tolist()
     names, is_truth = list(dict.fromkeys(values)), formatting.is_truth(array)
     texts = [style.SWITCH[name] if is_truth else style.value_text(dataset, axis, str(name)) for name in names]
@@ -365,7 +365,7 @@ def _draw_series(
         half = None if rounding is None else rounding.values
         look = {**OPEN, **mark, "color": "0.15", "elinewidth": 0.6, "zorder": 4, "label": f"_{style.PUBLISHED}"}
         moved.append(axes.errorbar(x, one[published].values, yerr=half, **look))
-    aside = ScaledTranslation(offset / 72.0, 0.0, axes.figure.dpi_scale_trans)
+    aside = transforms.ScaledTranslation(offset / 72.0, 0.0, axes.figure.dpi_scale_trans)
     for artist in (one for container in moved for one in container.get_children() if offset):
         artist.set_transform(artist.get_transform() + aside)
 
@@ -420,27 +420,31 @@ def _draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over
     dashed guide has the exponent that a claim of the study states, and meets the law at its pivot.
     """
     along, result = laws.lines(dataset, variable, over), laws.fit_power_law(dataset, variable, over)
-    exponents = result["expected"].values.ravel() if "expected" in result else np.full(len(along.lines), np.nan)
-    drawn = [(line, expected) for line, expected in zip(along.lines, exponents, strict=True) if len(line.x)]
     steps = _steps(dataset, variable, str(dataset[over].dims[0]))
-    for number, (line, expected) in enumerate(drawn):
+    for number, line in enumerate(line for line in along.lines if len(line.x)):
         x, y, errors = line.x, line.y, line.errors
         look, place = style.marks(number, 3.5, len(steps)), along.place(line)
         words = ", ".join(style.value_text(dataset, d, place[d]) for d in along.dims if along.grid.sizes[d] > 1)
         error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
-        law, fine = fits.power_law(x, y, errors, line.samples), np.geomspace(x.min(), x.max(), 100)
-        curve, half, band = law(fine), law.relative_error(fine), {"color": look["color"], **style.BAND}
-        known = law.exponent_error if law.exponent_error > 1e-9 else 0.0  # less is of rounding
-        exponent = formatting.with_error(law.exponent, known).replace(" ± ", r"\pm")
+        law, fine = result.isel(line.index), np.geomspace(x.min(), x.max(), 100)
+        names = ("exponent", "exponent_error", "amplitude", "amplitude_error", "correlation", "pivot")
+        power, power_error, height, height_error, correlation, pivot = (law[name].item() for name in names)
+        curve, there = (height * (at / pivot) ** power for at in (fine, x))
+        spread, tilt = height_error / height, np.log(fine / pivot) * power_error
+        half = np.sqrt(np.maximum(spread**2 + tilt**2 + 2.0 * correlation * spread * tilt, 0.0))
+        band = {"color": look["color"], **style.BAND}
+        known = power_error if power_error > 1e-9 else 0.0  # less is of rounding
+        exponent = formatting.with_error(power, known).replace(" ± ", r"\pm")
         fitted = _power(dataset, over, exponent)
         text = f"{words}: {fitted}" if words else style.SIMULATED if error.any() else style.COMPUTED
         upper.errorbar(x, y, yerr=error if error.any() else None, label=text, **look)
         upper.plot(fine, curve, color=look["color"], linewidth=1.0, label="" if words else f"fit {fitted}")
         upper.fill_between(fine, curve * (1.0 - half), curve * (1.0 + half), label=LAW_BAND, **band)
         lower.fill_between(fine, -100.0 * half, 100.0 * half, **band)
-        lower.errorbar(x, 100.0 * (y / law(x) - 1.0), yerr=100.0 * error / law(x), **look)
-        if np.isfinite(expected):
-            guide = law.amplitude * (fine / law.pivot) ** expected
+        residual = np.round(100.0 * (y / there - 1.0), 9)  # without what is of rounding
+        lower.errorbar(x, residual, yerr=100.0 * error / there, **look)
+        if np.isfinite(expected := law["expected"].item() if "expected" in law else np.nan):
+            guide = height * (fine / pivot) ** expected
             text = f"guide {_power(dataset, over, format(expected, 'g'))}"
             upper.plot(fine, guide, label=text, **style.GUIDE)  # the legend names alike ones once
             lower.plot(fine, 100.0 * (guide / curve - 1.0), **style.GUIDE)
@@ -466,9 +470,8 @@ def _map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) 
     variable, numeric = variables[0], quantity.numeric_axes(dataset, variables[0])
     chosen = [quantity.require_axis(dataset, variable, axis) for axis in over or _two_axes(dataset, variable)]
     if len(chosen) != 2 or len({dataset[axis].dims[0] for axis in chosen}) != 2:
-        raise SweepError(
-            f"a map needs two axes that are crossed, of {', '.join(numeric)}; not {', '.join(chosen) or 'none'}"
-        )
+        wanted, got = ", ".join(numeric), ", ".join(chosen) or "none"
+        raise SweepError(f"a map needs two axes that are crossed, of {wanted}; not {got}")
     layout, readable = arrange(dataset, variable, chosen, series=False), quantity.in_readable_units(dataset)
     draw = partial(draw_map, x=chosen[0], y=chosen[1], limits=colour_limits(readable[variable]))
     figure = draw_panels(readable, variables, layout, draw, one_unit=True)
@@ -490,7 +493,7 @@ def _two_axes(dataset: xr.Dataset, variable: str) -> list[str]:
     return [two[str(d)] for d in dataset[variable].dims if d in two]
 
 
-def colour_limits(array: xr.DataArray) -> Normalize:
+def colour_limits(array: xr.DataArray) -> colors.Normalize:
     """Return the scale of colours for all values of a variable, logarithmic as an axis of it would be, and where they
     span a large factor that no single gap makes up.
     """
@@ -499,36 +502,36 @@ def colour_limits(array: xr.DataArray) -> Normalize:
     low, high = float(values.min()), float(values.max())
     is_wide = low > 0.0 and high > WIDE_COLOURS * low and style.unevenness(np.log(np.unique(values))) < 0.5
     is_log = style.is_logarithmic(array) or (is_wide and style.SCALE not in array.attrs)
-    return (LogNorm if is_log else Normalize)(low, high)
+    return (colors.LogNorm if is_log else colors.Normalize)(low, high)
 
 
-def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, limits: Normalize) -> None:
+def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, limits: colors.Normalize) -> None:
     """Draw a variable over two axes: colours at the points of the grid, and contours, but none of truth values.
 
     ``limits`` are those of the colours, which all panels of a figure share.  Points without a value are left white.
     """
-    dataset = dataset.sortby([x, y])
-    values = dataset[variable].transpose(dataset[y].dims[0], dataset[x].dims[0]).values.astype(float)
+    array, places = dataset.sortby([x, y])[variable].astype(float), {"x": x, "y": y, "ax": axes, "add_labels": False}
     low, high = float(limits.vmin or 0.0), float(limits.vmax or 0.0)
-    across, up = dataset[x].values.astype(float), dataset[y].values.astype(float)
-    cells = [_edges(places, style.is_logarithmic(dataset[name])) for name, places in ((x, across), (y, up))]
-    axes.pcolormesh(*cells, values, cmap="cividis", norm=limits, shading="flat", rasterized=True)
-    is_log = isinstance(limits, LogNorm)
-    levels = LogLocator(subs=(1.0, 2.0, 5.0)) if is_log else MaxNLocator(8, steps=[1, 2, 2.5, 5, 10])
+    scales = {f"{w}scale": "log" for w, name in (("x", x), ("y", y)) if style.is_logarithmic(dataset[name])}
+    # with borders of cells halfway between the points, on the scale of the axis
+    array.plot.pcolormesh(**places, **scales, cmap="cividis", norm=limits, add_colorbar=False, rasterized=True)
+    is_log = isinstance(limits, colors.LogNorm)
+    levels = ticker.LogLocator(subs=(1.0, 2.0, 5.0)) if is_log else ticker.MaxNLocator(8, steps=[1, 2, 2.5, 5, 10])
     inside = [level for level in levels.tick_values(low, high) if low < level < high]
-    is_smooth = inside and _is_smooth(np.log(values) if is_log else values, len(inside))
+    is_smooth = inside and _is_smooth(np.log(array.values) if is_log else array.values, len(inside))
     if is_smooth and not formatting.is_truth(dataset[variable]):
         # solid, also those of negative numbers
-        contours = axes.contour(across, up, values, colors="white", levels=inside, linewidths=0.8, linestyles="solid")
+        look = {"colors": "white", "levels": inside, "linewidths": 0.8, "linestyles": "solid"}
+        contours = array.plot.contour(**places, **look)
         for artist in (contours, *axes.clabel(contours, fmt=style.number_text, fontsize="small")):
-            artist.set_path_effects([withStroke(linewidth=2.2, foreground="0.15")])
+            artist.set_path_effects([patheffects.withStroke(linewidth=2.2, foreground="0.15")])
     for axis, which, name in ((axes.xaxis, "x", x), (axes.yaxis, "y", y)):
         style.fit_scale(axes, which, dataset[name])
         if dataset[name].size <= 3:  # ticks at these alone
             axis.set_ticks(dataset[name].values, list(map(style.number_text, dataset[name].values)))
-            axis.set_minor_locator(NullLocator())
+            axis.set_minor_locator(ticker.NullLocator())
         elif dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
-            axis.set_major_locator(MaxNLocator(integer=True))
+            axis.set_major_locator(ticker.MaxNLocator(integer=True))
     axes.set(xlabel=style.explained_label(dataset[x], x), ylabel=style.explained_label(dataset[y], y))
 
 
@@ -539,14 +542,6 @@ def _is_smooth(values: Array, levels: int) -> bool:
     middles = [(one[2:] + one[:-2]) / 2.0 - one[1:-1] for one in (values, values.T)]
     largest = max(float(np.abs(one).max(initial=0.0)) for one in middles)  # NaN where a value is missing
     return min(values.shape) > 2 and largest < 0.5 * float(np.ptp(values)) / (levels + 1)
-
-
-def _edges(places: Array, is_log: bool) -> Array:
-    """Return the borders of cells around ascending places on an axis, halfway between them on its scale."""
-    scale = np.log(places) if is_log else places
-    middle = (scale[1:] + scale[:-1]) / 2.0
-    whole = np.concatenate([[2.0 * scale[0] - middle[0]], middle, [2.0 * scale[-1] - middle[-1]]])
-    return np.exp(whole) if is_log else whole
 
 
 def _accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:
@@ -599,13 +594,10 @@ def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
     variable, parameters = variables[0], _parameters(dataset, over, MOST_PAIRED)
     further = [str(d) for d in dataset[variable].dims if d != POINT and dataset.sizes[d] > 1]
     if further or len(parameters) < 2:
-        raise SweepError(
-            f"pairs need two parameters and one value a point; fix {', '.join(further)} with --at AXIS=VALUE"
-        )
+        raise SweepError(f"pairs need two parameters and one value a point; fix {', '.join(further)}: --at AXIS=VALUE")
     across, up = parameters[:-1], parameters[1:]
-    figure, panels = style.new_figure(
-        2.4 + 1.7 * len(across), 1.2 + 1.6 * len(up), len(up), len(across), least=1.0, sharex="col", sharey="row"
-    )
+    size = 2.4 + 1.7 * len(across), 1.2 + 1.6 * len(up)
+    figure, panels = style.new_figure(*size, len(up), len(across), least=1.0, sharex="col", sharey="row")
     values = dataset[variable].squeeze().values.astype(float)
     known = np.flatnonzero(np.isfinite(values))
     order = known[np.argsort(np.abs(values[known] - np.median(values[known])))]  # extremes on top
@@ -660,10 +652,8 @@ def _parameters(dataset: xr.Dataset, over: Sequence[str], most: int) -> list[str
         raise SweepError(f"the points do not differ in {shown(unknown[0])}{suggest(unknown[0], known)}")
     chosen = list(over) or known
     if len(chosen) > most:
-        raise SweepError(
-            f"{len(chosen)} parameters are too many for one picture, at most {most}; choose some with --over: "
-            f"{', '.join(chosen)}"
-        )
+        listed = ", ".join(chosen)
+        raise SweepError(f"{len(chosen)} parameters are too many for one picture of {most}: choose --over, {listed}")
     return chosen
 
 
@@ -698,24 +688,24 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
         units = dict(zip(known, dataset[f"{dimension}_unit"].values.tolist(), strict=True))
     main = dataset[quantity.main_quantity(dataset)].attrs if quantity.quantities(dataset) else {}
     alike = [name for name in known if units[name] == main.get("units")]
-    chosen = list(over or (alike if len(alike) > 1 else known)[:2])
+    names = list(over or (alike if len(alike) > 1 else known)[:2])
     figure, (axes,) = style.new_figure(5.2, 4.8)
-    _draw_samples(axes, dataset, variable, {name: units[name] for name in chosen}, dimension)
+    _draw_samples(axes, dataset, variable, dimension, names, [units[name] for name in names])
     return figure
 
 
-def _draw_samples(axes: Axes, dataset: xr.Dataset, variable: str, components: dict[str, str], dimension: str) -> None:
-    """Draw the samples of two components, given with their units, against each other, with ellipses of 68 and 95 % of a
+def _draw_samples(
+    axes: Axes, dataset: xr.Dataset, variable: str, dimension: str, names: list[str], units: list[str]
+) -> None:
+    """Draw the samples of two components, with their units, against each other, with ellipses of 68 and 95 % of a
     normal distribution.
 
     Where the dataset has a ``bias``, the truth (mean estimate - bias) is a cross.  The standard deviations stand above
     the legend with their errors, sigma/sqrt(2 n).
     """
-    names, units = list(components), list(components.values())
-    both = np.stack([dataset[variable].sel({dimension: name}).values.astype(float) for name in names])
+    both = dataset[variable].sel({dimension: names}).transpose(dimension, "sample").values.astype(float)
     both = both[:, np.isfinite(both).all(axis=0)]
-    n = both.shape[1]
-    if n < 3:
+    if (n := both.shape[1]) < 3:
         raise SweepError(f"{variable} has {n} samples here; at least 3 are needed")
     factor = 1.0
     if units[0] == units[1]:
@@ -730,28 +720,19 @@ def _draw_samples(axes: Axes, dataset: xr.Dataset, variable: str, components: di
     axes.plot(*both, ".", label=f"{n} estimates", **dots)
     for confidence, line in ((0.683, "solid"), (0.954, "dashed")):
         share = f"{100 * confidence:.0f} % of their normal law"
-        ellipse = confidence_ellipse(mean, covariance, confidence, linestyle=line, label=share)
+        ellipse = style.confidence_ellipse(mean, covariance, confidence, linestyle=line, label=share)
         axes.add_patch(ellipse).set_edgecolor(style.COLOURS[1])
     axes.errorbar(*mean, *(sigma / np.sqrt(n))[::-1], label="mean", **style.marks(1, 3.0))
     if "bias" in dataset and dimension in dataset["bias"].dims:
-        truth = mean - [factor * dataset["bias"].sel({dimension: name}).item() for name in names]
+        truth = mean - factor * dataset["bias"].sel({dimension: names}).values
         axes.plot(*truth, "x", color="black", label="truth", markersize=9.0, markeredgewidth=1.4)
-    axes.set_xlabel(style.label(dataset[variable], names[0], units[0]))
-    axes.set_ylabel(style.label(dataset[variable], names[1], units[1]))
-    words = [
-        rf"$\sigma$({style.symbol(name)}) = {formatting.with_error(s, s / np.sqrt(2 * n))} {formatting.written(unit)}"
-        for name, s, unit in zip(names, sigma, units, strict=True)
-    ]
-    title = "\n".join([*words, rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$"])
-    style.legend(axes.figure, title=title)  # type: ignore[arg-type]
-
-
-def confidence_ellipse(centre: Array, covariance: Array, confidence: float, **look: Any) -> Ellipse:
-    """Return the ellipse that holds a share ``confidence`` of a normal distribution of two numbers."""
-    values, vectors = np.linalg.eigh(covariance)
-    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chdtri(2, 1.0 - confidence))
-    angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
-    return Ellipse((centre[0], centre[1]), width, height, angle=angle, fill=False, linewidth=1.2, **look)
+    words = []
+    for which, name, spread, unit in zip("xy", names, sigma, units, strict=True):
+        axes.set(**{f"{which}label": style.label(dataset[variable], name, unit)})
+        text = formatting.with_error(spread, spread / np.sqrt(2 * n))
+        words.append(rf"$\sigma$({style.symbol(name)}) = {text} {formatting.written(unit)}")
+    words.append(rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$")
+    style.legend(axes.figure, title="\n".join(words))  # type: ignore[arg-type]
 
 
 def _has_points(dataset: xr.Dataset, variable: str) -> bool:
@@ -762,3 +743,66 @@ POINTS = GridFigure(_has_points, _points_figure)
 PAIRS = GridFigure(lambda d, name: _has_points(d, name) and len(quantity.varied_parameters(d)) > 1, _pairs_figure)
 CURVES = GridFigure(lambda d, name: _has_points(d, name) and bool(quantity.numeric_axes(d, name)), _curves_figure)
 SCATTER = GridFigure(lambda dataset, variable: sampled(dataset) is not None, _scatter_figure)
+
+
+# Analyses: sensitivity indices of parameters, and how a run scales with workers
+
+WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute effect $\mu^*$", "sigma": r"$\sigma$"}
+
+
+def sensitivity_figure(dataset: xr.Dataset) -> Figure:
+    """Return a figure of indices, lines along a further dimension; raises SweepError where there are more of them."""
+    kinds = [name for name in WORDS if name in dataset]
+    further = [str(d) for d in dataset[kinds[0]].dims if d != "parameter" and dataset.sizes[d] > 1]
+    dataset = dataset.squeeze([d for d in dataset.dims if d not in ("parameter", *further)])
+    if len(further) > 1 or (further and dataset[further[0]].dtype.kind not in "iuf"):
+        raise SweepError(f"indices of {' and '.join(further)} do not fit one picture; fix some with --at AXIS=VALUE")
+    unit = formatting.written(formatting.units_of(dataset[kinds[0]].attrs))
+    effect = "share of the variance" if "first" in kinds else "effect over the range" + (f" [{unit}]" if unit else "")
+    symbols = {n: "+".join(map(style.symbol, n.split("+"))) for n in dataset["parameter"].values.tolist()}
+    if further:
+        words = {n: dataset[n].assign_attrs(symbol=f"{effect}, {WORDS[n]}", units="") for n in kinds}
+        return _lines_of(dataset.assign(words), kinds, further[0], "parameter", symbols)
+    figure, (axes,) = style.new_figure(6.4, 1.4 + 0.45 * dataset.sizes["parameter"])
+    one = dataset.sortby(dataset[kinds[-1] if "total" in kinds else kinds[0]].fillna(0.0))
+    for number, kind in enumerate(kinds):
+        error = one[f"{kind}_error"].values if f"{kind}_error" in one else None
+        places = np.arange(one.sizes["parameter"]) + 0.14 * (0.5 * (len(kinds) - 1) - number)
+        look = style.marks(number, 4.5, elinewidth=1.0, label=WORDS[kind])
+        axes.errorbar(one[kind].values, places, xerr=error, **look)
+    style.name_ticks(axes, "y", [symbols[name] for name in one["parameter"].values.tolist()])
+    if "first" in kinds:
+        low, high = axes.get_xlim()  # which include the errors of all marks
+        axes.set_xlim(min(-0.02, low), max(1.02, high))
+    axes.axvline(0.0, color="0.6", linewidth=0.6)
+    axes.set_xlabel(effect)
+    return figure
+
+
+def scaling_figure(dataset: xr.Dataset) -> Figure:
+    """Return speed-up over one worker beside efficiency (1 is ideal) against the number of workers, by kind ("strong":
+    the same work, "weak": the same work per worker), with the ideal line.
+    """
+    words = {"speedup": "speed-up over one worker", "efficiency": "efficiency"}
+    dataset = dataset.assign({name: dataset[name].assign_attrs(symbol=text) for name, text in words.items()})
+    kinds = {kind: f"{kind} scaling" for kind in dataset["kind"].values.tolist()}
+    figure, workers = _lines_of(dataset, list(words), "workers", "kind", kinds), dataset["workers"].values.astype(float)
+    for axes, ideal in zip(figure.axes, (workers, np.ones(len(workers))), strict=True):
+        axes.plot(workers, ideal, label="ideal", **style.GUIDE)
+        style.logarithmic(axes, "x", workers)
+        axes.set_xticks(workers, [f"{w:g}" for w in workers])
+        axes.set_xticks([], minor=True)
+    style.logarithmic(figure.axes[0], "y", workers)
+    axes.set_ylim(0.0, max(1.1, 1.05 * float(np.nanmax(dataset["efficiency"].values))))
+    return figure
+
+
+def _lines_of(dataset: xr.Dataset, names: list[str], over: str, by: str, words: Mapping[str, str]) -> Figure:
+    """Return lines of what is derived from results along an axis, with its errors NAME_error; ``words`` has what the
+    values of the other dimension are called.
+    """
+    errors = {f"{n}_error": f"{n}_mc_error" for n in names if f"{n}_error" in dataset}
+    status = dataset[names[0]].dims, np.full(dataset[names[0]].shape, Status.DONE, dtype=np.int8)
+    named = dataset[by].assign_attrs(symbols=json.dumps(words))
+    dataset = dataset.rename(errors).assign_coords({by: named}).assign(status=status)
+    return draw_panels(dataset, names, Layout(), partial(draw_lines, over=over, numbers={}))

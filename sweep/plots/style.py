@@ -14,13 +14,10 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
-from matplotlib import ticker
+from matplotlib import collections, colors, container, patches, patheffects, ticker
 from matplotlib.axes import Axes
-from matplotlib.collections import QuadMesh
-from matplotlib.colors import LogNorm, to_hex
-from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
+from scipy.special import chdtri
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis.quantity import COVARIANCE_SUFFIX
@@ -32,7 +29,7 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#7
 MARKERS = "osD^vP*X"
 LINES: tuple[Any, ...] = ("solid", "dashed", "dashdot", "dotted", (0, (6, 1, 1, 1, 1, 1)), (0, (3, 1)))
 BAND: Mapping[str, Any] = {"alpha": 0.22, "linewidth": 0.0}
-HALO: Mapping[str, Any] = {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}  # of letters
+HALO: Mapping[str, Any] = {"path_effects": [patheffects.withStroke(linewidth=2.0, foreground="white")]}  # of letters
 GUIDE: Mapping[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 3))}
 DASH: Mapping[str, Any] = {"linestyle": "none", "marker": "_", "markeredgewidth": 1.2}
 
@@ -149,10 +146,8 @@ def in_lines(text: str, inches: float, least: int = 12) -> str:
     masked = _SYMBOL.sub(lambda symbol: MASK[0] + MASK[1] * (seen(symbol[0]) - 1), text)
     for pieces in (r"[^ ,\n][^,=:\n]*(?: =|:) [^,\n]*", r"= [^,\n]*", r"\[[^]\n]*\]"):
         masked = re.sub(pieces, whole, masked)
-    lines = (
-        textwrap.wrap(line, letters, break_long_words=False, break_on_hyphens=False) for line in masked.split("\n")
-    )
-    wrapped = "\n".join("\n".join(line) for line in lines).replace(BLANK, " ")
+    whole_words: Any = {"break_long_words": False, "break_on_hyphens": False}
+    wrapped = "\n".join(textwrap.fill(line, letters, **whole_words) for line in masked.split("\n")).replace(BLANK, " ")
     return re.sub(f"{MASK[0]}{MASK[1]}*", lambda _: next(symbols), wrapped)
 
 
@@ -404,7 +399,7 @@ def add_bar(figure: Figure, drawn: Any, array: xr.DataArray, text: str, **option
     """Add the colour bar of an array to a figure."""
     axes = figure.colorbar(drawn, label=text, **options).ax
     fit_scale(axes, "y", array)
-    if isinstance(drawn.norm, LogNorm):
+    if isinstance(drawn.norm, colors.LogNorm):
         logarithmic(axes, "y", array.values)
 
 
@@ -431,13 +426,21 @@ AT_END = "_at its end: "  # how the labels of lines begin that are named at thei
 
 def series(number: int, steps: int = 0) -> dict[str, Any]:
     """Return colour and marker of the ``number``-th series of a panel: of a palette of names, or of a ramp of steps."""
-    ramp = to_hex(mpl.colormaps["viridis"](0.85 * number / (steps - 1))) if steps else ""
+    ramp = colors.to_hex(mpl.colormaps["viridis"](0.85 * number / (steps - 1))) if steps else ""
     return {"color": ramp or COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
 
 
 def marks(number: int, size: float, steps: int = 0, **options: Any) -> dict[str, Any]:
     """Return the style of the marks of the ``number``-th series, which no line joins."""
     return {**series(number, steps), "linestyle": "none", "markersize": size, **options}
+
+
+def confidence_ellipse(centre: Array, covariance: Array, confidence: float, **look: Any) -> patches.Ellipse:
+    """Return the ellipse that holds a share ``confidence`` of a normal distribution of two numbers."""
+    values, vectors = np.linalg.eigh(covariance)
+    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chdtri(2, 1.0 - confidence))
+    angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
+    return patches.Ellipse((centre[0], centre[1]), width, height, angle=angle, fill=False, linewidth=1.2, **look)
 
 
 def labelled(axes: Axes) -> list[Any]:
@@ -455,7 +458,7 @@ def complete(figure: Figure, title: str) -> None:
     light grid and ticks that all pictures have, except for maps, whose colours it would cover.
     """
     for axes in panels_of(figure):
-        if axes.name == "rectilinear" and not any(isinstance(one, QuadMesh) for one in axes.collections):
+        if axes.name == "rectilinear" and not any(isinstance(one, collections.QuadMesh) for one in axes.collections):
             axes.tick_params(direction="in", which="both", top=True, right=True)
             axes.grid(alpha=0.25, linewidth=0.4)
             axes.set_axisbelow(True)
@@ -470,7 +473,7 @@ def legend_entries(figure: Figure) -> dict[str, Any]:
     for axes in figure.axes:
         for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(text, handle)
-    return dict(sorted(entries.items(), key=lambda entry: not isinstance(entry[1], ErrorbarContainer)))
+    return dict(sorted(entries.items(), key=lambda entry: not isinstance(entry[1], container.ErrorbarContainer)))
 
 
 def legend(figure: Figure, least: int = 2, **options: Any) -> None:

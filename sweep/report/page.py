@@ -1,5 +1,5 @@
 """One self-contained HTML page about results: a section for each store in a template, and a policy that allows its own
-scripts and no others.
+scripts and no others; and the page of `sweep watch --web` about runs.
 
 A section is a dictionary of what the template shows.  Every string in it is text, except for the SVG of its pictures:
 their text stays text, and their colours follow the page's theme.
@@ -11,14 +11,18 @@ import io
 import json
 import math
 import re
+import secrets
+import threading
+import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
 from importlib import metadata, resources
 from pathlib import Path
+from socketserver import ThreadingMixIn
 from typing import Any, NamedTuple
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 import matplotlib as mpl
 import numpy as np
@@ -27,30 +31,21 @@ import yaml
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, Template
 from markupsafe import Markup
-from matplotlib.collections import PathCollection, QuadMesh
+from matplotlib import collections, lines, patheffects, text
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patheffects import Normal
-from matplotlib.text import Text
 
-from linksweep.sweep.analysis import answer, compare, derived, quantity, results_table
+from linksweep.sweep import formatting
+from linksweep.sweep.analysis import answer, compare, quantity, tables
 from linksweep.sweep.analysis.sensitivity import sensitivity
 from linksweep.sweep.contract import Status, SweepError
 from linksweep.sweep.contract.rows import count_status
-from linksweep.sweep.formatting import (
-    first_of,
-    is_truth,
-    meaning_beside,
-    prefixed,
-    units_of,
-    with_micro_signs,
-    written,
-)
 from linksweep.sweep.plots import KINDS, grid, style
 from linksweep.sweep.plots import figure as drawing
 from linksweep.sweep.result import Result, open_result, write_at_once
 from linksweep.sweep.running.progress import reasons_of
+from linksweep.sweep.running.status import SHARE, Tile, Watched, pause
 from linksweep.sweep.stores.location import Where, located
+from linksweep.sweep.stores.store import is_new
 from linksweep.sweep.studies.record import CITATION, FUNCTION
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
 from linksweep.sweep.table_writer import Table
@@ -112,7 +107,7 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
         residual = residuals(dataset, name) if ordered and _varies(dataset[name]) else None
         if residual is not None:
             words = f"{name} minus its prediction, in units of its one-sigma errors; the band is three of them"
-            made.append(drawn(residual, words, f"{number}-{i}-residual", (f"{name}_{SUFFIX}",), "lines", _add_band))
+            made.append(drawn(residual, words, f"{number}-{i}-residual", (f"{name}_{SUFFIX}",), "lines"))
     return made
 
 
@@ -129,18 +124,15 @@ def drawn(
     salt: str,
     variables: Sequence[str] = (),
     kind: str | None = None,
-    add: Callable[[Figure], None] | None = None,
 ) -> Picture:
-    """Return the figure that suits a dataset, or one of a given kind, after ``add`` was called with it; ``salt`` makes
-    the identifiers in it differ from those of other figures.
+    """Return the figure that suits a dataset, or one of a given kind; ``salt`` makes the identifiers in it differ from
+    those of other figures.
     """
 
     def draw(width: float | None = None) -> tuple[Figure, str]:
         with _inside_a_page(f"{salt}-{width}", width):
             figure = drawing.draw_figure(dataset, kind, variables)
             figure.suptitle("")
-            if add is not None:
-                add(figure)
             if width is None and figure.get_figwidth() <= ONE_PANEL:
                 figure.set_size_inches(*(SHRINK * figure.get_size_inches()))
             elif width is None:
@@ -159,9 +151,9 @@ def drawn(
         if longest := max(sizes, key=lambda d: sizes[d], default=""):  # fewer curves may fit into one picture
             some = np.linspace(0, sizes[longest] - 1, (sizes[longest] + 1) // 2).round().astype(int)
             thinner = dataset.isel({longest: some})
-            values = first_of([quantity.place_in_words({longest: v}) for v in thinner[longest].values.tolist()], 5)
-            name = f"{name.partition(f', only {longest}=')[0]}, only {values}"
-            return drawn(thinner, name, salt, variables, kind, add)
+            values = [quantity.place_in_words({longest: v}) for v in thinner[longest].values.tolist()]
+            name = f"{name.partition(f', only {longest}=')[0]}, only {formatting.first_of(values, 5)}"
+            return drawn(thinner, name, salt, variables, kind)
         return Picture(name, problem=" ".join(str(error).split()))
 
 
@@ -174,16 +166,10 @@ def residuals(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
         return None
     apart = ((dataset[variable] - parts["predicted"]) / error.where(error > 0.0)).transpose(*dataset[variable].dims)
     attributes = {"symbol": "(simulated − predicted)/error", "long_name": f"{variable}, minus predicted"}
+    attributes |= {grid.BAND: answer.ERRORS_ALLOWED}
     apart = apart.drop_attrs(deep=False).assign_attrs(attributes)
     kept = dataset[["status"]].assign_attrs(title=dataset.attrs.get("title", ""))
     return kept.assign({f"{variable}_{SUFFIX}": apart})
-
-
-def _add_band(figure: Figure) -> None:
-    """Mark zero, and the band in which a difference may be due to chance."""
-    for axes in figure.axes:
-        axes.axhline(0.0, color="black", linewidth=0.6)
-        axes.axhspan(-answer.ERRORS_ALLOWED, answer.ERRORS_ALLOWED, color=style.COLOURS[6], **style.BAND)
 
 
 def _varies(array: xr.DataArray) -> bool:
@@ -204,20 +190,20 @@ def _inside_a_page(salt: str, width: float | None = None) -> Iterator[None]:
 def _svg(figure: Figure) -> str:
     """Return the ``svg`` element of a figure; nothing in it affects the rest of the page."""
     for artist in figure.findobj():
-        points = artist.get_xdata() if isinstance(artist, Line2D) else ()
-        places = artist.get_offsets() if isinstance(artist, PathCollection) else ()
+        points = artist.get_xdata() if isinstance(artist, lines.Line2D) else ()
+        places = artist.get_offsets() if isinstance(artist, collections.PathCollection) else ()
         if np.size(points) > MOST_MARKS or np.size(places) > 2 * MOST_MARKS:
             artist.set_rasterized(True)
         # the sign of a square root fits its bar in matplotlib's fonts only; a text with any effect is saved as paths
-        if isinstance(artist, Text) and r"\sqrt" in artist.get_text():
-            artist.set_path_effects([*artist.get_path_effects(), Normal()])
+        if isinstance(artist, text.Text) and r"\sqrt" in artist.get_text():
+            artist.set_path_effects([*artist.get_path_effects(), patheffects.Normal()])
     out = io.StringIO()
     figure.savefig(out, format="svg", dpi=200, transparent=True, metadata={"Date": None, "Creator": None})
     svg = out.getvalue()
     svg = svg[svg.index("<svg") :]
     # a style element would apply to the whole page
     svg = re.sub(r"<metadata>.*?</metadata>|<style[^>]*>.*?</style>", "", svg, flags=re.DOTALL)
-    if not any(isinstance(artist, QuadMesh) for artist in figure.findobj()):  # whose colours have a meaning
+    if not any(isinstance(artist, collections.QuadMesh) for artist in figure.findobj()):  # whose colours have a meaning
         svg = svg.replace("<image ", '<image class="points" ')
     used = set(re.findall(r"#([\w.-]+)", svg))
     svg = re.sub(r' id="([^"]*)"', lambda name: name[0] if name[1] in used else "", svg)
@@ -276,24 +262,24 @@ def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
 
 def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) -> dict[str, Any]:
     array = dataset[name]
-    unit, factors, components = units_of(array.attrs), xr.DataArray(1.0), {}
+    unit, factors, components = formatting.units_of(array.attrs), xr.DataArray(1.0), {}
     with_units = [str(d) for d in array.dims if f"{d}_unit" in dataset.coords]  # a unit for each component
     if "," in unit and len(with_units) == 1:
         (dim,) = with_units
         units = map(str, dataset[f"{dim}_unit"].values.tolist())
-        chosen = [prefixed(array.isel({dim: i}).values, unit) for i, unit in enumerate(units)]
+        chosen = [formatting.prefixed(array.isel({dim: i}).values, unit) for i, unit in enumerate(units)]
         factors = xr.DataArray([one.factor for one in chosen], dims=dim)
-        unit, components = "", {"unit_dim": dim, "units": [written(one.unit) for one in chosen]}
+        unit, components = "", {"unit_dim": dim, "units": [formatting.written(one.unit) for one in chosen]}
     elif "," in unit:  # of each element of a matrix
         unit = ", ".join(dict.fromkeys(part.strip(" ()") for part in unit.split(",")))
     return {
         "name": name,
-        "unit": written(unit),
+        "unit": formatting.written(unit),
         **components,
-        "meaning": meaning_beside(name, array.attrs),
+        "meaning": formatting.meaning_beside(name, array.attrs),
         "dims": list(map(str, array.dims)),
         "scale": str(array.attrs.get(style.SCALE, "")),
-        "truth": is_truth(array),
+        "truth": formatting.is_truth(array),
         **{suffix: _numbers((part * factors).transpose(*part.dims)) for suffix, part in parts.items()},
     }
 
@@ -311,7 +297,7 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
             yield {
                 "name": name,
                 "dim": str(array.dims[0]),
-                "unit": written(units_of(array.attrs)),
+                "unit": formatting.written(formatting.units_of(array.attrs)),
                 "numeric": numeric,
                 "ordered": ordered,
                 "logarithmic": numeric and style.is_logarithmic(array),
@@ -431,7 +417,9 @@ def _people(authors: Sequence[Mapping[str, str]]) -> str:
 def template(name: str) -> Template:
     """Return a template of pages, in which every text is escaped."""
     options: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True}
-    return Environment(loader=PackageLoader("linksweep.sweep.report"), **options).get_template(name)
+    environment = Environment(loader=PackageLoader("linksweep.sweep.report"), **options)
+    environment.filters["micro"] = formatting.with_micro_signs
+    return environment.get_template(name)
 
 
 def template_file(name: str) -> str:
@@ -464,34 +452,29 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
     title = str(about.get("title", store))
     shown = dict.fromkeys([*answer.said_first(dataset), *names, *quantity.array_outputs(dataset)])
     figures = pictures(dataset, list(shown), number)
-    tables = {}
-    for table in results_table.tables_with_errors(final, MOST_ROWS):
+    further, decided = {}, {}
+    for table in tables.tables_with_errors(final, MOST_ROWS):
         meaning = dataset[table.title.split()[0]].attrs["long_name"]
-        tables[f"{table.title}, {meaning}, with every kind of error"] = _sortable(table)
-    decided = {}
+        further[f"{table.title}, {meaning}, with every kind of error"] = _sortable(table)
     for name in names if {POINT_TABLE, FUNCTION} & about.keys() else ():
         if not quantity.own_dimensions(dataset, name):  # one number at each point
             with suppress(SweepError):
                 part, without = _without_gaps(final.squeeze(), name)
-                indices = sensitivity(part, name)
-                decided[name] = " ".join(derived.headline(indices)).replace(":", f"{without}:", 1)
-                if POINT_TABLE in about and indices["first"].ndim == 1 < indices["first"].size:
-                    tables[f"S{derived.notes(indices)[0][1:]}"] = _sortable(derived.tables(indices)[0])
-                    picture = drawn(indices.assign_attrs(title=""), f"sensitivity of {name}", f"{number}-{name}")
-                    figures.append(picture)
-    warnings = filter(None, [*results_table.warnings_of(dataset), results_table.condition_warning(dataset)])
+                indices = Result(sensitivity(part, name))
+                decided[name] = " ".join(indices.headline()).replace(":", f"{without}:", 1)
+                if POINT_TABLE in about and indices.dataset["first"].ndim == 1 < indices.dataset["first"].size:
+                    further[f"S{indices.notes()[0][1:]}"] = _sortable(indices.tables()[0])
+                    untitled = indices.dataset.assign_attrs(title="")
+                    figures.append(drawn(untitled, f"sensitivity of {name}", f"{number}-{name}"))
     return {
         "store": store,
         "title": title,
         "question": str(about.get("question", "")),
         "description": str(about.get("description", "")),
         "gaps": answer.completeness(dataset),
-        "short": list(map(with_micro_signs, answer.answer_in_short(dataset))),
-        "head": list(map(with_micro_signs, answer.conclusion_in_words(dataset))),  # the box says the rest
-        "answers": [
-            replace(one, sentences=list(map(with_micro_signs, one.sentences)))
-            for one in answer.answers(dataset, decided)
-        ],
+        "short": answer.answer_in_short(dataset),
+        "head": answer.conclusion_in_words(dataset),  # the box says the rest
+        "answers": answer.answers(dataset, decided),
         "changed": str(about.get("study_overrides", "")),
         "comparisons": comparisons,
         "verdicts": compare.summary_line(comparisons) if comparisons else "",
@@ -499,13 +482,11 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         "explorer": explored | {"title": title},
         "not_explored": left_out,
         "numbers": numbers,
-        "results": _sortable(
-            results_table.headline_table(dataset, MOST_ROWS), results_table.rows_left_out(dataset, MOST_ROWS)
-        ),
+        "results": _sortable(tables.headline_table(dataset, MOST_ROWS), tables.rows_left_out(dataset, MOST_ROWS)),
         "caption": "Headline results, ± their one-sigma errors",
-        "tables": tables,
+        "tables": further,
         "comparison": _sortable(compare.table(sorted(comparisons, key=_severity))) if comparisons else None,
-        "notes": [*warnings, *compare.notes(comparisons), *compare.remarks(dataset)],
+        "notes": [*tables.warnings_of(dataset), *compare.notes(comparisons), *compare.remarks(dataset)],
         "failures": failures,
         "reasons": reasons_of(failures).in_words(),
         "failures_not_named": count_status(dataset["status"].values)[Status.FAILED] - len(failures),
@@ -527,7 +508,7 @@ def _without_gaps(dataset: xr.Dataset, name: str) -> tuple[xr.Dataset, str]:
         raise SweepError(f"{name} is known at too few points")
     gone = np.flatnonzero(~whole[axis]).tolist()
     lacking = [quantity.place_in_words(quantity.place_at(dataset, {axis: i})) for i in gone]
-    words = f" (without {first_of(lacking, 3)}, where some are missing)" if lacking else ""
+    words = f" (without {formatting.first_of(lacking, 3)}, where some are missing)" if lacking else ""
     return dataset.isel({axis: whole[axis]}), words
 
 
@@ -545,14 +526,14 @@ def _severity(c: compare.Comparison) -> tuple[int, float]:
 def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
     """Return what the template shows of a link, a forecast or anything derived, the ``number``-th of a page."""
     first, *others = result.tables()
-    lines = [line for line in first.title.splitlines() if line and line != result.title]
+    about = [line for line in first.title.splitlines() if line and line != result.title]
     notes = [note[:1].upper() + note[1:] for note in (note.removeprefix("note: ") for note in result.notes())]
     return {
         "store": store,
         "title": result.title,
-        "head": list(map(with_micro_signs, result.headline())),
+        "head": result.headline(),
         "answers": [
-            answer.Answer(name, "", texts) for name, texts in (("What it is", lines), ("Warnings", notes)) if texts
+            answer.Answer(name, "", said) for name, said in (("What it is", about), ("Warnings", notes)) if said
         ],
         "pictures": link_pictures(result, number),
         "explorer": {"quantities": []},
@@ -580,9 +561,117 @@ def _sortable(table: Table, left_out: int = 0) -> dict[str, Any]:
     for column in table.columns:
         whole = repeated[column.name] > 1 and column.quantity != column.name
         name = f"{column.quantity} {column.name}" if whole else column.name
-        headings.append(f"{name} [{written(column.unit)}]" if column.unit else name)
+        headings.append(f"{name} [{formatting.written(column.unit)}]" if column.unit else name)
     cells = [
         [(text, text if hasattr(by, "tolist") else by) for text, by in zip(c.shown, c.values, strict=True)]
         for c in table.columns
     ]
     return {"headings": headings, "rows": list(zip(*cells, strict=True)), "left_out": left_out}
+
+
+# Runs on a page that is served on loopback, with a random token in its address: made from the stores alone
+
+MOST_TILES = 2000
+
+# The most of a core that drawing takes of a study of few points; of more, it takes no more than looking.
+FIGURE_SHARE, FEW_POINTS = 0.1, 10_000
+
+# Names by which a browser asks; under any other, a page of others may have sent it here.
+HOSTS = ("127.0.0.1", "localhost")
+
+HEADERS = [("Cache-Control", "no-store"), ("Referrer-Policy", "no-referrer"), ("X-Content-Type-Options", "nosniff")]
+
+
+class Shown:
+    """A store as the page shows it: its ``tiles``, and its ``figure``, drawn again for new results."""
+
+    def __init__(self, where: Where) -> None:
+        """Look at nothing yet."""
+        self.watched, self.figure = Watched(where), Picture("")
+        self.tiles: list[list[Tile]] = []
+        self._drawn: Any = None
+        self._redraw = 0.0
+
+    def look(self) -> None:
+        """Look at the store."""
+        self.watched.look()
+        self.tiles = self.watched.tiles(MOST_TILES, MOST_TILES)
+
+    def draw(self) -> bool:
+        """Draw its results if they are new and it is time; return whether they were."""
+        opened = self.watched.opened
+        waits = not self.watched.is_over and time.monotonic() < self._redraw
+        if opened is None or is_new(opened.root) or opened.root is self._drawn or waits:
+            return False
+        begun = time.process_time()
+        try:
+            dataset = quantity.with_running(opened.dataset(running=True)).assign_attrs(title="")
+            self.figure = drawn(dataset, "", f"watch-{self.watched.location}")
+        except SweepError as error:
+            self.figure = Picture("", problem="; ".join(error.problems))
+        share = FIGURE_SHARE if self.watched.status.size <= FEW_POINTS else SHARE
+        took = time.process_time() - begun if self.figure.svg else 0.0
+        self._drawn, self._redraw = opened.root, time.monotonic() + took / share
+        return bool(self.figure.svg)
+
+
+class Page:
+    """The page about some stores, which are looked at when somebody asks, at most every ``interval`` seconds."""
+
+    def __init__(self, stores: Iterable[Where], interval: float) -> None:
+        """Look at nothing yet."""
+        self._stores, self._interval = list(map(Shown, stores)), interval
+        self._lock, self._next, self._state = threading.Lock(), 0.0, ""
+        page, scripts = template("watch.html.j2"), list(map(template_file, ("page.js", "watch.js")))
+        about = {"style": "\n".join(map(template_file, ("page.css", "watch.css"))), "interval": 1000 * interval}
+        self._whole, self._macros = page.render(stores=self._stores, scripts=scripts, **about), page.module
+        self.token = secrets.token_urlsafe(24)
+        self._policy = f"{policy(scripts)}; connect-src 'self'; frame-ancestors 'none'"
+
+    def __call__(self, request: Any, start: Callable[..., Any]) -> list[bytes]:
+        """Answer a request, as WSGI has it."""
+        known = {f"/{self.token}/": "text/html", f"/{self.token}/state": "application/json"}
+        is_ours = request.get("HTTP_HOST", "").partition(":")[0] in HOSTS
+        kind = known.get(request["PATH_INFO"]) if is_ours and request["REQUEST_METHOD"] == "GET" else None
+        about = [("Content-Type", f"{kind or 'text/plain'}; charset=utf-8"), ("Content-Security-Policy", self._policy)]
+        start("200 OK" if kind else "404 Not Found" if is_ours else "403 Forbidden", HEADERS + about)
+        text = self._seen() if kind == "application/json" else self._whole if kind else ""
+        return [text.encode(errors="replace")]
+
+    def _seen(self) -> str:
+        with self._lock:
+            if time.monotonic() >= self._next:
+                begun = time.process_time()
+                for one in self._stores:
+                    one.look()
+                parts = self._parts("head", "tiles", "failures")
+                # The first look makes the points, which it need not do again.
+                took = time.process_time() - begun if self._state else 0.0
+                self._next = time.monotonic() + pause(self._interval, took)
+                # Not before the first answer, and then one at a time: tiles do not wait for figures.
+                any(one.draw() for one in self._stores if self._state)
+                self._state = json.dumps(parts | self._parts("figure"))
+            return self._state
+
+    def _parts(self, *names: str) -> dict[str, str]:
+        return {f"{n}-{i}": str(getattr(self._macros, n)(one)) for i, one in enumerate(self._stores) for n in names}
+
+
+class _Handler(WSGIRequestHandler):
+    def log_message(self, *_message: Any) -> None:
+        return
+
+
+class _Server(ThreadingMixIn, WSGIServer):
+    daemon_threads = True
+
+    def handle_error(self, *_request: Any) -> None:
+        return  # browsers leave, or open connections that they do not use
+
+
+def serve(stores: Iterable[Where], interval: float, said: Callable[[str], None]) -> None:
+    """Serve a page about stores until an interruption; ``said`` is called with its address."""
+    page = Page(stores, interval)
+    with make_server("127.0.0.1", 0, page, _Server, _Handler) as server:
+        said(f"http://127.0.0.1:{server.server_port}/{page.token}/")
+        server.serve_forever()

@@ -562,7 +562,7 @@ def sky_map(matches: pd.DataFrame, background: pd.DataFrame) -> Any:
     """
     from matplotlib.figure import Figure
 
-    from linksweep.sweep.plots.sky import GALACTIC, on_map, prepare_sky
+    from linksweep.sweep.plots.link import GALACTIC, on_map, prepare_sky
 
     def places(table: pd.DataFrame) -> tuple[Array, Array]:
         longitude, latitude = galactic(table["ra"].to_numpy() * DEGREE, table["dec"].to_numpy() * DEGREE)

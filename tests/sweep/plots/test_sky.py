@@ -6,7 +6,7 @@ import xarray as xr
 from astropy import units
 from astropy.coordinates import SkyCoord
 
-from linksweep.sweep.plots import sky
+from linksweep.sweep.plots import link as sky
 
 
 def test_right_ascension_grows_to_the_left():

@@ -21,7 +21,7 @@ from tests.sweep.report.test_page_in_browser import chromium, complaints, empty_
 from tests.sweep.report.test_page_in_browser import pytestmark as in_browser
 from tests.tiers import PATIENCE_S
 
-watch = pytest.importorskip("linksweep.sweep.report.watch")
+watch = pytest.importorskip("linksweep.sweep.report.page")
 
 __all__ = ["chromium", "evil_store"]
 

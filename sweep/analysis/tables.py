@@ -1,10 +1,15 @@
-"""Tables of the results of a study: the headline results for reading, and one row per point for programs."""
+"""Tables of results: for reading those that matter, in units that read well, and for programs one row for each point.
+
+What is derived from results (fits, crossings, indices and measurements) is one kind of dataset, which says everything
+itself: the variables for reading have the attribute ``headline``, their rank (or all are for reading), the one-sigma
+error of NAME is NAME_error, ``conclusion`` is in words, and the attribute ``notes`` has sentences as JSON.
+"""
 
 from __future__ import annotations  # names of xarray, which is imported only where it computes
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -29,23 +34,56 @@ CONDITION, CORRELATION = "condition_number", "correlation"
 BAD_CONDITION = 100.0  # above it unknowns can hardly be told apart: two with a correlation of 0.98 have it
 FEWEST = 30  # realisations for a correlation, which is then known to 0.2
 WORST_POINTS = 3  # how many points have their components shown
+LEAST_SHARE = 1.0  # of a result, in percent, that a sentence names
+
+
+def derived(
+    grid: xr.Dataset,
+    dims: Sequence[Hashable],
+    columns: Mapping[str, tuple[Any, str, str]],
+    shown: Sequence[str],
+    notes: Sequence[str],
+    **about: Any,
+) -> xr.Dataset:
+    """Return a dataset over the dimensions of a grid with ``columns`` of values (in C order), unit and meaning, of
+    which some are ``shown`` in tables, in this order.
+    """
+    shape, variables = [grid.sizes[d] for d in dims], {}
+    for name, (values, unit, meaning) in columns.items():
+        rank = {"headline": shown.index(name) + 1} if name in shown else {}
+        array = np.array(values, dtype=object if name == "conclusion" else float).reshape(shape)
+        variables[name] = tuple(dims), array, formatting.described(unit, meaning) | rank
+    return grid.assign(variables).assign_attrs(**about, notes=json.dumps(list(notes)))
+
+
+def headline(result: xr.Dataset) -> list[str]:
+    """Return in a sentence which parameters decide a result, if these are indices of one number at each point."""
+    if "first" not in result or result["first"].ndim != 1 or result.sizes["parameter"] < 2:
+        return []
+    names, shares, errors = result.parameter.values, *(100.0 * result[n].values for n in ("first", "first_error"))
+    known = [k for k in np.argsort(-shares).tolist() if shares[k] >= LEAST_SHARE]
+    words = [f"{names[k]} {shares[k]:.0f}{f' ± {errors[k]:.0f}' if errors[k] >= 0.5 else ''} %" for k in known]
+    if "total" in result and (rest := 100.0 - shares.sum()) >= LEAST_SHARE:
+        words.append(f"several together {rest:.0f} %")
+    return [f"What decides it: {', '.join(words)}."] if words else []
 
 
 # For programs
 
 
 def records(dataset: xr.Dataset) -> Table:
-    """Return one row per point: the axes, then every variable without further dimensions; for a plain function also
-    those with further dimensions, each value a list.
+    """Return one row per point or place: the axes, then every variable without further dimensions; for a plain function
+    also those with further dimensions, each value a list.
     """
     columns = _columns(dataset, quantity.array_outputs(dataset))
-    arrays = {
-        name: {"dims": dims, "coordinates": {dim: quantity.listed(dataset, dim, [dim]) for dim in dims}}
-        for name in quantity.array_outputs(dataset)
-        for dims in [quantity.own_dimensions(dataset, name)]
-    }
+    if "status" not in dataset:
+        units = {str(n): unit for n, v in dataset.variables.items() if (unit := formatting.units_of(v.attrs))}
+        return Table(list(columns.values()), about={**dataset.attrs, "notes": notes(dataset), "units": units})
+    dims = {name: quantity.own_dimensions(dataset, name) for name in quantity.array_outputs(dataset)}
+    along = {dim: quantity.listed(dataset, dim, [dim]) for own in dims.values() for dim in own}
+    arrays = {name: {"dims": own, "coordinates": {dim: along[dim] for dim in own}} for name, own in dims.items()}
     units = {column.name: column.unit for column in columns.values()}
-    units |= {dim: formatting.units_of(dataset[dim].attrs) for array in arrays.values() for dim in array["dims"]}
+    units |= {dim: formatting.units_of(dataset[dim].attrs) for dim in along}
     meta = {name: dataset.attrs.get(name, "") for name in ("title", "study_digest")}
     return Table(list(columns.values()), about={"units": units} | ({"arrays": arrays} if arrays else {}), meta=meta)
 
@@ -56,12 +94,14 @@ def _columns(dataset: xr.Dataset, arrays: Sequence[str], rows: Any = slice(None)
     """
     dims = quantity.axes_of(dataset)
     flat = [str(n) for n, v in dataset.data_vars.items() if set(v.dims) <= set(dims)]
+    fixed = [] if "status" in dataset else [str(n) for n, c in dataset.coords.items() if not c.dims]
     columns = {
         name: Column(name, quantity.listed(dataset, name, dims, rows), unit=formatting.units_of(dataset[name].attrs))
-        for name in [*quantity.axis_coordinates(dataset, dims), *flat, *arrays]
+        for name in [*fixed, *quantity.axis_coordinates(dataset, dims), *flat, *arrays]
     }
-    words = [code.word for code in Status]
-    return columns | {"status": Column("status", [words[code] for code in columns["status"].values])}
+    if "status" in columns:
+        columns["status"] = Column("status", [Status(code).word for code in columns["status"].values])
+    return columns
 
 
 # For reading
@@ -139,15 +179,19 @@ def _span(values: Any) -> str:
 
 def tables(dataset: xr.Dataset) -> list[Table]:
     """Return the headline results, those with errors of several kinds, and the components of the points with the worst
-    condition.
+    condition; or the one table of what is derived from results.
     """
+    if "status" not in dataset:
+        return [_derived_table(dataset)]
     final = quantity.without_running(dataset)
     return [headline_table(dataset), *tables_with_errors(final, MOST_ROWS), *_component_tables(final)]
 
 
 def notes(dataset: xr.Dataset) -> list[str]:
     """Return the sentences below the tables: warnings, what the tables leave out, and what is missing."""
-    sentences = [f"warning: {words}" for words in filter(None, [*warnings_of(dataset), condition_warning(dataset)])]
+    if "status" not in dataset:
+        return list(json.loads(dataset.attrs.get("notes", "[]")))
+    sentences = [f"warning: {words}" for words in warnings_of(dataset)]
     for name in quantity.array_outputs(dataset):
         along = " and ".join(f"{dataset.sizes[dim]:,} along {dim}" for dim in quantity.own_dimensions(dataset, name))
         most = "at most " if formatting.RAGGED in dataset[name].attrs else ""
@@ -160,11 +204,6 @@ def notes(dataset: xr.Dataset) -> list[str]:
     if left_out := rows_left_out(dataset):
         sentences.append(f"{left_out:,} more points: `sweep show STORE --format csv` has all of them")
     return [*sentences, *([f"INCOMPLETE: {words}"] if (words := quantity.lacking(dataset)) else [])]
-
-
-def warnings_of(dataset: xr.Dataset) -> list[str]:
-    """Return what the experiment warned of when the run began."""
-    return list(json.loads(dataset.attrs.get("warnings", "[]")))
 
 
 def rows_left_out(dataset: xr.Dataset, most: int = MOST_ROWS) -> int:
@@ -203,16 +242,18 @@ def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> list[Tab
 # Components, which a mean over them hides
 
 
-def condition_warning(dataset: xr.Dataset) -> str:
-    """Return a sentence about points at which some unknowns can hardly be told apart; '' where there are none."""
-    conditions = _conditions(dataset)
-    bad = conditions[conditions > BAD_CONDITION]
-    if not bad.size:
-        return ""
-    return (
-        f"at {formatting.counted(bad.size, 'point')} the condition number is up to {bad.max():.3g}: some unknowns can "
-        "hardly be told apart, and a mean over components hides how badly (see the components)"
-    )
+def warnings_of(dataset: xr.Dataset) -> list[str]:
+    """Return what the experiment warned of when the run began, and a sentence about points at which some unknowns can
+    hardly be told apart.
+    """
+    conditions, warnings = _conditions(dataset), list(json.loads(dataset.attrs.get("warnings", "[]")))
+    if (bad := conditions[conditions > BAD_CONDITION]).size:
+        words = (
+            "some unknowns can hardly be told apart, and a mean over components hides how badly (see the components)"
+        )
+        points = formatting.counted(bad.size, "point")
+        warnings.append(f"at {points} the condition number is up to {bad.max():.3g}: {words}")
+    return warnings
 
 
 def _conditions(dataset: xr.Dataset) -> NDArray[np.float64]:
@@ -245,3 +286,28 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
         cells = list(map(formatting.in_three_digits, point[name].values.tolist(), units))
         place = ", ".join(filter(None, [name, quantity.place_in_words(quantity.place_at(dataset, index))]))
         yield Table([Column("", labels, left=True), Column("", cells)], f"{place}: {facts}")
+
+
+# What is derived
+
+
+def _derived_table(result: xr.Dataset) -> Table:
+    """Return places on the axes, numbers with their errors, and what is concluded."""
+    ranks = {str(n): v.attrs["headline"] for n, v in result.data_vars.items() if "headline" in v.attrs}
+    names = sorted(ranks, key=lambda name: ranks[name])
+    names = names or [str(n) for n in result.data_vars if not str(n).endswith("_error")]
+    columns, its = [], _columns(result, ())
+    for name in quantity.axis_coordinates(result, quantity.axes_of(result)):
+        is_text = any(isinstance(value, str) for value in its[name].values)
+        columns.append(replace(its[name], left=is_text))
+    for rank, name in enumerate(names):
+        values = its[name].values
+        if name == "conclusion":
+            columns += [Column(name, values, values, wrap=24)] if any(values) else []
+            continue
+        unit, factor = formatting.prefixed(values, its[name].unit)
+        errors = its[f"{name}_error"].values if f"{name}_error" in its else [0.0] * len(values)
+        cells = [formatting.with_error(factor * v, factor * e) for v, e in zip(values, errors, strict=True)]
+        # the last are left out first where there is no room
+        columns += [Column(name, values, cells, unit, name, rank)] if any(cells) else []
+    return Table(columns, str(result.attrs.get("title", "")))

@@ -1,26 +1,37 @@
-"""Figures of a link of real tables, `sweep tie`, and of a forecast of one: each kind is a function of the dataset.
+"""Figures that know the link: the sky of a catalogue, the accuracy of missions, and links and forecasts of real tables.
 
-Each raises SweepError, which says how to get it, where the dataset lacks what it shows.
+Those of `sweep tie` and `sweep forecast` are functions of the dataset.  Each raises SweepError, which says how to get
+it, where the dataset lacks what it shows.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
-from matplotlib.transforms import Bbox
 from scipy.special import chdtrc, ndtri
 
-from linksweep.core.frames import DEGREE, Array
+from linksweep.core import missions
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, position
+from linksweep.core.scenario import scenario
 from linksweep.core.tie.problem import LARGE_SHARE
 from linksweep.sweep import formatting
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.plots import sky, style
-from linksweep.sweep.plots.grid import confidence_ellipse
+from linksweep.sweep.contract import Named, SweepError, shown, suggest
+from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.plan import generators
+from linksweep.sweep.plots import style
+from linksweep.sweep.running.reproduce import place_of, study_to_look_at
+from linksweep.sweep.stores.location import Where
+from linksweep.sweep.studies.study import Study
+from linksweep.sweep.tables.columns import table_file
 
+MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
 SKY_WIDTH = 45.0  # letters that a map of the sky is wide at least
 RANKED = 20  # sources in a ranking
 MANY_ROWS = "they are not kept for tables with so many rows"
@@ -28,7 +39,177 @@ MANY_ROWS = "they are not kept for tables with so many rows"
 MARK: dict[str, Any] = {"color": "0.4", "linestyle": "dotted", "linewidth": 1.0, "label": f"{100.0 * LARGE_SHARE:g} %"}
 
 
-# What the figures have in common
+# The sky
+
+
+class SkyFrame(NamedTuple):
+    """What a map shows: the names of longitude and latitude, and the longitude (deg) in the middle."""
+
+    longitude: str
+    latitude: str
+    centre_deg: float
+
+
+# In the middle of the map of the ICRS is 180 deg, where the Galactic plane is a single arch.
+ICRS = SkyFrame(r"right ascension $\alpha$ (ICRS)", r"declination $\delta$", 180.0)
+GALACTIC = SkyFrame("Galactic longitude $l$", "Galactic latitude $b$", 0.0)
+
+
+def prepare_sky(axes: Any, frame: SkyFrame = ICRS) -> None:
+    """Give axes with the projection "mollweide" a grid labelled in degrees, with longitude increasing to the left."""
+    axes.grid(color="0.8", linewidth=0.4)
+    axes.set_axisbelow(True)
+    axes.set_longitude_grid_ends(90.0)
+    ticks = np.arange(-120.0, 121.0, 60.0)
+    axes.set_xticks(ticks * DEGREE, [""] * len(ticks))
+    look: dict[str, Any] = {"fontsize": "x-small", "ha": "center", "va": "center", "zorder": 6, **style.HALO}
+    for tick in ticks:  # text of its own, because labels of an axis lie below all that is drawn
+        axes.text(tick * DEGREE, 0.04, f"{(frame.centre_deg - tick) % 360:.0f}°", **look)
+    latitudes = np.arange(-60.0, 61.0, 30.0)
+    names = [f"{b:+.0f}°".replace("-", "\N{MINUS SIGN}") if b else "0°" for b in latitudes]
+    axes.set_yticks(latitudes * DEGREE, names, fontsize="x-small")
+    axes.set(xlabel=frame.longitude, ylabel=frame.latitude)
+
+
+def on_map(longitude_deg: Array, frame: SkyFrame = ICRS) -> Array:
+    """Return the map's coordinate of a longitude, in radians: it increases to the left, with 0 in the middle."""
+    return np.asarray(-((longitude_deg - frame.centre_deg + 180.0) % 360.0 - 180.0) * DEGREE)
+
+
+def sky_figure(dataset: xr.Dataset) -> Figure:
+    """Return an all-sky map of ``ra`` and ``dec`` (deg), coloured by the magnitude ``v_mag`` if there is one, with the
+    Galactic plane and its centre.
+    """
+    figure, (axes,) = style.new_figure(7.6, 4.9, subplot_kw={"projection": "mollweide"})
+    prepare_sky(axes)
+    colours: dict[str, Any] = {"color": style.COLOURS[0]}
+    if "v_mag" in dataset:  # bright objects, of small magnitude, on top and dark
+        dataset = dataset.isel(object=np.argsort(-dataset["v_mag"].values.astype(float), kind="stable"))
+        colours = {"c": dataset["v_mag"].values.astype(float), "cmap": "viridis"}
+    ra, dec = (dataset[name].values.astype(float) for name in ("ra", "dec"))
+    look = colours | {"linewidths": 0.0, "zorder": 3, "rasterized": len(ra) > 2000}
+    look["s"] = float(np.clip(4000.0 / max(len(ra), 1), 1.5, 18.0))
+    points = axes.scatter(on_map(ra), dec * DEGREE, **look)
+    if "v_mag" in dataset:
+        bar: dict[str, Any] = {"orientation": "horizontal", "shrink": 0.5, "pad": 0.02, "aspect": 30}
+        figure.colorbar(points, ax=axes, label=style.label(dataset["v_mag"], "v_mag"), **bar)
+    longitude = np.linspace(0.0, 2.0 * np.pi, 721)
+    galactic = np.stack([np.cos(longitude), np.sin(longitude), np.zeros_like(longitude)])
+    plane_ra, plane_dec = position(GALACTIC_AXES.T @ galactic)
+    x = on_map(plane_ra / DEGREE)
+    # in pieces that do not jump from one edge of the map to the other
+    broken = np.where(np.abs(np.diff(x, append=x[-1])) > 1.0, np.nan, plane_dec)
+    axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
+    axes.plot(x[:1], plane_dec[:1], "k+", label="Galactic centre", markersize=9.0, zorder=4)
+    style.complete(figure, str(dataset.attrs.get("title", "")))
+    return figure
+
+
+def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
+    """Return the first catalogue of a point of a store as it was drawn: ra, dec (deg) and v_mag of each object.
+
+    Raises SweepError if the store is not of the link, or ``at`` is not one point of it.
+    """
+    study = study_to_look_at(store)
+    if study.experiment.name != "link":
+        raise SweepError(f"only the link has a sky; this is the experiment {study.experiment.name}", str(store))
+    parameters = place_of(study, ",".join(at), str(store))
+    changed = {name: value for name, value in parameters.items() if value != study.experiment.defaults()[name]}
+    alone = replace(study, axes={}, zipped=(), points=None, excluded=(), fixed=changed, published=None)
+    (point,) = Grid(replace(alone, claims=(), conclusion=None)).points()
+    _, rng = generators(study.sampling.seed, point.stream, 0, 0)
+    catalogue = scenario(parameters).draw_catalogue(rng)
+    title = f"{study.title}: the {len(catalogue)} objects of one catalogue"
+    sky = _sky(catalogue.ra / DEGREE, catalogue.dec / DEGREE, ", ".join([title, *at]))
+    return sky.assign(v_mag=("object", catalogue.v_mag, MAGNITUDE))
+
+
+def catalogue_of_table(path: Path) -> xr.Dataset:
+    """Return the positions in a table as ra, dec (deg); raises SweepError if there are none."""
+    read = table_file(path).columns({}, {}, ())
+    if all([read.require("ra"), read.require("dec")]):
+        ra, dec = read.quantity("ra"), read.quantity("dec")
+        read.check(np.abs(dec) > 90.0, "a dec beyond 90 deg", dec)
+    read.finish()
+    return _sky(ra, dec, f"{path.name}: {len(ra)} objects")
+
+
+def _sky(ra_deg: Array, dec_deg: Array, title: str) -> xr.Dataset:
+    degrees = {"units": "deg"}
+    return xr.Dataset({"ra": ("object", ra_deg, degrees), "dec": ("object", dec_deg, degrees)}, attrs={"title": title})
+
+
+# The accuracy of missions
+
+
+def accuracy_figure(dataset: xr.Dataset) -> Figure:
+    """Return ``sigma_pm`` beside ``sigma_pos`` (model, v) against the magnitude v, a line for each mission, with a band
+    where its error is known.
+    """
+    figure, grid = style.new_figure(8.4, 4.0, 1, 2, least=1.0, sharex=True)
+    v = dataset["v"].values
+    for axes, variable in zip(grid, ("sigma_pm", "sigma_pos"), strict=True):
+        for number, model in enumerate(dataset["model"].values.tolist()):
+            one, look = dataset.sel(model=model), {"color": style.COLOURS[number % len(style.COLOURS)]}
+            curve, error = one[variable].values, one[f"{variable}_error"].values
+            line = style.LINES[number % len(style.LINES)]
+            axes.plot(v, curve, linestyle=line, linewidth=1.2, label=str(model), **look)
+            if np.isfinite(error).any():
+                axes.fill_between(v, curve - error, curve + error, **look, **style.BAND)
+        style.logarithmic(axes, "y", dataset[variable].values)
+        axes.set(xlabel=style.label(dataset["v"], "v"), ylabel=style.label(dataset[variable], variable))
+    style.complete(figure, str(dataset.attrs.get("title", "")))
+    return figure
+
+
+def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
+    """Return sigma_pm (mas/yr) and sigma_pos (mas) of one object, dimensions (model, v), of missions at nominal length.
+
+    ``models`` are by default all built-in ones whose packages are installed.  Values beyond a mission's faint limit are
+    NaN.  The curves that were calibrated with the paper's tables have one-sigma errors ``_error`` from that fit; for
+    others these are NaN.
+    Raises SweepError for an unknown model, one whose package is missing, or a function that has no value somewhere.
+    """
+    v = np.round(np.linspace(9.0, 21.0, 121), 6)
+    rows: dict[str, Sequence[Array]] = {}
+    for model in models or missions.MISSIONS:
+        name = str(model)
+        if isinstance(model, str) and name not in missions.MISSIONS:
+            raise SweepError(f"no model {shown(name)}{suggest(name, list(missions.MISSIONS))}")
+        try:
+            sigma_pos, sigma_pm = missions.mission_of(model).sigmas_to_limit(v)
+        except (missions.MissionUnavailableError, missions.CurveError) as error:
+            if models:
+                raise SweepError(str(error)) from error
+            continue
+        calibrated = missions.CALIBRATED.get(name) if isinstance(model, str) else None
+        relative = np.full(v.shape, np.nan) if calibrated is None else calibrated.relative_error(v)
+        rows[name] = sigma_pm, sigma_pm * relative, sigma_pos, sigma_pos * relative
+    about = {"sigma_pm": ("mas / yr", r"$\sigma_\mu$"), "sigma_pos": ("mas", r"$\sigma_\mathrm{pos}$")}
+    names = [(name, f"{name}{end}") for name in about for end in ("", "_error")]
+    attributes = {each: dict(zip(("units", "symbol"), about[name], strict=True)) for name, each in names}
+    arrays = zip(attributes.items(), zip(*rows.values(), strict=True), strict=True)
+    variables = {name: (("model", "v"), np.array(array), its) for (name, its), array in arrays}
+    coordinates = {"model": np.array(list(rows), dtype=object), "v": ("v", v, MAGNITUDE)}
+    return xr.Dataset(variables, coordinates, {"title": "Accuracy of one object in each mission"})
+
+
+def models_of(study: Study, chosen: Sequence[str] = ()) -> list[str | Named]:
+    """Return the missions of a study of the link, or those of them in ``chosen``.
+
+    Raises SweepError for another experiment, or a mission that the study does not have.
+    """
+    if study.experiment.name != "link":
+        raise SweepError(f"only the link has missions; this is the experiment {study.experiment.name}", study.source)
+    whole = study.experiment.defaults() | dict(study.fixed)
+    models = list(study.axes.get("model", (whole["model"],)))
+    known = [str(model) for model in models]
+    if unknown := [name for name in chosen if name not in known]:
+        raise SweepError(f"{shown(unknown[0])} is no mission of this study{suggest(unknown[0], known)}", study.source)
+    return [model for model in models if not chosen or str(model) in chosen]
+
+
+# What figures of links have in common
 
 
 def _readable(values: Array, unit: str) -> tuple[float, str]:
@@ -69,13 +250,13 @@ def _name_points(axes: Axes, x: Array, y: Array, names: Array) -> None:
 
     To be called when everything else is drawn and has its place (`Figure.draw_without_rendering`).
     """
-    inside, taken = axes.get_window_extent(), list[Bbox]()
+    inside, taken = axes.get_window_extent(), list[Any]()
     look: dict[str, Any] = {"textcoords": "offset points", "fontsize": 6.5, "va": "center", "in_layout": False}
     for place, name in zip(zip(x, y, strict=True), names.tolist(), strict=True):
         for side, up, alignment in ((4, 0, "left"), (-4, 0, "right"), (0, 7, "center"), (0, -7, "center")):
             text = axes.annotate(name, place, xytext=(side, up), ha=alignment, **look, **style.HALO)
             box = text.get_window_extent()
-            if np.array_equal(Bbox.union([box, inside]).extents, inside.extents) and not box.count_overlaps(taken):
+            if inside.contains(*box.min) and inside.contains(*box.max) and not box.count_overlaps(taken):
                 taken.append(box)
                 break
             text.remove()
@@ -153,7 +334,7 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
     last.set_ylabel(r"$\chi^2$/dof")
     for axes in grid:
         axes.axvline(chosen, color="0.4", linestyle="dashed", linewidth=1.0)
-    last.xaxis.set_major_locator(MaxNLocator(integer=True))
+    last.xaxis.set_major_locator(ticker.MaxNLocator(integer=True))
     dropped = [str(name) for name in dataset["step_dropped"].values]
     if any(dropped) and len(steps) <= RANKED:
         last.set_xticks(steps, ["all", *dropped[1:]], rotation=90, fontsize=7)
@@ -173,9 +354,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     kept = _is_kept(dataset) & np.isfinite(without).all(axis=1)
     without = without[kept]
     if not vectors or len(without) < 2:
-        raise SweepError(
-            "no jackknife scatter: no block of the unknowns is a vector that more than one source determines"
-        )
+        raise SweepError("no jackknife scatter: no block of unknowns is a vector that more than one source determines")
     stretched = without.mean(axis=0) + np.sqrt(len(without) - 1.0) * (without - without.mean(axis=0))
     dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.6}
     dots |= {"markersize": float(np.clip(70.0 / np.sqrt(len(without)), 2.0, 9.0)), "rasterized": len(without) > 2000}
@@ -190,7 +369,8 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
             if np.all(np.isfinite(covariance)):
                 look = {"edgecolor": style.COLOURS[1 + number % 7], "linestyle": style.LINES[number % len(style.LINES)]}
                 centre = factor * dataset["estimate"].values[pair]
-                axes.add_patch(confidence_ellipse(centre, covariance, 0.683, label=f"{kind}, 68 %", zorder=4, **look))
+                look |= {"label": f"{kind}, 68 %", "zorder": 4}
+                axes.add_patch(style.confidence_ellipse(centre, covariance, 0.683, **look))
         axes.set_aspect("equal", adjustable="datalim")
         axes.set(**{f"{which}label": f"{symbols[k]} [{unit}]" for which, k in zip("xy", pair, strict=True)})
         axes.margins(0.12)
@@ -221,7 +401,7 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
         lower.axhline(3.0, color="0.4", linestyle="dashed", linewidth=1.0)
         lower.set(ylim=(-2.6, most + 0.8), ylabel=r"significance [$\sigma$]", xlabel="degree $l$")
         lower.set_yticks([0.0, 3.0, most], ["0", "3", f"≥ {most:g}"])
-        lower.xaxis.set_major_locator(MaxNLocator(integer=True))
+        lower.xaxis.set_major_locator(ticker.MaxNLocator(integer=True))
         lower.set_xlim(degree.min() - 0.5, degree.max() + 0.5)
     return figure
 
@@ -305,7 +485,7 @@ def influence_figure(dataset: xr.Dataset) -> Figure:
         left.axvline(LARGE_SHARE, **MARK)
     right.barh(y, np.nan_to_num(dataset["cook_distance"].values[order]), 0.7, color=style.COLOURS[5])
     for axes, words in ((left, "share of the weight"), (right, "Cook's distance")):
-        axes.xaxis.set_major_locator(MaxNLocator(5 if figure.get_figwidth() > 6.0 else 2))
+        axes.xaxis.set_major_locator(ticker.MaxNLocator(5 if figure.get_figwidth() > 6.0 else 2))
         axes.set_xlabel(words)
     left.xaxis.set_major_formatter(lambda share, _: f"{100.0 * share:g} %")
     _name_bars(figure, left, dataset["source"].values[order].tolist())
@@ -341,7 +521,7 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
             scales = [max(scales)] * 2
         unit = str(dataset["observable_unit"].values[pair[0]])
         for axes, when, arrows, scale in zip(grid[2 * row :], ("before", "after"), both, scales, strict=False):
-            sky.prepare_sky(axes)
+            prepare_sky(axes)
             words = _draw_arrows(axes, arrows, scale or 1.0, unit)
             averages = f", means of {len(arrows[0])} cells" if number > MOST_ARROWS else ""
             title = f"{what} {when} the fit{averages}{words}"
@@ -376,7 +556,7 @@ def _typical(arrows: Arrows) -> float:
 def _draw_arrows(axes: Any, arrows: Arrows, scale: float, unit: str) -> str:
     """Draw arrows and a key with their scale; return words for the title about arrows that are cut or dropped."""
     ra, dec, east, north, dropped = arrows
-    x, y, length = sky.on_map(ra), dec * DEGREE, np.hypot(east, north)
+    x, y, length = on_map(ra), dec * DEGREE, np.hypot(east, north)
     # a step on the sphere as one of the map's coordinates, of the length of the arrow; longitude grows to the left
     step = np.stack([-east / np.maximum(np.cos(y), 0.02), north])
     u, v = step * np.minimum(length / scale, LONGEST) / np.maximum(np.hypot(*step), 1e-300)
@@ -402,10 +582,8 @@ def _draw_arrows(axes: Any, arrows: Arrows, scale: float, unit: str) -> str:
 
 def epoch_figure(dataset: xr.Dataset) -> Figure:
     """Return the errors of the unknowns against the epoch of one more position of every source."""
-    errors_then, epochs = (
-        _require(dataset, "error_with_epoch", "give --add with the epochs"),
-        dataset["new_epoch"].values,
-    )
+    errors_then = _require(dataset, "error_with_epoch", "give --add with the epochs")
+    epochs = dataset["new_epoch"].values
     panels, symbols = _unknowns_by(dataset, "unit"), _symbols(dataset)
     stages = list(zip(dataset["stage"].values, dataset["error"].values, style.LINES[1:], strict=False))
     figure, grid = style.new_figure(1.2 + 3.8 * len(panels), 4.4, 1, len(panels), least=1.0)
