@@ -19,15 +19,7 @@ from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, PoolName, Resources
 from linksweep.sweep.formatting import harmless, with_micro_signs
 from linksweep.sweep.result import Result, open_result
-from linksweep.sweep.running.progress import (
-    MaxFailures,
-    NotebookProgress,
-    Progress,
-    Silent,
-    TerminalProgress,
-    failed_points,
-    in_notebook,
-)
+from linksweep.sweep.running import progress as watching
 from linksweep.sweep.running.reproduce import verify as verified
 from linksweep.sweep.running.run import Beside, run_study
 from linksweep.sweep.stores.location import Where, default_store, located, store_named
@@ -59,7 +51,7 @@ def run(
     client: Any = None,
     limits: Limits = NO_LIMITS,
     dashboard: bool = False,
-    progress: Progress | None = None,
+    progress: watching.Progress | None = None,
     accept_code: bool = False,
     retry: bool = False,
     fresh: bool = False,
@@ -153,26 +145,28 @@ def run(
     if not deterministic:
         loaded = replace(loaded, experiment=loaded.experiment.not_repeatable())
     place = located(store or default_store(loaded.name))
-    try:
-        loaded = replace(loaded, part=None if part is None else Part.parsed(part))
-    except ValueError as error:
-        raise SweepError(f"part = {error}") from error
+    loaded = replace(loaded, part=_parsed("part", part, Part.parsed))
     if loaded.part is not None:
         place = located(loaded.part.place(place))
     file = None if cluster is None else Path(cluster)
     resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard, client=client)
-    try:
-        most = None if max_failures is None else MaxFailures.parsed(max_failures)
-    except ValueError as error:
-        raise SweepError(f"max_failures = {error}") from error
-    with _watching(loaded, progress) as watching:
+    most = _parsed("max_failures", max_failures, watching.MaxFailures.parsed)
+    with _watching(loaded, progress) as watcher:
         further: dict[str, Any] = {"accept_code": accept_code, "fresh": fresh, "beside": Beside(only, keep, redo)}
-        dataset, failures = run_study(loaded, place, resources, watching, retry, max_failures=most, **further)
+        dataset, failures = run_study(loaded, place, resources, watcher, retry, max_failures=most, **further)
     if failures:
-        log.warning("%s: %s", place, harmless(failed_points(failures)))
+        log.warning("%s: %s", place, harmless(watching.failed_points(failures)))
     if verify and (differing := verified(loaded, place, verify).differing):
         raise SweepError(differing, str(place))
     return _drawable(dataset.to_xarray())
+
+
+def _parsed(name: str, value: Any, parse: Callable[[Any], Any]) -> Any:
+    """Return what the value of an argument says, None for None; raises SweepError that names the argument."""
+    try:
+        return None if value is None else parse(value)
+    except ValueError as error:
+        raise SweepError(f"{name} = {error}") from error
 
 
 def refine(
@@ -400,12 +394,12 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], o
     return loaded
 
 
-def _watching(study: Study, progress: Progress | None) -> AbstractContextManager[Progress]:
+def _watching(study: Study, progress: watching.Progress | None) -> AbstractContextManager[watching.Progress]:
     """Return the object that is notified of a run's progress: that which is passed, or a bar where somebody sees it."""
     if progress is not None:
         return nullcontext(progress)
-    if in_notebook():
-        return NotebookProgress(study, bar=False)
+    if watching.in_notebook():
+        return watching.NotebookProgress(study, bar=False)
     if sys.stderr is not None and sys.stderr.isatty():
-        return TerminalProgress(study)
-    return nullcontext(Silent())
+        return watching.TerminalProgress(study)
+    return nullcontext(watching.Silent())

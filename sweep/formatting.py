@@ -8,7 +8,7 @@ import json
 import platform
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import lru_cache
 from math import floor, inf, isfinite, isnan, log10
@@ -320,8 +320,10 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
         return ()
 
 
-def with_unit(value: float, error: float = 0.0, unit: str = "") -> str:
-    """Return a number with its error in the unit in which it reads best, for a terminal.
+def with_unit(
+    value: float, error: float = 0.0, unit: str = "", form: Callable[[float, float], str] = with_error
+) -> str:
+    """Return a number with its error, in a form, in the unit in which it reads best, for a terminal.
 
     Examples:
         >>> with_unit(0.0005411, 0.0000038, "mas / yr"), with_unit(100.0)
@@ -330,7 +332,7 @@ def with_unit(value: float, error: float = 0.0, unit: str = "") -> str:
     chosen = prefixed(value, unit)
     if chosen.factor != 1.0:  # an integer stays one
         value, error = value * chosen.factor, error * chosen.factor
-    return f"{with_error(value, error)} {in_ascii(chosen.unit)}".rstrip()
+    return f"{form(value, error)} {in_ascii(chosen.unit)}".rstrip()
 
 
 def in_short(value: float, error: float = 0.0, unit: str = "") -> str:
@@ -341,9 +343,7 @@ def in_short(value: float, error: float = 0.0, unit: str = "") -> str:
         >>> in_short(0.0005411, 0.0000038, "mas / yr"), in_short(15533.0), in_short(2.004, 0.001), in_short(1.7112, 0.2)
         ('0.54 uas/yr', '15,533', '2.0', '1.7')
     """
-    chosen = prefixed(value, unit)
-    text = _short(value * chosen.factor, error * chosen.factor)
-    return f"{text} {in_ascii(chosen.unit)}".rstrip()
+    return with_unit(value, error, unit, _short)
 
 
 def in_three_digits(value: float, unit: str = "") -> str:
@@ -353,8 +353,7 @@ def in_three_digits(value: float, unit: str = "") -> str:
         >>> in_three_digits(0.00054119, "mas / yr")
         '0.541 uas/yr'
     """
-    chosen = prefixed(value, unit)
-    return f"{value * chosen.factor:.3g} {in_ascii(chosen.unit)}".rstrip()
+    return with_unit(value, 0.0, unit, lambda number, _: f"{number:.3g}")
 
 
 def _short(value: float, error: float) -> str:

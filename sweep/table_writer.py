@@ -7,7 +7,6 @@ of CSV begins a formula.  JSON and ECSV have it exactly.
 import csv
 import io
 import json
-import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -132,25 +131,23 @@ class Table:
 
     def ecsv(self) -> str:
         """Return ECSV, which astropy reads with units; missing values are masked."""
-        from astropy.table import Column as AstropyColumn
-        from astropy.table import MaskedColumn
-        from astropy.table import Table as AstropyTable
+        from astropy import table as astropy_table
 
-        table = AstropyTable(meta=dict(self.meta))
+        table = astropy_table.Table(meta=dict(self.meta))
         for column in self.columns:
             if len(set(map(np.shape, column.values))) > 1:  # arrays of several lengths
                 cells = np.empty(len(column.values), dtype=object)
                 cells[:] = column.values
-                table[column.name] = AstropyColumn(cells, unit=column.unit or None)
+                table[column.name] = astropy_table.Column(cells, unit=column.unit or None)
                 continue
             cells = np.array(column.values, dtype=object)
             missing = np.array([is_missing(cell) for cell in cells.reshape(-1)], dtype=bool).reshape(cells.shape)
-            known = next(iter(cells[~missing]), math.nan)
+            known = next(iter(cells[~missing]), np.nan)
             masked = missing.any() and (cells.ndim == 1 or isinstance(known, int))  # arrays of floats can hold NaN
             if masked:
                 cells[missing] = known  # a NaN would make floats of integers
             mask = missing if masked else False
-            table[column.name] = MaskedColumn(cells.tolist(), mask=mask, unit=column.unit or None)
+            table[column.name] = astropy_table.MaskedColumn(cells.tolist(), mask=mask, unit=column.unit or None)
         out = io.StringIO()
         table.write(out, format="ascii.ecsv")
         return out.getvalue()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations  # names of xarray, which is imported only where it computes
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from string import Formatter
@@ -75,7 +74,7 @@ def answers(dataset: xr.Dataset, decided: Mapping[str, str] | None = None) -> li
         if errors := quantity.errors_beside(dataset, variable):
             made.append(Answer(variable, meaning, [_with_errors(dataset, variable, errors)]))
             continue
-        for name, unit, part in _components(dataset, variable):
+        for name, unit, part in quantity.components_of(dataset, variable):
             made.append(Answer(name, meaning, list(_sentences(part, variable, unit, (decided or {}).get(name)))))
     return made
 
@@ -91,24 +90,10 @@ def completeness(dataset: xr.Dataset) -> list[str]:
 # Sentences about a quantity
 
 
-def _components(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, xr.Dataset]]:
-    """Yield name, unit and dataset of a variable, or of each of its components, with one value per point; the values of
-    a function along a dimension of its own stay together.
-    """
-    dims = quantity.own_dimensions(dataset, variable)
-    if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in dims):
-        dims = []
-    units = quantity.units_along(dataset, variable, dims)
-    for place, unit in zip(quantity.places_along(dataset, dims), units, strict=True):
-        part = dataset.isel(place)
-        labels = [str(part[d].values.item()) if d in part.coords else str(i) for d, i in place.items()]
-        yield f"{variable} ({', '.join(labels)})" if dims else variable, unit, part
-
-
 def _with_errors(dataset: xr.Dataset, variable: str, errors: list[str]) -> str:
     """Return the range of each component that has values, and of each kind of error in each unit."""
     ranges, by_kind = [], {name: dict[str, list[float]]() for name in errors}
-    for name, unit, part in _components(dataset, variable):
+    for name, unit, part in quantity.components_of(dataset, variable):
         if text := _range_of(part[variable].values, unit):
             ranges.append(f"{name.removeprefix(f'{variable} (').removesuffix(')')} {text}")
             for error, by_unit in by_kind.items():
@@ -199,9 +184,9 @@ def _agreement(values: Array, errors: Array, predicted: Array, left_out: str) ->
         deviations = np.where(np.isnan(relative), np.nan, np.abs(values - predicted) / errors)
     if (farthest := np.fmax.reduce(relative, axis=None)) < ROUNDING:
         yield f"It equals its prediction{left_out}, except for rounding."
-    elif math.isfinite(farthest):
+    elif np.isfinite(farthest):
         text = f"It differs from its prediction{left_out} by at most {100.0 * farthest:.2g} %"
-        if math.isfinite(largest := np.fmax.reduce(deviations, axis=None)):
+        if np.isfinite(largest := np.fmax.reduce(deviations, axis=None)):
             text += f" and {largest:.1f} of its errors"
         if far := int((deviations > ERRORS_ALLOWED).sum()):
             text += f", at {formatting.counted(far, 'point')} by more than {ERRORS_ALLOWED:g} of them"
@@ -229,7 +214,7 @@ def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
     for sentence in conclusion.sentences:
         try:
             filled.append(_filled(dataset, conclusion, sentence))
-        except compare.OutsideGridError:
+        except quantity.OutsideGridError:
             continue
         except _MissingError as error:
             missing.append(str(error).partition(":")[0])
@@ -265,7 +250,7 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
             pieces.append((formatting.with_unit if form == "error" else formatting.in_short)(number, error, unit))
         before = None if form else (number, unit)
         words = compare.in_words(derived)
-        if value.has_bounds and not math.isfinite(error):
+        if value.has_bounds and not np.isfinite(error):
             unjudged.append(words)
         elif bound := _broken_bound(value, number, error):
             unmet.append(f"{words} is {formatting.in_short(number, error, unit)}, not {bound}")
@@ -282,7 +267,7 @@ def _measured(dataset: xr.Dataset, value: ConclusionValue) -> compare.Measured:
     places = compare.measure(dataset, value, value.quantity())
     measured = [one for one in places if value.choose is None or not one.missing.startswith("excluded")]
     for one in measured:
-        if one.missing or not math.isfinite(one.value):
+        if one.missing or not np.isfinite(one.value):
             raise _MissingError(one.missing or "not a finite number")
     if not measured:
         raise _MissingError(compare.NOT_DONE)

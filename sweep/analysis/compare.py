@@ -11,12 +11,12 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from linksweep.sweep.analysis import quantity
-from linksweep.sweep.contract import Status, SweepError
+from linksweep.sweep.contract import Status
 from linksweep.sweep.formatting import finite_or, in_ascii, prefixed, rounded, to_json, units_of, with_error
 from linksweep.sweep.studies.study import Derived, Ratio, Reading, Slope, printed_rounding
 from linksweep.sweep.table_writer import Column, Table
@@ -40,10 +40,6 @@ POWER = "power: the deviation from the published number that the verdict finds w
 # Our number for a claim: a value, a ratio or a slope
 
 
-class OutsideGridError(Exception):
-    """A claim is about a place or a result that this store does not have."""
-
-
 @dataclass(frozen=True)
 class Measured:
     """Our number at one place, or why there is none: ``missing`` if it was not computed, ``broken`` if it cannot be."""
@@ -53,6 +49,10 @@ class Measured:
     error: float = 0.0
     missing: str = ""
     broken: str = ""
+
+
+At = tuple[dict[str, int], Measured]
+"""The index of a point, and our number there."""
 
 
 def in_words(derived: Slope | Ratio | Reading) -> str:
@@ -78,13 +78,13 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
     """Yield our number at every place that a claim is about; raises OutsideGridError for one that is not there."""
     name = derived.variable
     if name not in dataset:
-        raise OutsideGridError(f"{name} is not a result of this store")
+        raise quantity.OutsideGridError(f"{name} is not a result of this store")
     part = _of_component(dataset, derived)
     if isinstance(derived, Slope):
         from linksweep.sweep.analysis import laws  # of the three only this is fitted
 
         if derived.over not in dataset.coords:
-            raise OutsideGridError(f"{derived.over} is not an axis of this store")
+            raise quantity.OutsideGridError(f"{derived.over} is not an axis of this store")
         fixed = _fixed(dataset, claim.where)
         along = laws.lines_of(part.isel(fixed), name, derived.over)
         for line in along.lines:
@@ -92,9 +92,9 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
     elif isinstance(derived, Ratio):
         differing = {str(dataset[axis].dims[0]) for axis in derived.of if axis in dataset.coords}
         pairs = (_values(part, name, _fixed(dataset, {**claim.where, **at})) for at in (derived.of, derived.to))
-        for (one, top), (other, bottom) in zip(*pairs, strict=True):
-            where = quantity.place_at(dataset, {d: i for d, i in one.items() if d not in differing})
-            yield _ratio(part, name, where, (one, other), (top, bottom))
+        for one, other in zip(*pairs, strict=True):
+            where = quantity.place_at(dataset, {d: i for d, i in one[0].items() if d not in differing})
+            yield _ratio(part, name, where, one, other)
     else:
         for _, one in _values(part, name, _fixed(dataset, {**claim.where, **derived.at})):
             yield one
@@ -108,13 +108,10 @@ def _of_component(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> xr.D
 
 
 def _fixed(dataset: xr.Dataset, where: Mapping[str, Any]) -> dict[str, int]:
-    try:
-        return {dimension: hits[0] for dimension, hits in quantity.indices(dataset, where).items()}
-    except SweepError as error:
-        raise OutsideGridError("; ".join(error.problems)) from error
+    return {dimension: hits[0] for dimension, hits in quantity.indices(dataset, where).items()}
 
 
-def _values(dataset: xr.Dataset, name: str, fixed: Mapping[str, int]) -> Iterator[tuple[dict[str, int], Measured]]:
+def _values(dataset: xr.Dataset, name: str, fixed: Mapping[str, int]) -> Iterator[At]:
     """Yield index and number of every point at which some axes are fixed."""
     part = dataset.isel(fixed)
     dims, error = part["status"].dims, quantity.standard_error(part, name)
@@ -127,21 +124,16 @@ def _values(dataset: xr.Dataset, name: str, fixed: Mapping[str, int]) -> Iterato
         yield index, Measured(where, value, sigma) if done else Measured(where, missing=_why({status}, "the point"))
 
 
-def _ratio(
-    dataset: xr.Dataset,
-    name: str,
-    where: Mapping[str, Any],
-    places: tuple[Mapping[str, int], Mapping[str, int]],
-    numbers: tuple[Measured, Measured],
-) -> Measured:
+def _ratio(dataset: xr.Dataset, name: str, where: Mapping[str, Any], one: At, other: At) -> Measured:
     """Return the number at one point over that at another; its error includes their covariance."""
-    top, bottom = numbers
+    (place, top), (place_below, bottom) = one, other
     if missing := top.missing or bottom.missing:
         return Measured(where, missing=missing)
     if bottom.value == 0.0 or not math.isfinite(top.value / bottom.value):
         return Measured(where, broken="the ratio is not a finite number")
     ratio = top.value / bottom.value
-    error = quantity.error_of_sum(dataset, name, *places, (1.0 / bottom.value, -ratio / bottom.value))
+    weights = 1.0 / bottom.value, -ratio / bottom.value
+    error = quantity.error_of_sum(dataset, name, place, place_below, weights)
     return Measured(where, ratio, 0.0 if error is None else float(error))
 
 
@@ -212,15 +204,15 @@ def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
     for name in (n for n in map(str, dataset.data_vars) if f"{n}_published" in dataset):
         table, is_exact = dataset[f"{name}_published"], quantity.standard_error(dataset, name) is None
         about = _about(dataset, name, name, units_of(dataset[name].attrs), str(table.attrs["source"]))
-        tolerance, reason = float(table.attrs.get("tolerance", 0.0)), str(table.attrs.get("tolerance_reason", ""))
+        rule = Rule(float(table.attrs.get("tolerance", 0.0)), str(table.attrs.get("tolerance_reason", "")))
         for index in np.argwhere(np.isfinite(table.values)):
             here = dict(zip(map(str, table.dims), map(int, index), strict=True))
             number, rounding = float(table[here]), float(dataset[f"{name}_published_rounding"][here])
             ((_, ours),) = _values(dataset, name, here)
             if rounding == 0.5 and number.is_integer() and is_exact:  # a count
-                yield judged(about, ours, number, 0.0)
+                yield judged(about, ours, number, 0.0, Rule())
             else:
-                yield judged(about, ours, number, rounding, tolerance, reason)
+                yield judged(about, ours, number, rounding, rule)
 
 
 def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:
@@ -228,13 +220,12 @@ def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:
         derived = claim.quantity()
         try:
             measured = list(measure(dataset, claim, derived))
-        except OutsideGridError as error:
-            measured = [Measured(claim.where, missing=str(error))]
+        except quantity.OutsideGridError as error:
+            measured = [Measured(claim.where, missing="; ".join(error.problems))]
         about = _about(dataset, claim.text, in_words(derived), unit_of(dataset, derived), claim.source)
         number, rounding = float(claim.published), 0.0 if claim.exact else printed_rounding(claim.published)
-        allowed = claim.tolerance or 0.0, claim.tolerance_reason or ""
-        for one in measured:
-            yield judged(about, one, number, rounding, *allowed, claim.null, claim.not_comparable or "")
+        texts = claim.tolerance_reason or "", claim.null, claim.not_comparable or ""
+        yield from (judged(about, one, number, rounding, Rule(claim.tolerance or 0.0, *texts)) for one in measured)
 
 
 def _about(dataset: xr.Dataset, what: str, derived: str, unit: str, source: str) -> dict[str, str]:
@@ -242,21 +233,20 @@ def _about(dataset: xr.Dataset, what: str, derived: str, unit: str, source: str)
     return {"study": study, "what": what, "quantity": derived, "unit": unit, "source": source}
 
 
-def judged(
-    about: Mapping[str, Any],
-    ours: Measured,
-    number: float,
-    rounding: float,
-    tolerance: float = 0.0,
-    reason: str = "",
-    null: float | None = None,
-    not_comparable: str = "",
-) -> Comparison:
-    """Return the comparison of our number with a published one, its ``rounding`` and its relative ``tolerance``.
-
-    ``null`` is the value expected without the effect that the number shows: a verdict must tell the two apart.
-    ``not_comparable`` says why there can be no verdict.
+class Rule(NamedTuple):
+    """How a number is judged: its relative ``tolerance``, with the reason for it; ``null``, the value expected without
+    the effect that the number shows, which a verdict must tell from it; and why there can be no verdict.
     """
+
+    tolerance: float = 0.0
+    reason: str = ""
+    null: float | None = None
+    not_comparable: str = ""
+
+
+def judged(about: Mapping[str, Any], ours: Measured, number: float, rounding: float, rule: Rule) -> Comparison:
+    """Return the comparison of our number with a published one and its ``rounding``."""
+    tolerance, reason, null, not_comparable = rule
     # numbers agree only if a disagreement would have been found
     allowance, allowed = rounding + MC_ERRORS_ALLOWED * ours.error, tolerance * abs(number)
     detectable = allowance + allowed + FINDS * ours.error

@@ -244,11 +244,7 @@ def _errors_in_words(dataset: xr.Dataset, known: bool, correlated: bool, samples
 
 
 def fit_power_law(
-    dataset: xr.Dataset,
-    variable: str,
-    over: str,
-    expected: float | None = None,
-    covariance: xr.DataArray | None = None,
+    dataset: xr.Dataset, variable: str, over: str, expected: float | None = None, covariance: xr.DataArray | None = None
 ) -> xr.Dataset:
     """Fit variable = amplitude (over / pivot)^exponent along an axis, for every combination of the other axes.
 

@@ -6,7 +6,6 @@ Everything that looks at results asks here, so that tables, laws, figures and pa
 from __future__ import annotations  # names of xarray, which is imported only where it computes
 
 import json
-import math
 from collections.abc import Collection, Container, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -195,11 +194,11 @@ def error_of_sum(
     If the two share random numbers, it includes their covariance, and is NaN if the dataset does not have it; otherwise
     they are independent.  ``weights`` are numbers or arrays over the other dimensions.  None if there are no errors.
     """
-    errors = [standard_error(dataset.isel(place), variable) for place in (one, other)]
-    if errors[0] is None or errors[1] is None:
+    if (error := standard_error(dataset, variable)) is None:
         return None
-    dims, differing = errors[0].dims, [d for d in one if one[d] != other[d]]
-    (first, second), (sigma, tau) = weights, (error.transpose(*dims).values for error in errors if error is not None)
+    known, differing = dataset.assign({variable: error}), [d for d in one if one[d] != other[d]]
+    dims, (first, second) = known.isel(one)[variable].dims, weights
+    sigma, tau = (known.isel(place)[variable].transpose(*dims).values for place in (one, other))
     if not differing:
         return np.asarray(abs(first + second) * sigma)
     variance = (first * sigma) ** 2 + (second * tau) ** 2
@@ -316,8 +315,22 @@ def units_along(dataset: xr.Dataset, variable: str, dimensions: Sequence[str]) -
         names = [str(n) for n, c in dataset.coords.items() if str(n).endswith("_unit") and set(c.dims) <= {*dimensions}]
         parts = [listed(dataset, name, dimensions) for name in names]
     if not parts:
-        return [unit] * math.prod(dataset.sizes[d] for d in dimensions)
+        return [unit] * len(list(places_along(dataset, dimensions)))
     return [one[0] if len(one) == 1 else " ".join(f"({unit})" for unit in one) for one in zip(*parts, strict=True)]
+
+
+def components_of(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str, xr.Dataset]]:
+    """Yield name, unit and dataset of a variable, or of each of its components, with one value per point; the values of
+    a function along a dimension of its own stay together.
+    """
+    dims = own_dimensions(dataset, variable)
+    if any(d in dataset.coords and dataset[d].dtype.kind in "ifM" for d in dims):
+        dims = []
+    units = units_along(dataset, variable, dims)
+    for place, unit in zip(places_along(dataset, dims), units, strict=True):
+        part = dataset.isel(place)
+        labels = [str(part[d].values.item()) if d in part.coords else str(i) for d, i in place.items()]
+        yield f"{variable} ({', '.join(labels)})" if dims else variable, unit, part
 
 
 def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
@@ -352,11 +365,15 @@ def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
     return dataset.isel(part)
 
 
+class OutsideGridError(SweepError):
+    """A place or a result that a dataset does not have."""
+
+
 def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[int]]:
     """Return the indices along each dimension that values of axes stand for.
 
-    Raises SweepError that lists every name that is not an axis, every value that is not in the grid, and values of axes
-    along one dimension that are not those of any point.
+    Raises OutsideGridError that lists every name that is not an axis, every value that is not in the grid, and values
+    of axes along one dimension that are not those of any point.
     """
     problems: list[str] = []
     chosen: dict[str, set[int]] = {}
@@ -375,7 +392,7 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
         else:
             chosen[dimension] &= hits
     if problems:
-        raise SweepError(problems)
+        raise OutsideGridError(problems)
     return {dimension: sorted(hits) for dimension, hits in chosen.items()}
 
 

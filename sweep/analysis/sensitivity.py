@@ -2,7 +2,7 @@
 
 For a full grid by analysis of variance: every value of an axis counts the same.  The values of an axis of real numbers
 are taken as the midpoints of equal cells, on the scale on which they are equally spaced; the errors include the
-differences from integration rules of higher order.
+differences from integrals of splines through them.
 
 For Saltelli and Morris designs by SALib, with bootstrap errors from a fixed seed.
 
@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
+from scipy.interpolate import make_interp_spline
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import derived
@@ -40,7 +41,7 @@ MEANINGS = {
 COARSE = 8  # on an axis of real numbers with fewer values, a function may change much between them
 CORRELATED = 0.3  # a note names the parameters of a table that are correlated more than this
 RESAMPLES = 200
-ORDERS = (3, 5, 7)  # how many neighbouring values of a grid the rules of higher order fit with a polynomial
+DEGREES = (2, 3, 5)  # of the splines through the values of a grid that are compared with their mean
 ONE_SIGMA = 0.6826894921370859  # probability: half the width of SALib's confidence intervals is then a one-sigma error
 HARMONICS = 8  # the most half-waves over the range of a parameter
 POINTS_FOR_EACH = 8  # points that are needed for each coefficient
@@ -228,11 +229,9 @@ def indices_of_grid(
     noise = np.zeros(values.shape) if errors is None else np.nan_to_num(errors) ** 2
     estimated = _indices(values, noise, equal)
     coarseness = np.zeros(estimated.shape)
-    for order in ORDERS if any(continuous) else ():
-        finer = [
-            weights_of_order(order, n) if whole else w
-            for n, w, whole in zip(values.shape, equal, continuous, strict=True)
-        ]
+    for degree in DEGREES if any(continuous) else ():
+        axes = zip(equal, continuous, strict=True)
+        finer = [weights_of_degree(degree, len(w)) if is_real else w for w, is_real in axes]
         coarseness = np.fmax(coarseness, np.abs(_indices(values, noise, finer) - estimated))
     variance = coarseness**2
     if noise.any():
@@ -243,21 +242,14 @@ def indices_of_grid(
     return estimated[0], sigma[0], estimated[1], sigma[1]
 
 
-def weights_of_order(order: int, n: int) -> Array:
-    """Return weights of n midpoints of equal cells: each cell is integrated through its ``order`` nearest midpoints.
+def weights_of_degree(degree: int, n: int) -> Array:
+    """Return weights of n midpoints of equal cells, whose sum is the integral of a spline through them.
 
-    >>> [round(24 * 5 * w) for w in weights_of_order(3, 5)]
-    [26, 21, 26, 21, 26]
+    >>> (24 * weights_of_degree(2, 3)).round(9).tolist()
+    [9.0, 6.0, 9.0]
     """
-    order = min(order, n)
-    powers = np.arange(order)
-    weights = np.zeros(n)
-    for cell in range(n):
-        first = min(max(cell - order // 2, 0), n - order)
-        nodes = np.arange(first, first + order) - cell  # in cells from the middle of this one
-        moments = (0.5 ** (powers + 1) - (-0.5) ** (powers + 1)) / (powers + 1)
-        weights[first : first + order] += np.linalg.solve(np.vander(nodes, order, increasing=True).T, moments)
-    return weights / n
+    spline = make_interp_spline((np.arange(n) + 0.5) / n, np.eye(n), k=min(degree, n - 1))
+    return np.asarray(spline.integrate(0.0, 1.0))
 
 
 def _indices(values: Array, noise: Array, weights: Sequence[Array]) -> Array:

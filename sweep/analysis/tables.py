@@ -8,8 +8,7 @@ error of NAME is NAME_error, ``conclusion`` is in words, and the attribute ``not
 from __future__ import annotations  # names of xarray, which is imported only where it computes
 
 import json
-import math
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -36,17 +35,15 @@ FEWEST = 30  # realisations for a correlation, which is then known to 0.2
 WORST_POINTS = 3  # how many points have their components shown
 LEAST_SHARE = 1.0  # of a result, in percent, that a sentence names
 
+Columns = Mapping[str, tuple[Any, str, str]]
+"""By the names of variables their values, unit and meaning."""
+
 
 def derived(
-    grid: xr.Dataset,
-    dims: Sequence[Hashable],
-    columns: Mapping[str, tuple[Any, str, str]],
-    shown: Sequence[str],
-    notes: Sequence[str],
-    **about: Any,
+    grid: xr.Dataset, dims: Sequence[str], columns: Columns, shown: Sequence[str], notes: Sequence[str], **about: Any
 ) -> xr.Dataset:
-    """Return a dataset over the dimensions of a grid with ``columns`` of values (in C order), unit and meaning, of
-    which some are ``shown`` in tables, in this order.
+    """Return a dataset over the dimensions of a grid with ``columns`` of values in C order, of which some are
+    ``shown`` in tables, in this order.
     """
     shape, variables = [grid.sizes[d] for d in dims], {}
     for name, (values, unit, meaning) in columns.items():
@@ -148,13 +145,13 @@ def _columns_of(dataset: xr.Dataset, columns: dict[str, Column], name: str, rows
         whole, part = (columns.get(f"{name}_{suffix}") for suffix in quantity.PREDICTION_SUFFIXES)
         pairs = [] if whole is None or part is None else list(zip(whole.values, part.values, strict=True))
         if any(total > (1.0 + VISIBLE_BIAS) * alone for total, alone in pairs):
-            bias = [math.sqrt(max(0.0, total**2 - alone**2)) for total, alone in pairs]
+            bias = [max(0.0, total**2 - alone**2) ** 0.5 for total, alone in pairs]
             yield beside("of errors", [alone for _, alone in pairs], PARTS, errors)
             yield beside("of bias", bias, PARTS, errors)
     published = columns[f"{name}_published"].values if f"{name}_published" in columns else []
     if not all(map(formatting.is_missing, published)) and not _is_exact(dataset, name):
         yield beside("published", published, PUBLISHED, [0.0] * len(published))
-        differences = [v / p - 1.0 if p else math.nan for v, p in zip(main.values, published, strict=True)]
+        differences = [v / p - 1.0 if p else np.nan for v, p in zip(main.values, published, strict=True)]
         cells = ["" if formatting.is_missing(one) else f"{100.0 * one:+.1f} %" for one in differences]
         yield Column("difference", differences, cells, rank=PUBLISHED)
 
@@ -224,7 +221,7 @@ def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> list[Tab
         places = [n for n in quantity.axis_coordinates(part, dims) if not n.endswith("_unit")]
         columns = {n: quantity.listed(part, n, dims) for n in [*places, name, *errors]}
         units = quantity.units_along(part, name, dims)
-        known = [i for i, value in enumerate(columns[name]) if math.isfinite(value)]
+        known = [i for i, value in enumerate(columns[name]) if np.isfinite(value)]
         for unit in dict.fromkeys(units[i] for i in known):
             at = [i for i in known if units[i] == unit][:most]
             chosen = formatting.prefixed([columns[name][i] for i in at], unit)
@@ -270,7 +267,7 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
     dimension beside the axes; nothing for results without a condition number.
     """
     names = (n for n in map(str, dataset.data_vars) if len(quantity.own_dimensions(dataset, n)) == 1)
-    name = next((n for n in names if quantity.standard_error(dataset, n) is not None), None)
+    name = next((n for n in names if quantity.standard_error(dataset, n) is not None), "")
     conditions, shape = _conditions(dataset), dataset["status"].shape
     worst = np.argsort(-conditions, kind="stable")[: np.count_nonzero(conditions >= 0.0)]
     for flat in worst[:WORST_POINTS] if name else ():
@@ -282,10 +279,11 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
             beside = np.where(np.eye(len(labels), dtype=bool), 0.0, np.nan_to_num(point[CORRELATION].values))
             i, j = sorted(np.unravel_index(np.argmax(np.abs(beside)), beside.shape))
             facts += f", largest correlation {beside[i, j]:.3f} ({labels[i]}, {labels[j]})"
-        units = point[f"{dim}_unit"].values.tolist() if f"{dim}_unit" in point.coords else [""] * len(labels)
-        cells = list(map(formatting.in_three_digits, point[name].values.tolist(), units))
+        cells = map(
+            formatting.in_three_digits, point[name].values.tolist(), quantity.units_along(point, str(name), [dim])
+        )
         place = ", ".join(filter(None, [name, quantity.place_in_words(quantity.place_at(dataset, index))]))
-        yield Table([Column("", labels, left=True), Column("", cells)], f"{place}: {facts}")
+        yield Table([Column("", labels, left=True), Column("", list(cells))], f"{place}: {facts}")
 
 
 # What is derived

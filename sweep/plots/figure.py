@@ -168,10 +168,8 @@ def _draw(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], 
     figure: Figure = KINDS["grid"][kind].load().draw(part, variables, over)
     axes = [str(n) for n, c in part.coords.items() if not c.dims and not str(n).endswith("_unit")]
     shared = ", ".join(style.value_text(part, name, part[name].item()) for name in axes)
-    missing = int((~part["status"].isin([Status.DONE, Status.EXCLUDED])).sum())
-    words = f"INCOMPLETE: {missing:,} of {part['status'].size:,} points are not done" if missing else ""
-    if so_far := quantity.so_far_in_words(part):
-        words += f"; values so far are of {so_far}"
+    missing = unfinished_in_words(count_status(part["status"].values))
+    words = f"INCOMPLETE: {quantity.lacking(part)}" if missing else ""
     figure.set_label(title := str(whole.attrs.get("title", "")))
     style.complete(figure, "\n".join(filter(None, (title, shared, words))))
     return figure
@@ -186,8 +184,7 @@ def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
                 how = f"choose one with --at {dimension}={dataset[dimension].values[0]}"
                 raise SweepError(f"{name} has components in {' and '.join(several)}; {how}")
     if not any(np.isfinite(dataset[name].values).any() for name in names):
-        unfinished = unfinished_in_words(count_status(dataset["status"].values))
-        why = f": of {dataset['status'].size:,} points {unfinished}" if unfinished else ""
+        why = f": {quantity.lacking(dataset)}" if unfinished_in_words(count_status(dataset["status"].values)) else ""
         raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")
 
 

@@ -4,7 +4,6 @@ and the kept samples of a single point.
 """
 
 import json
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
@@ -53,6 +52,9 @@ BAND = "band"  # the attribute of a difference: how far it may be from zero by c
 
 
 # Panels
+
+Draw = Callable[[Axes, xr.Dataset, str], None]
+"""A function that draws a variable of a dataset into a panel."""
 
 
 class Layout(NamedTuple):
@@ -121,29 +123,23 @@ def series_of(dataset: xr.Dataset, variable: str, *along: str) -> list[tuple[str
     return [(", ".join(style.value_text(dataset, d, one[d].item()) for d in named), one) for one in parts]
 
 
-def draw_panels(
-    dataset: xr.Dataset,
-    variables: list[str],
-    layout: Layout,
-    draw: Callable[[Axes, xr.Dataset, str], None],
-    one_unit: bool = False,
-) -> Figure:
+def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw, alike: bool = False) -> Figure:
     """Return a figure of panels: columns and rows as the layout says, variables as columns if there are several.
 
     Panels that would be empty are left out.  Those whose values differ by orders of magnitude have axes and units of
-    their own, unless ``one_unit``.  If the figure is too narrow for the columns, they continue in further rows.
+    their own, unless ``alike``.  If the figure is too narrow for the columns, they continue in further rows.
     """
     columns, rows, far = layout
     if len(variables) > 1:
         if rows is not None:
             raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
         columns, rows = None, columns
-    panels = list(_panels(dataset, variables, columns, rows, layout.columns if far and not one_unit else None))
+    panels = list(_panels(dataset, variables, columns, rows, layout.columns if far and not alike else None))
     if len(panels) > MOST_PANELS:
         raise _too_many(dataset, [d for d in (columns, rows) if d is not None])
     wanted = len(panels) if rows is None else len(variables) * (dataset.sizes[columns] if columns else 1)
-    down = math.ceil(len(panels) / min(style.most_columns(wanted), MOST_ACROSS))
-    across = math.ceil(len(panels) / down)
+    down = -(-len(panels) // min(style.most_columns(wanted), MOST_ACROSS))  # rounded up
+    across = -(-len(panels) // down)
     size = (6.4, 4.4) if len(panels) == 1 else (1.2 + 3.1 * across, 1.2 + 2.4 * down)
     figure, grid = style.new_figure(*size, down, across, n=len(panels))
     firsts: dict[tuple[Any, ...], Axes] = {}
@@ -155,7 +151,7 @@ def draw_panels(
         draw(axes, panel.part, panel.name)
         axes.set_label(panel.name)  # for the caption
         width, height = style.panel_size(axes)
-        width -= style.BESIDE_INCHES / across if one_unit else 0.0  # of the colour bar
+        width -= style.BESIDE_INCHES / across if alike else 0.0  # of the colour bar
         axes.set_title(style.in_lines(panel.title, width))
         # not label_outer: a neighbour may have a scale of its own, and that below may be missing
         has_y = number % across == 0 or panels[number - 1].shares != panel.shares
@@ -190,12 +186,11 @@ def _panels(
 def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     """Return the axis to draw along: the one asked for, or the longest numeric one, or the longest."""
     numeric = _ordered_axes(dataset, variable)
-    axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in _ordered(dataset)]
-    axes += [name for name in numeric if name not in axes]
-    if over:  # names of components only if they are asked for
-        axes += [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords and d not in axes]
+    axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in _ordered(dataset)] + numeric
+    # names of components only if they are asked for
+    axes += [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords] if over else []
     if over and (len(over) > 1 or over[0] not in axes):
-        raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {', '.join(axes)}")
+        raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {', '.join(dict.fromkeys(axes))}")
     return over[0] if over else (numeric or sorted(axes, key=lambda n: -dataset[n].size))[0]
 
 
@@ -401,30 +396,26 @@ def _draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
 # Laws
 
 
-def _law_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
-    variable = variables[0]
-    axis = quantity.require_axis(dataset, variable, (list(over) or quantity.numeric_axes(dataset, variable))[0])
-    if linear := [name for name in (axis, variable) if dataset[name].attrs.get(style.SCALE) == "linear"]:
-        raise SweepError(f"a law is drawn on logarithmic axes, and {linear[0]} is to have a linear one")
-    series_of(dataset, variable, str(dataset[axis].dims[0]))  # which are not too many
-    figure, (upper, lower) = style.new_figure(6.4, 5.2, 2, sharex=True, height_ratios=(3, 1))
-    _draw_law(upper, lower, quantity.in_readable_units(dataset), variable, axis)
-    return figure
-
-
-def _draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
-    """Draw a variable against an axis on logarithmic scales, with the fitted power law and its one-sigma band; and
-    below that the residuals from the law in percent, where errors can be seen.
+def _law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str]) -> Figure:
+    """Return a figure of a variable against an axis on logarithmic scales, with the fitted power law and its one-sigma
+    band; and below that the residuals from the law in percent, where errors can be seen.
 
     There is one colour for every combination of the other dimensions that the study does not exclude everywhere.  The
     dashed guide has the exponent that a claim of the study states, and meets the law at its pivot.
     """
-    along, result = laws.lines(dataset, variable, over), laws.fit_power_law(dataset, variable, over)
+    variable = variables[0]
+    over = quantity.require_axis(dataset, variable, (list(along) or quantity.numeric_axes(dataset, variable))[0])
+    if linear := [name for name in (over, variable) if dataset[name].attrs.get(style.SCALE) == "linear"]:
+        raise SweepError(f"a law is drawn on logarithmic axes, and {linear[0]} is to have a linear one")
+    series_of(dataset, variable, str(dataset[over].dims[0]))  # which are not too many
+    figure, (upper, lower) = style.new_figure(6.4, 5.2, 2, sharex=True, height_ratios=(3, 1))
+    dataset = quantity.in_readable_units(dataset)
+    made, result = laws.lines(dataset, variable, over), laws.fit_power_law(dataset, variable, over)
     steps = _steps(dataset, variable, str(dataset[over].dims[0]))
-    for number, line in enumerate(line for line in along.lines if len(line.x)):
+    for number, line in enumerate(line for line in made.lines if len(line.x)):
         x, y, errors = line.x, line.y, line.errors
-        look, place = style.marks(number, 3.5, len(steps)), along.place(line)
-        words = ", ".join(style.value_text(dataset, d, place[d]) for d in along.dims if along.grid.sizes[d] > 1)
+        look, place = style.marks(number, 3.5, len(steps)), made.place(line)
+        words = ", ".join(style.value_text(dataset, d, place[d]) for d in made.dims if made.grid.sizes[d] > 1)
         error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
         law, fine = result.isel(line.index), np.geomspace(x.min(), x.max(), 100)
         names = ("exponent", "exponent_error", "amplitude", "amplitude_error", "correlation", "pivot")
@@ -454,6 +445,7 @@ def _draw_law(upper: Axes, lower: Axes, dataset: xr.Dataset, variable: str, over
     upper.set_ylabel(style.quantity_label(dataset, variable))
     lower.axhline(0.0, color="black", linewidth=0.6)
     lower.set(xlabel=style.label(dataset[over], over), ylabel="residual [%]")
+    return figure
 
 
 def _power(dataset: xr.Dataset, over: str, exponent: str) -> str:
@@ -474,7 +466,7 @@ def _map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) 
         raise SweepError(f"a map needs two axes that are crossed, of {wanted}; not {got}")
     layout, readable = arrange(dataset, variable, chosen, series=False), quantity.in_readable_units(dataset)
     draw = partial(draw_map, x=chosen[0], y=chosen[1], limits=colour_limits(readable[variable]))
-    figure = draw_panels(readable, variables, layout, draw, one_unit=True)
+    figure = draw_panels(readable, variables, layout, draw, alike=True)
     mesh = figure.axes[0].collections[0]  # all panels share their colours
     style.add_bar(figure, mesh, readable[variable], style.quantity_label(readable, variable), ax=figure.axes)
     if words := _accuracy_in_words(dataset, variable):
@@ -510,9 +502,10 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
 
     ``limits`` are those of the colours, which all panels of a figure share.  Points without a value are left white.
     """
-    array, places = dataset.sortby([x, y])[variable].astype(float), {"x": x, "y": y, "ax": axes, "add_labels": False}
+    array = dataset.sortby([x, y])[variable].astype(float)
+    places: dict[str, Any] = {"x": x, "y": y, "ax": axes, "add_labels": False}
     low, high = float(limits.vmin or 0.0), float(limits.vmax or 0.0)
-    scales = {f"{w}scale": "log" for w, name in (("x", x), ("y", y)) if style.is_logarithmic(dataset[name])}
+    scales: Any = {f"{w}scale": "log" for w, name in (("x", x), ("y", y)) if style.is_logarithmic(dataset[name])}
     # with borders of cells halfway between the points, on the scale of the axis
     array.plot.pcolormesh(**places, **scales, cmap="cividis", norm=limits, add_colorbar=False, rasterized=True)
     is_log = isinstance(limits, colors.LogNorm)
@@ -521,7 +514,7 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
     is_smooth = inside and _is_smooth(np.log(array.values) if is_log else array.values, len(inside))
     if is_smooth and not formatting.is_truth(dataset[variable]):
         # solid, also those of negative numbers
-        look = {"colors": "white", "levels": inside, "linewidths": 0.8, "linestyles": "solid"}
+        look: Any = {"colors": "white", "levels": inside, "linewidths": 0.8, "linestyles": "solid"}
         contours = array.plot.contour(**places, **look)
         for artist in (contours, *axes.clabel(contours, fmt=style.number_text, fontsize="small")):
             artist.set_path_effects([patheffects.withStroke(linewidth=2.2, foreground="0.15")])
@@ -669,7 +662,10 @@ def sampled(dataset: xr.Dataset) -> str | None:
 
 def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure of the samples of two components at one point: those in ``over``, or the first two in the unit of
-    the main quantity, or the first two.
+    the main quantity, or the first two; with ellipses of 68 and 95 % of a normal distribution.
+
+    Where the dataset has a ``bias``, the truth (mean estimate - bias) is a cross.  The standard deviations stand above
+    the legend with their errors, sigma/sqrt(2 n).
     """
     variable = sampled(dataset)
     if variables or variable is None:
@@ -683,34 +679,19 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
         raise SweepError(f"{shown(unknown[0])} is no component of {variable}{suggest(unknown[0], known)}")
     if over and len(set(over)) != 2:
         raise SweepError(f"a scatter needs two components, of {', '.join(known)}; not {', '.join(over)}")
-    units = dict.fromkeys(known, "")
-    if f"{dimension}_unit" in dataset.coords:
-        units = dict(zip(known, dataset[f"{dimension}_unit"].values.tolist(), strict=True))
+    units = dict(zip(known, quantity.units_along(dataset, variable, [dimension]), strict=True))
     main = dataset[quantity.main_quantity(dataset)].attrs if quantity.quantities(dataset) else {}
     alike = [name for name in known if units[name] == main.get("units")]
     names = list(over or (alike if len(alike) > 1 else known)[:2])
     figure, (axes,) = style.new_figure(5.2, 4.8)
-    _draw_samples(axes, dataset, variable, dimension, names, [units[name] for name in names])
-    return figure
-
-
-def _draw_samples(
-    axes: Axes, dataset: xr.Dataset, variable: str, dimension: str, names: list[str], units: list[str]
-) -> None:
-    """Draw the samples of two components, with their units, against each other, with ellipses of 68 and 95 % of a
-    normal distribution.
-
-    Where the dataset has a ``bias``, the truth (mean estimate - bias) is a cross.  The standard deviations stand above
-    the legend with their errors, sigma/sqrt(2 n).
-    """
     both = dataset[variable].sel({dimension: names}).transpose(dimension, "sample").values.astype(float)
     both = both[:, np.isfinite(both).all(axis=0)]
     if (n := both.shape[1]) < 3:
         raise SweepError(f"{variable} has {n} samples here; at least 3 are needed")
-    factor = 1.0
-    if units[0] == units[1]:
-        unit, factor = formatting.prefixed(both.std(axis=1), units[0])
-        units = [unit, unit]
+    factor, (one, other) = 1.0, (units[name] for name in names)
+    if one == other:
+        one, factor = formatting.prefixed(both.std(axis=1), one)
+        other = one
         axes.set_aspect("equal")
     both *= factor
     mean, covariance = both.mean(axis=1), np.cov(both)
@@ -727,12 +708,13 @@ def _draw_samples(
         truth = mean - factor * dataset["bias"].sel({dimension: names}).values
         axes.plot(*truth, "x", color="black", label="truth", markersize=9.0, markeredgewidth=1.4)
     words = []
-    for which, name, spread, unit in zip("xy", names, sigma, units, strict=True):
+    for which, name, spread, unit in zip("xy", names, sigma, (one, other), strict=True):
         axes.set(**{f"{which}label": style.label(dataset[variable], name, unit)})
         text = formatting.with_error(spread, spread / np.sqrt(2 * n))
         words.append(rf"$\sigma$({style.symbol(name)}) = {text} {formatting.written(unit)}")
     words.append(rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$")
-    style.legend(axes.figure, title="\n".join(words))  # type: ignore[arg-type]
+    style.legend(figure, title="\n".join(words))
+    return figure
 
 
 def _has_points(dataset: xr.Dataset, variable: str) -> bool:

@@ -2,7 +2,6 @@
 
 import io
 import json
-import math
 import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -488,5 +487,5 @@ def legend(figure: Figure, least: int = 2, **options: Any) -> None:
     longest = max(seen(line) for text in lines for line in text.split("\n"))
     columns = max(1, min(len(lines), int(figure.get_figwidth() / in_letters(4.5 + 0.46 * longest))))  # with their signs
     figure.legend(entries.values(), lines, loc="outside lower center", ncols=columns, frameon=False, **options)
-    rows = math.ceil("\n".join(lines).count("\n") / columns) + 1
+    rows = 1 - (-"\n".join(lines).count("\n") // columns)
     figure.set_figheight(figure.get_figheight() + rows * in_letters(1.5))  # panels keep their height

@@ -9,13 +9,11 @@ import base64
 import hashlib
 import io
 import json
-import math
 import re
 import secrets
 import threading
 import time
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import metadata, resources
@@ -30,7 +28,6 @@ import xarray as xr
 import yaml
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, Template
-from markupsafe import Markup
 from matplotlib import collections, lines, patheffects, text
 from matplotlib.figure import Figure
 
@@ -96,12 +93,9 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     for i, name in enumerate(varying):
         if errors := quantity.errors_beside(dataset, name):
             part = quantity.where_they_change(dataset, [name, *errors])
-            components = quantity.own_dimensions(dataset, name)
-            for k, place in enumerate(quantity.places_along(part, components)):
-                one = part.isel(place)
+            for k, (title, _, one) in enumerate(quantity.components_of(part, name)):
                 if _varies(one[name]):
-                    words = ", ".join(str(one[d].item()) for d in components if d in one.coords)
-                    made.append(drawn(one, f"{name} ({words})", f"{number}-{i}-{k}", (name,)))
+                    made.append(drawn(one, title, f"{number}-{i}-{k}", (name,)))
         else:
             made.append(drawn(dataset, name, f"{number}-{i}", (name,)))
         residual = residuals(dataset, name) if ordered and _varies(dataset[name]) else None
@@ -118,13 +112,7 @@ def link_pictures(result: Result, number: int) -> list[Picture]:
     return [one for one in made if one.svg]  # of the others the dataset lacks something
 
 
-def drawn(
-    dataset: xr.Dataset,
-    name: str,
-    salt: str,
-    variables: Sequence[str] = (),
-    kind: str | None = None,
-) -> Picture:
+def drawn(dataset: xr.Dataset, name: str, salt: str, variables: Sequence[str] = (), kind: str | None = None) -> Picture:
     """Return the figure that suits a dataset, or one of a given kind; ``salt`` makes the identifiers in it differ from
     those of other figures.
     """
@@ -165,7 +153,10 @@ def residuals(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
     if error is None or "predicted" not in parts:
         return None
     apart = ((dataset[variable] - parts["predicted"]) / error.where(error > 0.0)).transpose(*dataset[variable].dims)
-    attributes = {"symbol": "(simulated − predicted)/error", "long_name": f"{variable}, minus predicted"}
+    attributes: dict[str, Any] = {
+        "symbol": "(simulated − predicted)/error",
+        "long_name": f"{variable}, minus predicted",
+    }
     attributes |= {grid.BAND: answer.ERRORS_ALLOWED}
     apart = apart.drop_attrs(deep=False).assign_attrs(attributes)
     kept = dataset[["status"]].assign_attrs(title=dataset.attrs.get("title", ""))
@@ -173,9 +164,7 @@ def residuals(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
 
 
 def _varies(array: xr.DataArray) -> bool:
-    if array.dtype.kind not in "biuf":
-        return False
-    finite = array.values[np.isfinite(array.values)]
+    finite = array.values[np.isfinite(array.values)] if array.dtype.kind in "biuf" else np.empty(0)
     return bool(finite.size and finite.min() < finite.max())
 
 
@@ -357,8 +346,8 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
         verdicts=compare.summary_line(comparisons) if comparisons else "",
         unfinished=sum(bool(one.get("gaps")) for one in sections),
         policy=policy(scripts),
-        style=Markup(template_file("page.css")),
-        scripts=[Markup(script) for script in scripts],
+        style=template_file("page.css"),
+        scripts=scripts,
         cite=list(dict.fromkeys([*cited, *(citations(version)[1] for version in versions)])),
         cite_message=_citation_file()["message"] if ours else "If you use these results, please cite what made them.",
     )
@@ -462,7 +451,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
                 part, without = _without_gaps(final.squeeze(), name)
                 indices = Result(sensitivity(part, name))
                 decided[name] = " ".join(indices.headline()).replace(":", f"{without}:", 1)
-                if POINT_TABLE in about and indices.dataset["first"].ndim == 1 < indices.dataset["first"].size:
+                if POINT_TABLE in about and len(indices.dataset.dims) == 1 < indices.dataset.sizes["parameter"]:
                     further[f"S{indices.notes()[0][1:]}"] = _sortable(indices.tables()[0])
                     untitled = indices.dataset.assign_attrs(title="")
                     figures.append(drawn(untitled, f"sensitivity of {name}", f"{number}-{name}"))
@@ -516,7 +505,7 @@ def _severity(c: compare.Comparison) -> tuple[int, float]:
     """Return by what comparisons are sorted, the worst first: the verdict, and the difference in units of what is
     allowed.
     """
-    known = c.allowance > 0.0 and math.isfinite(c.difference)
+    known = c.allowance > 0.0 and bool(np.isfinite(c.difference))
     return SEVERITY.index(c.verdict), -abs(c.difference) / c.allowance if known else 0.0
 
 
@@ -556,10 +545,9 @@ def _provenance(kind: str, attributes: Mapping[Any, Any]) -> dict[str, str]:
 
 def _sortable(table: Table, left_out: int = 0) -> dict[str, Any]:
     """Return the headings and rows of a table, whose cells are a text and the value to sort by."""
-    repeated = Counter(column.name for column in table.columns)
-    headings = []
+    names, headings = [column.name for column in table.columns], []
     for column in table.columns:
-        whole = repeated[column.name] > 1 and column.quantity != column.name
+        whole = names.count(column.name) > 1 and column.quantity != column.name
         name = f"{column.quantity} {column.name}" if whole else column.name
         headings.append(f"{name} [{formatting.written(column.unit)}]" if column.unit else name)
     cells = [

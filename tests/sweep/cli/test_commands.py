@@ -120,7 +120,7 @@ def test_a_figure_of_failed_points_alone_is_refused(tmp_path):
     for at, count in (("a=2", 2), ("a=2,b=1", 1)):
         code, _, err = run_sweep("plot", tmp_path / "half.zarr", "--at", at, "-o", picture)
         assert code == 2
-        assert f"half: there is no value to draw here: of {count} points {count} failed" in err
+        assert f"half: there is no value to draw here: 0 of {count} points are done, {count} failed" in err
         assert not picture.exists()
 
 
