@@ -8,7 +8,7 @@ import json
 import platform
 import re
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import lru_cache
 from math import floor, inf, isfinite, isnan, log10
@@ -320,9 +320,7 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
         return ()
 
 
-def with_unit(
-    value: float, error: float = 0.0, unit: str = "", form: Callable[[float, float], str] = with_error
-) -> str:
+def with_unit(value: float, error: float = 0.0, unit: str = "", form: Any = with_error) -> str:
     """Return a number with its error, in a form, in the unit in which it reads best, for a terminal.
 
     Examples:

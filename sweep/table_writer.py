@@ -103,12 +103,9 @@ class Table:
         headings = [column.heading for column in self.columns]
         depth = max(map(len, headings))
         for column, lines in zip(self.columns, headings, strict=True):
-            grid.add_column(
-                text.Text("\n".join([""] * (depth - len(lines)) + lines)),
-                justify="left" if column.left or column.wrap else "right",
-                min_width=column.width(least=True),
-                no_wrap=not column.wrap,
-            )
+            head, side = text.Text("\n".join([""] * (depth - len(lines)) + lines)), column.left or column.wrap
+            options: Any = {"justify": "left" if side else "right", "no_wrap": not column.wrap}
+            grid.add_column(head, min_width=column.width(least=True), **options)
         for row in zip(*(column.texts for column in self.columns), strict=True):
             grid.add_row(*map(text.Text, row))
         # the height, too: a terminal that is "dumb" would else be 80 columns wide

@@ -152,6 +152,19 @@ def prediction_name(names: Container[Hashable], variable: str) -> str:
     return whole if whole in names else part
 
 
+def parts_of(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
+    """Return a quantity as ``value`` and what belongs to it and is known, all with its own dimensions: ``error``, as
+    figures show it, ``predicted``, ``published`` and ``published_rounding``.
+    """
+    value = dataset[name]
+    others = {"error": error_bar(dataset, name), "predicted": dataset.get(prediction_name(dataset, name))}
+    others |= {suffix: dataset.get(f"{name}_{suffix}") for suffix in ("published", "published_rounding")}
+    known = {n: part for n, part in others.items() if part is not None and set(part.dims) <= set(value.dims)}
+    # without errors of observation a prediction is 0
+    numbers = {n: part for n, part in known.items() if np.nan_to_num(part.values).any()}
+    return {"value": value} | {n: part.broadcast_like(value).transpose(*value.dims) for n, part in numbers.items()}
+
+
 def claims_of(dataset: xr.Dataset) -> list[Claim]:
     """Return the claims that a dataset carries in its attributes; raises SweepError if they cannot be read."""
     try:
@@ -481,6 +494,14 @@ def lacking(dataset: xr.Dataset) -> str:
         return f"{counts[Status.DONE]:,} of {wanted:,} points are done, {unfinished}{so_far}{lost}"
     of_all = wanted == dataset.attrs.get("points", wanted)  # those of a selection may all be done
     return "the store says that its run did not end" if of_all and not dataset.attrs.get("complete") else ""
+
+
+def without_excluded(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a dataset without the values of axes that the study excludes everywhere, as those of another condition."""
+    for dimension in dataset["status"].dims:
+        there = dataset["status"] != Status.EXCLUDED
+        dataset = dataset.isel({dimension: there.any([d for d in there.dims if d != dimension]).values})
+    return dataset
 
 
 def require_done(dataset: xr.Dataset) -> None:

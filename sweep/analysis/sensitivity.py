@@ -14,6 +14,7 @@ Safety 107, 149); for texts and for few different numbers it is the mean of each
 import json
 import warnings
 from collections.abc import Callable, Sequence
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -94,9 +95,7 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     output = output or quantity.main_quantity(dataset)
     quantity.require_quantity(dataset, output)
     quantity.require_done(dataset)
-    for dimension in dataset["status"].dims:  # values that this part has nothing of, as those of another condition
-        there = dataset["status"] != Status.EXCLUDED
-        dataset = dataset.isel({dimension: there.any([d for d in there.dims if d != dimension]).values})
+    dataset = quantity.without_excluded(dataset)
     if np.any(dataset["status"].values == Status.EXCLUDED):
         raise SweepError("the study excludes points, and indices need all: take a part without gaps, --at AXIS=VALUE")
     method = _of_points(dataset, seed) if POINT in dataset[output].dims else _of_grid(dataset, seed)
@@ -288,12 +287,8 @@ def saltelli_indices(values: Array, parameters: int, seed: int = 0) -> list[Arra
     """
     if not np.ptp(values) > 0.0:
         return [np.full(parameters, np.nan)] * 4
-    salib()
-    from SALib.analyze import sobol
-
-    options = {"calc_second_order": False, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
-    estimated = sobol.analyze(unit_cube(parameters), values, seed=seed + 1, **options)  # SALib takes 0 for no seed
-    return [np.asarray(estimated[key]) for key in ("S1", "S1_conf", "ST", "ST_conf")]
+    keys = ("S1", "S1_conf", "ST", "ST_conf")
+    return _by_salib("sobol", parameters, keys, values, seed=seed, calc_second_order=False)
 
 
 def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
@@ -303,14 +298,20 @@ def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
     An effect is the change of the value over the whole range of a parameter.  Raises SweepError without SALib.
     Source: Campolongo et al. 2007, Environmental Modelling & Software 22, 1509.
     """
-    salib()
-    from SALib.analyze import morris
+    keys = ("mu_star", "mu_star_conf", "mu", "sigma")
+    return _by_salib("morris", places.shape[1], keys, places, values, seed=seed, num_levels=MORRIS_LEVELS)
 
+
+def _by_salib(
+    method: str, parameters: int, keys: Sequence[str], *data: Array, seed: int, **options: Any
+) -> list[Array]:
+    salib()
+    analyze = import_module(f"SALib.analyze.{method}").analyze
+    options |= {"num_resamples": RESAMPLES, "conf_level": ONE_SIGMA, "seed": seed + 1}  # SALib takes 0 for no seed
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # SALib warns that there are no groups
-        options: dict[str, Any] = {"num_levels": MORRIS_LEVELS, "num_resamples": RESAMPLES, "conf_level": ONE_SIGMA}
-        estimated = morris.analyze(unit_cube(places.shape[1]), places, values, seed=seed + 1, **options)
-    return [np.ma.getdata(estimated[key]).astype(float) for key in ("mu_star", "mu_star_conf", "mu", "sigma")]
+        estimated = analyze(unit_cube(parameters), *data, **options)
+    return [np.ma.getdata(estimated[key]).astype(float) for key in keys]
 
 
 def first_order(values: Array, places: Sequence[Array], even: bool = False, seed: int = 0) -> tuple[Array, Array]:

@@ -241,9 +241,10 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
         mark = style.series(numbers.setdefault(name, len(numbers)), len(steps))
         _draw_series(axes, x, one, variable, name, mark, offset, joined)
     colour = style.COLOURS[0] if len(numbers) == 1 else "0.35"
-    if any(_is_known(one, quantity.prediction_name(one, variable)) for one in seen):
+    known = {part for one in seen for part in quantity.parts_of(one, variable)}
+    if "predicted" in known:
         axes.plot([], [], color=colour, label=style.PREDICTED, markersize=WIDEST_DASH, **style.DASH)
-    if any(_is_known(one, f"{variable}_published") for one in seen):
+    if "published" in known:
         axes.plot([], [], color="0.15", **OPEN, label=style.PUBLISHED)
     if any(offsets) and not (joined and len(x) > MOST_MARKERS):
         axes.plot([], [], linestyle="none", label=style.MOVED)
@@ -301,11 +302,6 @@ def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
     return places
 
 
-def _is_known(one: xr.Dataset, name: str) -> bool:
-    """Return whether a variable has anything to draw: without errors of observation a prediction is 0."""
-    return name in one and bool(np.any(np.nan_to_num(one[name].values) != 0.0))
-
-
 def _offsets(array: xr.DataArray, seen: list[xr.Dataset]) -> list[float]:
     """Return by how many points of print the markers of each series are moved aside: 0 unless those of two series cover
     each other in many places.
@@ -329,8 +325,9 @@ def _draw_series(
         there = np.flatnonzero(one["status"].values != Status.EXCLUDED)
         x, one = x[there], one.isel({one["status"].dims[0]: there})
     colour, few, is_line = mark["color"], len(x) <= FEW_POINTS, joined and len(x) > MOST_MARKERS
-    y, error = one[variable].values.astype(float), quantity.error_bar(one, variable)
-    sigma = None if error is None or not (few or is_line) else error.values
+    parts = quantity.parts_of(one, variable)
+    y = parts["value"].values.astype(float)
+    sigma = parts["error"].values if "error" in parts and (few or is_line) else None
     look: dict[str, Any] = {**mark, "linestyle": "none", "markersize": 3.5 if few else 2.0, "elinewidth": 0.8}
     look |= {"zorder": 3, "rasterized": len(x) > MOST_VECTORS, "alpha": 1.0 if few else 0.4}
     words = name or (style.COMPUTED if quantity.standard_error(one, variable) is None else style.SIMULATED)
@@ -340,26 +337,24 @@ def _draw_series(
         centre = {**look, "color": "white", "markersize": 0.5 * look["markersize"], "zorder": 3.1, "label": RUNNING}
         moved.append(axes.errorbar(x[running], y[running], **centre))
         moved[-1].lines[0].set_label(RUNNING)  # for the caption
-    predicted, published = quantity.prediction_name(one, variable), f"{variable}_published"
     for level in y[np.isnan(x) & np.isfinite(y)]:
         axes.axhline(level, color=colour, linewidth=1.2, linestyle=":", label=WITHOUT)
     if joined:
         width, opacity, label = (1.2, 1.0, words) if is_line else (0.8, 0.6, JOINED)
         axes.plot(x, y, color=colour, zorder=2, linewidth=width, alpha=opacity, label=label)
-        if sigma is not None and (is_line or not _is_known(one, predicted)):
+        if sigma is not None and (is_line or "predicted" not in parts):
             axes.fill_between(x, y - sigma, y + sigma, color=colour, label=ERROR_BAND, **style.BAND)
-    if _is_known(one, predicted):
-        curve, spread = one[predicted].values, one.get(f"{variable}_catalogue_error")
+    if "predicted" in parts:
+        curve, spread = parts["predicted"].values, one.get(f"{variable}_catalogue_error")
         width = float(np.clip(ALL_DASHES / len(x), NARROWEST_DASH, WIDEST_DASH))
         axes.plot(x, curve, color=colour, zorder=2.5, markersize=width, **style.DASH)
         if spread is not None:
             half, bar = np.nan_to_num(spread.values), {**style.BAND, "linewidth": 0.6 * width}
             axes.vlines(x, curve - half, curve + half, color=colour, label=PREDICTION_BAND, **bar)
-    if _is_known(one, published):
-        rounding = one.get(f"{published}_rounding")
-        half = None if rounding is None else rounding.values
+    if "published" in parts:
+        half = parts["published_rounding"].values if "published_rounding" in parts else None
         look = {**OPEN, **mark, "color": "0.15", "elinewidth": 0.6, "zorder": 4, "label": f"_{style.PUBLISHED}"}
-        moved.append(axes.errorbar(x, one[published].values, yerr=half, **look))
+        moved.append(axes.errorbar(x, parts["published"].values, yerr=half, **look))
     aside = transforms.ScaledTranslation(offset / 72.0, 0.0, axes.figure.dpi_scale_trans)
     for artist in (one for container in moved for one in container.get_children() if offset):
         artist.set_transform(artist.get_transform() + aside)
@@ -369,15 +364,12 @@ def _draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
     """Draw the value of a variable at the one point of a dataset with its one-sigma error, the prediction and the
     published value with half a unit of its last digit, each in a line of its own with its numbers.
     """
-    known, published = quantity.standard_error(dataset, variable), f"{variable}_published"
-    rows = {
-        style.COMPUTED if known is None else style.SIMULATED: (variable, known),
-        style.PREDICTED: (quantity.prediction_name(dataset, variable), None),
-        style.PUBLISHED: (published, dataset.get(f"{published}_rounding")),
-    }
-    rows = {word: row for word, row in rows.items() if row[0] in dataset and bool(dataset[row[0]].notnull().all())}
+    parts, known = quantity.parts_of(dataset, variable), quantity.standard_error(dataset, variable)
+    rows = {style.COMPUTED if known is None else style.SIMULATED: ("value", "error" if known is not None else "")}
+    rows |= {style.PREDICTED: ("predicted", ""), style.PUBLISHED: ("published", "published_rounding")}
+    rows = {word: row for word, row in rows.items() if row[0] in parts and bool(parts[row[0]].notnull().all())}
     for number, (word, (name, half)) in enumerate(rows.items()):
-        value, error = dataset[name].item(), 0.0 if half is None else float(half.item())
+        value, error = parts[name].item(), float(parts[half].item()) if half in parts else 0.0
         value = bool(value) if formatting.is_truth(dataset[variable]) else value
         look = style.marks(number, 5.0, label=word, fillstyle="none" if word == style.PUBLISHED else "full")
         axes.errorbar(float(value), -number, xerr=error or None, elinewidth=1.2, **look)

@@ -89,7 +89,7 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
         made.append(drawn(dataset, chosen, f"{number}-chosen"))
     varying = [name for name in variables if _varies(dataset[name]) and name != chosen]
     if alone and not made and not varying:
-        varying = [name for name in variables if {"predicted", "published"} & _parts(dataset, name).keys()]
+        varying = [name for name in variables if {"predicted", "published"} & quantity.parts_of(dataset, name).keys()]
     for i, name in enumerate(varying):
         if errors := quantity.errors_beside(dataset, name):
             part = quantity.where_they_change(dataset, [name, *errors])
@@ -135,6 +135,7 @@ def drawn(dataset: xr.Dataset, name: str, salt: str, variables: Sequence[str] = 
         return Picture(name, svg, 72.0 * figure.get_figwidth(), "", words, about, narrow)
     except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
         is_curve = "status" in dataset and variables and quantity.own_dimensions(dataset, variables[0])
+        dataset = quantity.without_excluded(dataset) if is_curve else dataset
         sizes = {str(d): n for d, n in dataset["status"].sizes.items() if n > 1 and d != POINT} if is_curve else {}
         if longest := max(sizes, key=lambda d: sizes[d], default=""):  # fewer curves may fit into one picture
             some = np.linspace(0, sizes[longest] - 1, (sizes[longest] + 1) // 2).round().astype(int)
@@ -149,7 +150,7 @@ def residuals(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
     """Return a variable minus its prediction, in units of its one-sigma errors, as a dataset to draw; None where the
     variable has no errors or no prediction.
     """
-    parts, error = _parts(dataset, variable), quantity.standard_error(dataset, variable)
+    parts, error = quantity.parts_of(dataset, variable), quantity.standard_error(dataset, variable)
     if error is None or "predicted" not in parts:
         return None
     apart = ((dataset[variable] - parts["predicted"]) / error.where(error > 0.0)).transpose(*dataset[variable].dims)
@@ -226,7 +227,7 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
     for name in dict.fromkeys([*first, *quantity.quantities(dataset)]):
         if not np.isfinite(dataset[name].values).any():
             continue
-        parts = _parts(dataset, name)
+        parts = quantity.parts_of(dataset, name)
         size = sum(part.size for part in parts.values())
         if used + size > room:
             left_out.append(name)
@@ -235,18 +236,6 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
         views.append(_quantity(dataset, name, parts))
     dims = list(dict.fromkeys(d for view in views for d in view["dims"]))
     return {"quantities": views, "axes": list(_axes(dataset, dims))}, used, left_out
-
-
-def _parts(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
-    """Return a quantity and what belongs to it and is known, all with its own dimensions."""
-    value = dataset[name]
-    predicted = quantity.prediction_name(dataset, name)
-    others = {"error": quantity.error_bar(dataset, name), "predicted": dataset.get(predicted)}
-    others |= {suffix: dataset.get(f"{name}_{suffix}") for suffix in ("published", "published_rounding")}
-    known = {n: part for n, part in others.items() if part is not None and set(part.dims) <= set(value.dims)}
-    # without errors of observation a prediction is 0
-    numbers = {n: part for n, part in known.items() if np.nan_to_num(part.values).any()}
-    return {"value": value} | {n: part.broadcast_like(value).transpose(*value.dims) for n, part in numbers.items()}
 
 
 def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) -> dict[str, Any]:
@@ -365,10 +354,8 @@ def check_output(path: Path) -> None:
     try:
         if path.is_dir():
             raise SweepError("is a directory; give the name of a file with -o", str(path))
-        if path.exists():
-            with path.open("rb") as file:
-                if file.read(len(MARK)) != MARK.encode():
-                    raise SweepError("exists and is no report of linksweep; give another name with -o", str(path))
+        if path.exists() and not path.read_bytes().startswith(MARK.encode()):
+            raise SweepError("exists and is no report of linksweep; give another name with -o", str(path))
         if not path.parent.is_dir():
             raise SweepError("cannot be written: its directory does not exist", str(path))
     except OSError as error:
@@ -545,15 +532,13 @@ def _provenance(kind: str, attributes: Mapping[Any, Any]) -> dict[str, str]:
 
 def _sortable(table: Table, left_out: int = 0) -> dict[str, Any]:
     """Return the headings and rows of a table, whose cells are a text and the value to sort by."""
-    names, headings = [column.name for column in table.columns], []
+    names, headings, cells = [column.name for column in table.columns], [], []
     for column in table.columns:
         whole = names.count(column.name) > 1 and column.quantity != column.name
         name = f"{column.quantity} {column.name}" if whole else column.name
         headings.append(f"{name} [{formatting.written(column.unit)}]" if column.unit else name)
-    cells = [
-        [(text, text if hasattr(by, "tolist") else by) for text, by in zip(c.shown, c.values, strict=True)]
-        for c in table.columns
-    ]
+        pairs = zip(column.shown, column.values, strict=True)
+        cells.append([(text, text if hasattr(by, "tolist") else by) for text, by in pairs])
     return {"headings": headings, "rows": list(zip(*cells, strict=True)), "left_out": left_out}
 
 
