@@ -279,11 +279,10 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
             beside = np.where(np.eye(len(labels), dtype=bool), 0.0, np.nan_to_num(point[CORRELATION].values))
             i, j = sorted(np.unravel_index(np.argmax(np.abs(beside)), beside.shape))
             facts += f", largest correlation {beside[i, j]:.3f} ({labels[i]}, {labels[j]})"
-        cells = map(
-            formatting.in_three_digits, point[name].values.tolist(), quantity.units_along(point, str(name), [dim])
-        )
+        units = point[f"{dim}_unit"].values.tolist() if f"{dim}_unit" in point.coords else [""] * len(labels)
+        cells = list(map(formatting.in_three_digits, point[name].values.tolist(), units))
         place = ", ".join(filter(None, [name, quantity.place_in_words(quantity.place_at(dataset, index))]))
-        yield Table([Column("", labels, left=True), Column("", list(cells))], f"{place}: {facts}")
+        yield Table([Column("", labels, left=True), Column("", cells)], f"{place}: {facts}")
 
 
 # What is derived
