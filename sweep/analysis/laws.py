@@ -22,9 +22,8 @@ from scipy.special import chdtrc, exprel, fdtrc  # scipy.stats takes longer to i
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import derived
-from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, shown, small_sample_factor
-from linksweep.sweep.contract.declaration import factor_between, unit_problem
-from linksweep.sweep.contract.rows import LENGTH
+from linksweep.sweep.contract import FEW, SweepError, factor_between, shown, unit_problem
+from linksweep.sweep.contract.rows import FEWEST_SAMPLES, LENGTH, Array, Status, small_sample_factor
 from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, units_of, with_error, with_unit
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT

@@ -440,7 +440,7 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
 
 def _print_status(report: Mapping[str, Any], store: str) -> None:
     """Print for people how far a run is."""
-    from linksweep.sweep.contract.rows import progress_in_words
+    from linksweep.sweep.contract import progress_in_words
     from linksweep.sweep.running.progress import reasons_of
 
     points, made, part = report["points"], report["provenance"], f" of part {report['part']}" if report["part"] else ""

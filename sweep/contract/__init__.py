@@ -6,29 +6,3 @@ This package and NumPy are all that an experiment needs; the platform knows noth
 from linksweep.sweep.contract.declaration import *
 from linksweep.sweep.contract.experiment import *
 from linksweep.sweep.contract.rows import *
-
-__all__ = [
-    "FEW",
-    "FEWEST_SAMPLES",
-    "Array",
-    "DefinitionError",
-    "Experiment",
-    "Function",
-    "GeneratorPair",
-    "Kind",
-    "Named",
-    "NotFiniteError",
-    "Outcome",
-    "Output",
-    "Parameter",
-    "Point",
-    "ResultError",
-    "Rows",
-    "Status",
-    "SweepError",
-    "Value",
-    "nearest",
-    "shown",
-    "small_sample_factor",
-    "suggest",
-]

@@ -17,8 +17,7 @@ from threadpoolctl import threadpool_info
 
 from linksweep.sweep.code.load import code_of, load_experiment, source_digest
 from linksweep.sweep.code.reach import version_of
-from linksweep.sweep.contract import NotFiniteError, Outcome, ResultError, SweepError
-from linksweep.sweep.contract.rows import Block
+from linksweep.sweep.contract import Block, NotFiniteError, Outcome, ResultError, SweepError
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.planning.plan import Work
 from linksweep.sweep.studies.study import Study

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import GeneratorPair, Rows, Status, SweepError
-from linksweep.sweep.contract.rows import Block, BlockRows, ledger_key
+from linksweep.sweep.contract import Block, BlockRows, GeneratorPair, Rows, Status, SweepError, ledger_key
 from linksweep.sweep.planning.grid import Grid, GridPoint, PointCache
 from linksweep.sweep.studies.study import Study
 

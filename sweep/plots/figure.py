@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, quantity
-from linksweep.sweep.contract import Status, SweepError, shown, suggest
-from linksweep.sweep.contract.rows import count_status, unfinished_in_words
+from linksweep.sweep.contract import Status, SweepError, count_status, shown, suggest, unfinished_in_words
 from linksweep.sweep.plots import KINDS, grid, style
 from linksweep.sweep.result import Result
 from linksweep.sweep.studies.study import POINT

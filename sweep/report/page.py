@@ -34,8 +34,7 @@ from matplotlib.figure import Figure
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, compare, quantity, tables
 from linksweep.sweep.analysis.sensitivity import sensitivity
-from linksweep.sweep.contract import Status, SweepError
-from linksweep.sweep.contract.rows import count_status
+from linksweep.sweep.contract import Status, SweepError, count_status
 from linksweep.sweep.plots import KINDS, grid, style
 from linksweep.sweep.plots import figure as drawing
 from linksweep.sweep.result import Result, open_result, write_at_once

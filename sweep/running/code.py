@@ -8,8 +8,7 @@ from itertools import pairwise
 from typing import Any
 
 from linksweep.sweep.code import load
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.contract.rows import DIGEST_BYTES
+from linksweep.sweep.contract import DIGEST_BYTES, SweepError
 from linksweep.sweep.stores.store import CODE, Store
 from linksweep.sweep.studies.study import Study
 

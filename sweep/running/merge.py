@@ -16,8 +16,7 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.code.load import code_differences
-from linksweep.sweep.contract import Experiment, SweepError
-from linksweep.sweep.contract.rows import DIGEST_BYTES, converted, lost_integers, same_rows
+from linksweep.sweep.contract import DIGEST_BYTES, Experiment, SweepError, converted, lost_integers, same_rows
 from linksweep.sweep.executing.task import DECIDING
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.functions.adapter import layout_of_record

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Status, SweepError
-from linksweep.sweep.contract.rows import Block, count_status, ledger_key, progress_in_words
+from linksweep.sweep.contract import Block, Status, SweepError, count_status, ledger_key, progress_in_words
 from linksweep.sweep.formatting import in_words, per_second
 from linksweep.sweep.planning.grid import Grid, describe, failures_by_place
 from linksweep.sweep.planning.plan import Plan

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, ValidationError, model_validator
 
-from linksweep.sweep.contract.rows import MOST_VALUES, REFERENCE
+from linksweep.sweep.contract import MOST_VALUES, REFERENCE
 
 FORMAT = 7
 

@@ -14,8 +14,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from linksweep.sweep.contract import Experiment, Named, Value, shown, suggest
-from linksweep.sweep.contract.declaration import HUGE, bound_in_words
+from linksweep.sweep.contract import HUGE, Experiment, Named, Value, bound_in_words, shown, suggest
 from linksweep.sweep.formatting import ESCAPED, first_of
 from linksweep.sweep.tables.columns import content_digest
 

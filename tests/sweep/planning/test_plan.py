@@ -12,8 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from linksweep.sweep.contract import Experiment, Output, Parameter, Status
-from linksweep.sweep.contract.rows import KEY_BYTES, Block, BlockRows, ledger_key
+from linksweep.sweep.contract import KEY_BYTES, Block, BlockRows, Experiment, Output, Parameter, Status, ledger_key
 from linksweep.sweep.planning import plan as planning
 from linksweep.sweep.planning.accumulator import TASK_S, TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import make_grid

@@ -12,7 +12,7 @@ from rich.console import Console
 
 import linksweep
 from linksweep import SweepError
-from linksweep.sweep.contract.rows import count_status
+from linksweep.sweep.contract import count_status
 from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.running import progress
 from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures
