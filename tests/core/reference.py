@@ -32,7 +32,7 @@ def design_matrix(ra, dec, pmra, pmdec, corrections=True, glide=False):
 
 def solve(design, differences, sigma, weighting="inverse-variance"):
     """Solution for a design (4, N, K), differences and their errors (4, N); for equal weights its covariance is the
-    sandwich G diag(sigma^2) G^T, and chi2 is not at its minimum.
+    sandwich G diag(sigma^2) G^T with the gain G (K, 4, N), and chi2 is not at its minimum.
     """
     a, y, s = design.reshape(-1, design.shape[-1]), differences.ravel(), sigma.ravel()
     root_weight = 1.0 / s if weighting == "inverse-variance" else np.ones_like(s)
@@ -48,6 +48,7 @@ def solve(design, differences, sigma, weighting="inverse-variance"):
     formal_error = np.sqrt(np.diag(covariance))
     return SimpleNamespace(
         estimate=estimate,
+        gain=gain.reshape(len(scale), *differences.shape),
         covariance=covariance,
         formal_error=formal_error,
         correlation=covariance / np.outer(formal_error, formal_error),

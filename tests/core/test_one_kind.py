@@ -6,6 +6,7 @@ from astropy.table import Table
 
 from tests.core import points
 from tests.core.points import link, table_file
+from tests.core.reference import design_matrix, solve
 
 N_OBJ = 12
 RNG = np.random.default_rng(8)
@@ -37,32 +38,16 @@ def results(*here):
     return points.results(2000, *here, seed=4)
 
 
-def covariance_of_one(correlated):
-    """The covariance (N, 2, 2) of the two errors of each object."""
-    mixed = (CORRELATION if correlated else 0.0) * ERRORS[0] * ERRORS[1]
-    mixed = mixed * np.ones(N_OBJ)
-    return np.moveaxis(np.array([[ERRORS[0] ** 2, mixed], [mixed, ERRORS[1] ** 2]]), 2, 0)
-
-
-def field():
-    """d (east, north) / d rotation of each object, (N, 2, 3): the rotation turns r by eps x r."""
-    r = np.array([np.cos(DEC) * np.cos(RA), np.cos(DEC) * np.sin(RA), np.sin(DEC)]).T
-    east = np.array([-np.sin(RA), np.cos(RA), 0.0 * RA]).T
-    north = np.cross(r, east)
-    moved = np.array([np.cross(np.broadcast_to(unit, r.shape), r) for unit in np.eye(3)])  # (3, N, 3)
-    return np.array([[np.sum(m * east, 1), np.sum(m * north, 1)] for m in moved]).transpose(2, 1, 0)
-
-
-def gain_of(weighting):
-    """(K'WK)^-1 K'W of the three unknowns, (3, N, 2), for weights of each observable alone, and its sign."""
-    design, weight = field(), ERRORS.T[..., None] ** -2.0 if weighting == "inverse-variance" else 1.0
-    normal = np.einsum("nik,nil->kl", weight * design, design)
-    return np.einsum("kl,nil->kni", np.linalg.inv(normal), weight * design)
+def solution(weighting, differences=None):
+    """The three unknowns of the kind, whose rows and columns are those of a rotation."""
+    design, zero = design_matrix(RA, DEC, 0.0 * RA, 0.0 * RA)[:2, :, :3], np.zeros((2, N_OBJ))
+    return solve(design, zero if differences is None else differences, ERRORS, weighting)
 
 
 def sandwich(weighting, correlated):
-    gain = gain_of(weighting)
-    return np.einsum("kni,nij,lnj->kl", gain, covariance_of_one(correlated), gain)
+    gain, mixed = solution(weighting).gain * ERRORS, CORRELATION if correlated else np.zeros(N_OBJ)
+    covariance = np.array([[np.ones(N_OBJ), mixed], [mixed, np.ones(N_OBJ)]])
+    return np.einsum("kin,ijn,ljn->kl", gain, covariance, gain)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -97,9 +82,7 @@ def test_one_kind_of_observable_is_solved_alone(kind, weighting, side, method, c
         if not correlated:
             spread = np.sqrt(2.0 * (2 * N_OBJ - 3) / n_sim)
             assert abs(found["chi2"][0] - (2 * N_OBJ - 3)) < 4.5 * spread
-        weighted = (field() / ERRORS.T[..., None]).reshape(-1, 3)
-        singular = np.linalg.svd(weighted / np.linalg.norm(weighted, axis=0), compute_uv=False)
-        assert found["condition_number"][0] == pytest.approx((singular[0] / singular[-1]) ** 2, rel=1e-9)
+        assert found["condition_number"][0] == pytest.approx(solution(weighting).condition_number ** 2, rel=1e-9)
 
 
 @pytest.mark.parametrize("corrections", [True, False])
@@ -115,8 +98,8 @@ def test_the_orientation_that_turns_motions_is_taken_as_known(corrections, metho
     at |= {"satellite_errors": "catalogue", "reference_errors": "none"}
     found = results(at)
     turn = (np.cos(RA) * epsilon[0] + np.sin(RA) * epsilon[1]) / np.cos(DEC) * np.pi / 180.0 / 3600e3
-    left_out = np.array([-MOTIONS[1] * turn, MOTIONS[0] * turn]).T
-    bias = 0.0 if corrections else np.einsum("kni,ni->k", gain_of("inverse-variance"), left_out)
+    left_out = np.array([-MOTIONS[1] * turn, MOTIONS[0] * turn])
+    bias = 0.0 if corrections else solution("inverse-variance", left_out).estimate
     np.testing.assert_allclose(found["bias_predicted"][0, 3:], bias, atol=1e-5)  # of second order in epsilon
     assert corrections or np.abs(bias).max() > 1e-3
     sigma = np.sqrt(np.diag(sandwich("inverse-variance", correlated=False)))

@@ -197,14 +197,9 @@ def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covari
     sigma, correlation = random_covariances(30, 8)
     objects = replace(drawn(3, n_obj=30), errors=OwnErrors(sigma * MAS, correlation))
     found = design_of(set_up(objects, physics_of(satellite_errors="catalogue"))).predicted_variance()
-    design = np.moveaxis(design_matrix(objects.ra, objects.dec, objects.pmra, objects.pmdec), 0, 1)
-    a, weights = design.reshape(-1, 6), (sigma.ravel() * MAS) ** -2.0
-    gain = np.linalg.inv(a.T @ (weights[:, None] * a)) @ (a * weights[:, None]).T
-    whole = np.zeros((120, 120))
-    for k in range(30):
-        part = slice(4 * k, 4 * k + 4)
-        whole[part, part] = correlation[k] * np.outer(sigma[k], sigma[k]) * MAS**2
-    np.testing.assert_allclose(found, np.diag(gain @ whole @ gain.T), rtol=1e-9)
+    design = design_matrix(objects.ra, objects.dec, objects.pmra, objects.pmdec)
+    gain = solve(design, np.zeros((4, 30)), sigma.T * MAS).gain * sigma.T * MAS
+    np.testing.assert_allclose(found, np.einsum("kin,nij,kjn->k", gain, correlation, gain), rtol=1e-9)
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from tests.core.points import (
     set_up,
     triad,
 )
-from tests.core.reference import design_matrix
+from tests.core.reference import design_matrix, solve
 
 NORMAL = {"satellite_errors": "normal"}
 
@@ -42,11 +42,9 @@ def sky(n, seed=3):
 
 
 def gain_of(setup):
-    """N^-1 K'W with NumPy alone; shape (6, N, 4)."""
+    """N^-1 K'W; shape (6, 4, N)."""
     c = setup.catalogue
-    design = np.moveaxis(design_matrix(c.ra, c.dec, c.pmra, c.pmdec), 0, 1)
-    rows, weights = design.reshape(-1, 6), setup.sigma.ravel() ** -2.0
-    return np.linalg.solve(rows.T @ (weights[:, None] * rows), rows.T * weights).reshape(6, -1, 4)
+    return solve(design_matrix(c.ra, c.dec, c.pmra, c.pmdec), np.zeros((4, len(c))), setup.sigma.T).gain
 
 
 def kernel(errors, distance):
@@ -111,9 +109,9 @@ def test_what_zonal_errors_do_to_the_link_is_predicted(satellite_errors):
     gain = gain_of(setup)
     errors = scenario(point(zonal_pm=1.0, zonal_length=25.0)).zonal
     covariance = field_covariance(errors, catalogue)
-    expected = np.einsum("kni,ni->k", gain**2, setup.satellite.sigma**2)
+    expected = np.einsum("kin,ni->k", gain**2, setup.satellite.sigma**2)
     for part, sigma in ((slice(0, 2), 2.0 * MAS), (slice(2, 4), 0.7 * MAS)):
-        flat = np.moveaxis(gain[:, :, part], 1, 2).reshape(6, -1)
+        flat = gain[:, part].reshape(6, -1)
         expected = expected + sigma**2 * np.einsum("ka,ab,kb->k", flat, covariance, flat)
     np.testing.assert_allclose(design_of(setup).predicted_variance(), expected, rtol=1e-9)
 
@@ -155,7 +153,7 @@ def test_the_leak_of_known_fields_is_predicted():
     setup = set_up(catalogue, scenario(point(**NORMAL, **ALL_OF_THEM)))
     field = pattern_field(parse_pattern(ALL_OF_THEM["motion_field"]), catalogue.ra, catalogue.dec)
     f = plain_differences(catalogue, (0.3, -0.1, 0.2), (0.4, -0.3), 12.0, field) * MAS
-    expected = np.einsum("kni,in->k", gain_of(setup)[:, :, 2:], f)
+    expected = np.einsum("kin,in->k", gain_of(setup)[:, 2:], f)
     assert np.abs(expected[3:]).min() > 0.01 * MAS
     np.testing.assert_allclose(design_of(setup).bias, expected, atol=1e-7 * MAS)
 
@@ -185,11 +183,11 @@ def test_a_field_of_degree_two_leaks_where_the_sky_is_uneven():
     p, q, _ = triad(ra, dec)
     density = np.where(b > 0.0, 1.5, 0.5)
     expected = -3.0 / (8.0 * np.pi) * ((q * f[0] - p * f[1]) @ (area * density))
-    settings = {"n_obj": 200_000, "satellite_errors": "none", "motion_field": "t_2_0"}
+    settings = {"n_obj": 100_000, "satellite_errors": "none", "motion_field": "t_2_0"}
     found = results_of(1, **settings, sky_contrast=0.5)["bias_predicted"][3:]
     assert np.linalg.norm(expected) > 0.05
-    np.testing.assert_allclose(found, expected, atol=0.005)
-    np.testing.assert_allclose(results_of(1, **settings)["bias_predicted"][3:], 0.0, atol=0.005)
+    np.testing.assert_allclose(found, expected, atol=0.008)
+    np.testing.assert_allclose(results_of(1, **settings)["bias_predicted"][3:], 0.0, atol=0.008)
 
 
 GLIDE = 4.0 * MICROARCSEC * GALACTIC_AXES[0]

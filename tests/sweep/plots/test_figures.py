@@ -60,6 +60,9 @@ def test_lines_have_points_with_errors_prediction_and_published_values(dataset_o
     error = np.hypot(one["sigma_spin_mc_error"], np.nan_to_num(one["sigma_spin_catalogue_error"]))
     assert half == pytest.approx(error.values[: len(half)], rel=1e-6)
     assert published.lines[0].get_ydata() == pytest.approx(one["sigma_spin_published"].values, nan_ok=True)
+    ends = np.array([segment[:, 1] for segment in published.lines[2][0].get_segments() if len(segment)])
+    rounding = one["sigma_spin_published_rounding"].values
+    assert np.ptp(ends, axis=1) == pytest.approx(2.0 * rounding[np.isfinite(rounding)], rel=1e-6)
     drawn = [line.get_ydata() for line in axes.lines if len(line.get_ydata()) == one.sizes["v_max"]]
     assert any(np.array_equal(ydata, one["sigma_spin_rms_predicted"].values, equal_nan=True) for ydata in drawn)
     assert texts(axes.figure.legends[0]) == ["simulated", "predicted", "published"]
@@ -78,7 +81,10 @@ def test_a_law_is_drawn_as_fitted_with_its_guide(dataset_of):
     [legend] = upper.figure.legends
     assert texts(legend)[0] == "simulated"
     assert r"$N_\mathrm{obj}^{-0.5}$" in texts(legend)[2]
-    assert np.abs(lower.containers[0].lines[0].get_ydata()).max() < 20.0
+    x, y, law = dataset["n_obj"].values, dataset["sigma_spin"].values, upper.lines[1]
+    law = np.exp(np.interp(np.log(x), np.log(law.get_xdata()), np.log(law.get_ydata())))
+    units = upper.containers[0].lines[0].get_ydata() / y
+    np.testing.assert_allclose(lower.containers[0].lines[0].get_ydata(), 100.0 * (units * y / law - 1.0), atol=1e-6)
     assert lower.get_ylabel() == "residual [%]"
     with pytest.raises(SweepError, match="too many for one picture"):
         linksweep.plot(dataset_of("grid"), "law", over=["n_obj"])

@@ -28,6 +28,7 @@ def test_the_galactic_plane_is_that_of_astropy():
     x, y = plane.get_xdata(), plane.get_ydata()
     drawn = np.isfinite(y)
     assert drawn.sum() >= len(y) - 2
+    assert not drawn[:-1][np.abs(np.diff(x)) > 1.0].any()  # no line from one edge to the other
     places = SkyCoord(ra=(180.0 - np.rad2deg(x[drawn])) * units.deg, dec=np.rad2deg(y[drawn]) * units.deg)
     assert np.abs(places.galactic.b.arcsec).max() < 0.1
     middle = SkyCoord(l=0.0 * units.deg, b=0.0 * units.deg, frame="galactic").icrs
