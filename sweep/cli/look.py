@@ -412,11 +412,12 @@ def compare(
     comparisons, remarks = [], []
     for store in asked.whole(published=True):
         with part_of(store, ()) as dataset:
-            overrides = dataset.attrs.get("study_overrides")
-            changed = [f"the study was changed on the command line: {overrides}"] if overrides else []
-            some, about = verdicts.compare(dataset), [*changed, *verdicts.remarks(dataset)]
+            some, about = verdicts.compare(dataset), verdicts.remarks(dataset)
             if not some and not about:
-                raise linksweep.SweepError("its study has neither published numbers nor claims to compare with")
+                why = "its study has neither published numbers nor claims to compare with"
+                raise linksweep.SweepError(why, str(store))
+            if overrides := dataset.attrs.get("study_overrides"):
+                about = [f"the study was changed on the command line: {overrides}", *about]
         comparisons += some
         remarks += [f"{store}: {sentence}" for sentence in about]
     if table_format == "json":

@@ -218,6 +218,7 @@ COMMANDS = [
     ("compare", "name stores, or give --all"),
     ("compare STORE --workers 2", "go with --all"),
     ("compare STORE", "neither published numbers nor claims"),
+    ("compare DECAYED", "neither published numbers nor claims"),
     ("fit STORE --law levelling --expect 1", "--expect"),
     ("fit STORE --range 3", "--range: '3': a range is LOW:HIGH"),
     ("fit STORE --range 30:40", "coins has no value from 30 to 40; it goes from 1 to 20"),
