@@ -355,7 +355,7 @@ MOST_KEPT = 2**28
 TASKS_IN_FLIGHT = 4
 
 
-@dataclass(frozen=True)
+@dataclass
 class Tuning:
     """The size of tasks, and how often a run writes.
 
@@ -405,8 +405,8 @@ class Pending:
     the first result is in, each task holds one block.
     """
 
-    def __init__(self, plan: Plan, accumulator: Accumulator, tuning: Tuning = TUNED) -> None:
-        self._plan, self._accumulator, self.most_blocks = plan, accumulator, tuning.most_blocks
+    def __init__(self, plan: Plan, accumulator: Accumulator) -> None:
+        self._plan, self._accumulator, self.most_blocks = plan, accumulator, TUNED.most_blocks
         self._known: deque[Work] = deque()  # comes before all other work
         self._added: deque[Work] = deque()
         self._fresh = self._in_turns()

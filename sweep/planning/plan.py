@@ -82,12 +82,7 @@ class PlanSize:
     cost: float
 
     def __add__(self, other: "PlanSize") -> "PlanSize":
-        return PlanSize(
-            self.points + other.points,
-            self.blocks + other.blocks,
-            self.realisations + other.realisations,
-            self.cost + other.cost,
-        )
+        return PlanSize(*(one + more for one, more in zip(vars(self).values(), vars(other).values(), strict=True)))
 
 
 NOTHING = PlanSize(0, 0, 0, 0.0)

@@ -69,38 +69,36 @@ class Reasons:
     """Reasons why points failed, by what they have in common: of each the first place and message, and how many."""
 
     def __init__(self) -> None:
-        self.points = 0
         self.first: dict[str, tuple[str, str]] = {}
-        self._numbers: dict[str, int] = {}
+        self._numbers = Counter[str]()
+
+    @property
+    def points(self) -> int:
+        """How many points failed."""
+        return self._numbers.total()
 
     def add(self, place: str, message: str) -> str:
         """Count a point that failed; return what its reason has in common with others."""
         kind = in_common(place, message)
         self.first.setdefault(kind, (place, message))
-        self._numbers[kind] = self._numbers.get(kind, 0) + 1
-        self.points += 1
+        self._numbers[kind] += 1
         return kind
 
     def most(self) -> list[tuple[str, int]]:
         """Return what reasons have in common, the most frequent first, and how many points failed for each."""
-        return sorted(self._numbers.items(), key=lambda pair: -pair[1])
+        return self._numbers.most_common()
 
     def __str__(self) -> str:
         return "; ".join(self.in_words())
 
     def in_words(self) -> list[str]:
         """Return the most frequent reasons, each with how many points it is of and one of them."""
-        most = self.most()
-        words = [self._described(kind) for kind, _ in most[:NAMED]]
-        return [*words, *([f"{len(most) - NAMED:,} other reasons"] if len(most) > NAMED else [])]
-
-    def _described(self, kind: str) -> str:
-        (place, message), number = self.first[kind], self._numbers[kind]
-        return (
-            f"{short(message)}, at {place}"
-            if number == 1
-            else f"{number:,} like {short(message)}, for example at {place}"
-        )
+        words = []
+        for kind, number in self.most()[:NAMED]:
+            place, message = self.first[kind]
+            like = f"{number:,} like {short(message)}, for example at {place}"
+            words.append(f"{short(message)}, at {place}" if number == 1 else like)
+        return [*words, *([f"{len(self.first) - NAMED:,} other reasons"] if len(self.first) > NAMED else [])]
 
 
 class FailureCount:

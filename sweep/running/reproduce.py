@@ -62,17 +62,15 @@ class Reproduction:
     other_code: list[str]
 
 
-def study_of(store: Where, *, trust: bool = False) -> Study:
+def study_of(where: Where | OpenStore, *, trust: bool = False) -> Study:
     """Return the study whose results a store holds, with its experiment imported.
 
     Looking at a store loads nothing that it names (see `sweep.studies.record.Recorded`); computing from it does.
     Raises SweepError if there is no study or it cannot be made again, and where its code needs the user's ``trust``: it
     lies inside the store, or the store was not written here.
     """
-    return _study_of(OpenStore(store), trust)
+    store = where if isinstance(where, OpenStore) else OpenStore(where)
 
-
-def _study_of(store: OpenStore, trust: bool) -> Study:
     def check(reference: str) -> None:
         if not trust and reference != DEFAULT_EXPERIMENT:
             file = file_of(reference)
@@ -117,7 +115,7 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     Raises SweepError where that is not one point of the store, as `study_of`, and whatever the experiment raises.
     """
     opened = OpenStore(store)
-    study = _study_of(opened, trust)
+    study = study_of(opened, trust=trust)
     place = place_of(study, at, str(store))
     with threadpool_limits(1):  # as everywhere, since the last bits depend on it
         result, failures = _alone(as_recorded(study, opened.attributes), place, _raising)

@@ -23,7 +23,7 @@ from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources, available_
 from linksweep.sweep.executing.task import Batch, Executor, Failure, TaskResult
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.interrupt import watched
-from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending, Tuning
+from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, failures_by_place, make_grid
 from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
 from linksweep.sweep.planning.union import REFINED, UNITED, united
@@ -251,13 +251,12 @@ class Writer:
         store: Store,
         postponed: Callable[[], AbstractContextManager[None]] = nullcontext,
         further: Mapping[str, Any] = MappingProxyType({}),
-        tuning: Tuning = TUNED,
     ) -> None:
         """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
         plan = accumulator.plan
         self.accumulator, self.store = accumulator, store
-        self.pending = Pending(plan, accumulator, tuning)
-        self._postponed, self._tuning = postponed, tuning
+        self.pending = Pending(plan, accumulator)
+        self._postponed = postponed
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
         self._provenance = attributes_of(plan) | kept | dict(further)
         self._begun = self._flushed = self._written = time.monotonic()
@@ -299,7 +298,7 @@ class Writer:
             self.store.append([keys[row] for row in good], rows, samples, result.seconds[good])
             self.store.clear_failures(point.digest for point in ended if point.index not in failed)
             self._unflushed = True
-            if clock - self._flushed > self._tuning.flush_every_s:
+            if clock - self._flushed > TUNED.flush_every_s:
                 self.flush()
         done = size_of(works, len(ended))
         if result.failures:
@@ -311,9 +310,9 @@ class Writer:
         """Write the labelled dataset if the last one is some time ago."""
         # Early values so far are soon out of date.
         clock = time.monotonic()
-        tuning, elapsed = self._tuning, clock - self._begun
-        every = min(tuning.write_every_s, max(1.0, tuning.early_write * elapsed))
-        if clock - self._written > every and self._writing < tuning.early_writes_s + tuning.write_share * elapsed:
+        elapsed = clock - self._begun
+        every = min(TUNED.write_every_s, max(1.0, TUNED.early_write * elapsed))
+        if clock - self._written > every and self._writing < TUNED.early_writes_s + TUNED.write_share * elapsed:
             self.write()
 
     def _as_rows(self, result: TaskResult) -> tuple[TaskResult, Rows]:
@@ -379,9 +378,8 @@ class Writer:
         with self._postponed():
             self.flush()
         dataset = self.assembled(final)
-        tuning = self._tuning
         size = sum(one.nbytes for one in dataset.variables.values())
-        self._long_write = size > tuning.long_write_bytes or dataset["status"].size > tuning.long_write_points
+        self._long_write = size > TUNED.long_write_bytes or dataset["status"].size > TUNED.long_write_points
         with nullcontext() if self._long_write else self._postponed(), self._lock:
             if not self.store.has(dataset):
                 self.store.write(dataset)
@@ -459,7 +457,7 @@ class Writer:
             self._flushed = time.monotonic()
 
     def _flush_late(self) -> None:
-        while not self._ended.wait(self._tuning.latest_flush_s):
+        while not self._ended.wait(TUNED.latest_flush_s):
             with self._lock:
                 if self._unflushed and not self._ended.is_set():
                     try:
@@ -619,7 +617,6 @@ class Session:
         progress: "Progress | None" = None,
         max_failures: MaxFailures | None = None,
         postponed: Callable[[], AbstractContextManager[None]] = nullcontext,
-        tuning: Tuning = TUNED,
     ) -> None:
         """Compute what is pending, and keep it as it comes; end early where more than ``max_failures`` fail.
 
@@ -629,7 +626,7 @@ class Session:
         progress = progress or Silent()
         total, pending = self.survey.total.points, self.survey.pending
         failing = FailureCount(self.study, total, total - pending.points, most=max_failures)
-        writer = self._writer = Writer(self.accumulator, self._begun(progress), postponed, tuning=tuning)
+        writer = self._writer = Writer(self.accumulator, self._begun(progress), postponed)
         most_blocks = writer.pending.most_blocks
         with self._kept(writer):
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
@@ -769,7 +766,6 @@ def run_study(
     accept_code: bool = False,
     fresh: bool = False,
     max_failures: MaxFailures | None = None,
-    tuning: Tuning = TUNED,
     beside: Beside = ALL,
 ) -> tuple[Labelled, dict[str, str]]:
     """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
@@ -811,7 +807,7 @@ def run_study(
         progress.start(session.survey, place.words, place.workers)
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
-        session.compute(execute, progress, max_failures, interruptions.postponed, tuning)
+        session.compute(execute, progress, max_failures, interruptions.postponed)
         return session.publish(progress), session.failures()
 
 

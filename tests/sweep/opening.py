@@ -2,8 +2,9 @@
 
 # ruff: noqa: F401 (tests import from here what they need from inside)
 import json
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import xarray as xr
@@ -12,7 +13,7 @@ import linksweep
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.formatting import harmless
 from linksweep.sweep.interrupt import RunInterruptedError
-from linksweep.sweep.planning.accumulator import Tuning
+from linksweep.sweep.planning.accumulator import TUNED
 from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import generators
 from linksweep.sweep.running import run as running
@@ -46,8 +47,8 @@ def run(document, store, tuning=None, **options):
     """Return the results of a study, which is run in this process; ``tuning`` says how often it writes."""
     if tuning is None and not options:
         return linksweep.run(document, store, pool="serial")
-    more = {} if tuning is None else {"tuning": Tuning(**tuning)}
-    return run_study(study_from_dict(document), store, SERIAL, **more, **options)[0]
+    with patch.multiple(TUNED, **(tuning or {})) if tuning else nullcontext():
+        return run_study(study_from_dict(document), store, SERIAL, **options)[0]
 
 
 def bare(results):

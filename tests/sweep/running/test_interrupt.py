@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 
 from linksweep.sweep.interrupt import LOST_S, RunInterruptedError, watched
-from tests.sweep.opening import SERIAL, Store, Tuning, rows_on_disk, run_study, same, study_from_dict
+from tests.sweep.opening import SERIAL, TUNED, Store, rows_on_disk, run_study, same, study_from_dict
 from tests.sweep.outside import below, command_of, wait_until
 from tests.tiers import PATIENCE_S, slow
 
@@ -151,11 +151,11 @@ def test_interrupted_during_the_last_write(coins, tmp_path, monkeypatch, long_wr
         write(self, dataset)
         written.append(dataset.attrs["complete"])
 
-    tuning = Tuning(long_write_bytes=0 if long_write else 2**30)
+    monkeypatch.setattr(TUNED, "long_write_bytes", 0 if long_write else 2**30)
     monkeypatch.setattr(Store, "write", interrupted)
     study = study_from_dict(coins)
     with pytest.raises(RunInterruptedError):
-        run_study(study, tmp_path / "s.zarr", SERIAL, tuning=tuning)
+        run_study(study, tmp_path / "s.zarr", SERIAL)
     assert written == ([0] if long_write else [0, 1])
     monkeypatch.undo()
 
