@@ -4,7 +4,6 @@ import json
 import logging
 import math
 import re
-import struct
 from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -306,7 +305,7 @@ def _take(
 def _is_after(key: bytes, failed: Mapping[bytes, Record]) -> bool:
     """Return whether a block comes after the one at which its point has failed."""
     record = failed.get(key[DIGEST])
-    return record is not None and struct.unpack_from("<2I", key, DIGEST_BYTES) > _block_of(record)
+    return record is not None and tuple(np.frombuffer(key, "<u4", 2, DIGEST_BYTES).tolist()) > _block_of(record)
 
 
 def _begin_code(store: Store, record: Mapping[str, Any]) -> None:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from threading import Event, RLock, Thread
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -250,7 +249,7 @@ class Writer:
         accumulator: Accumulator,
         store: Store,
         postponed: Callable[[], AbstractContextManager[None]] = nullcontext,
-        further: Mapping[str, Any] = MappingProxyType({}),
+        further: Mapping[str, Any] | None = None,
     ) -> None:
         """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
         plan = accumulator.plan
@@ -258,7 +257,7 @@ class Writer:
         self.pending = Pending(plan, accumulator)
         self._postponed = postponed
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
-        self._provenance = attributes_of(plan) | kept | dict(further)
+        self._provenance = attributes_of(plan) | kept | dict(further or {})
         self._begun = self._flushed = self._written = time.monotonic()
         self._writing = 0.0
         self._long_write = False

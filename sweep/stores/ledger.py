@@ -15,7 +15,7 @@ import json
 import math
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -158,7 +158,7 @@ class Stored:
         chunks = {file: chunk for file, _, chunk in self.files(ARRAY, CHUNK_NAMES[0]) if any(chunk)}
         dims = [f"dim_{k}" for k in range(len(self.shape))]
         how = {"dtype": self.dtype, "fill_value": absent(self.dtype), "dimension_names": dims}
-        return new_array(Files(lambda key: read_chunk(self.location, chunks[key])), ARRAY, self.shape, **how)
+        return new_array(Files(self.location, chunks, {}), ARRAY, self.shape, **how)
 
     def __getitem__(self, index: Any) -> Any:
         return self.array[index]
@@ -175,16 +175,18 @@ class Stored:
 
 
 class Files(dict[str, Any]):
-    """Files in memory, but for those that ``read`` returns as they are used; it raises KeyError for others."""
+    """Files in memory, by their ``contents``, but for ``chunks`` of a store, by their references, which are read as
+    they are used.
+    """
 
-    def __init__(self, read: Callable[[str], bytes]) -> None:
-        super().__init__()
-        self._read = read
-
-    def __missing__(self, key: str) -> Any:
+    def __init__(self, location: Location, chunks: Mapping[str, bytes], contents: Mapping[str, bytes]) -> None:
         from zarr.buffer import cpu
 
-        return cpu.Buffer.from_bytes(self._read(key))
+        self._location, self._chunks, self._buffer = location, chunks, cpu.Buffer.from_bytes
+        super().__init__({file: self._buffer(content) for file, content in contents.items()})
+
+    def __missing__(self, key: str) -> Any:
+        return self._buffer(read_chunk(self._location, self._chunks[key]))
 
 
 def read_chunk(location: Location, reference: bytes) -> bytes:

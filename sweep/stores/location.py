@@ -411,14 +411,13 @@ class Bucket:
                 raise OSError(f"there is no bucket {self.bucket!r}") from error
             if isinstance(error, FileNotFoundError):
                 raise
-            raise OSError(_explained(error)) from error
+            is_refused = isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError)
+            raise OSError(_explained(str(error), is_refused)) from error
 
 
-def _explained(error: Exception) -> str:
-    from obstore import exceptions
-
-    text, endpoint = str(error), _endpoint() or "AWS"
-    if isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError):
+def _explained(text: str, is_refused: bool) -> str:
+    endpoint = _endpoint() or "AWS"
+    if is_refused:
         return f"{endpoint} refuses these credentials (AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY)"
     if "169.254.169.254" in text or "/latest/api/token" in text:
         # Where a machine of AWS would find them.

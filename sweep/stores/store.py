@@ -576,7 +576,6 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
     Raises ValueError that names a file which is missing or not what the root document means.
     """
     import xarray as xr
-    from zarr.buffer import cpu
     from zarr.storage import MemoryStore
 
     dask_arrays_only_where_imported()
@@ -587,9 +586,8 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
     problems = {key: integrity.problem_of(contents[key], checksum) for key, checksum in expected.items()}
     if damaged := {key: problem for key, problem in problems.items() if problem}:
         raise ValueError("; ".join(f"{key}: {problem}" for key, problem in damaged.items()))
-    files = ledgers.Files(lambda key: ledgers.read_chunk(location, later[key]))
-    files |= {key: cpu.Buffer.from_bytes(content) for key, content in contents.items() if content is not None}
-    files[ROOT] = cpu.Buffer.from_bytes(json.dumps(root).encode())
+    there = {key: content for key, content in contents.items() if content is not None}
+    files = ledgers.Files(location, later, {**there, ROOT: json.dumps(root).encode()})
     try:
         with warnings.catch_warnings():
             # Zarr-python#3709: consolidated metadata is not in the v3 specification yet.
