@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from linksweep.sweep.contract import declaration
-from linksweep.sweep.contract.declaration import Output, Parameter, Point, SweepError, Value, shown, suggest
+from linksweep.sweep.contract.declaration import Output, Parameter, Point, SweepError, T, Value, shown, suggest
 from linksweep.sweep.contract.rows import Array, Outcome, Reducer, Rows, Sums, check_finite, checked
 
 # The generators of a block's realisations and of their catalogue.
@@ -316,8 +316,8 @@ def _problems(experiment: Experiment) -> list[str]:
     parameters = declaration.members("parameters", experiment.parameters, Parameter, problems)
     outputs = declaration.members("outputs", experiment.outputs, Output, problems)
     samples = declaration.members("sample_outputs", experiment.sample_outputs, Output, problems)
-    labels = _labels("coordinates", experiment.coordinates, problems)
-    units = _labels("component_units", experiment.component_units, problems)
+    labels = _by_name("coordinates", experiment.coordinates, str, problems)
+    units = _by_name("component_units", experiment.component_units, str, problems)
     for dimension in labels:
         if repeated := [label for label, count in Counter(labels[dimension]).items() if count > 1]:
             problems.append(f"coordinates[{dimension!r}]: {shown(repeated[0])} is listed twice")
@@ -338,12 +338,10 @@ def _problems(experiment: Experiment) -> list[str]:
     # If the experiment itself decides the value of a parameter, an output of the same name may report it.
     decided = {parameter.name for parameter in parameters if parameter.default is None}
     problems += declaration.names_problems([one.name for one in parameters], names, units, decided)
-    if not isinstance(experiment.sums, Mapping) or not experiment.sums:
-        problems.append(f"sums = {shown(experiment.sums)}: must give the shape of each sum, such as {{'squares': ()}}")
-    else:
-        for name, shape in experiment.sums.items():
-            declaration.members(f"sums[{name!r}]", shape, int, problems)
-        problems += declaration.named("nan_sums", experiment.nan_sums, list(experiment.sums), "sum")
+    shapes = _by_name("sums", experiment.sums, int, problems)
+    if experiment.sums == {}:
+        problems.append("sums = {}: must give the shape of each sum, such as {'squares': ()}")
+    problems += declaration.named("nan_sums", experiment.nan_sums, list(shapes), "sum")
     problems += [text for name in CALLS for text in _calls(name, getattr(experiment, name))]
     if experiment.samples is not None and not experiment.sample_outputs:
         problems.append("samples: needs sample_outputs, which say what it gives")
@@ -354,12 +352,12 @@ def _problems(experiment: Experiment) -> list[str]:
     return problems
 
 
-def _labels(what: str, mapping: object, problems: list[str]) -> dict[str, list[str]]:
-    """Return the labels of each dimension that has some."""
+def _by_name(what: str, mapping: object, kind: type[T], problems: list[str]) -> dict[str, list[T]]:
+    """Return what a declaration has for each name: labels or units of a dimension, the shape of a sum."""
     if not isinstance(mapping, Mapping):
-        problems.append(f"{what} = {shown(mapping)}: must be a mapping of dimensions to their labels")
+        problems.append(f"{what} = {shown(mapping)}: must be a mapping of names to tuples of {kind.__name__}")
         return {}
-    return {name: declaration.members(f"{what}[{name!r}]", labels, str, problems) for name, labels in mapping.items()}
+    return {name: declaration.members(f"{what}[{name!r}]", some, kind, problems) for name, some in mapping.items()}
 
 
 def _of_no_function(one: Parameter | Output) -> Iterator[str]:

@@ -359,12 +359,6 @@ class FunctionExperiment(Experiment):
     def __post_init__(self) -> None:
         """Do nothing: `experiment_of` checks the declaration."""
 
-    def parameter(self, name: str) -> Parameter:
-        """Return the declared parameter; raises ValueError that says why an argument cannot be one."""
-        if self.rng and name in ("n_sim", "precision", "max_n_sim"):
-            raise ValueError(f"belongs to the sampling: sampling={{{name!r}: ...}}, in a study file [sampling]")
-        return super().parameter(name)
-
     @property
     def deterministic(self) -> bool:
         """Whether a point is evaluated once, without random numbers."""

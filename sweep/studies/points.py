@@ -149,10 +149,10 @@ class Values:
             return self.experiment.parameter(name)
         except ValueError as error:
             known, settings = [one.name for one in self.experiment.parameters], list(Sampling.model_fields)
-            hint = f"; --set {name}=VALUE sets it, to one value" if name in settings else nearest(name, settings)
-            # Experiments may say more of a name than that they do not know it.
-            if not hint or nearest(name, known) or not str(error).startswith("unknown"):
-                raise
+            there = (
+                f"; it is set in [sampling], to one value: --set {name}=VALUE, in Python sampling={{{name!r}: VALUE}}"
+            )
+            hint = there if name in settings else "" if nearest(name, known) else nearest(name, settings)
             raise ValueError(f"{error}{hint}") from error
 
     def axis(self, name: str, spec: object) -> tuple[Value, ...] | None:
