@@ -20,7 +20,7 @@ from linksweep.sweep.code.reach import version_of
 from linksweep.sweep.contract import Block, NotFiniteError, Outcome, ResultError, SweepError
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.planning.plan import Work
-from linksweep.sweep.studies.study import Study
+from linksweep.sweep.studies.study import Study, is_other
 
 DECIDING = ("linksweep", "numpy", "scipy")
 OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
@@ -257,7 +257,7 @@ class Batch:
         defaults = experiment.defaults()
         units = tuple(
             PointBlock(
-                tuple({k: v for k, v in point.parameters.items() if v != defaults[k]} for point in work.points),
+                tuple({k: v for k, v in point.parameters.items() if is_other(v, defaults[k])} for point in work.points),
                 work.points[0].stream,
                 work.block,
             )

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Point, Status, SweepError, Value, shown
 from linksweep.sweep.studies.points import remarks
-from linksweep.sweep.studies.study import POINT, Study
+from linksweep.sweep.studies.study import POINT, Study, is_other
 from linksweep.sweep.tables.columns import sorted_json
 
 T = TypeVar("T")
@@ -176,10 +176,7 @@ class Grid:
         entries = []
         for name in sorted(values):
             key, default = json.dumps(name), defaults[name]
-            # True is 1 to Python, but another point.
-            different = {
-                (type(v), v) for v in values[name] if v != default or (type(v) is bool) != (type(default) is bool)
-            }
+            different = {(type(v), v) for v in values[name] if is_other(v, default)}
             texts = {one: f"{key}: {sorted_json(one[1])}" for one in different}
             if texts:
                 entries.append((name, dimension_of.get(name), [texts.get((type(v), v)) for v in values[name]]))

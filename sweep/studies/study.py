@@ -681,6 +681,11 @@ class PointTable:
         return {"columns": {**columns, **self.labels}} | {key: value for key, value in further.items() if value}
 
 
+def is_other(value: object, default: object) -> bool:
+    """Return whether a value is another one than a parameter's default; True is 1 to Python, but another value."""
+    return value != default or (type(value) is bool) != (type(default) is bool)
+
+
 @dataclass(frozen=True)
 class Study:
     """A study that was read and checked, as `linksweep.load_study` returns it.
@@ -777,7 +782,7 @@ class Study:
             **({"keep_samples": True} if self.sampling.keep_samples else {}),
             **({"common_random_numbers": shared} if self.sampling.common_random_numbers else {}),
             **({"when": self.document["when"]} if self.document.get("when") else {}),
-            "fixed": {k: v for k, v in sorted(self.fixed.items()) if v != defaults[k]},
+            "fixed": {k: v for k, v in sorted(self.fixed.items()) if is_other(v, defaults[k])},
         }
 
     def numbers(self) -> dict[str, int]:

@@ -77,15 +77,15 @@ class Sentences(Silent):
 
 
 class Stopping(Silent):
-    """A progress that ends a run, as Ctrl-C does, after some tasks."""
+    """A progress that ends a run after some tasks, as Ctrl-C does or with another error."""
 
-    def __init__(self, tasks):
-        self.left = tasks
+    def __init__(self, tasks, error=KeyboardInterrupt):
+        self.left, self.error = tasks, error
 
     def advance(self, works, result, taken):
         self.left -= 1
         if self.left <= 0:
-            raise KeyboardInterrupt
+            raise self.error
 
 
 class Killed(BaseException):

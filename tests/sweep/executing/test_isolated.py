@@ -11,6 +11,7 @@ import threading
 import time
 import warnings
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,6 +84,37 @@ def test_a_function_that_ends_its_process_at_its_first_points_fails_these_alone(
     assert ds["status"].values.tolist() == [2, 2, 1, 1, 2, 1]
     assert ds["f"].values[[2, 3, 5]].tolist() == [4.0, 6.0, 10.0]
     assert ds.attrs["failures"].count(said) == 3 or (resources and deed not in LIMITED)
+
+
+DIES_ONCE = """
+import os
+from pathlib import Path
+def f(x: float = 0.0):
+    mark = Path(__file__).with_name(f"{x:g}")
+    if x in (30.0, 31.0, 32.0, 33.0) and not mark.exists():
+        mark.touch()
+        os._exit(3)
+    return 2.0 * x
+"""
+
+
+def test_a_point_that_ends_its_process_once_is_computed_again_whatever_others_did(tmp_path):
+    (tmp_path / "f.py").write_text(DIES_ONCE)
+    ds = run(f"{tmp_path}/f.py:f", tmp_path / "s.zarr", axes={"x": range(40)})
+    assert ds.f.values.tolist() == [2.0 * x for x in range(40)]
+
+
+def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails_alone(tmp_path):
+    code = (Path(__file__).parents[1] / "spread.py").read_text()
+    ends = "    import os\n    any(p['x'] == 1.0 for p in points) and os._exit(3)\n"
+    sampling = {"n_sim": 64, "n_cat": 2, "seed": 5, "common_random_numbers": True}
+    found = []
+    for name, text in (("whole", code), ("broken", code.replace("    squares = []\n", f"{ends}    squares = []\n"))):
+        (tmp_path / f"{name}.py").write_text(text)
+        study = {"title": "", "experiment": f"{tmp_path}/{name}.py:experiment", "axes": {"x": [0.5, 1.0, 2.0, 4.0]}}
+        found.append(run(study | {"sampling": sampling}, tmp_path / f"{name}.zarr"))
+    assert found[1].status.values.tolist() == [1, 2, 1, 1]
+    assert found[1].width.values[[0, 2, 3]].tolist() == found[0].width.values[[0, 2, 3]].tolist()
 
 
 HARMLESS = {

@@ -13,7 +13,7 @@ KEPT = {"n_sim": 1200, "seed": 3, "keep_samples": True}  # three blocks
     outputs=[Output("wait", "s", statistics=["mean", "std", "q90", "max"]), Output("pair", dims="k")], shared="gain"
 )
 def queue(rng, gain: float = 1.0, rate: float = 2.0):
-    return {"wait": gain * rng.exponential(rate), "pair": gain + rng.normal(size=2), "late": rng.random() > 0.5}
+    return {"pair": gain + rng.normal(size=2), "wait": gain * rng.exponential(rate), "late": rng.random() > 0.5}
 
 
 @experiment(shared=("gain",))

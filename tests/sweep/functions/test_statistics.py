@@ -154,7 +154,10 @@ def test_numbers_of_several_blocks_are_those_of_numpy_also_far_from_zero():
     (mean, _), (std, of_std), (low, _), (high, none), _ = measured(values, "mean", "std", "min", "max")
     assert mean == pytest.approx(values.mean(axis=0), rel=1e-14)
     assert std == pytest.approx(values.std(axis=0, ddof=1), rel=1e-6)
-    assert of_std == pytest.approx(one("std", values - 1e8)[1], rel=1e-5)  # from the third and fourth moments
+    in_blocks, at_once = (one("std", part)[1] for part in (values - 1e8, values[:500] - 1e8))
+    assert of_std == pytest.approx(in_blocks, rel=1e-5)  # from the third and fourth moments
+    assert in_blocks == pytest.approx(error_of_std(values - 1e8), rel=1e-9)
+    assert at_once == pytest.approx(error_of_std(values[:500] - 1e8), rel=1e-9)
     assert (low.tolist(), high.tolist(), none) == (values.min(axis=0).tolist(), values.max(axis=0).tolist(), None)
     assert np.isnan(one("std", values[:1])[0]).all()
 
@@ -173,15 +176,18 @@ def test_means_of_few_normal_realisations_have_errors_as_of_students_t(n):
     assert one("mean", values)[1][0] == pytest.approx(expected, rel=1e-12)
 
 
+def error_of_std(values):
+    """The error of the standard deviation of realisations (n, copies), from SciPy's unbiased kurtosis and skewness."""
+    n, kurtosis, skewness = len(values), stats.kurtosis(values, bias=False), np.abs(stats.skew(values, bias=False))
+    plain = (kurtosis + 2.0 + 2.0 / (n - 1.0)) / (4.0 * n)
+    enlarged = np.exp(np.clip((8.0 * kurtosis + 62.0 * skewness + 3.3 * kurtosis**2) / n, -0.5, 3.0))
+    return values.std(axis=0, ddof=1) * np.sqrt(plain * enlarged)
+
+
 def test_the_error_of_a_standard_deviation_is_made_of_the_unbiased_kurtosis():
-    """Against SciPy's, for a sample without a skew and for so many realisations that nothing is enlarged."""
-    values = np.sort(drawn(LAWS["normal"], 60, 1), axis=0)
-    values = (values - values[::-1]) / 2.0
-    kurtosis = stats.kurtosis(values[:, 0], bias=False)
-    plain = (kurtosis + 2.0 + 2.0 / 59.0) / 240.0
-    enlarged = plain * np.exp(np.clip((8.0 * kurtosis + 3.3 * kurtosis**2) / 60.0, -0.5, 3.0))
-    value, error = one("std", values)
-    assert error[0] == pytest.approx(value[0] * np.sqrt(enlarged), rel=1e-9)
+    """Against SciPy's, also for so many realisations that nothing is enlarged."""
+    values = drawn(LAWS["gamma"], 60, 3)
+    assert one("std", values)[1] == pytest.approx(error_of_std(values), rel=1e-9)
     values = np.concatenate([drawn(LAWS[law], 50_000, 1) for law in ("uniform", "normal", "Laplace")], axis=1)
     value, error = one("std", values)
     expected = value * np.sqrt((stats.kurtosis(values, bias=False) + 2.0) / 200_000.0)

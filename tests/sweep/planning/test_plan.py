@@ -245,11 +245,15 @@ def test_blocks_are_added_in_their_own_order_whatever_that_of_their_arrival():
                     values[block] = random.normal(size=1) * 10.0 ** random.integers(-8, 8)
                     expected += values[block]
             arrived = np.random.default_rng(seed).permutation(len(blocks))
-            blocks = [
-                more
-                for place in arrived
-                for more in accumulator.add(point, blocks[place], row(values[blocks[place]], accumulator))
-            ]
+            more = []
+            for place in arrived:
+                more += accumulator.add(point, blocks[place], row(values[blocks[place]], accumulator))
+                for left, n, n_cat in accumulator.so_far().values():  # of all catalogues begun equally much
+                    begun = [b for b in values if b.first_catalogue < n_cat]
+                    done = [b for b in begun if plan.realisations(1.0, b.part) < n / n_cat]
+                    assert sum(b.realisations for b in done) == n
+                    assert left["n"].item() == pytest.approx(sum(values[b].item() for b in done), rel=1e-9)
+            blocks = more
         totals.add(accumulator.total.tobytes())
     assert len(values) > 30
     assert totals == {expected.tobytes()}
@@ -270,6 +274,24 @@ def test_a_failed_point_is_given_out_no_more_and_never_done(taken_before):
     for block in plan.blocks(2.0**24):  # those that were under way
         assert accumulator.add(first, block, row((1.0, 1.0), accumulator)) == []
     assert accumulator.status[first.index] == Status.FAILED
+
+
+AXES = {"coins": [1, 2, 3], "chance": [0.25, 0.5], "metal": ["gold", "tin"]}
+
+
+@given(reads=st.dictionaries(st.integers(1, 3), st.sampled_from(["chance", "metal"]), max_size=2), order=st.randoms())
+def test_what_is_asked_of_a_point_is_its_own_answer_whatever_it_depends_on(reads, order):
+    """Of some values of one axis on another one too."""
+
+    def cost(point):
+        other = point[reads[point["coins"]]] if point["coins"] in reads else ""
+        return float(1 + 100 * point["coins"] + len(str(other)) + 10 * (other == 0.5))
+
+    study = study_from_dict({"title": "", "experiment": COINS, "axes": AXES})
+    plan = Plan(make_grid(replace(study, experiment=replace(study.experiment, cost=cost))))
+    points = [parameters for _, parameters in plan.grid.parameters()]
+    order.shuffle(points)
+    assert [plan.cost(point) for point in points] == [cost(point) for point in points]
 
 
 KEYS = st.integers(1, 6).map(lambda number: number.to_bytes(KEY_BYTES, "little")) | st.integers(1, 4).map(

@@ -2,7 +2,6 @@
 
 import json
 import re
-import signal
 
 import numpy as np
 import pytest
@@ -12,8 +11,8 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import Output, experiment
-from tests.sweep.opening import OpenStore, same
-from tests.tiers import examples
+from tests.sweep.opening import OpenStore, dying, same, until_done
+from tests.tiers import examples, slow
 
 
 def run(function, store, **given):
@@ -166,15 +165,13 @@ def test_integers_and_floats_are_joined_whatever_the_order_and_the_runs(tmp_path
         assert re.fullmatch(r"numbers: 'big' is \d+, which is beyond 2\*\*53, and other points have floats", message)
 
 
-def test_killed_before_the_rows_have_the_types_of_the_record_no_integer_is_rounded(tmp_path, monkeypatch):
+@pytest.mark.parametrize("kill", [*range(4, 20, 3), *map(slow, range(20))])
+def test_killed_while_integers_become_floats_none_is_rounded(tmp_path, monkeypatch, kill):
     def steps(k: int):
-        return k / 2 if k % 2 else 2**53 + k if k > 8 else k // 2
+        return k / 2 if k % 2 else 2**53 + k - 9 if k > 8 else k // 2
 
+    left = dying(monkeypatch)
     run(steps, tmp_path / "s.zarr", axes={"k": [0, 10]})
-    with monkeypatch.context() as patch:
-        patch.setattr("linksweep.sweep.running.run.hold", lambda store, study: signal.raise_signal(signal.SIGINT))
-        with pytest.raises(KeyboardInterrupt):
-            run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 10]})
-    ds = run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 10]})
+    ds, _ = until_done(left, kill, lambda: run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 10]}))
     assert ds.status.values.tolist() == [1, 1, 2]
     assert "beyond 2**53" in json.loads(ds.attrs["failures"])["k=10"]

@@ -159,6 +159,8 @@ def test_interrupted_during_the_last_write(coins, tmp_path, monkeypatch, long_wr
     assert written == ([0] if long_write else [0, 1])
     monkeypatch.undo()
 
+    run_study(study_from_dict(coins | {"axes": {"coins": [1, 5]}}), tmp_path / "s.zarr", SERIAL)  # what is there
+    assert xr.open_zarr(tmp_path / "s.zarr").attrs["complete"] == 1  # is shown whatever is asked
     resumed, _ = run_study(study, tmp_path / "s.zarr", SERIAL)
     whole, _ = run_study(study, tmp_path / "whole.zarr", SERIAL)
     same(resumed, whole)

@@ -5,7 +5,7 @@ import pytest
 
 import linksweep
 from linksweep import Output, SweepError, experiment
-from tests.sweep.opening import Stopping, same
+from tests.sweep.opening import OpenStore, Stopping, same
 
 
 @experiment(outputs=[Output("level", statistics=["mean"])])
@@ -37,9 +37,11 @@ def test_every_point_gets_what_it_needs_and_not_much_more(tmp_path):
 def test_stopped_anywhere_or_of_a_coarser_precision_it_goes_on_to_the_same_numbers(tmp_path):
     whole = run(tmp_path / "whole.zarr")
     run(tmp_path / "s.zarr", precision=0.05)
-    for tasks in (1, 2):
-        with pytest.raises(KeyboardInterrupt):
-            run(tmp_path / "s.zarr", Stopping(tasks))
+    for error in (KeyboardInterrupt, RuntimeError):
+        before = len(OpenStore(tmp_path / "s.zarr").ledger().rows)
+        with pytest.raises(error):
+            run(tmp_path / "s.zarr", Stopping(2, error))
+        assert len(OpenStore(tmp_path / "s.zarr").ledger().rows) > before
     same(run(tmp_path / "s.zarr"), whole)
     again = run(tmp_path / "s.zarr", precision=0.05)  # a coarser one leaves the store alone
     assert again["n_sim_done"].values.tolist() == whole["n_sim_done"].values.tolist()
