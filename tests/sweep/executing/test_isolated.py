@@ -60,23 +60,11 @@ def written(folder, deed, places):
     return "f.py:f"
 
 
-@pytest.fixture
-def sweep(start_sweep):
-    """A function that runs `sweep` as a process and returns (exit code, stdout, stderr)."""
-
-    def sweep(*arguments, cwd):
-        process = start_sweep(*arguments, cwd=cwd)
-        out, err = process.communicate(timeout=PATIENCE_S)
-        return process.returncode, out, err
-
-    return sweep
-
-
 @pytest.mark.parametrize(("deed", "resources"), [*QUICK, *(slow(*case) for case in CASES if case not in QUICK)])
-def test_a_function_that_ends_its_process_at_its_first_points_fails_these_alone(tmp_path, sweep, deed, resources):
+def test_a_function_that_ends_its_process_at_its_first_points_fails_these_alone(tmp_path, sweep_here, deed, resources):
     code, said = (ENDINGS | LIMITED)[deed]
     reference = written(tmp_path, code, (0, 1, 4))
-    code, _, err = sweep("run", reference, "--axis", "x=0:5:1", "-o", "s.zarr", *resources.split(), cwd=tmp_path)
+    code, _, err = sweep_here("run", reference, "--axis", "x=0:5:1", "-o", "s.zarr", *resources.split(), cwd=tmp_path)
     assert code == 1, err
     assert "3 points failed" in err
     assert not [line for line in err.splitlines() if "distributed" in line or "Traceback" in line], err
@@ -128,9 +116,9 @@ HARMLESS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("deed", HARMLESS)
-def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sweep, deed):
+def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sweep_here, deed):
     reference = written(tmp_path, HARMLESS[deed], (0,))
-    code, out, err = sweep("run", reference, "--axis", "x=0:3:1", "-o", "s.zarr", cwd=tmp_path)
+    code, out, err = sweep_here("run", reference, "--axis", "x=0:3:1", "-o", "s.zarr", cwd=tmp_path)
     assert (code, "wrote s.zarr" in err, "f: It is between 0 (x=0) and 6" in out) == (0, True, True), err
     assert xr.open_zarr(tmp_path / "s.zarr")["f"].values.tolist() == [0.0, 2.0, 4.0, 6.0]
 

@@ -92,71 +92,65 @@ def no_pauses(monkeypatch):
     monkeypatch.setattr(clusters, "PAUSE_S", 1e-3)
 
 
-FAILURES_LEFT = {0: 0}
+LEFT = {"failures": 0}
 
 
 def failing(*arguments, **options):
     """Fail on a worker, beside the experiment, as Dask did under load; some times, and then no more."""
-    FAILURES_LEFT[0] -= 1
-    if FAILURES_LEFT[0] >= 0:
+    LEFT["failures"] -= 1
+    if LEFT["failures"] >= 0:
         raise UnboundLocalError("cannot access local variable 'result'")
     return run_on_worker(*arguments, **options)
 
 
-def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch, dask):
-    monkeypatch.setattr(clusters, "run_on_worker", failing)
-    monkeypatch.setitem(FAILURES_LEFT, 0, 4)
+@pytest.fixture
+def fetched(monkeypatch):
+    """A function that lets fetching a result fail some times; each is fetched by itself, as where several cannot be."""
+    monkeypatch.setattr(clusters, "MOST_FETCHED", 1)
+    fetch, calls = DaskDriver._result, []
+
+    def fail(error, times):
+        def result(self, future):
+            calls.append(future)
+            if len(calls) <= times:
+                raise error
+            return fetch(self, future)
+
+        monkeypatch.setattr(DaskDriver, "_result", result)
+
+    return fail
+
+
+ERRORS = [UnboundLocalError("result"), slow(TimeoutError("of a stream")), slow(OSError("Too many open files"))]
+
+
+@pytest.mark.parametrize("error", [None, *ERRORS])
+def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch, dask, fetched, error):
+    """Of computing a result, or of fetching it: fewer than a task may have."""
     sentences = Sentences()
+    if error is None:
+        monkeypatch.setattr(clusters, "run_on_worker", failing)
+        monkeypatch.setitem(LEFT, "failures", 4)
+    else:
+        fetched(error, 3)
     dataset, failures = run_study(study, tmp_path / "s.zarr", dask, sentences)
     assert not failures
     same(dataset, whole)
-    assert any("UnboundLocalError: cannot access local variable 'result'" in text for text in sentences.said)
+    assert error or any("UnboundLocalError: cannot access local" in text for text in sentences.said)
 
 
-def test_one_that_stays_stops_the_run_and_blames_no_point(study, tmp_path, monkeypatch, dask):
-    monkeypatch.setattr(clusters, "run_on_worker", failing)
-    monkeypatch.setitem(FAILURES_LEFT, 0, 10**6)
-    with pytest.raises(SweepError, match=r"failed 6 times outside of the experiment, last with UnboundLocalError"):
-        run_study(study, tmp_path / "s.zarr", dask)
-    assert not existing_store(tmp_path / "s.zarr", study).failures
-
-
-@pytest.fixture
-def one_by_one(monkeypatch):
-    """Fetch each result by itself, as where several cannot be fetched together."""
-    monkeypatch.setattr(clusters, "MOST_FETCHED", 1)
-
-
-@pytest.mark.usefixtures("one_by_one")
-@pytest.mark.parametrize(
-    "fate", [UnboundLocalError("result"), slow(TimeoutError("of a stream")), slow(OSError("Too many open files"))]
-)
-def test_errors_of_fetching_a_result_are_no_points(study, whole, tmp_path, monkeypatch, fate, dask):
-    fetch, calls = DaskDriver._result, []
-
-    def fetched(self, future):
-        calls.append(future)
-        if len(calls) <= 3:  # fewer than a task may fail
-            raise fate
-        return fetch(self, future)
-
-    monkeypatch.setattr(DaskDriver, "_result", fetched)
-    dataset, failures = run_study(study, tmp_path / "s.zarr", dask)
-    assert not failures
-    same(dataset, whole)
-
-
-@pytest.mark.usefixtures("one_by_one")
-@pytest.mark.slow
-def test_where_all_workers_die_no_point_is_blamed(study, tmp_path, monkeypatch, dask):
-    def fetched(self, future):
-        raise KilledWorker("task", None, 0)
-
-    monkeypatch.setattr(DaskDriver, "_result", fetched)
+@pytest.mark.parametrize("dies", [False, slow(True)])
+def test_one_that_stays_stops_the_run_and_blames_no_point(study, tmp_path, monkeypatch, dask, fetched, dies):
     sentences = Sentences()
-    with pytest.raises(SweepError, match="die whatever they do; no point is blamed"):
+    if dies:
+        fetched(KilledWorker("task", None, 0), 10**6)
+    else:
+        monkeypatch.setattr(clusters, "run_on_worker", failing)
+        monkeypatch.setitem(LEFT, "failures", 10**6)
+    words = r"failed 6 times outside of the experiment, last with UnboundLocal|die whatever they do; no point is blamed"
+    with pytest.raises(SweepError, match=words):
         run_study(study, tmp_path / "s.zarr", dask, sentences)
-    assert any("a worker died" in text for text in sentences.said)
+    assert any("a worker died" in text for text in sentences.said) == dies
     assert not existing_store(tmp_path / "s.zarr", study).failures
 
 

@@ -95,12 +95,3 @@ def test_the_second_call_counts_nowhere(tmp_path):
     run(f, tmp_path / "s.zarr", axes=AXES, pool="serial", progress=watcher)
     assert sorted(calls) == [1.0, 1.0, 2.0, 3.0]
     assert [said.printed for said in watcher.printed] == ["a line\n"] * 3
-
-
-def test_a_second_call_that_raises_is_named(tmp_path):
-    def f(x: float):
-        (tmp_path / f"{x}").mkdir()
-        return x
-
-    with pytest.raises(SweepError, match=r"returns a result and then raises FileExistsError"):
-        run(f, tmp_path / "s.zarr", axes=AXES)

@@ -1,6 +1,5 @@
 """Results whose length differs between points are padded, beside their lengths, if that is declared."""
 
-import itertools
 import json
 
 import numpy as np
@@ -11,7 +10,7 @@ import linksweep
 from linksweep import Output, SweepError, experiment
 from linksweep.sweep.report.page import report_page
 from linksweep.sweep.result import Result
-from tests.sweep.opening import OFTEN, check, dying, run, same, until_done
+from tests.sweep.opening import check
 
 KINDS = {
     "number": lambda k, n: k / 3.0 + np.arange(n),
@@ -91,27 +90,3 @@ def test_results_that_are_not_as_declared_are_refused_by_name(tmp_path, outputs,
     declared = experiment(outputs=outputs)(grows) if outputs else grows
     ds = linksweep.run(declared, tmp_path / "s", axes={"n": n}, pool="serial", max_failures="100%")
     assert (problem or "{}") in ds.attrs["failures"]
-
-
-GROWS = """
-from linksweep import Output, experiment
-
-@experiment(outputs=[Output("path", dims="step", ragged=True), Output("words", dims="step")])
-def grows(n: int):
-    return {"path": list(range(n)) if n % 2 else [0.5] * n, "words": ["w"] * n}
-"""
-
-
-@pytest.mark.slow
-def test_a_run_that_was_killed_at_any_instant_goes_on(tmp_path, monkeypatch):
-    (tmp_path / "grows.py").write_text(GROWS)
-    study = {"title": "", "experiment": f"{tmp_path / 'grows.py'}:grows", "axes": {"n": [1, 2, 4, 3, 9, 5]}}
-    wanted = run(study, tmp_path / "whole", OFTEN)
-    left = dying(monkeypatch)
-    for number in itertools.count():
-        store = tmp_path / f"{number}"
-        found, killed = until_done(left, number, lambda: run(study, store, OFTEN))  # noqa: B023
-        same(found, wanted)
-        assert check(store).remarks == []
-        if not killed:
-            return

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import linksweep
 from linksweep import Output, SweepError, experiment
@@ -81,3 +82,45 @@ def test_what_is_shared_is_part_of_what_the_numbers_mean(tmp_path):
     for shared in (["gain", "rate"], ["rate"], []):
         with pytest.raises(SweepError, match=r"common_random_numbers: .'gain'. in the store"):
             sweep(declared(*shared), tmp_path / "s", {"n_sim": 60}, gain=[3.0])
+
+
+LINK = {
+    "title": "Samples",
+    "axes": {"n_obj": [20, 30]},
+    "fixed": {"catalogue": "quasars", "v_max": 15.0},
+    "sampling": {"n_sim": 520, "n_cat": 20, "seed": 5, "keep_samples": True},  # two parts, two groups
+}
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory):
+    """The store of a study that keeps its samples; only read."""
+    store = tmp_path_factory.mktemp("samples") / "s.zarr"
+    linksweep.run(LINK, store, pool="serial")
+    return store
+
+
+@pytest.fixture
+def kept(samples):
+    return linksweep.open(samples)
+
+
+def test_samples_are_the_realisations_behind_the_results(kept):
+    estimate = kept["estimate"]
+    assert estimate.dims == ("n_obj", "sample", "component")
+    assert estimate.sizes["sample"] == 10_400
+    error = estimate - 1.0  # the truth is 1 in every component
+    xr.testing.assert_allclose(np.sqrt((error**2).mean("sample")), kept["sigma"], rtol=1e-9)
+    xr.testing.assert_allclose(error.mean("sample"), kept["bias"], rtol=1e-6)
+    assert len(np.unique(estimate.isel(n_obj=0, component=0))) == 10_400
+
+
+def test_an_experiment_without_samples_cannot_keep_them(coins, tmp_path):
+    with pytest.raises(SweepError, match="has no samples to keep"):
+        linksweep.run(coins | {"sampling": {"keep_samples": True}}, tmp_path / "s.zarr", pool="serial")
+
+
+def test_keeping_samples_is_part_of_what_a_store_means(samples):
+    without = LINK | {"sampling": {**LINK["sampling"], "keep_samples": False}}
+    with pytest.raises(SweepError, match="keep_samples"):
+        linksweep.run(without, samples, pool="serial")

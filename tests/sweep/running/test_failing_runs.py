@@ -83,14 +83,6 @@ def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch
     assert shown[-1].endswith("1/1 points, done")
 
 
-def test_without_a_terminal_a_new_reason_is_told_at_once_and_the_end_counts(folder, sweep):
-    code, out, err = sweep("run", "f.py:odd", "--axis", "x=0:17:1")
-    assert code == 1
-    assert err.count("failed at ") == err.count("failed at x=1: ValueError: no sun at 1\n") == 1  # eight are like it
-    assert "9 points failed: 9 like ValueError: no sun at 1, for example at x=1;" in err
-    assert "INCOMPLETE: 9 of 18 points are done, 9 failed" in out
-
-
 THREADS, LIMITS = ("--pool", "threads", "--workers", "2"), ("--pool", "serial", "--time-limit", "100")
 
 

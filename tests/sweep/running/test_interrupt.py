@@ -92,6 +92,7 @@ for seed in range(3):
 """
 
 
+@pytest.mark.slow
 def test_except_exception_in_a_loop_does_not_go_on_after_ctrl_c(tmp_path, start_sweep):
     (tmp_path / "loop.py").write_text(IN_A_LOOP)
     process = start_sweep(command=(sys.executable, "loop.py"), cwd=tmp_path)

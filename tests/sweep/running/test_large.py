@@ -1,7 +1,6 @@
 """Large arrays: written once, by the process that computed them, and read as they are used."""
 
 import os
-import shutil
 import subprocess
 from contextlib import closing
 from pathlib import Path
@@ -12,7 +11,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import Limits, Output, SweepError, experiment
-from tests.sweep.opening import merge, same
+from tests.sweep.opening import same
 from tests.sweep.outside import Outside
 
 MOST = 64
@@ -70,22 +69,6 @@ def test_who_writes_them_changes_no_bit_and_they_are_stored_once(options, tmp_pa
     linked = [file for file in (tmp_path / "s.zarr" / "image").glob("c*.*") if file.stat().st_nlink == 2]
     assert len(linked) == np.sum(ds["status"].values == 1) * 9
     assert len(list((tmp_path / "s.zarr" / "blocks").glob("large.*"))) == len(linked)
-
-
-def test_part_of_them_are_merged_and_the_merged_store_needs_no_other(tmp_path):
-    picture, axes = image_of((3, 40), False), {"a": range(3), "b": [0, 2]}
-    how = {"axes": axes, "pool": "serial", "max_failures": "100%"}
-    whole = linksweep.run(picture, tmp_path / "whole.zarr", **how)
-    for part in ("1/2", "2/2"):
-        linksweep.run(picture, tmp_path / "s.zarr", part=part, **how)
-    parts = sorted(tmp_path.glob("s.zarr.part-*"))
-    merge(parts, tmp_path / "s.zarr")
-    for part in parts:
-        shutil.rmtree(part)
-    same(linksweep.open(tmp_path / "s.zarr"), whole)
-    again = linksweep.run(picture, tmp_path / "s.zarr", redo="a > 1", **how)
-    same(again, whole)
-    assert len(list(tmp_path.glob("s.zarr/blocks/large.*"))) == 3 * 3
 
 
 HIDDEN = """

@@ -221,7 +221,7 @@ def test_results_that_differ_in_kind_between_parts_fail_as_in_one_run(tmp_path):
     require_same(tmp_path / "s", tmp_path / "w")
 
 
-@pytest.mark.parametrize("step", [50, slow(3)])
+@pytest.mark.parametrize("step", [90, slow(3)])
 def test_parts_and_merges_that_are_killed_go_on(model, tmp_path, monkeypatch, step):
     """Before each operation on a file in turn: in a part, in the merge, and in the merges that go on."""
     linksweep.run(model, tmp_path / "w", pool="serial", **SMALL)

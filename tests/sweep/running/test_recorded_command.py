@@ -1,7 +1,7 @@
 """What is recorded of the command line: the options of `sweep` without secrets, and nothing of a user's own script."""
 
 import re
-import subprocess
+import runpy
 import sys
 
 import pytest
@@ -30,11 +30,12 @@ def everything_in(folder):
 
 
 @pytest.mark.parametrize("name", ["script.py", slow("sweep"), slow("sweep.py")])
-def test_nothing_of_a_scripts_own_options(tmp_path, name):
+def test_nothing_of_a_scripts_own_options(tmp_path, name, monkeypatch):
     (tmp_path / name).write_text(SCRIPT)
-    command = [sys.executable, name, "--password", SECRET, f"--token={SECRET}"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [name, "--password", SECRET, f"--token={SECRET}"])
+    monkeypatch.setattr(sys, "orig_argv", [sys.executable, *sys.argv])
+    runpy.run_path(name, run_name="__main__")
     (tmp_path / name).unlink()
     assert SECRET.encode() not in everything_in(tmp_path)
 

@@ -124,23 +124,6 @@ def test_growth_of_any_kind_in_any_order_gives_the_bits_of_a_fresh_run(coins, tm
             same(grown, fresh)
 
 
-def test_points_that_are_all_there_are_not_called_incomplete(tmp_path, sweep):
-    """Neither where a study asks for them of a larger store, nor where they are chosen to be shown."""
-    (tmp_path / "f.py").write_text("def f(x: float):\n    return 1.0 / (x - 3.0)\n")
-    whole = ("run", "f.py:f", "-o", "s.zarr", "--axis", "x=1,2,3,4")
-    code, out, _ = sweep(*whole, cwd=tmp_path)
-    assert (code, "INCOMPLETE: 3 of 4 points are done, 1 failed" in out) == (1, True)
-    for asked in (
-        ("run", "f.py:f", "-o", "s.zarr", "--axis", "x=1,2,4"),
-        ("show", "s.zarr", "--at", "x=2"),
-    ):
-        code, out, _ = sweep(*asked, cwd=tmp_path)
-        assert code == 0
-        assert "INCOMPLETE" not in out
-    part = linksweep.run(f"{tmp_path}/f.py:f", tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 4.0]})
-    assert (part.attrs["complete"], part.attrs["points"], part.attrs["points_done"]) == (1, 3, 3)
-
-
 def test_results_are_what_a_plain_loop_over_the_streams_gives(coins, tmp_path):
     dataset = run(coins | {"exclude": [{"metal": "tin", "coins": 1}]}, tmp_path / "s.zarr")
     points = make_grid(study_from_dict(coins)).points()

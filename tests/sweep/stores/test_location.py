@@ -96,7 +96,8 @@ LINES += [f"status {ODD} --json", f"check {ODD} --repair", f"plot {ODD} -o p.png
 LINES += [f"reproduce {ODD} --at x=1", f"report {ODD} -o {PAGE}", f"merge {ODD} {ODD} -o {MERGED}"]
 
 
-@pytest.mark.parametrize("line", [LINES[0], *map(slow, LINES[1:])], ids=[line.split()[0] for line in LINES])
+@pytest.mark.slow
+@pytest.mark.parametrize("line", LINES, ids=[line.split()[0] for line in LINES])
 def test_a_name_that_is_no_utf_8_ends_no_command_in_a_traceback(tmp_path, line):
     (tmp_path / "model.py").write_text(MODEL)
     linksweep.run(f"{tmp_path}/model.py:model", tmp_path / ODD, axes={"x": [1.0, 2.0]}, pool="serial")
