@@ -183,18 +183,19 @@ def as_lists(results):
 
 def found_in(dataset, constants):
     """Return the results of the points of a dataset that are done, by their parameters."""
-    found, dataset = {}, dataset.load()
+    found, dims = {}, dataset.status.dims
+    along = {
+        name: (dims.index(one.dims[0]), one.values.tolist())
+        for name, one in dataset.coords.items()
+        if one.dims[0] in dims
+    }
     left_out = ("status", "code", "wall_time", "n_sim_done", "value_samples")
-    for place in itertools.product(*(range(size) for size in dataset.status.shape)):
-        point = dataset.isel(dict(zip(dataset.status.dims, place, strict=True)))
-        if point.status == 1:
-            key = [
-                point[n].item() if n in point.coords else constants.get(n, DEFAULTS.get(n)) for n in ("x", "y", "name")
-            ]
-            lists = as_lists({name: point[name].values for name in point.data_vars})
-            found[tuple(key)] = {
-                name: value for name, value in lists.items() if not name.endswith(("_length", *left_out))
-            }
+    arrays = {n: one.transpose(*dims, ...).values for n, one in dataset.data_vars.items() if n not in left_out}
+    for place in zip(*np.nonzero(dataset.status.values == 1), strict=True):
+        values = {**DEFAULTS, **constants, **{name: there[place[axis]] for name, (axis, there) in along.items()}}
+        lists = as_lists({name: array[place] for name, array in arrays.items()})
+        key = tuple(values[name] for name in ("x", "y", "name"))
+        found[key] = {name: value for name, value in lists.items() if not name.endswith("_length")}
     return found
 
 
