@@ -2,6 +2,7 @@
 
 # ruff: noqa: F401 (tests import from here what they need from inside)
 import json
+import os
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from unittest.mock import patch
@@ -94,9 +95,10 @@ class Killed(BaseException):
 
 def dying(monkeypatch, kind=Folder):
     """Let a process die before a change of a file of a store: ``left[0]`` says after how many others.  It leaves no
-    lock.
+    lock, and does not wait for the disk.
     """
     left = [10**9]
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
     def counted(operation):
         def counting(place, key, *arguments):

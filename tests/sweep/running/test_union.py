@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import Stopping, check, dying, files_of, merge, same, status_report, until_done
+from tests.sweep.opening import OpenStore, Stopping, check, dying, files_of, merge, same, status_report, until_done
 from tests.tiers import examples
 
 CODE = """
@@ -80,7 +80,9 @@ class Sweeps:
         for number in range(1, parts + 1):
             self.run(asked, other, **({"part": f"{number}/{parts}"} if parts > 1 else {}))
         if parts > 1:
-            merge(sorted(other.parent.glob("other.zarr.part-*")), other)
+            stores = sorted(other.parent.glob("other.zarr.part-*"))
+            merge(stores, other)
+            assert len(OpenStore(other).ledger().rows) == sum(len(OpenStore(one).ledger().rows) for one in stores)
         merge([self.store, other], both)
         for old in (self.store, *other.parent.glob("other.zarr*")):
             shutil.rmtree(old)
