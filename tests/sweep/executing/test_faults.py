@@ -187,6 +187,7 @@ import os, sys, warnings
 def total(points, n_sim):
     (p,) = points
     print(f"at {p['kind']}: {'x' * 5}")
+    print(f"not well at {p['kind']}", file=sys.stderr)
     PROGRAM
     warnings.warn("mind the gap")
     return {"total": [n_sim * p["kind"]]}
@@ -213,6 +214,8 @@ def test_what_a_model_prints_is_in_the_log_and_not_in_the_output(pool, tmp_path,
     log = (tmp_path / "run.log").read_text()
     for kind in (1, 2, 3):
         assert f"kind={kind}: printed: at {kind}: xxxxx" in log
+        assert f"kind={kind}: printed: not well at {kind}" in log
+    assert "not well" not in err
     (told,) = [line for line in err.splitlines() if "mind the gap" in line]
     assert told.startswith("warned 3 times, first at kind=")
     assert "UserWarning: mind the gap (user.py, line " in told
