@@ -254,8 +254,9 @@ def _excess(problem: Problem, ratio: float) -> str:
         else:
             for part in [*_by_kind(problem), *_by_epoch(problem)]:
                 causes += _causes(problem, part, ratio)
-            if not causes or min(cause.ratio for cause in causes) > GOOD:
-                causes = list(_two(problem, ratio)) or causes
+    # a correction that hides much may hide two mistakes
+    if ratio > EXCESS and not alone and not any(cause.ratio < GOOD and not cause.hides for cause in causes):
+        causes = _two(problem) or causes
     said = likely(causes, 30.0 / max(1, int(np.sum(problem.rows.present))))
     return f"{alone}{said}" if said == UNEXPLAINED else said
 
@@ -319,8 +320,8 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
             yield Cause(f"epochs of {part.words} {all_equal if len(epochs) == 1 else single}", along, 1)
 
 
-def _two(problem: Problem, ratio: float) -> Iterator[Cause]:
-    """Yield two mistakes: those whose corrections help most, each with one after whose correction all is well.
+def _two(problem: Problem) -> list[Cause]:
+    """Return two mistakes: those whose corrections help most, each with one after whose correction all is well.
 
     Epochs that are far off hide how much a correction helps, so that it is tried with epochs free too.
     """
@@ -335,11 +336,13 @@ def _two(problem: Problem, ratio: float) -> Iterator[Cause]:
     few = _of_sources(problem, worst) if len(worst) else ()
     trials = [*_trials(problem, [*wholes, *few]), *_exchanged(problem, free)]
     best = sorted(((left(trial), words, trial) for words, hides, trial in trials if not hides), key=lambda one: one[0])
+    found: dict[frozenset[str], Cause] = {}  # the same two in either order are one
     for after, words, trial in best[:TWICE]:
         if after < 0.9 * _ratio(free):
             for cause in (cause for part in wholes for cause in _causes(trial, part, _ratio(trial))):
                 if cause.ratio < GOOD and not cause.hides:
-                    yield Cause(f"{words}, and {cause.words}", cause.ratio)
+                    found.setdefault(frozenset((words, cause.words)), Cause(f"{words}, and {cause.words}", cause.ratio))
+    return list(found.values())
 
 
 def _freed_epochs(problem: Problem) -> Problem:
