@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from astropy.units import Unit
 
 from linksweep.core.frames import MAS, Array, Flags, Indices
 from linksweep.core.link import LinkError
@@ -75,7 +76,6 @@ def read_observations(path: Path) -> Any:
     Raises SweepError that names columns, units and numbers that are wrong.
     """
     import pandas as pd
-    from astropy.units import Unit
 
     waiting = socket.getdefaulttimeout()
     try:
@@ -212,7 +212,6 @@ def _models(
 
 def _orbits(place: Mapping[str, int], path: Path, epoch: float) -> dict[int, Array]:
     """Return the elements of orbits, as `bends` needs them, by row of the satellite's table."""
-    from astropy.units import Unit
     from scipy.spatial.transform import Rotation
 
     table = read_file(path)

@@ -464,7 +464,7 @@ def _of_rows(link: Link, sign: float) -> dict[str, Any]:
 
     return {
         "observable": ("observable", list(PARAMETERS)),
-        "observable_unit": ("observable", list(UNITS.values())),
+        "observable_unit": ("observable", [UNITS[name] for name in PARAMETERS]),
         "row_source_index": ("row", source),
         "row_source": ("row", names[source].astype(str)),
         "row_kind": ("row", kinds(rows)),

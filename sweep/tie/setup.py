@@ -20,7 +20,7 @@ from linksweep.core.tie.forecast import releases_at
 from linksweep.core.tie.noise import ALL, ESTIMATE
 from linksweep.core.tie.problem import Problem, StreamedSources, sources_of
 from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
-from linksweep.sweep.contract import SweepError, suggest
+from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
 from linksweep.sweep.tables import reader
@@ -68,23 +68,19 @@ def table_options(options: Options) -> dict[str, TableOptions]:
     try:
         for mission in missions:
             require_mission_name(mission)
-        epochs = {name: DECLARED["epoch"].parse(number(year)) for name, year in options.mission_epochs}
+        years = [(f"{name}:", DECLARED["epoch"].parse(number(year))) for name, year in options.mission_epochs]
     except ValueError as error:
         raise SweepError(str(error)) from error
-    marked = {name: listed(getattr(options, name)) for name in MARKS}
-    for what, tables, known in (("mission_epochs", epochs, missions), *((n, marked[n], names) for n in MARKS)):
-        if unknown := [table for table in tables if table not in known]:
-            raise SweepError(
-                f"{what}: no table {unknown[0]!r}{suggest(unknown[0], known) if known else ', and no mission'}"
-            )
+    epochs = by_table("mission_epochs", years, missions, ())
+    epochs |= {"satellite": {"": options.satellite_epoch}, "reference": {"": options.reference_epoch}}
+    marked = {n: by_table(n, [(f"{one}:", "") for one in listed(getattr(options, n))], names, ()) for n in MARKS}
     columns, units = (by_table(n, getattr(options, n), names, names) for n in ("columns", "units"))
     where = conditions(options.where.split(";"), names, SIDES[:1])
-    epochs |= {"satellite": options.satellite_epoch, "reference": options.reference_epoch}
     return {
         name: TableOptions(
             columns.get(name, {}),
             units.get(name, {}),
-            epoch=epochs.get(name),
+            epoch=epochs.get(name, {}).get(""),
             extragalactic=name in marked["extragalactic"],
             positions=options.positions if name == "reference" and options.positions != TABLE else None,
             accelerations=None if options.accelerations == TABLE else options.accelerations,
@@ -301,12 +297,12 @@ def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | No
     if kind in ("", "name"):
         pairs += [(a, b) for a in satellite.names for b in reference.names if a != b]
     releases: tuple[str, ...] = ()
-    for a, b in pairs if kind in ("", "name") else ():
+    for a, b in pairs:
         both = satellite.releases.get(a, ""), reference.releases.get(b, "")
-        if all(both) and both[0] != both[1]:
-            pairs, releases = [pair for pair in pairs if pair != (a, b)], releases or both
-    for pair in pairs:
-        matched = _by_name(satellite, reference, pair, strict=kind == pair[0] or pair[0].casefold() in SOURCE_NAMES)
+        if kind in ("", "name") and all(both) and both[0] != both[1]:
+            releases = releases or both
+            continue
+        matched = _by_name(satellite, reference, (a, b), strict=kind == a or a.casefold() in SOURCE_NAMES)
         if len(matched.rows):
             return matched
     if by is None:

@@ -19,15 +19,8 @@ from linksweep.core.tie.astrometry import FURTHER, Astrometry, kinds, named_rows
 from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
-from linksweep.sweep.tables.columns import (
-    ACCELERATIONS,
-    CORRELATIONS,
-    GAIA_MARKS,
-    Columns,
-    column_of,
-    first_found,
-    rows_where,
-)
+from linksweep.sweep.tables import columns as archives
+from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, first_found, rows_where
 from linksweep.sweep.tables.reader import read_table as read_file
 from linksweep.sweep.tie.options import POSITIONS
 
@@ -61,7 +54,9 @@ CALIBRATORS = (0.005, 50.0)
 # Epochs of positions with errors below 10 mas.
 EARLIEST, LATEST = 1970.0, 2060.0
 
-UNITS = dict(zip(PARAMETERS, ("mas", "mas", "mas", "mas/yr", "mas/yr"), strict=True))
+# Of values, and of the errors of positions.
+_SIZES = *["mas"] * 3, *["mas/yr"] * 2, *["mas/yr2"] * 2, *["mas/yr3"] * 2
+UNITS = dict(zip((*PARAMETERS, *ACCELERATIONS), _SIZES, strict=True))
 
 # Of solutions that are not of single stars; in DR3 their positions and motions are averages.
 SOLUTION_TYPE = "nss_solution_type"
@@ -176,7 +171,7 @@ def digest_of(path: Path) -> str:
 
 def columns_needed(names: Sequence[str], options: TableOptions, further: Collection[str] = ()) -> list[str]:
     """Return the columns of a table that hold a quantity, not names, or are among ``further``, in their order."""
-    used = {column_of(quantity, names, options.columns) for quantity in QUANTITIES if quantity != "name"}
+    used = {archives.column_of(quantity, names, options.columns) for quantity in QUANTITIES if quantity != "name"}
     return [name for name in names if name in used or name in further]
 
 
@@ -197,7 +192,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
             read.notes.append(f"no errors of {name}, which counts as not measured")
     read.finish()
     _note_lost(read, np.isfinite(values) & ~np.isfinite(errors))
-    _note_unlikely(read, values, errors)
+    _note_unlikely(read, PARAMETERS, values, errors)
     _note_unequal(read, errors)
     _check_positions(read, values, errors)
     present = np.isfinite(values) & np.isfinite(errors)
@@ -252,7 +247,7 @@ def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Arra
             read.problems.append(
                 f"column {name!r} has rows of {' and '.join(sorted(there))}, each in a frame of its own"
             )
-    if len(there := set(releases_at(epochs)) - {"dr5"}) > 1 and {*read.names} >= GAIA_MARKS:
+    if len(there := set(releases_at(epochs)) - {"dr5"}) > 1 and {*read.names} >= archives.GAIA_MARKS:
         read.problems.append(f"rows have the epochs of {' and '.join(sorted(there))}, each in a frame of its own")
     near = releases_at(epochs)
     release = next(iter(releases.values()), near[0] if len(near) == 1 else "")
@@ -328,9 +323,10 @@ def _note_lost(read: Columns, lost: Flags) -> None:
         )
 
 
-def _note_unlikely(read: Columns, values: Array, errors: Array, quantities: Mapping[str, str] = UNITS) -> None:
+def _note_unlikely(read: Columns, names: Sequence[str], values: Array, errors: Array) -> None:
     """Note numbers of a size that no star and no instrument has, with the likely mistake in their unit."""
-    for (name, unit), value, error in zip(quantities.items(), values, errors, strict=False):
+    for name, value, error in zip(names, values, errors, strict=True):
+        unit = UNITS[name]
         most = np.inf if name in ("ra", "dec") else mistakes.LARGEST[unit]
         if len(beyond := np.flatnonzero((np.abs(value) > most * MAS) & (np.abs(value) > 5.0 * error))):
             what = f"{name} beyond {most:g} {unit}, which no star has"
@@ -382,8 +378,7 @@ def _accelerations(read: Columns, five: Flags, options: TableOptions) -> Array |
         if read.has(f"{name}_error"):
             both[1, k] = _in_radians(read, f"{name}_error", options)
             read.check(both[1, k] < 0.0, f"a negative {name}_error")
-    units = dict(zip(ACCELERATIONS, ("mas/yr2", "mas/yr2", "mas/yr3", "mas/yr3"), strict=True))
-    _note_unlikely(read, both[0], both[1], units)
+    _note_unlikely(read, ACCELERATIONS, *both[:, : len(ACCELERATIONS)])
     there = np.isfinite(both).all(axis=0) & (both[1] > 0.0)
     half = np.any((np.nan_to_num(both) != 0.0).any(axis=0) & ~there, axis=0)
     half |= (there[0] != there[1]) | (there[2] != there[3]) | (there[2] & ~there[0])
@@ -534,8 +529,6 @@ def hipparcos_correlations(elements: Array) -> Array:
     U is stored column by column.  Source: Michalik et al. 2014, A&A 571, A85, appendix B.
     """
     upper = np.zeros((elements.shape[1], 5, 5))
-    places = ((row, column) for column in range(5) for row in range(column + 1))
-    for (row, column), element in zip(places, elements, strict=True):
-        upper[:, row, column] = element
+    upper[:, *np.tril_indices(5)[::-1]] = elements.T
     half = np.linalg.inv(upper)
     return np.asarray(core.by_errors(half @ half.swapaxes(1, 2))[1][*np.array(core.PAIRS).T])
