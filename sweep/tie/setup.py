@@ -561,12 +561,13 @@ def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknow
 
     A note is added if these are not both.  Raises ValueError for unknowns that do not exist.
     """
-    missions, named = list(dict(options.missions)), listed(options.unknowns)
+    missions, named = problem.tables[1:], listed(options.unknowns)
     of_missions = [name for name in named if name.partition(":")[0] in missions]
     names = [name for name in named if name not in of_missions]
     if not names:
         here = np.flatnonzero(problem.rows.frame == 0)
-        plain = replace(problem, rows=problem.rows.taken(here), source=problem.source[here])
+        rows, source = problem.rows.taken(here), problem.source[here]
+        plain = replace(problem, rows=rows, source=source, tables=problem.tables[:1])
         names = _determined(plain)
         if names == ["orientation"] and _determine(plain, ["spin"]):
             years = np.nanmedian(np.where(plain.rows.present[0], plain.rows.epoch, np.nan)) - problem.epoch
@@ -583,14 +584,14 @@ def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknow
     names += of_missions
     for mission in missions:
         if not any(name.startswith(f"{mission}:") for name in of_missions):
-            names += _determined(problem, names, mission, missions)
+            names += _determined(problem, names, mission)
     bins = parse_bins(options.bins)
     return parse_unknowns(",".join(names), bins if options.bins else None, problem.satellite.columns, missions=missions)
 
 
-def _determine(problem: Problem, names: Sequence[str], missions: Sequence[str] = ()) -> bool:
+def _determine(problem: Problem, names: Sequence[str]) -> bool:
     """Return whether the rows determine some unknowns together."""
-    unknowns = parse_unknowns(",".join(names), missions=missions)
+    unknowns = parse_unknowns(",".join(names), missions=problem.tables[1:])
     trial = sources_of(replace(problem, unknowns=unknowns, weights="covariance"))
     try:
         trial.solve(np.ones(len(problem.satellite)))
@@ -599,13 +600,11 @@ def _determine(problem: Problem, names: Sequence[str], missions: Sequence[str] =
     return True
 
 
-def _determined(
-    problem: Problem, beside: Sequence[str] = (), mission: str = "", missions: Sequence[str] = ()
-) -> list[str]:
+def _determined(problem: Problem, beside: Sequence[str] = (), mission: str = "") -> list[str]:
     """Return those of orientation and spin, of the satellite or a mission, that rows determine together with others."""
     for blocks in (("orientation", "spin"), ("orientation",), ("spin",)):
         names = [f"{mission}:{block}" if mission else block for block in blocks]
-        if _determine(problem, [*beside, *names], missions):
+        if _determine(problem, [*beside, *names]):
             return names
     frame = f"the frame of {mission}" if mission else "the satellite's frame"
     raise LinkError(f"the tables determine neither the orientation nor the spin of {frame}")
