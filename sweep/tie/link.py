@@ -416,7 +416,7 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "clip": link.clip,
         "weights": problem.weights,
         "matched_by": setup.matched.by,
-        "rows_unmatched": len(setup.matched.unmatched),
+        "rows_unmatched": np.count_nonzero(setup.matched.place < 0),
         **setup.attributes(),
         "missions": {name: setup.tables[name].path for name in problem.tables[1:]},
         "missions_sha256": {name: setup.tables[name].digest for name in problem.tables[1:]},

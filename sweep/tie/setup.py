@@ -4,7 +4,7 @@ done to the rows, and the unknowns; of a Parquet table of millions of quasars on
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,6 @@ FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
 SAME_EPOCH_YR = 0.005
 
 _NO_NAME = ("", "--", "nan")
-_NONE = np.zeros(0, dtype=np.int64)
 
 
 # ---- what options say of tables
@@ -186,7 +185,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     for frame, (name, path) in enumerate({SIDES[1]: str(reference), **missions}.items()):
         if not frame and path == ZERO_MOTION:
             table = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
-            matched = Match(np.arange(n), np.arange(n), EVERY_SOURCE)
+            matched = Match(np.arange(n), EVERY_SOURCE, np.full(n, -1))
             rows = table.astrometry
         else:
             table = read_table(Path(path), how[name])
@@ -269,18 +268,25 @@ def default_epoch(epochs: Array) -> float:
 
 @dataclass(frozen=True)
 class Match:
-    """The rows that were matched (R,), the source of the satellite for each (R,), how they were matched, the rows left
-    over, those for which several sources were within the radius, so that the nearest was taken, and the second nearest.
-    ``releases`` are those of Gaia whose identifiers the two tables have, where they differ.
+    """The source of the satellite for each row of a table (N,), -1 for none; how they were matched; the second nearest
+    source (N,) where several were within the radius, so that the nearest was taken, else -1.  ``releases`` are those of
+    Gaia whose identifiers the two tables have, where they differ.
     """
 
-    rows: Indices
-    source: Indices
+    place: Indices
     by: str
-    unmatched: Indices = field(default_factory=_NONE.copy)
-    ambiguous: Indices = field(default_factory=_NONE.copy)
-    rivals: Indices = field(default_factory=_NONE.copy)
+    second: Indices
     releases: tuple[str, ...] = ()
+
+    @cached_property
+    def rows(self) -> Indices:
+        """The rows that were matched (R,)."""
+        return np.flatnonzero(self.place >= 0)
+
+    @cached_property
+    def source(self) -> Indices:
+        """The source of each of these (R,)."""
+        return self.place[self.rows]
 
 
 def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | None = None) -> Match:
@@ -316,18 +322,16 @@ def _by_name(satellite: AstrometricTable, reference: AstrometricTable, pair: tup
     """Match by two columns; a name that the satellite has twice is an error if ``strict``, else nothing matches."""
     column, other = pair
     names, wanted = ([n.casefold() for n in t.names[c]] for t, c in zip((satellite, reference), pair, strict=True))
-    place = {name: i for i, name in enumerate(names) if name not in _NO_NAME}
-    rows = np.array([i for i, name in enumerate(wanted) if name in place], dtype=np.int64)
-    used = {wanted[i] for i in rows}
-    if twice := {satellite.names[column][i] for i, name in enumerate(names) if name in used and place[name] != i}:
+    known = {name: i for i, name in enumerate(names) if name not in _NO_NAME}
+    place = np.array([known.get(name, -1) for name in wanted], dtype=np.int64)
+    used = {name for name in wanted if name in known}
+    if twice := {satellite.names[column][i] for i, name in enumerate(names) if name in used and known[name] != i}:
         if strict:
             raise SweepError(
                 f"{column} {', '.join(sorted(twice)[:5])} occurs more than once in the table", satellite.path
             )
-        rows = rows[:0]
-    source = np.array([place[wanted[i]] for i in rows], dtype=np.int64)
-    how = column if column == other else f"{column} = {other}"
-    return Match(rows, source, how, np.setdiff1d(np.arange(len(wanted)), rows))
+        place[:] = -1
+    return Match(place, column if column == other else f"{column} = {other}", np.full(len(place), -1))
 
 
 def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radius_text: str) -> Match:
@@ -342,20 +346,16 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
     if len(without := np.flatnonzero(~np.isfinite(rows.values[:2]).all(axis=0))):
         raise SweepError(f"match by position: no position in {named_rows(without)}; match by name", reference.path)
     chord = 2.0 * np.sin(0.5 * radius * ARCSEC)
-    place, several, second = np.full(len(rows), -1), np.zeros(len(rows), dtype=bool), np.full(len(rows), -1)
+    place, second = np.full((2, len(rows)), -1)
     epochs = np.where(np.isfinite(rows.epoch), rows.epoch, np.inf)
     for epoch in np.unique(epochs):  # the sources move, so that each epoch has a tree of its own
         at = np.flatnonzero(epochs == epoch)
         tree = cKDTree(_directions(sources, np.full(len(sources), epoch)).T)
         distance, nearest = map(np.asarray, tree.query(triad(*rows.values[:2, at]).r.T, k=2))
-        place[at] = np.where(distance[:, 0] <= chord, nearest[:, 0], -1)
-        several[at], second[at] = distance[:, 1] <= chord, nearest[:, 1]
-    matched = np.flatnonzero(place >= 0)
-    if not len(matched):
+        place[at], second[at] = np.where(distance <= chord, nearest, -1).T
+    if np.all(place < 0):
         raise SweepError(f"no row of the reference is within {radius:g} arcsec of a source", reference.path)
-    how = f"position within {radius:g} arcsec"
-    ambiguous = np.flatnonzero(several)
-    return Match(matched, place[matched], how, np.flatnonzero(place < 0), ambiguous, second[ambiguous])
+    return Match(place, f"position within {radius:g} arcsec", second)
 
 
 def _directions(sources: Astrometry, epoch: Array) -> Array:
@@ -417,21 +417,21 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
     """Return notes on rows that match no source, several, or the same one with the same numbers; ``rows`` are those
     that were matched.
     """
-    total, name, notes = len(table.astrometry), Path(table.path).name, []
+    name, notes = Path(table.path).name, []
     if matched.releases:
         notes.append(
             f"identifiers of {' and '.join(matched.releases)} are different names; stars are named as in {name}"
         )
     if rows.further is not None:
         notes.append(f"accelerations in {name} are not compared: its rows are of their epochs")
-    if number := len(matched.unmatched):
-        notes.append(f"{number} of {total} rows of {name} match no source: {_listed(table, matched.unmatched)}")
+    if len(left := np.flatnonzero(matched.place < 0)):
+        notes.append(f"{len(left)} of {len(matched.place)} rows of {name} match no source: {_listed(table, left)}")
     exact, nearly = _repeated(matched, rows)
-    nearest = matched.source[np.searchsorted(matched.rows, matched.ambiguous)]
-    both = zip(nearest[:5], matched.rivals[:5], strict=True)
+    ambiguous = np.flatnonzero(matched.second >= 0)
+    both = zip(matched.place[ambiguous][:5], matched.second[ambiguous][:5], strict=True)
     pairs = ", ".join(" and ".join(_listed(satellite, np.array([k])) for k in pair) for pair in both)
     for numbers, what in (
-        (matched.ambiguous, f"several sources are within the radius ({pairs}); the nearest is taken"),
+        (ambiguous, f"several sources are within the radius ({pairs}); the nearest is taken"),
         (exact, "the same numbers as another row of the source; all are used"),
         (nearly, "nearly the numbers of another row of the source; one measurement that is there twice counts twice"),
     ):
@@ -722,7 +722,7 @@ def set_up_row_groups(
     problem = Problem(stars, zero_motion(n), numbers[:-1], unknowns, epoch, options.weights)
     left = AstrometricTable(str(satellite), digest, stars, {})
     right = AstrometricTable(ZERO_MOTION, "", problem.rows, {})
-    matched = Match(numbers[:-1], numbers[:-1], EVERY_SOURCE)
+    matched = Match(numbers[:-1], EVERY_SOURCE, np.broadcast_to(-1, n))
     said.append(f"read in {len(groups)} row groups; sources are named by their row numbers")
     whole = Setup(dict(zip(SIDES, (left, right), strict=True)), matched, problem, numbers[1:], tuple(said))
     return whole, StreamedSources(unknowns.labels, problems, [group.first for group in groups], n, run)
