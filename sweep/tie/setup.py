@@ -695,16 +695,15 @@ def set_up_row_groups(
         for number, size in enumerate(sizes)
         if size
     ]
-    values = np.zeros((5, n)) if per_source else np.broadcast_to(np.nan, (5, n))  # takes no memory
+    looks = run(look_through, ((group, per_source) for group in groups))
+    samples, epochs, places, notes = zip(*looks, strict=True)
+    values = np.broadcast_to(np.nan, (5, n))  # takes no memory
+    if per_source:
+        values = np.zeros((5, n))
+        values[:2] = np.concatenate(places, axis=1)
     noted: dict[str, int] = {}
-    samples, epochs = [], []
-    for group, look in zip(groups, run(look_through, ((group, per_source) for group in groups)), strict=True):
-        sample, different, places, notes = look
-        samples.append(sample)
-        epochs.append(different)
-        if places is not None:
-            values[:2, group.first : group.first + places.shape[1]] = places
-        for note in notes:
+    for group, some in zip(groups, notes, strict=True):
+        for note in some:
             noted.setdefault(note, group.first)
     epoch = options.epoch
     if epoch is None:
