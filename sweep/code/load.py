@@ -82,10 +82,7 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
                     todo.append(imported)
         self.digest = digest_of(repr(sorted(self.contents.items())))
         self.package = reach.PREFIX + digest_of(f"{path} {self.digest}")
-        # Folders count as packages, with or without a file __init__.py.
-        folders = {name[: dot.start()] for name in files for dot in re.finditer(r"\.", name)} | {""}
-        inits = {name: str(path.parent.joinpath(*name.split("."), "__init__.py")) for name in folders}
-        self.files = {f"{self.package}.{name}".strip("."): file for name, file in {**inits, **files}.items()}
+        self.files = {f"{self.package}.{name}": file for name, file in files.items()}
 
     def module(self) -> ModuleType:
         """Return the module of the file, executed once; raises whatever it raises."""
@@ -95,19 +92,19 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> importlib.machinery.ModuleSpec | None:
         """Return how Python loads a module of the package."""
-        file = self.files.get(fullname, "")
-        loader = self if file.endswith(".py") else None  # Python's own
-        inside: list[str] | None = [] if file.endswith("__init__.py") else None
-        options: dict[str, Any] = {"loader": loader, "submodule_search_locations": inside}
-        return importlib.util.spec_from_file_location(fullname, file, **options) if file else None
+        if (file := self.files.get(fullname)) is None:  # a folder with modules, or of others
+            is_package = any(known.startswith(f"{fullname}.") for known in self.files)
+            return importlib.machinery.ModuleSpec(fullname, None, is_package=True) if is_package else None
+        loader, inside = self if file.endswith(".py") else None, [] if file.endswith("__init__.py") else None
+        return importlib.util.spec_from_file_location(fullname, file, loader=loader, submodule_search_locations=inside)
 
     def exec_module(self, module: ModuleType) -> None:
         """Execute a module of the package."""
         name, place = module.__name__.partition(".")[2], str(module.__file__)
-        tree = ast.parse(self.contents.get(name, b""), place)
+        tree = ast.parse(self.contents[name], place)
         # A file random.py may import Python's module random, as it does where it is run as a script.
         own = "" if place.endswith("__init__.py") else name
-        local = {known.split(".")[1] for known in self.files if "." in known} - {own}
+        local = {known.split(".")[1] for known in self.files} - {own}
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 for alias in [one for one in node.names if one.name.partition(".")[0] in local]:

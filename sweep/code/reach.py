@@ -62,7 +62,9 @@ PYTHONS = ("__", "_abc_", "_value2member_map_")
 
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 IMPORTS = (ast.Import, ast.ImportFrom)
-DESCRIPTORS = (staticmethod, classmethod, property, functools.cached_property)
+DESCRIPTORS = (staticmethod, classmethod, property, functools.cached_property, np.vectorize)
+# What such objects, and wrappers of libraries, have besides caches.
+WRAPPED = ("__func__", "fget", "fset", "fdel", "func", "pyfunc", "otypes", "signature", "__wrapped__")
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 Names = Mapping[str, Any]
@@ -159,6 +161,7 @@ class Reach:
             self._keep(f"value {name}", self._refer(name, value, {}))
         for add, *what in self._todo:  # which grows meanwhile
             add(*what)
+        self.unnoticed.pop("", None)  # of wrappers that libraries made
         texts = {label: ", ".join(sorted(some)) for label, some in self._texts.items()}
         self.parts = {k: v if len(v) <= LONGEST and v.isprintable() else digest_of(v) for k, v in texts.items()}
 
@@ -241,7 +244,7 @@ class Reach:
         known[id(value)] = value, text
         return text
 
-    def _pieces(self, value: Any) -> Iterable[Any]:  # noqa: PLR0911 (one for each kind)
+    def _pieces(self, value: Any) -> Iterable[Any]:
         """Return what makes an object, without what code changes; raises any exception where that is not known."""
         import cloudpickle  # which takes apart what pickle cannot
 
@@ -250,14 +253,10 @@ class Reach:
             return chain.from_iterable(value.items()) if kind is dict else iter(value)
         if kind is np.ndarray and value.dtype.kind not in "OV":
             return value.dtype.str, value.shape, digest_of(value.tobytes())
-        if isinstance(value, DESCRIPTORS):
-            return [getattr(value, name, None) for name in ("__func__", "fget", "fset", "fdel", "func")]
-        if isinstance(value, np.vectorize):  # whose other attributes are caches
-            return value.pyfunc, value.otypes, value.signature
-        # A wrapper of a library, such as a cache; a method has the attributes of its function, but also an object.
-        is_library = distributions_of(kind.__module__) is not None
-        if is_library and callable(value) and hasattr(value, "__wrapped__") and kind is not MethodType:
-            return (value.__wrapped__,)
+        # A wrapper of a library, whose other attributes may be caches.
+        wraps = distributions_of(kind.__module__) is not None and callable(value) and hasattr(value, "__wrapped__")
+        if isinstance(value, DESCRIPTORS) or (wraps and kind not in (MethodType, functools.partial)):
+            return [getattr(value, name, None) for name in WRAPPED]
         if isinstance(value, UNSTEADY) or value is os.environ or (kind is np.ufunc and "vectorized" in value.__name__):
             raise TypeError("not the same from call to call, or made by frompyfunc, which does not tell of what")
         reduce = cloudpickle.Pickler.dispatch_table.get(kind)
@@ -330,7 +329,8 @@ class Reach:
         if nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {code.co_firstlineno}"
             if function.__name__ not in MAKING:
-                self._changes.append((function.__name__, {name for node in nodes for name in _changes(node)}))
+                changes = [name for node in nodes for name in _changes(node)]
+                self._changes.append((function.__name__, {home_of(one, names, names.get(one))[0] for one in changes}))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
             self.unnoticed[label] = "function without source"
         text += self._text(nodes, names, function)
