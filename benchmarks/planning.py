@@ -45,7 +45,7 @@ def document(name: str, n: int) -> dict[str, object]:
 
 def plan(name: str, n: int) -> None:
     """Plan one study as `sweep plan` does, and print what it took."""
-    from linksweep.sweep.code.load import load_experiment
+    from linksweep.sweep.code import load_experiment
     from linksweep.sweep.running.run import plan_study
     from linksweep.sweep.studies.reader import study_from_dict
 

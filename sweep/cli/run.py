@@ -670,7 +670,7 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     sweep new mine
     sweep new mine my_experiment.py:experiment
     """
-    from linksweep.sweep.code.load import load_experiment
+    from linksweep.sweep.code import load_experiment
     from linksweep.sweep.contract import shown
     from linksweep.sweep.stores.location import Folder
     from linksweep.sweep.studies.new import new_study
@@ -706,7 +706,7 @@ def params(
     sweep params my_experiment.py:experiment
     sweep params --schema > study.schema.json
     """
-    from linksweep.sweep.code.load import load_experiment
+    from linksweep.sweep.code import load_experiment
     from linksweep.sweep.studies import built_in_studies
     from linksweep.sweep.studies.new import study_schema
 

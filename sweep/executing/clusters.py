@@ -31,7 +31,7 @@ from pydantic import BaseModel, BeforeValidator, Field, ValidationError, model_v
 from threadpoolctl import threadpool_limits
 from tornado.ioloop import PeriodicCallback
 
-from linksweep.sweep.code.load import provide, sendable, source_digest
+from linksweep.sweep.code import provide, sendable, source_digest
 from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.executing.executor import KEEP_BYTES, ONE_THREAD, Children
 from linksweep.sweep.executing.pools import Limits, Place, Resources, available_cores

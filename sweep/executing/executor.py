@@ -25,7 +25,7 @@ from typing import IO, Any
 
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code import load
+from linksweep.sweep.code import load_experiment, new_process, provide, sendable, source_digest
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.pools import DEFAULT_POOL, NO_LIMITS, Limits, Place, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, PointBlock, Task, TaskResult
@@ -85,7 +85,7 @@ class Children:
         expected: Identity | None = None,
     ) -> None:
         self._reference, self._limits, self._expected = reference, limits, expected
-        self._digest = digest or load.source_digest(reference)
+        self._digest = digest or source_digest(reference)
         self._forked = forked and _may_be_forked()
         self._children: list[_Child] = []
         self._number = number
@@ -107,7 +107,7 @@ class Children:
             for _ in range(number):
                 started.append(_Child(self._forked))
             if not self._forked:
-                code = load.sendable(self._reference, self._digest), self._reference, self._digest
+                code = sendable(self._reference, self._digest), self._reference, self._digest
                 expected = self._expected or Identity.here(self._reference, self._digest)
                 for child in started:  # all of them import at the same time
                     child.prepare(code, expected)
@@ -288,7 +288,7 @@ class _Child:
         else:
             start = f"from linksweep.sweep.executing.executor import compute_anew; compute_anew({theirs.fileno()})"
             files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
-            self.process = load.new_process(start, **files, pass_fds=[theirs.fileno()])
+            self.process = new_process(start, **files, pass_fds=[theirs.fileno()])
         theirs.close()
 
     def prepare(self, code: tuple[Any, str, str | None], expected: Identity) -> None:
@@ -378,7 +378,7 @@ def compute_anew(number: int) -> None:
     channel = Connection(number)
     sources, reference, digest = channel.recv()
     if sources is not None:
-        load.provide(sources)
+        provide(sources)
     try:
         channel.send(Identity.here(reference, digest))
     except SweepError as error:
@@ -426,7 +426,7 @@ def _results(deadlines: Deadlines, task: Task | Call, careful: bool) -> Iterator
         return
     sent = time.monotonic()
     enough = sent + max(ENOUGH_S, task.enough_s)
-    experiment = load.load_experiment(task.experiment_reference, digest=task.source_digest)
+    experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
     split = careful and (experiment.vectorised or takes_several(experiment, task))
     tasks = [replace(task, units=(unit,)) for unit in task.units] if split else [task]
     ready: list[TaskResult] = []

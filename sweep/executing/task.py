@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
-from linksweep.sweep.code.load import code_of, load_experiment, source_digest
-from linksweep.sweep.code.reach import version_of
+from linksweep.sweep.code import code_of, load_experiment, source_digest, version_of
 from linksweep.sweep.contract import Block, NotFiniteError, Outcome, ResultError, SweepError
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.planning.plan import Work

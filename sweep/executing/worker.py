@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.code.load import load_experiment
+from linksweep.sweep.code import load_experiment
 from linksweep.sweep.contract import Experiment, Outcome, Point, SweepError, shown
 from linksweep.sweep.executing.task import Call, Captured, Failure, PointBlock, Task, TaskResult, TimeLimitError
 from linksweep.sweep.functions.results import layout_differences, same_value

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from linksweep.sweep.code import load
+from linksweep.sweep.code import code_differences, code_of
 from linksweep.sweep.contract import DIGEST_BYTES, SweepError
 from linksweep.sweep.stores.store import CODE, Store
 from linksweep.sweep.studies.study import Study
@@ -21,8 +21,8 @@ def records_of(attributes: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def differences_of_code(records: Sequence[Mapping[str, Any]], study: Study) -> list[str]:
     """Say how a study's code differs from that of the last of some records; nothing where there is none."""
-    now = load.code_of(study.experiment_reference, study.experiment) if records else {}
-    return [text for one in records[-1:] for text in load.code_differences(one["code"], now, "in the store", "now")]
+    now = code_of(study.experiment_reference, study.experiment) if records else {}
+    return [text for one in records[-1:] for text in code_differences(one["code"], now, "in the store", "now")]
 
 
 def rows_of_other_code(store: Store, study: Study) -> list[range]:
@@ -61,7 +61,7 @@ def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
     for sentence in changes:
         say(f"other code goes on with {store.location}: {sentence}")
     if changes or not records:
-        code = load.code_of(study.experiment_reference, study.experiment)
+        code = code_of(study.experiment_reference, study.experiment)
         records.append({"first_row": rows if records else 0, "code": code})
     if records[-1]["code"] or CODE in store.attributes:  # linksweep's own experiments are known by their version
         store.record({CODE: json.dumps(records)})

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.code.load import code_differences
+from linksweep.sweep.code import code_differences
 from linksweep.sweep.contract import DIGEST_BYTES, Experiment, SweepError, converted, lost_integers, same_rows
 from linksweep.sweep.executing.task import DECIDING
 from linksweep.sweep.formatting import host, now

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code.load import Code, file_of
+from linksweep.sweep.code import Code, file_of
 from linksweep.sweep.contract import ResultError, Status, SweepError, shown, suggest
 from linksweep.sweep.executing.executor import Children
 from linksweep.sweep.executing.task import Task, TaskResult

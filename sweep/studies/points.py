@@ -21,8 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from linksweep.sweep.code.load import Code
-from linksweep.sweep.code.reach import reach_of
+from linksweep.sweep.code import Code, reach_of
 from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, nearest, shown, suggest
 from linksweep.sweep.contract.declaration import LABEL, factor_between, is_quantity, name_problem
 from linksweep.sweep.formatting import first_of

@@ -17,7 +17,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from linksweep.sweep.code.load import Code, absolute_reference, keep
+from linksweep.sweep.code import Code, absolute_reference, keep
 from linksweep.sweep.contract import DefinitionError, Experiment, Function, Named, SweepError, Value, shown, suggest
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.functions.adapter import is_plain_function, name_of

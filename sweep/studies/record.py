@@ -9,8 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from linksweep.sweep.code.load import Code, SourceFunction
-from linksweep.sweep.code.reach import version_of
+from linksweep.sweep.code import Code, SourceFunction, version_of
 from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, shown
 from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import linksweep
-from linksweep.sweep.code.reach import PREFIX
+from linksweep.sweep.code import PREFIX
 from tests.sweep.layouts import ENDS, LINKS, Layout
 from tests.sweep.opening import files_of
 from tests.sweep.user import write_experiment, write_study

@@ -1,1 +1,0 @@
-"""The user's code: loads it (`load`, `files`), and says what it is (`reach`)."""
