@@ -44,10 +44,10 @@ def test_every_study_has_a_picture_without_options(dataset_of, name, panels, alo
     assert len(figure._repr_png_()) > 10_000  # as a notebook shows it
 
 
-def test_incomplete_stores_say_so_in_the_title(dataset_of):
-    dataset = dataset_of("sqrt-n")
-    dataset["status"][2], dataset["sigma_spin"][2] = 0, np.nan
-    assert "INCOMPLETE: 6 of 7 points are done, 1 " in linksweep.plot(dataset, "lines").get_suptitle()
+def test_incomplete_stores_say_so_in_the_title(coin_store):
+    dataset = linksweep.open(coin_store).load()
+    dataset["status"][0, 2], dataset["share"][0, 2] = 0, np.nan
+    assert "INCOMPLETE: 5 of 6 points are done, 1 " in linksweep.plot(dataset, "lines").get_suptitle()
 
 
 def test_lines_have_points_with_errors_prediction_and_published_values(dataset_of):

@@ -78,7 +78,7 @@ def test_what_is_missing_is_said_and_does_not_count():
 @pytest.mark.parametrize("undone", [Status.MISSING, slow(Status.FAILED)])
 def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
     """Neither on a page nor in a notebook, a caption or a terminal."""
-    dataset = dataset_of("algorithm")
+    dataset = dataset_of("quasars")
     values = {name: array * np.nan for name, array in dataset.data_vars.items() if array.dtype.kind == "f"}
     status = dataset["status"] * 0 + undone
     nothing = dataset.assign(values | {"status": status}).assign_attrs(complete=0)

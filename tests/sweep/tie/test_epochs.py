@@ -362,7 +362,7 @@ MISTAKES = {
 }
 
 
-QUICK = {"times in years", "times 1.5 years late", "angles reversed", "errors in uas", "parallax", "one star's angles"}
+QUICK = {"times in years", "times 1.5 years late", "errors in uas"}
 
 
 @pytest.mark.parametrize("mistake", [m if m in QUICK else slow(m) for m in MISTAKES])
@@ -486,10 +486,10 @@ def shifts(seed, models, folder, bend=0.2):
     return [((link.estimate - truth) / link.error).values for link in (wrong, right)]
 
 
-@pytest.mark.parametrize("number", [2, slow(200)])
-def test_a_star_that_accelerates_does_not_bias_the_link(tmp_path, number):
+@pytest.mark.slow
+def test_a_star_that_accelerates_does_not_bias_the_link(tmp_path):
     """The five parameters of its row do, by several errors: in one direction, because its acceleration is the same."""
-    models = ["7", "5", "5", "5", "9", "5"]
+    models, number = ["7", "5", "5", "5", "9", "5"], 200
     wrong, right = np.moveaxis([shifts(seed, models, tmp_path) for seed in range(number)], 1, 0)
     assert np.sqrt(np.mean(wrong**2)) > 5.0
     assert np.sqrt(np.mean(right**2)) == pytest.approx(1.0, abs=1.5 / np.sqrt(number))
