@@ -55,11 +55,9 @@ def computes(point):
     [
         {},
         {"satellite_errors": "none"},
-        {"satellite_errors": "normal", "reference_errors": "normal", "reference_error_scale": 0.0},
         {"satellite_errors": "normal", "satellite_sigma_pm": 0.0, "reference_errors": "normal"},
         {"model": "gaia-2001", "v_max": 21.0},
         {"catalogue": "quasars", "n_obj": None, "v_max": 16.3, "v_min": 14.7, "counts": "completed"},
-        {"catalogue": "galaxies", "v_min": 12.0, "n_obj": None},
         {"catalogue": "quasars", "n_obj": 1000, "v_max": 16.5, "counts": "completed"},
         {"catalogue": "galaxies", "v_max": 11.0, "aberration": True},
         {"catalogue": "radio-stars", "positions": "own", "reference_errors": "catalogue"},
@@ -68,7 +66,6 @@ def computes(point):
         {"solve_glide": True, "aberration": True, "reference_errors": "normal", "corrections": False},
         {"directions": "random", "epsilon_size": 5.0, "omega_size": 0.0},
         {"method": "projected", "solve_glide": True, "weighting": "equal", "reference_errors": "normal"},
-        {"method": "projected", "n_obj": 2, "weighting": "equal"},
         {"method": "projected", "satellite_errors": "none"},
     ],
 )
@@ -83,7 +80,6 @@ BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
     ("changes", "problem"),
     [
         ({"catalogue": "quasars", "v_max": 12.0}, "v_max = 12 mag is outside the quasar counts"),
-        ({"catalogue": "quasars", "v_max": 20.01, "counts": "completed"}, "v_max = 20.01 mag is outside the quasar"),
         ({"catalogue": "quasars", "n_obj": 89, "v_max": 15.0}, "n_obj = 89: only 88 quasars are brighter than v_max"),
         ({"n_obj": None}, "n_obj: "),
         ({"v_max": 5.0}, "v_max = 5 mag: "),
@@ -93,7 +89,6 @@ BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
         ({"catalogue": "radio-stars", "aberration": True}, "aberration: "),
         ({"catalogue": "radio-stars", "n_obj": None, **BOTH}, "reference_errors and satellite_errors"),
         ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': "),
-        ({"satellite_errors": "normal", "satellite_sigma_pm": 1e-10}, "errors of 1 mas and 1e-10 mas/yr: must be from"),
         ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
         ({"mission_length": 5e-324}, "errors of inf mas and inf mas/yr: must be from"),
         ({"model": "gaia-2001", "v_max": 21.5}, "v_max = 21.5 mag: the curve of 'gaia-2001' ends at 21 mag"),
@@ -188,9 +183,7 @@ def test_what_is_unused_really_changes_nothing_and_the_rest_of_a_catalogue_somet
     ("fixed", "sentence"),
     [
         ({"motion_field": "t_2"}, "motion_field = 't_2': 't_2' is no vector spherical harmonic; those are t_L_0"),
-        ({"motion_field": "t_2_3_re"}, "'t_2_3_re' is no vector spherical harmonic"),
         ({"motion_field": "t_51_0"}, "degrees L = 1 to 50"),
-        ({"motion_field": "t_2_0=nan"}, "t_2_0 = 'nan': must be a number"),
         ({"motion_field": "t_2_0=0"}, "no harmonic with a coefficient that is not zero"),
         ({"motion_field": "t_2_0,t_2_0"}, "t_2_0 twice"),
         ({"mean_pm": 5.0, "catalogue": "quasars"}, "mean_pm = 5.0 changes nothing"),

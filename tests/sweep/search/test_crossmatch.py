@@ -177,14 +177,6 @@ def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c,
     assert placed(again, other_stars, others) == placed(matches, stars, catalogues)
 
 
-def test_of_two_stars_the_closer_one_is_taken_and_the_other_galaxy_gets_what_is_left():
-    stars = positions([0.0, 2.0 / 3600.0], [0.0, 0.0])
-    galaxies = positions([1.5 / 3600.0, 4.0 / 3600.0], [0.0, 0.0])  # offsets: s0-g0 1.5", s1-g0 0.5", s1-g1 2"
-    matches = cross_match(stars, no_supplement(stars), [catalogue(galaxies, 5.0)])
-    assert (matches["star"].tolist(), matches["entry"].tolist()) == ([0, 1], [1, 0])
-    assert matches.reasons["rival"].all()
-
-
 @pytest.mark.parametrize(
     ("catalogues", "merge", "labels", "identifiers"),
     [
