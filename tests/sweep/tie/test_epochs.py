@@ -20,6 +20,7 @@ from linksweep.core.tie.astrometry import bends
 from linksweep.sweep.tie.tables import built_in
 from tests.core.tie.made import DEGREE, MAS, NAMES, PAIRS, gaia_table, parallax_factors, propagated, seen_by_satellite
 from tests.core.tie.made import stars as made_stars
+from tests.sweep.tie.test_against_least_squares import turned
 from tests.tiers import examples, slow
 
 EPSILON, OMEGA = np.array([0.4, -0.3, 0.5]) * MAS, np.array([-0.05, 0.06, 0.04]) * MAS
@@ -197,51 +198,44 @@ def with_every_parameter(link, sky, models):
 
     The rows are as the link has them, differences from the paths without it.
     """
-    n, k = len(models), 6
-    sizes = [PARAMETERS[model] + 1 for model in models]
-    starts = k + np.concatenate([[0], np.cumsum(sizes)])
-    free = [
-        np.r_[0:5, {"5": [], "7": [5, 6], "9": [5, 6, 7, 8], "orbit": [9]}[model], 10].astype(int) for model in models
-    ]
-    blocks, right = [], []
-    alone = []
-    for s in range(n):
-        a, y, sigma = sky.design[s][:, free[s]] / sky.errors[s][:, None], sky.values[s] / sky.errors[s], sky.errors[s]
-        prior = np.zeros((1, sizes[s]))
-        prior[0, -1] = 1.0 / 0.085e-3
-        a, y = np.vstack([a, prior]), np.append(y, 0.0)
-        found = (
-            np.linalg.lstsq(a * np.r_[np.ones(sizes[s] - 1), 1e-4], y, rcond=None)[0]
-            * np.r_[np.ones(sizes[s] - 1), 1e-4]
-        )
+    further = {"5": [], "7": [5, 6], "9": [5, 6, 7, 8], "orbit": [9]}
+    free = [np.array([*range(5), *further[model], 10]) for model in models]
+    scale = np.ones(6 + 11 * len(models))
+    scale[16::11] = 1e-4  # of colours
+    blocks, right, alone = [], [], []
+
+    def add(s, of_frame, of_star, values, errors):
+        """Add rows of a star; a star's own parameters are from what its observations say."""
+        block = np.zeros((len(values), len(scale)))
+        block[:, :6], block[:, 6 + 11 * s : 17 + 11 * s] = of_frame, of_star
+        blocks.append(block * scale / errors[:, None])
+        right.append(values / errors)
+
+    for s, used in enumerate(free):
+        a, y = np.vstack([sky.design[s], np.eye(11)[10]]), np.append(sky.values[s], 0.0)
+        errors, unit = np.append(sky.errors[s], 0.085e-3), scale[6 + used]
+        found = np.zeros(11)
+        found[used] = unit * np.linalg.lstsq(a[:, used] * unit / errors[:, None], y / errors, rcond=None)[0]
         alone.append(found)
-        block = np.zeros((len(y), starts[-1]))
-        block[:, starts[s] : starts[s + 1]] = a
-        blocks.append(block)
-        right.append(y - a @ found)
+        add(s, 0.0, a, y - a @ found, errors)
     for r, s in enumerate(link.row_source_index.values):
         ra, dec = np.radians([link.ra.values[s], link.dec.values[s]])
-        turn = np.array(
-            [[-np.cos(ra) * np.sin(dec), -np.sin(ra) * np.sin(dec), np.cos(dec)], [np.sin(ra), -np.cos(ra), 0]]
-        )
-        years = link.row_epoch.values[r] - EPOCH
+        turn, years = turned(ra, dec), link.row_epoch.values[r] - EPOCH
         bend = bends(np.array([years]), ORBIT[:, None])[0, :2]
         factors = parallax_factors(np.array([ra]), np.array([dec]), link.row_epoch.values[[r]])
-        partials = np.hstack([np.eye(2), factors, years * np.eye(2), bend, np.zeros((2, 1))])[:, free[s]]
-        block = np.zeros((2, starts[-1]))
-        block[:, :6], block[:, starts[s] : starts[s + 1]] = np.hstack([turn, years * turn]), partials
+        partials = np.hstack([np.eye(2), factors, years * np.eye(2), bend, np.zeros((2, 1))])
         errors = np.array([sky.vlbi["ra_error"][r], sky.vlbi["dec_error"][r]])
-        blocks.append(block / errors[:, None])
-        right.append(link.difference.values[r, :2] / errors)
-    matrix, right = np.concatenate(blocks), np.concatenate(right)
-    scale = np.ones(starts[-1])
-    scale[starts[1:] - 1] = 1e-4
-    found, *_ = np.linalg.lstsq(matrix * scale, right, rcond=None)
-    covariance = np.linalg.inv((matrix * scale).T @ (matrix * scale)) * scale * scale[:, None]
-    squares = np.sum((right - matrix * scale @ found) ** 2)
-    paths = [one + (found * scale)[starts[s] : starts[s + 1]] for s, one in enumerate(alone)]
-    sigma = [np.sqrt(np.diag(covariance))[starts[s] : starts[s + 1]] for s in range(n)]
-    return found[:6], covariance[:6, :6], squares, paths, sigma, free
+        add(s, np.hstack([turn, years * turn]), partials, link.difference.values[r, :2], errors)
+    at = np.concatenate([np.arange(6), *(6 + 11 * s + used for s, used in enumerate(free))])
+    matrix, right = np.concatenate(blocks)[:, at], np.concatenate(right)
+    found, covariance = np.zeros(len(scale)), np.zeros(2 * scale.shape)
+    found[at] = scale[at] * np.linalg.lstsq(matrix, right, rcond=None)[0]
+    covariance[np.ix_(at, at)] = np.linalg.inv(matrix.T @ matrix) * scale[at] * scale[at, None]
+    squares = np.sum((right - matrix @ (found[at] / scale[at])) ** 2)
+    sigma = np.sqrt(np.diag(covariance))[6:].reshape(-1, 11)
+    paths = np.array(alone) + found[6:].reshape(-1, 11)
+    each = zip(paths, sigma, free, strict=True)
+    return found[:6], covariance[:6, :6], squares, [(path[used], error[used], used) for path, error, used in each]
 
 
 def orbits(folder, names, campbell=False):
@@ -281,7 +275,7 @@ def test_a_link_is_that_of_all_observations_with_every_parameter(tmp_path_factor
     chosen = models_of(folder, sky, models, campbell=bool(seed % 2))
     link = linked(folder, sky, scans=scans, epoch=EPOCH, accept_misfit=True, **chosen)
     assert link.path_model.values.tolist() == models
-    estimate, covariance, squares, paths, sigma, free = with_every_parameter(link, sky, models)
+    estimate, covariance, squares, paths = with_every_parameter(link, sky, models)
     error = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(link.estimate / error, estimate / error, atol=1e-3)
     np.testing.assert_allclose(link.covariance / np.outer(error, error), covariance / np.outer(error, error), atol=1e-3)
@@ -290,11 +284,12 @@ def test_a_link_is_that_of_all_observations_with_every_parameter(tmp_path_factor
     assert link.path_dof.values.tolist() == [
         len(y) - PARAMETERS[one] for y, one in zip(sky.values, models, strict=True)
     ]
-    for s in range(len(models)):
-        found = link.path_estimate.values[s]
-        np.testing.assert_allclose(found[free[s]] / sigma[s], paths[s] / sigma[s], atol=2e-3)
-        np.testing.assert_allclose(link.path_error.values[s, free[s]], sigma[s], rtol=1e-3)
-        assert np.isnan(np.delete(found, free[s])).all()
+    for found, errors, (path, sigma, free) in zip(
+        link.path_estimate.values, link.path_error.values, paths, strict=True
+    ):
+        np.testing.assert_allclose(found[free] / sigma, path / sigma, atol=2e-3)
+        np.testing.assert_allclose(errors[free], sigma, rtol=1e-3)
+        assert np.isnan(np.delete(found, free)).all()
     assert np.all(np.abs(link.estimate.values - np.array([*EPSILON, *OMEGA]) / MAS) < 5.0 * error)
 
 

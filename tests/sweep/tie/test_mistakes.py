@@ -325,17 +325,3 @@ def test_quasars_without_an_epoch_are_mean_positions(tmp_path):
     np.testing.assert_allclose(link.difference.sel(observable="dec"), offset, atol=1e-6)
     obeyed = linksweep.tie(*tables, unknowns, reference_epoch=2015.5)
     assert any("if they are quasars, say --extragalactic reference" in note for note in obeyed.attrs["notes"])
-    for options, said in (
-        ([], "no column ref_epoch; give the epochs"),
-        (["--extragalactic", "reference", "--reference-epoch", "2015.5"], "positions of quasars hold at any epoch"),
-    ):
-        refused = CliRunner().invoke(main, ["tie", *tables, *options])
-        assert (refused.exit_code, said in refused.stderr) == (2, True)
-
-
-def test_names_exchanged_far_apart_are_refused_with_both_names(tmp_path):
-    satellite, reference = sky(8, 4)
-    one, other = satellite["source_id"][:2]
-    exchange(reference, one, other)
-    with pytest.raises(SweepError, match=f"{other} is where {one} is, {one} is where {other} is: are names exchanged"):
-        tie(*written(tmp_path, satellite, reference))

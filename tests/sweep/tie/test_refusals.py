@@ -66,6 +66,8 @@ REFUSED = [
     # options
     ("sign = 'minus'", {}, {}, {"sign": "minus"}),
     ("no option degrees", {}, {}, {"degrees": 3}),
+    ("workers are for Parquet tables of 100,000 quasars", {}, {}, {"workers": 2}),
+    ("quasars hold at any epoch", {}, {}, {"extragalactic": "reference", "reference_epoch": 2015.5}),
     ("no numbers 'mag'", {}, {}, {"bins": ("mag", [3.0])}),
     ("no row of the reference is such a position", {}, {}, {"aberration": 5.8}),
     ("match by 'star'", {}, {}, {"by": "star"}),

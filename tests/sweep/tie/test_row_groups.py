@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from pyarrow import parquet
 
-from linksweep import SweepError, tie
+from linksweep import tie
 from tests.core.tie.made import main
 from tests.sweep.outside import Outside
 from tests.tiers import slow
@@ -120,16 +120,6 @@ def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
     found = CliRunner().invoke(main, ["tie", str(path), "zero-motion"])
     assert found.exit_code == 2
     assert "the 700 rows from row 1401 on: a dec outside -90..90 deg in row 101" in found.output
-
-
-def test_workers_for_tables_that_are_solved_at_once_are_refused(tmp_path):
-    found = CliRunner().invoke(main, ["tie", "psrpi", "psrpi", "--workers", "2"])
-    assert found.exit_code == 2
-    assert "workers are for Parquet tables of 100,000 quasars or more" in " ".join(found.output.split())
-    path = quasars(tmp_path / "quasars.parquet")
-    for satellite, options in ((path, {}), (path, {"missions": {"other": path}}), ("icrf3", {})):
-        with pytest.raises(SweepError, match="workers are for Parquet tables"):
-            tie(satellite, "zero-motion", workers=2, **options)
 
 
 @pytest.mark.slow

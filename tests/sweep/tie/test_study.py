@@ -237,11 +237,8 @@ def test_studies_and_forecasts_have_every_option_of_a_link_under_its_name():
     ("name", "flag", "value"),
     [
         ("degree", "--degree", 0),
-        ("epoch", "--epoch", 99.0),
-        ("aberration", "--aberration", -1.0),
         ("known_spin", "--known-spin", [0.1, 0.2]),
         ("bins", "--bins", "17"),
-        ("without_cos_dec", "--without-cos-dec", "hip"),
         ("star_models", "--star-model", {"all": "7"}),
     ],
 )
