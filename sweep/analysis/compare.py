@@ -294,15 +294,13 @@ def all_is_well(comparisons: Sequence[Comparison]) -> bool:
 
 def remarks(dataset: xr.Dataset) -> list[str]:
     """Return sentences about what a comparison of this dataset leaves out, and about what affects its meaning."""
-    sentences = []
-    compared = [str(name).removesuffix("_published") for name in dataset.data_vars if str(name).endswith("_published")]
-    compared += [claim.quantity().variable for claim in quantity.claims_of(dataset)]
-    sentences += [part for name in dict.fromkeys(compared) for part in quantity.unknown_parts(dataset, name)]
-    for name, variable in dataset.data_vars.items():
-        if outside := int(variable.attrs.get("outside_grid", 0)):
-            result = str(name).removesuffix("_published")
-            sentences.append(f"{result}: published numbers that are not in this grid and not compared: {outside}")
-    return sentences
+    published = (name for name in map(str, dataset.data_vars) if name.endswith("_published"))
+    tables = {name.removesuffix("_published"): dataset[name] for name in published}
+    compared = dict.fromkeys([*tables, *(claim.quantity().variable for claim in quantity.claims_of(dataset))])
+    outside = {name: n for name, table in tables.items() if (n := int(table.attrs.get("outside_grid", 0)))}
+    sentences = [part for name in compared for part in quantity.unknown_parts(dataset, name)]
+    words = "published numbers that are not in this grid and not compared"
+    return [*sentences, *(f"{name}: {words}: {n}" for name, n in outside.items())]
 
 
 # Tables of comparisons
@@ -313,9 +311,8 @@ def tables(comparisons: Sequence[Comparison]) -> Iterator[Table]:
     readable = list(map(in_readable_unit, comparisons))
     for group in dict.fromkeys((c.study, c.what, c.unit, c.source) for c in readable):
         some = [c for c in readable if (c.study, c.what, c.unit, c.source) == group]
-        places = {
-            axis: [c.where.get(axis, "") for c in some] for axis in dict.fromkeys(a for c in some for a in c.where)
-        }
+        axes = dict.fromkeys(axis for c in some for axis in c.where)
+        places = {axis: [c.where.get(axis, "") for c in some] for axis in axes}
         common = {axis: values[0] for axis, values in places.items() if len(set(values)) == 1}
         what, _, verdict, *numbers = table(some).columns
         title = ", ".join(filter(None, [f"{group[0]}: {what.values[0]}", quantity.place_in_words(common)]))

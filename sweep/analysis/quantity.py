@@ -51,9 +51,8 @@ def quantities(dataset: xr.Dataset) -> list[str]:
     """Return the variables that are results of their own: numbers at each point, not errors, predictions or samples."""
     axes = set(dataset["status"].dims)
     numbers = [str(n) for n, v in dataset.data_vars.items() if _is_number(dataset, str(n)) and axes <= set(v.dims)]
-    beside = {
-        f"{name}_{s}" for name in numbers for s in (*BESIDE, *(f"{COVARIANCE_SUFFIX}_{a}" for a in dataset.coords))
-    }
+    covariances = [f"{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords]
+    beside = {f"{name}_{suffix}" for name in numbers for suffix in (*BESIDE, *covariances)}
     return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
 
 
@@ -124,12 +123,6 @@ def errors_beside(dataset: xr.Dataset, variable: str) -> list[str]:
     return [name for name in str(dataset[variable].attrs.get(ERRORS, "")).split() if name in dataset]
 
 
-def error_bar(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
-    """Return the errors with which figures show a variable: its `standard_error`, else the first that is declared."""
-    known, declared = standard_error(dataset, variable), errors_beside(dataset, variable)
-    return dataset[declared[0]] if known is None and declared else known
-
-
 def unknown_parts(dataset: xr.Dataset, variable: str, status: Status = Status.DONE) -> list[str]:
     """Return a sentence for every part of the error of a variable that is not known at points that are done, or that
     have another ``status``.
@@ -153,11 +146,12 @@ def prediction_name(names: Container[Hashable], variable: str) -> str:
 
 
 def parts_of(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
-    """Return a quantity as ``value`` and what belongs to it and is known, all with its own dimensions: ``error``, as
-    figures show it, ``predicted``, ``published`` and ``published_rounding``.
+    """Return a quantity as ``value`` and what belongs to it and is known, all with its own dimensions: ``error``, the
+    standard error or else the first that is declared, ``predicted``, ``published`` and ``published_rounding``.
     """
-    value = dataset[name]
-    others = {"error": error_bar(dataset, name), "predicted": dataset.get(prediction_name(dataset, name))}
+    value, error, declared = dataset[name], standard_error(dataset, name), errors_beside(dataset, name)
+    error = dataset[declared[0]] if error is None and declared else error
+    others = {"error": error, "predicted": dataset.get(prediction_name(dataset, name))}
     others |= {suffix: dataset.get(f"{name}_{suffix}") for suffix in ("published", "published_rounding")}
     known = {n: part for n, part in others.items() if part is not None and set(part.dims) <= set(value.dims)}
     # without errors of observation a prediction is 0

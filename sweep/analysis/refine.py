@@ -198,9 +198,8 @@ def _midpoints(asked: Study, now: Study, over: str, gaps: Sequence[tuple[laws.Li
     parameters, tried = {name: now.experiment.parameter(name) for name in now.axes}, {*there.digests(there.indices())}
     for line, i in gaps:
         with suppress(ValueError):
-            values = _place(there, line, over) | {
-                over: parameters[over].parse(_middle(asked.axes[over], *line.x[i : i + 2]))
-            }
+            middle = parameters[over].parse(_middle(asked.axes[over], *line.x[i : i + 2]))
+            values = _place(there, line, over) | {over: middle}
             point = point_at(now, values)
             if point.digest not in tried and not grid.excludes(point.parameters):
                 points[point.digest] = {name: parameters[name].written(value) for name, value in values.items()}

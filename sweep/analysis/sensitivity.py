@@ -146,10 +146,8 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
         unit, name = np.stack(places, axis=1), "SALib, of a morris design"
         return _Method(name, parameters, [POINT], EFFECTS, lambda y, _: morris_effects(y, unit, seed), notes)
     even = design not in ("", "random")
-    notes = [
-        "total indices need a full grid or a saltelli design",
-        *([] if design else _correlated(parameters, places)),
-    ]
+    needed, together = "total indices need a full grid or a saltelli design", _correlated(parameters, places)
+    notes = [needed, *([] if design else together)]
     name = f"regression on each parameter, of {design or 'given'} points"
     return _Method(name, parameters, [POINT], INDICES[:2], lambda y, _: first_order(y, places, even, seed), notes)
 

@@ -226,9 +226,8 @@ def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> list[Tab
             at = [i for i in known if units[i] == unit][:most]
             chosen = formatting.prefixed([columns[name][i] for i in at], unit)
             values = {n: [columns[n][i] * chosen.factor for i in at] for n in [name, *errors]}
-            least = [
-                min((e for e in row if e > 0.0), default=0.0) for row in zip(*map(values.get, errors), strict=True)
-            ]
+            rows = zip(*map(values.get, errors), strict=True)
+            least = [min((e for e in row if e > 0.0), default=0.0) for row in rows]
             where = [Column(n, [columns[n][i] for i in at]) for n in places]
             cells = {n: list(map(formatting.rounded, v, least if n == name else v)) for n, v in values.items()}
             numbers = (Column(n, v, cells[n], chosen.unit, quantity=n) for n, v in values.items())
@@ -245,9 +244,7 @@ def warnings_of(dataset: xr.Dataset) -> list[str]:
     """
     conditions, warnings = _conditions(dataset), list(json.loads(dataset.attrs.get("warnings", "[]")))
     if (bad := conditions[conditions > BAD_CONDITION]).size:
-        words = (
-            "some unknowns can hardly be told apart, and a mean over components hides how badly (see the components)"
-        )
+        words = "some unknowns can hardly be told apart; see the components, as a mean over them hides how badly"
         points = formatting.counted(bad.size, "point")
         warnings.append(f"at {points} the condition number is up to {bad.max():.3g}: {words}")
     return warnings

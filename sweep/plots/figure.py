@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, quantity
-from linksweep.sweep.contract import Status, SweepError, count_status, shown, suggest, unfinished_in_words
+from linksweep.sweep.contract import Status, SweepError, shown, suggest
 from linksweep.sweep.plots import KINDS, grid, style
 from linksweep.sweep.result import Result
 from linksweep.sweep.studies.study import POINT
@@ -167,11 +167,14 @@ def _draw(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], 
     figure: Figure = KINDS["grid"][kind].load().draw(part, variables, over)
     axes = [str(n) for n, c in part.coords.items() if not c.dims and not str(n).endswith("_unit")]
     shared = ", ".join(style.value_text(part, name, part[name].item()) for name in axes)
-    missing = unfinished_in_words(count_status(part["status"].values))
-    words = f"INCOMPLETE: {quantity.lacking(part)}" if missing else ""
+    words = f"INCOMPLETE: {quantity.lacking(part)}" if _is_unfinished(part) else ""
     figure.set_label(title := str(whole.attrs.get("title", "")))
     style.complete(figure, "\n".join(filter(None, (title, shared, words))))
     return figure
+
+
+def _is_unfinished(dataset: xr.Dataset) -> bool:
+    return not bool(dataset["status"].isin([Status.DONE, Status.EXCLUDED]).all())
 
 
 def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
@@ -183,7 +186,7 @@ def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
                 how = f"choose one with --at {dimension}={dataset[dimension].values[0]}"
                 raise SweepError(f"{name} has components in {' and '.join(several)}; {how}")
     if not any(np.isfinite(dataset[name].values).any() for name in names):
-        why = f": {quantity.lacking(dataset)}" if unfinished_in_words(count_status(dataset["status"].values)) else ""
+        why = f": {quantity.lacking(dataset)}" if _is_unfinished(dataset) else ""
         raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")
 
 

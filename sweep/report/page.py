@@ -32,9 +32,8 @@ from matplotlib import collections, lines, patheffects, text
 from matplotlib.figure import Figure
 
 from linksweep.sweep import formatting
-from linksweep.sweep.analysis import answer, compare, quantity, tables
-from linksweep.sweep.analysis.sensitivity import sensitivity
-from linksweep.sweep.contract import Status, SweepError, count_status
+from linksweep.sweep.analysis import answer, compare, quantity, sensitivity, tables
+from linksweep.sweep.contract import Status, SweepError
 from linksweep.sweep.plots import KINDS, grid, style
 from linksweep.sweep.plots import figure as drawing
 from linksweep.sweep.result import Result, open_result, write_at_once
@@ -153,12 +152,8 @@ def residuals(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
     if error is None or "predicted" not in parts:
         return None
     apart = ((dataset[variable] - parts["predicted"]) / error.where(error > 0.0)).transpose(*dataset[variable].dims)
-    attributes: dict[str, Any] = {
-        "symbol": "(simulated − predicted)/error",
-        "long_name": f"{variable}, minus predicted",
-    }
-    attributes |= {grid.BAND: answer.ERRORS_ALLOWED}
-    apart = apart.drop_attrs(deep=False).assign_attrs(attributes)
+    words = {"symbol": "(simulated − predicted)/error", "long_name": f"{variable}, minus predicted"}
+    apart = apart.drop_attrs(deep=False).assign_attrs(words).assign_attrs({grid.BAND: answer.ERRORS_ALLOWED})
     kept = dataset[["status"]].assign_attrs(title=dataset.attrs.get("title", ""))
     return kept.assign({f"{variable}_{SUFFIX}": apart})
 
@@ -435,7 +430,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         if not quantity.own_dimensions(dataset, name):  # one number at each point
             with suppress(SweepError):
                 part, without = _without_gaps(final.squeeze(), name)
-                indices = Result(sensitivity(part, name))
+                indices = Result(sensitivity.sensitivity(part, name))
                 decided[name] = " ".join(indices.headline()).replace(":", f"{without}:", 1)
                 if POINT_TABLE in about and len(indices.dataset.dims) == 1 < indices.dataset.sizes["parameter"]:
                     further[f"S{indices.notes()[0][1:]}"] = _sortable(indices.tables()[0])
@@ -464,7 +459,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         "notes": [*tables.warnings_of(dataset), *compare.notes(comparisons), *compare.remarks(dataset)],
         "failures": failures,
         "reasons": reasons_of(failures).in_words(),
-        "failures_not_named": count_status(dataset["status"].values)[Status.FAILED] - len(failures),
+        "failures_not_named": int((dataset["status"] == Status.FAILED).sum()) - len(failures),
         "provenance": _provenance("study", about) | {name: f"version {one}" for name, one in versions.items()},
         # a run from Python has no file
         "study": about.get("study") or json.dumps(json.loads(about.get("study_document", "{}")), indent=1),
