@@ -414,7 +414,7 @@ def _law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str])
         power, power_error, height, height_error, correlation, pivot = (law[name].item() for name in names)
         curve, there = (height * (at / pivot) ** power for at in (fine, x))
         spread, tilt = height_error / height, np.log(fine / pivot) * power_error
-        half = np.sqrt(np.maximum(spread**2 + tilt**2 + 2.0 * correlation * spread * tilt, 0.0))
+        half = np.sqrt(np.maximum(spread**2 + tilt**2 + 2.0 * correlation * spread * tilt, 0.0)).round(11)
         band = {"color": look["color"], **style.BAND}
         known = power_error if power_error > 1e-9 else 0.0  # less is of rounding
         exponent = formatting.with_error(power, known).replace(" ± ", r"\pm")
