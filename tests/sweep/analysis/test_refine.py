@@ -31,6 +31,10 @@ def noisy(rng, x: float, sigma: float = 0.1) -> float:
     return {"y": x - 0.4321 + sigma * rng.normal()}
 
 
+def uneven(rng, x: float):
+    return noisy(rng, x, 0.02 * (1.0 + 9.0 * x))
+
+
 def wave(x: float) -> float:
     return math.sin(2.0 * math.pi * x)
 
@@ -107,7 +111,7 @@ def test_values_between_points_are_interpolated_to_the_error_that_was_asked_for(
 def test_points_get_realisations_until_the_noise_between_them_is_below_the_error():
     """Two errors of a value less what its neighbours say of it; realisations grow by factors of four."""
     goal = {"axes": {"x": [0.0, 0.1, 1.0]}, "sampling": {"n_sim": 60, "seed": 3}, "pool": "serial"}
-    ds = linksweep.refine(noisy, until="error < 0.01", variable="y_mean", max_realisations=10**6, **goal)
+    ds = linksweep.refine(uneven, until="error < 0.01", variable="y_mean", max_realisations=10**6, **goal)
     noise = 2.0 * np.linalg.norm(ds.y_mean_mc_error * [0.9, 1.0, 0.1])
     assert noise < 0.01 < 2.0 * noise
     assert ds.sizes["x"] == 3  # a line has no use for more points

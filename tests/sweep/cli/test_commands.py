@@ -30,11 +30,14 @@ def test_every_command_has_help_with_an_example(sweep, command):
     assert max(map(len, out.splitlines())) <= 80
 
 
-def test_help_imports_nothing_heavy():
-    """`sweep --help` answers at once: what takes long to import is imported by the commands that need it."""
-    code = "import sys, linksweep.sweep.cli; print(*sorted({m.partition('.')[0] for m in sys.modules}))"
+def test_help_and_completion_import_nothing_heavy():
+    """They answer at once: what takes long to import is imported by the commands that need it."""
+    words = "_SWEEP_COMPLETE='bash_complete', COMP_WORDS='sweep run quasars --set ', COMP_CWORD='4'"
+    code = f"import os, sys; os.environ.update({words})\nimport linksweep.sweep.cli\n"
+    code += "try: linksweep.sweep.cli.main(prog_name='sweep')\n"
+    code += "except SystemExit: print(*{m.partition('.')[0] for m in sys.modules})"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert "click" in loaded
+    assert {"click", "plain,v_max="} <= set(loaded)
     assert not {"numpy", "xarray", "zarr", "dask", "distributed", "pydantic", "rich", "matplotlib"} & set(loaded)
 
 

@@ -156,14 +156,3 @@ def test_no_cell_of_csv_is_a_formula(text):
     except ValueError:
         assert not said.lstrip().startswith(("=", "+", "-", "@"))
         assert said.removeprefix("'") == harmless(text).removeprefix("'")
-
-
-def test_a_table_of_points_is_text_of_others_too(folder, sweep):
-    table = folder / "points.csv"
-    table.write_text(f'x,kind\n1.0,"=a{MARK[:3]}"\n2.0,@b\n', newline="")
-    code, out, err = sweep("run", "marked.py:marked", "--points", table, "-o", folder / "t.zarr", cwd=folder)
-    assert code == 1, err
-    assert not found(out + err)
-    _, out, _ = sweep("show", folder / "t.zarr", "--format", "csv")
-    assert not found(out)
-    assert ",'=cmd()" in out

@@ -47,14 +47,3 @@ def test_a_bad_study_offers_what_every_study_has(tmp_path, content):
     if content is not None:
         (tmp_path / "bad.toml").write_bytes(content)
     assert "n_sim=" in offered(tmp_path, "sweep", "run", "bad.toml", "--set", "n")
-
-
-@pytest.mark.slow
-def test_nothing_heavy_is_imported():
-    words = "_SWEEP_COMPLETE='bash_complete', COMP_WORDS='sweep run quasars --set ', COMP_CWORD='4'"
-    code = f"import os, sys; os.environ.update({words})\nimport linksweep.sweep.cli\n"
-    code += "try: linksweep.sweep.cli.main(prog_name='sweep')\n"
-    code += "except SystemExit: print(*{m.partition('.')[0] for m in sys.modules}, file=sys.stderr)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "plain,v_max=" in done.stdout
-    assert not {"numpy", "xarray", "zarr", "dask", "distributed", "pydantic", "rich"} & set(done.stderr.split())

@@ -39,17 +39,6 @@ def test_json_has_everything():
     assert content["variables"]["step_chosen"]["values"] == 1
 
 
-def test_a_forecast_is_printed():
-    code, out, err = run_sweep(
-        *("forecast", "psrpi", "psrpi", "--unknowns", "orientation,spin", "--add", "2026,2030", "--choose", "2"),
-        *("--for", "spin", "--release", "dr4", "--from-release", "dr3", "--error", "0.2"),
-    )
-    assert code == 0, err
-    assert "chosen for spin" in out
-    assert "all observed at 2030" in out
-    assert max(map(len, out.splitlines())) <= 88  # a page of the documentation has room for it
-
-
 def test_show_prints_what_the_command_printed_and_formats_for_programs(stored):
     folder, link, plan = stored
     assert run_sweep("show", folder / "tie.zarr")[1] == link

@@ -132,36 +132,32 @@ def test_of_a_column_of_a_file_only_the_wrong_cells_are_named(text, problem, tmp
 ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('km')"
 
 
+DISTANCES = QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})
+pointed = experiment()(lambda point=1.0, k=1: point * k)
+
+
 @pytest.mark.parametrize(
-    ("tables", "problem"),
+    ("function", "tables", "problem"),
     [
-        ({"axes": {"distance": [1.0, 2.0] * u.km}}, f"axes.distance: {ELSEWHERE}"),
-        ({"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
-        ({"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"points.distance: {ELSEWHERE}"),
-        (
-            {"points": QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})},
-            "points.columns.distance: has no value in row 2",
-        ),
+        (far, {"axes": {"distance": [1.0, 2.0] * u.km}}, f"axes.distance: {ELSEWHERE}"),
+        (far, {"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
+        (far, {"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"points.distance: {ELSEWHERE}"),
+        (far, {"points": DISTANCES}, "points.columns.distance: has no value in row 2"),
         # which parameters a wrong table has is not known: those without a default are not asked for
+        (far, {"points": sobol(n="4")}, "points.n: input should be a valid integer, not '4'"),
         (
-            {"points": {"design": "random", "n": "4", "ranges": {"distance": [1.0, 2.0]}}},
-            "points.n: input should be a valid integer, not '4'",
-        ),
-        (
+            far,
             {"points": {"distance": [1.0], "m": [1]}},
-            "points.columns.m: unknown parameter 'm'; known are distance, n; as a label: labels = [\"m\"]",
+            "points.columns.m: unknown parameter 'm'; known are distance, n",
         ),
+        (f, {"points": {"beta": [1.0]}, "axes": {"beta": [1.0, 2.0]}}, "beta: is an axis too"),
+        (f, {"points": {"k": [1]}, "fixed": {"k": 2}}, "k: is fixed too"),
+        (pointed, {"points": {"k": [1, 2]}, "fixed": {"point": 1.0}}, "has a 'point' of its own"),
     ],
 )
-def test_quantities_elsewhere_and_wrong_tables_are_one_problem(tables, problem, problems_of):
-    assert problems_of(tables.pop("points", None), far, **tables) == [problem]
-
-
-def test_a_parameter_is_in_one_place_only(problems_of):
-    assert "beta: is an axis too" in problems_of({"beta": [1.0]}, axes={"beta": [1.0, 2.0]})[0]
-    assert "k: is fixed too" in problems_of({"k": [1]}, fixed={"k": 2})[0]
-    pointed = experiment()(lambda point=1.0, k=1: point * k)
-    assert "has a 'point' of its own" in problems_of({"k": [1, 2]}, pointed, fixed={"point": 1.0})[0]
+def test_quantities_elsewhere_and_what_is_in_two_places_are_one_problem(function, tables, problem, problems_of):
+    [found] = problems_of(tables.pop("points", None), function, **tables)
+    assert problem in found
 
 
 RANGES = {
