@@ -20,9 +20,6 @@ import linksweep
 from tests.documents import ROOT, code, commands, run_commands, save_files
 from tests.sweep.executing.test_clusters import Files as TlsFiles
 from tests.sweep.outside import Outside
-from tests.tiers import slow
-
-QUICK = ("function-series.md",)
 
 # The pages whose commands need nothing from elsewhere, with some of the files that they write.  Others are run below
 # (clusters), and by the tests of the tutorial, stores and galaxies.
@@ -49,7 +46,8 @@ PAGES = {
 }
 
 
-@pytest.mark.parametrize("document", [page if page in QUICK else slow(page) for page in PAGES])
+@pytest.mark.slow
+@pytest.mark.parametrize("document", PAGES)
 def test_the_commands_of_a_page_run_and_write_what_it_shows(document, tmp_path, sweep):
     save_files(document, tmp_path)
     if document in ("missions.md", "studies.md"):  # which show a study without a command

@@ -52,10 +52,13 @@ class Double(ErrorModel):
         return 2.0, 4.0
 '''
 LINK = """
-import linksweep
+import numpy as np
+from linksweep.core.experiment import evaluate, link
 
-study = {"title": "A toy", "fixed": {"n_obj": 30, CHANGES}, "sampling": {"n_sim": 50}}
-assert linksweep.run(study, "toy.zarr", pool="serial").status == 1
+point = link.defaults() | {"n_obj": 30, CHANGES}
+assert link.check(point) is None, link.check(point)
+sums = evaluate([point], 50, np.random.default_rng(1), np.random.default_rng(2))
+assert np.isfinite(link.summarise(sums, np.array([50.0]), np.array([1.0]))["sigma_spin"][0])
 """
 RUN = """
 import linksweep

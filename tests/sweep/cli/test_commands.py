@@ -49,6 +49,12 @@ def test_plan_writes_nothing(sweep, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_a_job_array_gets_the_options_of_its_study(sweep, tmp_path):
+    code, _, err = sweep("submit", "quasars", "--slurm", 3, "--axis", "v_max=14", "-o", "s.zarr", cwd=tmp_path)
+    script = (tmp_path / "s.zarr.slurm" / "submit.sh").read_text()
+    assert (code, "run quasars --axis=v_max=14 -o" in script, "--array=1-3" in script) == (0, True, True), err
+
+
 def test_the_help_has_every_command_in_one_section_with_a_whole_sentence(sweep):
     code, out, _ = sweep("--help")
     listed = [line.split()[0] for line in out.partition("\nRun:\n")[2].splitlines() if line.startswith("  ")]

@@ -35,7 +35,6 @@ def test_a_study_is_built_in_or_a_file(tmp_path, command):
 
 
 def test_commands_and_keys_of_the_study_that_is_named_before(tmp_path):
-    assert "run" in offered(tmp_path, "sweep", "r")
     assert {"v_max=", "model=", "n_sim="} <= set(offered(tmp_path, "sweep", "run", "quasars", "--set", ""))
     (tmp_path / "mine.toml").write_text("title = 'x'\n[axes]\nlength = [1]\nlimit = [2]\nwidth = [3]\n")
     assert [o for o in offered(tmp_path, "sweep", "plan", "mine.toml", "--axis", "l") if o] == ["length=", "limit="]

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from linksweep import SweepError, load_study, run
+from tests.conftest import COINS
 from tests.sweep.opening import make_grid
 
 LAW = """
@@ -66,20 +67,17 @@ def test_options_that_go_together():
     study = load_study("quasars", settings=["n_sim=10", "n_sim=10"], axes=["v_max=14,15", "v_max=14,15"])
     assert (study.sampling.n_sim, study.axes["v_max"]) == (10, (14.0, 15.0))
     assert load_study("quasars", settings=["n_sim=2000000", "precision=0.5"]).sampling.most == 2_000_000
+    assert "no headline result X has an error" in refusal(COINS, ["precision=0.5"])
     study = load_study("quasars", ["points.seed=4"], design="sobol:8", ranges=["error_scale=1:2"])
     assert study.points.origin["seed"] == 4
     study = load_study("quasars", axes=["""model="amex",'gaia'"""])
     assert study.axes["model"] == ("amex", "gaia")
 
 
-def named(word: str):
-    return 1.0
-
-
 @given(st.text(max_size=40))
-def test_any_text_is_an_axis_or_a_clear_error(text):
+def test_any_text_is_an_axis_or_a_clear_error(law, text):
     with contextlib.suppress(SweepError):  # any other exception fails
-        load_study(f"{__file__}:named", axes=[f"word={text}"])
+        load_study(law, axes=[f"m={text}"])
 
 
 def axis(text):

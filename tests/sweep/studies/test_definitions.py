@@ -82,7 +82,7 @@ def run(study="own.toml", store="s.zarr", **options):
 
 
 @pytest.mark.usefixtures("here")
-def test_an_experiment_of_any_kind_can_have_definitions():
+def test_an_experiment_of_any_kind_can_have_definitions(here):
     die = Parameter("die", "str", "cube", "what is thrown", choices=("cube",), define=define)
     colour = Parameter("colour", "str", "red", "of the die", choices=("red", "green"))
     thrown = Experiment(

@@ -10,6 +10,7 @@ from jsonschema import Draft202012Validator
 from linksweep import SweepError, load_study, run
 from tests.conftest import COINS, run_sweep
 from tests.sweep.mutations import corpus
+from tests.tiers import slow
 
 LINK = "linksweep.core.experiment:link"
 
@@ -28,7 +29,7 @@ def link_validator():
     return validator()
 
 
-@pytest.mark.parametrize("reference", [LINK, COINS])
+@pytest.mark.parametrize("reference", [COINS, slow(LINK)])
 def test_a_new_study_runs_as_it_is_and_says_the_defaults_in_comments(reference, tmp_path, sweep):
     def plan(text):
         (tmp_path / "other.toml").write_text(text)
