@@ -79,7 +79,7 @@ import os
 from pathlib import Path
 def f(x: float = 0.0):
     mark = Path(__file__).with_name(f"{x:g}")
-    if x in (30.0, 31.0, 32.0, 33.0) and not mark.exists():
+    if x >= 28.0 and not mark.exists():
         mark.touch()
         os._exit(3)
     return 2.0 * x
