@@ -6,6 +6,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import Output, SweepError, experiment
+from tests.sweep.opening import same
 
 KEPT = {"n_sim": 1200, "seed": 3, "keep_samples": True}  # three blocks
 
@@ -38,6 +39,8 @@ def test_realisations_are_those_behind_the_statistics(tmp_path):
     np.testing.assert_array_equal(ds.wait_samples.max("sample"), ds.wait_max)
     wanted = np.quantile(ds.wait_samples, 0.9, axis=2, method="hazen")
     np.testing.assert_array_equal(ds.wait_q90, wanted)
+    axes = {"gain": [1.0, 2.0], "rate": [0.5, 2.0, 3.0]}
+    same(linksweep.run(queue, tmp_path / "s", axes=axes, sampling=KEPT, pool="serial", redo="rate == 0.5"), ds)
     assert "wait_samples" not in sweep(queue, tmp_path / "none", {"n_sim": 60}, gain=[1.0])
     with pytest.raises(SweepError, match="keep_samples"):
         sweep(queue, tmp_path / "s", {"n_sim": 1200, "seed": 3}, gain=[1.0])
