@@ -357,7 +357,7 @@ class Reach:
             forms = [form for one in around if (form := self._form(one, {})) and type(one) in PLAIN]
             self._keep(f"function {label}", ", ".join(forms))
             return
-        nodes, values = definitions_of(function), function.__defaults__ or ()
+        values, nodes = function.__defaults__ or (), list[ast.AST](definitions_of(function))
         by_name = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
         by_name |= {name: value for name, value in vars(function).items() if not name.startswith("__")}
         text = "".join(self._refer(f"{label}.{k}", v) for k, v in (by_name | (function.__kwdefaults__ or {})).items())
@@ -369,6 +369,7 @@ class Reach:
                 self._changes.append((function.__name__, {home_of(one, names, names.get(one))[0] for one in changes}))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
             self.unnoticed[label] = "function without source"
+            nodes = [ast.Name(name) for name in sorted(_names_in(code))]  # what it reaches counts
         text += self._text(nodes, names, function)
         self._keep(f"function {label}", text)
 
@@ -393,7 +394,7 @@ class Reach:
 
     def _text(self, nodes: Sequence[ast.AST], names: Names, function: FunctionType | None = None) -> str:
         """Return some code of a module with these names, or of a function, with what the names in it stand for, and
-        follow these: globals, closures, what it imports, and attributes of modules.
+        follow these: globals, what it imports, and attributes of modules.
         """
         if function is None and self._is_running:  # runs while it is imported, before any root is called
             return ""
