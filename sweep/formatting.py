@@ -340,6 +340,8 @@ def in_short(value: float, error: float = 0.0, unit: str = "") -> str:
     Examples:
         >>> in_short(0.0005411, 0.0000038, "mas / yr"), in_short(15533.0), in_short(2.004, 0.001), in_short(1.7112, 0.2)
         ('0.54 uas/yr', '15,533', '2.0', '1.7')
+        >>> in_short(1.7112, 0.001), in_short(1.7112)
+        ('1.71', '1.71')
     """
     return with_unit(value, error, unit, _short)
 

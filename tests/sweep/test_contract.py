@@ -6,12 +6,13 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import linksweep
 from linksweep.sweep.contract import Experiment, Output, Parameter, SweepError
 from tests.sweep.user import write_experiment, write_study
+from tests.tiers import examples
 
 GOOD = {
     "name": "good",
@@ -71,6 +72,7 @@ def test_a_wrong_declaration_is_one_sentence(changed, sentence):
 few, bound = st.integers(-3, 3), st.none() | st.integers(-2, 2)
 
 
+@settings(max_examples=examples(1000))
 @given(st.sampled_from(["float", "int"]), few | few.map(float) | st.booleans() | st.just(0.5), bound, bound, bound)
 def test_a_number_is_allowed_within_its_bounds_and_nowhere_else(kind, raw, minimum, above, maximum):
     parameter = Parameter("x", kind, minimum=minimum, above=above, maximum=maximum)
