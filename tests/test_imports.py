@@ -24,7 +24,7 @@ ONLY_IN = {
     "bokeh": "sweep.report",
     "jinja2": "sweep.report",
     "pydantic": "sweep.studies sweep.stores sweep.executing sweep.functions.results",  # the last for records alone
-    "astropy": "sweep.contract.declaration sweep.tables sweep.table_writer sweep.formatting sweep.analysis "
+    "astropy": "sweep.contract.experiment sweep.tables sweep.table_writer sweep.formatting sweep.analysis "
     "sweep.result sweep.search sweep.tie",
     "erfa": "core.tie.astrometry",
     "pygaia": "core.missions",

@@ -3,6 +3,5 @@
 This package and NumPy are all that an experiment needs; the platform knows nothing of what is inside one.
 """
 
-from linksweep.sweep.contract.declaration import *
 from linksweep.sweep.contract.experiment import *
 from linksweep.sweep.contract.rows import *

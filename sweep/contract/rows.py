@@ -5,16 +5,13 @@ in which chunks large arrays are stored; the status of a point, as stores and da
 import math
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import IntEnum
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from linksweep.sweep.contract.declaration import shown, suggest
 from linksweep.sweep.formatting import counted
 
 Array = NDArray[np.float64]
@@ -32,14 +29,6 @@ MISSING_INT = int(np.iinfo(np.int64).min)
 
 # The end of the name of the field of a row, or of a variable, that has the length of an array.
 LENGTH = "_length"
-
-
-class ResultError(ValueError):
-    """What a function of an experiment returned is not what is declared."""
-
-
-class NotFiniteError(ResultError):
-    """Numbers are NaN or infinite where that is not allowed."""
 
 
 class Outcome(NamedTuple):
@@ -81,38 +70,6 @@ class Reducer(ABC):
 
         Raises ResultError for outputs that are not as declared, and whatever an experiment raises.
         """
-
-
-@dataclass(frozen=True)
-class Sums(Reducer):
-    """Adds up sums of 64-bit floats, of these ``shapes``; a function makes outputs of their shapes from them."""
-
-    shapes: Mapping[str, tuple[int, ...]]
-    outputs: Mapping[str, tuple[int, ...]]
-    summarise: Callable[[Mapping[str, Array], Array, Array], Mapping[str, Any]]
-
-    @cached_property
-    def dtype(self) -> np.dtype[np.void]:
-        """A field of floats for each sum."""
-        return np.dtype([(name, "<f8", tuple(shape)) for name, shape in self.shapes.items()])
-
-    def add(self, total: Rows, block: Rows) -> Rows:
-        """Return sums with those of one block more."""
-        return self.typed(self.flat(total) + self.flat(block))
-
-    def finish(self, total: Rows, n: Array, n_cat: Array) -> dict[str, NDArray[Any]]:
-        """Return every output from sums."""
-        expected = {name: (len(total), *shape) for name, shape in self.outputs.items()}
-        returned = self.summarise({name: total[name] for name in self.shapes}, n, n_cat)
-        return checked("summarise", returned, "output", expected)
-
-    def flat(self, rows: Rows) -> Array:
-        """Return sums as one array of floats, (rows, width)."""
-        return np.ascontiguousarray(rows).view("<f8").reshape(len(rows), self.dtype.itemsize // 8)
-
-    def typed(self, flat: Array) -> Rows:
-        """Return floats, (rows, width), as rows."""
-        return np.ascontiguousarray(flat, dtype="<f8").view(self.dtype).reshape(len(flat))
 
 
 def converted(rows: Rows, dtype: np.dtype[np.void]) -> Rows:
@@ -176,71 +133,6 @@ def small_sample_factor(samples: ArrayLike) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         factor = 1.0 + 2.0 / (count - 3.0)
     return np.where(count >= FEWEST_SAMPLES, factor, np.nan)
-
-
-def checked(
-    who: str, returned: object, noun: str, expected: Mapping[str, tuple[int, ...]], beside: Sequence[str] = ()
-) -> dict[str, Array]:
-    """Return what the function ``who`` ``returned`` as arrays of 64-bit floats of exactly the ``expected`` names and
-    shapes; names ``beside`` them are allowed, and ignored.
-
-    The first axis of a shape counts points; it may be missing if there is only one.  Nothing is broadcast.
-    Raises ResultError that names everything that is wrong.
-    """
-    if not isinstance(returned, Mapping):
-        raise ResultError(f"{who} returns a {type(returned).__name__}, not a mapping of {noun}s by name")
-    problems = []
-    for name in returned:
-        if name not in expected and name not in beside:
-            missing = [known for known in expected if known not in returned]
-            problems.append(f"{who} returns {shown(name)}, which is no declared {noun}{suggest(str(name), missing)}")
-    arrays: dict[str, Array] = {}
-    for name, shape in expected.items():
-        try:
-            arrays[name] = _array(returned[name], shape)
-        except KeyError:
-            problems.append(f"{who} does not return the {noun} {name!r}")
-        except ResultError as error:
-            problems.append(f"{who}: the {noun} {name!r} {error}")
-    if problems:
-        raise ResultError("; ".join(problems))
-    return arrays
-
-
-def check_finite(arrays: Mapping[str, Array], may_be_nan: Sequence[str]) -> None:
-    """Raise NotFiniteError that says how many values of which array are NaN or infinite."""
-    bounded = {name: array for name, array in arrays.items() if name not in may_be_nan}
-    phrases = [not_finite(name, array, is_one=array.size == 1) for name, array in bounded.items()]
-    if problems := [phrase for phrase in phrases if phrase]:
-        raise NotFiniteError("; ".join(problems))
-
-
-def not_finite(name: str, array: Array, is_one: bool) -> str | None:
-    """Return a phrase on how many values are NaN or infinite, or which of the two a single one (``is_one``) is; None if
-    all are finite.
-    """
-    finite = np.isfinite(array)
-    if finite.all():
-        return None
-    bad = array[~finite]
-    nan = int(np.isnan(bad).sum())
-    if is_one:
-        return f"{name} is {'NaN' if nan else 'infinite'}"
-    counts = [f"{n} {word}" for n, word in ((nan, "NaN"), (bad.size - nan, "infinite")) if n]
-    return f"{name} has {' and '.join(counts)} of {array.size} values"
-
-
-def _array(returned: Any, shape: tuple[int, ...]) -> Array:
-    """Return one result as an array of this shape."""
-    try:
-        array = np.asarray(returned)
-    except ValueError as error:  # lists of different lengths
-        raise ResultError(f"has parts of different lengths, expected the shape {shape}") from error
-    if array.dtype.kind not in "biuf":
-        raise ResultError(f"is of type {array.dtype}, expected real numbers")
-    if array.shape != shape and not (shape[0] == 1 and array.shape == shape[1:]):
-        raise ResultError(f"has the shape {array.shape}, expected {shape}")
-    return array.astype(np.float64, copy=False).reshape(shape)
 
 
 # Bytes in a `ledger_key`.

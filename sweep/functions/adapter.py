@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Experiment, GeneratorPair, Kind, Named, Output, Parameter, Point, SweepError, shown
-from linksweep.sweep.contract import declaration as rules
-from linksweep.sweep.contract.rows import Array, Outcome, Reducer, ResultError, Rows
+from linksweep.sweep.contract import experiment as rules
+from linksweep.sweep.contract.rows import Array, Outcome, Reducer, Rows
 from linksweep.sweep.functions import results
 from linksweep.sweep.functions.results import Layout
 from linksweep.sweep.functions.statistics import Moments, drawn, quantile_of, statistic_problem
@@ -307,7 +307,7 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
                 texts.append(f"coords: {shown(dim)} is none of its dimensions ({', '.join(dims) or 'it has none'})")
             try:
                 coordinate = results.coordinate_of(dim, values)
-            except ResultError as error:
+            except rules.ResultError as error:
                 texts.append(str(error))
                 continue
             texts.append(rules.unit_problem(coordinate.unit))
@@ -399,7 +399,7 @@ class FunctionExperiment(Experiment):
     ) -> list[Outcome]:
         """Return the result of each point: of one call, or of ``n_sim`` realisations with the next generator.
 
-        Raises ResultError for an invalid result, and whatever the function raises.
+        Raises rules.ResultError for an invalid result, and whatever the function raises.
         """
         call, expected = self.call, self.expected
         points = [self._arguments(point) for point in points]
@@ -455,7 +455,7 @@ class FunctionExperiment(Experiment):
         for place in fitting:
             try:
                 rows[place] = outcomes[place].row if self.rng else results.as_row(outcomes[place], layout)
-            except ResultError as error:
+            except rules.ResultError as error:
                 refused[place] = f"{self.name}: {error}"
         return known, rows, refused
 

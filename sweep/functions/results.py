@@ -14,9 +14,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, shown, suggest
-from linksweep.sweep.contract.declaration import is_quantity, names_problems, same_unit
-from linksweep.sweep.contract.rows import LENGTH, REFERENCE, beyond_floats, chunk_grid, is_large, not_finite, padded
+from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, not_finite, shown, suggest
+from linksweep.sweep.contract.experiment import is_quantity, names_problems, same_unit
+from linksweep.sweep.contract.rows import LENGTH, REFERENCE, beyond_floats, chunk_grid, is_large, padded
 
 Type = Literal["float", "int", "bool", "text", "datetime"]
 

@@ -12,8 +12,8 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, Experiment, Rows, Status, Value
-from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, BlockRows, check_finite, converted, ledger_key
+from linksweep.sweep.contract import Array, Experiment, Rows, Status, Value, check_finite
+from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, BlockRows, converted, ledger_key
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
 from linksweep.sweep.planning.plan import MOST_SHARING, NOTHING, SHARED, TARGET, Plan, PlanSize, Survey, Work
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, Status, SweepError
-from linksweep.sweep.contract.rows import LENGTH, MISSING_INT, REFERENCE, Block, Reducer, Sums, ledger_key
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, Status, Sums, SweepError
+from linksweep.sweep.contract.rows import LENGTH, MISSING_INT, REFERENCE, Block, Reducer, ledger_key
 from linksweep.sweep.formatting import ERRORS, RAGGED, TRUTH, described, short_meaning
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid

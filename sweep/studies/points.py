@@ -23,7 +23,7 @@ import numpy as np
 
 from linksweep.sweep.code import Code, reach_of
 from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, nearest, shown, suggest
-from linksweep.sweep.contract.declaration import LABEL, factor_between, is_quantity, name_problem
+from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quantity, name_problem
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
 from linksweep.sweep.tables.columns import rows_listed, table_file
