@@ -121,9 +121,3 @@ def test_samples_are_the_realisations_behind_the_results(kept):
 def test_an_experiment_without_samples_cannot_keep_them(coins, tmp_path):
     with pytest.raises(SweepError, match="has no samples to keep"):
         linksweep.run(coins | {"sampling": {"keep_samples": True}}, tmp_path / "s.zarr", pool="serial")
-
-
-def test_keeping_samples_is_part_of_what_a_store_means(samples):
-    without = LINK | {"sampling": {**LINK["sampling"], "keep_samples": False}}
-    with pytest.raises(SweepError, match="keep_samples"):
-        linksweep.run(without, samples, pool="serial")

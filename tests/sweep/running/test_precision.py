@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 import linksweep
-from linksweep import Output, SweepError, experiment
+from linksweep import Output, experiment
 from linksweep.sweep.analysis.quantity import standard_error
 from tests.sweep.opening import OpenStore, Silent, Stopping, same
 from tests.tiers import slow
@@ -107,15 +107,6 @@ def test_a_quantile_goes_on_until_its_error_is_known(tmp_path):
     assert dataset["n_sim_done"].item() == 1024
     assert "below 3782 realisations" in dataset["w_q99.9_mc_error"].attrs["description"]
     assert np.isnan(dataset["w_q99.9_mc_error"].item())
-
-
-def test_what_cannot_be_is_said(coins, tmp_path):
-    for sampling, message in (
-        ({"precision": 0.0}, "sampling.precision: input should be greater than 0"),
-        ({"max_n_sim": 50}, "max_n_sim = 50: must be at least n_sim = 100"),
-    ):
-        with pytest.raises(SweepError, match=message):
-            run(tmp_path / "s.zarr", **sampling)
 
 
 class StopAt(Silent):

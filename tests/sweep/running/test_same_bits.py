@@ -3,7 +3,6 @@
 import json
 import random
 import time
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +14,6 @@ import linksweep
 from linksweep import SweepError
 from tests.sweep import spread
 from tests.sweep.opening import check, generators, make_grid, merge, plan_study, run, same, study_from_dict
-from tests.sweep.outside import Outside
 from tests.tiers import slow
 
 
@@ -30,23 +28,6 @@ from tests.tiers import slow
 def test_any_number_of_workers(link_study, tmp_path, sweep, reference, resources):
     code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", *resources)
     assert code == 0, err
-    same(tmp_path / "s.zarr", reference)
-
-
-@pytest.fixture
-def scheduler(tmp_path):
-    """The address of a Dask scheduler with two worker processes, all of them started from the command line."""
-    (tmp_path / "dask").mkdir()
-    with closing(Outside(tmp_path / "dask")) as outside:
-        outside.start_worker("--nworkers", "2")
-        yield outside.address
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_runs_elsewhere(link_study, tmp_path, sweep, reference, scheduler):
-    code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", scheduler)
-    assert code == 0, err
-    assert scheduler in err
     same(tmp_path / "s.zarr", reference)
 
 

@@ -43,16 +43,6 @@ def test_speed_up_and_efficiency_are_those_of_the_seconds(coins, slow_clock):
     assert max(work for work, _, _ in slow_clock) == 1600
 
 
-def test_a_function_without_random_numbers_has_no_weak_scaling(tmp_path, sweep_here, monkeypatch):
-    """There is nothing to multiply; its command takes a function as `sweep run` does."""
-    monkeypatch.setattr("linksweep.sweep.running.scaling._timed", lambda study, workers, pool: (1.0 / workers, 0.0))
-    (tmp_path / "area.py").write_text("def area(width: float):\n    return width * 2.0\n")
-    asked = ("--axis", "width=1:9:1", "--workers", "1,2", "--repetitions", "1", "--json", "-o", "s.zarr")
-    status, out, err = sweep_here("scaling", "area.py:area", *asked, cwd=tmp_path)
-    assert status == 0, err
-    assert {(row["kind"], row["workers"]) for row in json.loads(out)["rows"]} == {("strong", 1), ("strong", 2)}
-
-
 @pytest.mark.slow
 def test_the_command_leaves_the_measurements_and_nothing_else(tmp_path, sweep, monkeypatch):
     (tmp_path / "scratch").mkdir()

@@ -9,19 +9,8 @@ import pytest
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import Stopping, check, files_of, open_dataset, run, status_report
+from tests.sweep.opening import check, files_of, open_dataset, status_report
 from tests.tiers import PATIENCE_S
-
-
-def test_a_single_point_that_was_stopped(coins, tmp_path, sweep):
-    study = coins | {"axes": {}, "fixed": {"metal": "tin"}}
-    with pytest.raises(KeyboardInterrupt):
-        run(study, tmp_path / "s.zarr", {"most_blocks": 1}, progress=Stopping(2))
-    code, out, _ = sweep("status", tmp_path / "s.zarr")
-    assert (code, "0 of 1 point done" in out) == (0, True)
-    done, wanted = (status_report(tmp_path / "s.zarr")[key] for key in ("realisations_done", "realisations"))
-    assert f"{100 * done // wanted} % of the realisations" in out
-    assert 0 < done < wanted == 20_000
 
 
 def test_points_that_nobody_asked_for_and_failures_that_left_a_store_are_told(sweep, tmp_path):

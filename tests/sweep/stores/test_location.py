@@ -10,7 +10,7 @@ import pytest
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import Folder, files_of, located, short_name, store_named
+from tests.sweep.opening import Folder, located, short_name, store_named
 from tests.tiers import slow
 
 
@@ -170,14 +170,6 @@ def test_a_store_may_itself_be_a_link(store, tmp_path):
     assert (Folder(link).name, Folder(link).parent) == ("s.zarr", Folder(tmp_path))  # one lock
     assert enlarge(store).attrs["complete"] == 1
     assert linksweep.open(link).sizes["k"] == 3
-
-
-def test_a_file_with_a_second_name_is_replaced_not_written_through(store, tmp_path):
-    for number, key in enumerate(files_of(store)):
-        os.link(store / key, tmp_path / f"{number}")
-    before = {path: content for path, content in contents(tmp_path).items() if path.parent == tmp_path}
-    enlarge(store)
-    assert before.items() <= contents(tmp_path).items()
 
 
 def test_a_link_that_comes_during_a_run_is_not_followed(tmp_path):
