@@ -306,6 +306,7 @@ def refine(
         variable=opt("With --until: what to interpolate.  [default: the main result]"),
         most=opt("Most in all.  [default: a fifth of the full grid's]", "--max-realisations", type=click.IntRange(1)),
     ),
+    plan_only: bool = flag("Say which round is next, and compute and write nothing.", "--plan"),
     how: Running = cli.group(Running),
 ) -> None:
     """Run STUDY, then add the points and realisations that matter next, round by round, into the same store.
@@ -321,11 +322,18 @@ def refine(
     from linksweep.sweep.analysis.laws import find
     from linksweep.sweep.analysis.refine import refinements
     from linksweep.sweep.result import Result
+    from linksweep.sweep.running.run import stored_results
 
     (study, store), mute = asked.load(), replace(how, as_json=None)
-    for state in refinements(study, store, goal, lambda now: run_with_progress(now, store, mute)[0].to_xarray()):
+
+    def run(now: "linksweep.Study") -> Any:
+        return (stored_results(now, store) if plan_only else run_with_progress(now, store, mute)[0]).to_xarray()
+
+    for state in refinements(study, store, goal, run):
         if state.upcoming is not None and not how.watching.quiet:
             click.echo(f"round {len(state.rounds) + 1}: {state.upcoming}", err=True)
+        if plan_only:
+            break
     is_whole = not (failures := json.loads(state.dataset.attrs["failures"]))
     crossings = Result(find(state.dataset, goal["find"], state.along)) if goal["find"] and is_whole else None
     if how.as_json:

@@ -20,7 +20,7 @@ from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, ledger_key, lost_
 from linksweep.sweep.executing.executor import choose_executor
 from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources, available_cores
 from linksweep.sweep.executing.task import Batch, Executor, Failure, TaskResult
-from linksweep.sweep.formatting import host, now
+from linksweep.sweep.formatting import counted, host, now
 from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, failures_by_place, make_grid
@@ -599,9 +599,8 @@ class Session:
 
     def _part(self) -> "Session":
         """Return the session of the points of the study that was asked for alone, with what is there now."""
-        assert self._asked is not None, "the store has more"
         study = self.study
-        known = replace(self._asked, experiment=study.experiment, sampling=study.sampling, counts=study.counts)
+        known = replace(self._asked or study, experiment=study.experiment, sampling=study.sampling, counts=study.counts)
         return Session(self.accumulator.plan.for_study(known), self._where, self.store)
 
     def part(self) -> tuple[Labelled, dict[str, str]]:
@@ -707,6 +706,16 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     session = Session.open(make_grid(study), store, accept_code=accept_code)
     asked = session if session._asked is None else session._part()
     return asked.accumulator.plan, session.survey
+
+
+def stored_results(study: Study, store: Where) -> Labelled:
+    """Return the results of a study as `run_study` does, from its store alone, computing and writing nothing; raises
+    SweepError where points are still to be computed, and as `Session.open`.
+    """
+    session = Session.open(make_grid(study), store)
+    if points := session.survey.pending.points:
+        raise SweepError(f"{counted(points, 'point')} to compute first: run the study", str(store))
+    return session.part()[0]
 
 
 def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:
