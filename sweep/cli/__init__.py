@@ -24,11 +24,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
-from click import Context, Parameter
 from click.shell_completion import CompletionItem
 
 import linksweep
@@ -78,7 +76,7 @@ def output(help: str, **more: Any) -> Any:  # noqa: A002
 def parsed(parse: Callable[[str], Any]) -> Any:
     """Return a callback of an option that parses its value; its ValueError is a usage error."""
 
-    def callback(context: Context, _parameter: Parameter, value: str | None) -> Any:
+    def callback(context: click.Context, _parameter: click.Parameter, value: str | None) -> Any:
         if value is None or context.resilient_parsing:
             return None
         try:
@@ -102,9 +100,9 @@ class Group:
     make: Callable[..., Any]
     options: Mapping[str, Any]
 
-    def parameters(self) -> dict[str, Parameter]:
+    def parameters(self) -> dict[str, click.Parameter]:
         """Return the options and arguments of this group and of the groups in it, each once."""
-        parameters: dict[str, Parameter] = {}
+        parameters: dict[str, click.Parameter] = {}
         for name, one in self.options.items():
             parameters.update(one.parameters() if isinstance(one, Group) else {name: one(name)})
         return parameters
@@ -148,7 +146,7 @@ def _named(text: Any) -> Any:
     return tuple(named) if isinstance(text, tuple) else named[0]
 
 
-def _studies(_context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+def _studies(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Offer the built-in studies and the TOML files here; where neither fits, whatever file the shell knows."""
     names = [*built_in_studies(), *sorted(path.name for path in Path().glob("*.toml"))]
     fitting = [CompletionItem(name) for name in names if name.startswith(incomplete)]
@@ -156,11 +154,13 @@ def _studies(_context: Context, _parameter: Parameter, incomplete: str) -> list[
     return fitting or [CompletionItem(incomplete, type="file")]
 
 
-def _folders(_context: Context, _parameter: Parameter, incomplete: str) -> list[CompletionItem]:
+def _folders(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
     return [CompletionItem(incomplete, type="dir")]
 
 
-def _keys(context: Context, _parameter: Parameter, incomplete: str, more: Sequence[str] = ()) -> list[CompletionItem]:
+def _keys(
+    context: click.Context, _parameter: click.Parameter, incomplete: str, more: Sequence[str] = ()
+) -> list[CompletionItem]:
     """Offer the axes of the study that was given before, what it fixes, and ``more``."""
     # The study is not parsed yet where an option lacks its value.
     study = str(context.params.get("study") or next(iter(context.args), ""))
@@ -472,7 +472,7 @@ def leave_with_exit_code() -> None:
         os._exit(128 + _stopped_by[-1])
 
 
-def _leave_at_once(number: int, _frame: FrameType | None) -> NoReturn:
+def _leave_at_once(number: int, _frame: object) -> NoReturn:
     _kill_children()
     with suppress(OSError):
         # A progress bar hides the cursor.

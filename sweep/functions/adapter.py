@@ -8,7 +8,6 @@ import sys
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, lru_cache
 from typing import Annotated, Any, Literal, TypeGuard, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
@@ -18,7 +17,6 @@ from linksweep.sweep.contract import Experiment, GeneratorPair, Kind, Named, Out
 from linksweep.sweep.contract import experiment as rules
 from linksweep.sweep.contract.rows import Array, Outcome, Reducer, Rows
 from linksweep.sweep.functions import results
-from linksweep.sweep.functions.results import Layout
 from linksweep.sweep.functions.statistics import Moments, drawn, quantile_of, statistic_problem
 
 RNG, N_SIM = "rng", "n_sim"
@@ -323,9 +321,9 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
 class Typed(Reducer):
     """The reducer of results that are there after one call: a row has each of them as itself."""
 
-    layout: Layout | None
+    layout: results.Layout | None
 
-    @cached_property
+    @functools.cached_property
     def dtype(self) -> np.dtype[np.void]:
         """The type of a row; without fields before there is a first result."""
         return np.dtype([]) if self.layout is None else self.layout.dtype
@@ -353,7 +351,7 @@ class FunctionExperiment(Experiment):
     repeatable: bool = False
     takes_n_sim: bool = False
     with_default: tuple[str, ...] = ()
-    layout: Layout | None = None
+    layout: results.Layout | None = None
     keeps_all: bool = False
 
     def __post_init__(self) -> None:
@@ -368,7 +366,7 @@ class FunctionExperiment(Experiment):
         """Return the experiment of a function that may return other results each time."""
         return replace(self, repeatable=False)
 
-    @cached_property
+    @functools.cached_property
     def expected(self) -> results.Declared:
         """What results are checked against."""
         names = tuple(parameter.name for parameter in self.parameters)
@@ -376,7 +374,7 @@ class FunctionExperiment(Experiment):
         single = outputs[0].name if len(outputs) == 1 else "result" if self.name in ("function", *names) else self.name
         return results.Declared(self.name, single, outputs, names)
 
-    def with_layout(self, layout: Layout) -> "FunctionExperiment":
+    def with_layout(self, layout: results.Layout) -> "FunctionExperiment":
         """Return the experiment with a known layout of its results."""
         moments = Moments(layout, self.declared, self.keeps_all)
         return replace(
@@ -387,7 +385,7 @@ class FunctionExperiment(Experiment):
             coordinates={coordinate.name: coordinate.values for coordinate in layout.coordinates},
         )
 
-    @cached_property
+    @functools.cached_property
     def reducer(self) -> Reducer:
         """What a call, or a block of realisations, leaves of a point."""
         if self.rng and self.layout is not None:
@@ -527,7 +525,7 @@ def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
         return _made.__wrapped__(function)
 
 
-@lru_cache(maxsize=64)  # a worker asks for it with each task
+@functools.lru_cache(maxsize=64)  # a worker asks for it with each task
 def _made(function: Callable[..., Any]) -> FunctionExperiment:
     return _checked(function, declaration_of(function))
 
@@ -543,7 +541,7 @@ def _undeclared(
     return FunctionExperiment(name, 1, parameters, {}, (), no_sums, no_sums, outer_draw="", declared=declared, rng=rng)
 
 
-def _outputs(layout: Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
+def _outputs(layout: results.Layout, declared: Sequence[Output]) -> tuple[Output, ...]:
     """Return the outputs of a layout; where none is declared as headline, those without dimensions are."""
     by_name = {output.name: output for output in declared}
     headline = layout.headline(declared)
@@ -565,7 +563,7 @@ def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter,
     return empty if layout is None else empty.with_layout(layout)
 
 
-def layout_of_record(record: Mapping[str, Any]) -> Layout | None:
+def layout_of_record(record: Mapping[str, Any]) -> results.Layout | None:
     """Return the layout of results that a store has recorded; None where there is none."""
     layout = record.get("function", {}).get("layout")
     try:
