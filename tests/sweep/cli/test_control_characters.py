@@ -74,7 +74,7 @@ def store(folder):
 
 
 @pytest.mark.filterwarnings("ignore:Glyph")
-@pytest.mark.parametrize("look", LOOKS, ids=" ".join)
+@pytest.mark.parametrize("look", [slow(look) if "report" in look else look for look in LOOKS], ids=" ".join)
 def test_commands_escape_what_a_function_and_a_study_say(store, folder, sweep, look):
     code, out, err = sweep(*look, cwd=folder)
     assert code in (0, 1, 2), err
