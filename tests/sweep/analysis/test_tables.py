@@ -65,6 +65,12 @@ def test_a_prediction_is_shown_with_its_parts_and_a_published_number_with_the_di
     assert first.split()[2:] == ["0.6000", "±", "0.0030", "0.5000", "0.4000", "0.3000", "0.5", "+20.0", "%"]
 
 
+def test_what_is_published_exactly_is_a_sentence_and_no_column():
+    text = text_of(grid(28.0, published={(0, 0): "28"}))
+    assert "width: all published values are met exactly" in text
+    assert "difference" not in text
+
+
 def test_an_integer_beyond_those_of_floats_chooses_its_own_point(tmp_path):
     def f(a: int):
         return float(a % 10)
