@@ -1,5 +1,5 @@
 """Values of parameters, checked against the experiment: alone, along an axis, in the ranges of a design, and in the
-table [points] of a study, which is a file, a design, columns, or a table in Python.
+table [points] of a study, which is a file, a design, columns, or a table in Python; and the problems of a study.
 """
 
 import datetime
