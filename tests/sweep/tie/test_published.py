@@ -81,6 +81,7 @@ def test_the_amplitudes_are_the_field_that_was_fitted():
     made = np.linalg.lstsq(basis, fields.reshape(len(fields), -1).T, rcond=None)[0]
     errors = np.sqrt(np.einsum("ak,ekl,al->ea", made, link.covariances.values, made))
     np.testing.assert_allclose(link.amplitude_errors, errors, rtol=1e-9)
+    np.testing.assert_allclose(link.amplitude_covariance, made @ link.covariance.values @ made.T, atol=1e-9)
 
 
 @pytest.mark.parametrize("sign", ["reference-satellite", "satellite-reference"])
