@@ -95,7 +95,7 @@ def lost_integers(rows: Rows, dtype: np.dtype[np.void]) -> dict[int, str]:
     """Return which rows have an integer that the floats of a new type cannot hold, and why that is wrong."""
     lost: dict[int, str] = {}
     for name in set(rows.dtype.names or ()) & set(dtype.names or ()):
-        if rows.dtype[name].base.kind == "i" and dtype[name].base.kind == "f":
+        if len(rows) and rows.dtype[name].base.kind == "i" and dtype[name].base.kind == "f":
             whole = rows[name].reshape(len(rows), -1)
             for row in np.flatnonzero(_beyond(whole).any(axis=1)).tolist():
                 number = beyond_floats(whole[row])

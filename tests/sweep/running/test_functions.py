@@ -127,3 +127,11 @@ def test_killed_while_integers_become_floats_none_is_rounded(tmp_path, monkeypat
     ds, _ = until_done(left, kill, lambda: run(steps, tmp_path / "s.zarr", axes={"k": [0, 1, 10]}))
     assert ds.status.values.tolist() == [1, 1, 2]
     assert "beyond 2**53" in json.loads(ds.attrs["failures"])["k=10"]
+
+
+def test_all_points_may_be_computed_again_with_floats_in_place_of_integers(tmp_path):
+    (tmp_path / "f.py").write_text("def f(k: int):\n    return k\n")
+    run(f"{tmp_path}/f.py:f", tmp_path / "s.zarr", axes={"k": [1, 2]})
+    (tmp_path / "f.py").write_text("def f(k: int):\n    return k / 2\n")
+    ds = run(f"{tmp_path}/f.py:f", tmp_path / "s.zarr", axes={"k": [1, 2]}, redo="old")
+    assert ds.f.values.tolist() == [0.5, 1.0]
