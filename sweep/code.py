@@ -939,6 +939,26 @@ def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
     return subprocess.Popen([sys.executable, "-P", "-c", f"import linksweep; {code}"], env=around, **options)
 
 
+def as_recorded_where_unsteady(now: Mapping[str, str], old: Mapping[str, str], reference: str) -> Mapping[str, str]:
+    """Return the code of a reference as it is now, but with values that differ from process to process, such as a time,
+    as an ``old`` version of it has them.  Where only values differ, two new processes show which these are.
+    """
+    changed = [name for name in {*old, *now} if old.get(name) != now.get(name)]
+    if not changed or reference.startswith(f"{SESSION}:") or not all(name.startswith("value ") for name in changed):
+        return now
+    return {**now, **{name: old[name] for name in _unsteady(reference) if name in old}}
+
+
+@cache
+def _unsteady(reference: str) -> list[str]:
+    code = f"import json; from linksweep.sweep.code import parts_of; print(json.dumps(parts_of({reference!r})))"
+    processes = [new_process(code, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) for _ in range(2)]
+    one, other = (json.loads((each.communicate()[0].splitlines() or [b"{}"])[-1]) for each in processes)
+    for name in (differing := [name for name in one if name in other and one[name] != other[name]]):
+        _warn(f"{name} differs from process to process; its changes are not noticed")
+    return differing
+
+
 def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
     """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
     phrases = []

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from linksweep.sweep.code import code_differences, code_of
+from linksweep.sweep.code import as_recorded_where_unsteady, code_differences, code_of
 from linksweep.sweep.contract import DIGEST_BYTES, SweepError
 from linksweep.sweep.stores.store import CODE, Store
 from linksweep.sweep.studies.study import Study
@@ -21,8 +21,11 @@ def records_of(attributes: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def differences_of_code(records: Sequence[Mapping[str, Any]], study: Study) -> list[str]:
     """Say how a study's code differs from that of the last of some records; nothing where there is none."""
-    now = code_of(study.experiment_reference, study.experiment) if records else {}
-    return [text for one in records[-1:] for text in code_differences(one["code"], now, "in the store", "now")]
+    if not records:
+        return []
+    reference, old = study.experiment_reference, records[-1]["code"]
+    now = as_recorded_where_unsteady(code_of(reference, study.experiment), old, reference)
+    return code_differences(old, now, "in the store", "now")
 
 
 def rows_of_other_code(store: Store, study: Study) -> list[range]:

@@ -264,3 +264,15 @@ def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_p
     (tmp_path / "k.csv").write_text("4")
     code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path)
     assert (code, "file k.csv has changed" in err) == (2, True)
+
+
+@pytest.mark.slow
+def test_a_value_that_each_process_has_otherwise_is_named_and_refuses_nothing(tmp_path, start_sweep):
+    text = "import time\nSTART, K = time.time_ns(), 2.0\ndef f(x: float):\n    return K * x if START else 0.0\n"
+    for axis, constant, expected in (("x=1", "2.0", 0), ("x=1,2", "2.0", 0), ("x=1,2", "3.0", 2)):
+        (tmp_path / "m.py").write_text(text.replace("2.0", constant))
+        process = start_sweep("run", "m.py:f", "--axis", axis, "-o", "s.zarr", cwd=tmp_path)
+        err = process.communicate(timeout=60)[1]
+        assert process.returncode == expected, err
+        assert ("m.START differs from process to process" in err) == (axis == "x=1,2"), err
+    assert "value m.K (" in err
