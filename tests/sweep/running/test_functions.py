@@ -117,7 +117,7 @@ def test_integers_and_floats_are_joined_whatever_the_order_and_the_runs(tmp_path
         assert re.fullmatch(r"numbers: 'big' is \d+, which is beyond 2\*\*53, and other points have floats", message)
 
 
-@pytest.mark.parametrize("kill", [*range(4, 20, 3), *map(slow, range(20))])
+@pytest.mark.parametrize("kill", [7, 13, *map(slow, range(20))])
 def test_killed_while_integers_become_floats_none_is_rounded(tmp_path, monkeypatch, kill):
     def steps(k: int):
         return k / 2 if k % 2 else 2**53 + k - 9 if k > 8 else k // 2
