@@ -56,6 +56,17 @@ def test_the_ledger_grows_over_parts_and_has_what_was_flushed(path, coins, monke
     assert bytes([5]) * 16 not in create_or_resume(path, coins).failures
 
 
+def test_of_two_who_write_one_ledger_the_second_is_refused(path, coins):
+    """As where a lock was broken while its holder ran on another host."""
+    one, other = create_or_resume(path, coins), create_or_resume(path, coins)
+    for store, start in ((one, 0), (other, 5)):
+        store.append(*rows(5, start))
+    one.flush()
+    with pytest.raises(SweepError, match="changed by others, during this run"):
+        other.flush()
+    assert len(existing_store(path, coins).rows) == 5
+
+
 def test_another_meaning_is_refused_with_the_differences(path, coins):
     create_or_resume(path, coins)
     for change, words in (
