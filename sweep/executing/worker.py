@@ -273,8 +273,8 @@ IMPORTS_S = 30.0
 # Points of a process's first call of a vectorised function for more than these that are also computed alone.
 CHECKED = 3
 
-# Seconds of a first call after which there is no second one: in each process it delays all that follows.
-LONGEST_S = 0.2
+# Seconds of a first call after which there is no second one.
+LONGEST_S = 1.0
 
 WHAT_TO_DO = (
     "A function that draws random numbers takes them from its argument rng; one whose results need not be the same "
@@ -388,7 +388,7 @@ class _Computing:
             _with_printed(result, said.taken())
             result.seconds[:] = (time.perf_counter() - begun) / len(rows)
             if 0 in result.outcomes:
-                result.refused = self._how_it_differs([unit], [result.outcomes[0]], float(result.seconds[0]))
+                self._repeat([unit], [result.outcomes[0]], float(result.seconds[0]), result)
                 said.taken()  # what the second call says was said by the first
             yield result
 
@@ -453,35 +453,52 @@ class _Computing:
             outcomes = self._outcomes(units[0], len(points) + CHECKED, call)
             if isinstance(outcomes, BaseException):
                 return None  # which point is to blame is found out one by one
-            printed, seconds = said.taken(), time.perf_counter() - begun
-            refused = self._how_it_differs(units, outcomes, seconds)
-        result, wrong = _with_printed(_succeeded(outcomes, seconds), printed), _dependence.get(who, "")
-        if wrong:
+            seconds = time.perf_counter() - begun
+            result = _with_printed(_succeeded(outcomes, seconds), said.taken())
+            self._repeat(units, outcomes, seconds, result)
+        if wrong := _dependence.get(who, ""):
             result.outcomes, result.failures = {}, dict.fromkeys(range(len(points)), Failure("exception", wrong))
-        result.refused = refused
         return result
 
-    def _how_it_differs(self, units: Sequence[PointBlock], first: Sequence[Outcome], seconds: float) -> str:
-        """Return a sentence if a second call at the points of some units gives other results than the ``first``, which
-        took so many ``seconds``; '' if it gives the same, and where there is no second one.
+    def _repeat(
+        self, units: Sequence[PointBlock], first: Sequence[Outcome], seconds: float, result: TaskResult
+    ) -> None:
+        """Call a repeatable function again at the points of some units, whose ``first`` call took so many ``seconds``,
+        and say in their result if it differs, or that another process is to do so.
         """
         if not self.task.repeatable or self.who in _agreed or seconds > LONGEST_S:
-            return ""
+            return
+        if seconds > self.task.at_once_s:
+            result.again = True
+            return
         points = [self.experiment.defaults() | unit.points[0] for unit in units]
         # Other random numbers than at first, if it takes those of the process.
         again = self._outcomes(units[0], len(points), lambda: self.experiment.compute(points, 1, ()), turn=1)
         if isinstance(again, TimeLimitError):
-            return ""
-        if isinstance(again, BaseException):
-            how = f"and then raises {type(again).__name__}"
-        else:
-            how = next(filter(None, map(_difference, first, again)), "")
-        if not how:
+            return
+        second, raised = ([], type(again).__name__) if isinstance(again, BaseException) else (again, "")
+        result.refused = how_calls_differ(self.experiment, units, first, second, raised)
+        if not result.refused:
             _agreed.add(self.who)
-            return ""
-        place = ", ".join(f"{name} = {shown(value)}" for name, value in points[0].items()) or "its only point"
-        many = f" and {len(points) - 1:,} more" if len(points) > 1 else ""
-        return f"{self.experiment.name}: called twice at {place}{many}, it returns a result {how}. {WHAT_TO_DO}"
+
+
+def how_calls_differ(
+    experiment: Experiment,
+    units: Sequence[PointBlock],
+    first: Sequence[Outcome],
+    again: Sequence[Outcome],
+    raised: str = "",
+) -> str:
+    """Return a sentence if a second call at the points of some units gave other results than the first, or ``raised``
+    an exception; '' if it gave the same.
+    """
+    how = f"and then raises {raised}" if raised else next(filter(None, map(_difference, first, again)), "")
+    if not how:
+        return ""
+    point = experiment.defaults() | units[0].points[0]
+    place = ", ".join(f"{name} = {shown(value)}" for name, value in point.items()) or "its only point"
+    many = f" and {len(units) - 1:,} more" if len(units) > 1 else ""
+    return f"{experiment.name}: called twice at {place}{many}, it returns a result {how}. {WHAT_TO_DO}"
 
 
 def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:

@@ -27,7 +27,7 @@ from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, fa
 from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
 from linksweep.sweep.planning.union import REFINED, UNITED, united
 from linksweep.sweep.running.code import check_code, record_code, records_of, rows_of_other_code
-from linksweep.sweep.running.progress import FailureCount, MaxFailures, Progress, Silent, Taken
+from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures, Progress, Silent, Taken
 from linksweep.sweep.running.results import Labelled, assemble, assemble_samples, code_variable, covariances, masked
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, locked, writing
@@ -689,7 +689,7 @@ class Session:
         try:
             yield
         except BaseException as error:
-            if isinstance(error, _RefusedError) and self._is_new and not writer.store.rows:
+            if isinstance(error, _RefusedError) and self._is_new and len(writer.store.rows) < FIRST:
                 with writing(writer.store.location):
                     writer.store.location.clear()  # as if nothing had been begun
                 raise

@@ -55,6 +55,20 @@ def test_another_result_is_refused_by_name(kind, pool, tmp_path):
         assert (run(f, tmp_path / "s.zarr", axes=AXES, pool=pool, deterministic=False).status == 1).all()
 
 
+@pytest.mark.parametrize("pool", ["processes", *map(slow, ["serial", "threads", None])])
+@pytest.mark.parametrize("last", [1, slow(5)])
+def test_so_it_is_where_a_call_takes_a_good_part_of_a_second(tmp_path, pool, last):
+    """On processes a further one makes the second call, whether others have work meanwhile or not."""
+
+    def late(x: int):
+        time.sleep(0.3)
+        return x if x > last else random.SystemRandom().random()
+
+    with pytest.raises(SweepError, match=r"called twice at x = \d"):
+        run(late, tmp_path / "s.zarr", axes={"x": range(1, last + 1)}, pool=pool)
+    assert not (tmp_path / "s.zarr").exists()
+
+
 @experiment(outputs=[Output("y", nan=True)])
 def with_nan(x: float):
     return {"y": np.array([np.nan, x, np.inf])}
