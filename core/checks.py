@@ -10,18 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from linksweep.core import scenario
 from linksweep.core.catalogues import CATALOGUES, RANDOM_SKY, SIDES, File
 from linksweep.core.errors import ERROR_MODELS, ErrorModel
 from linksweep.core.frames import Array
 from linksweep.core.missions import CurveError, MissionUnavailableError
-from linksweep.core.scenario import (
-    catalogue_kind,
-    catalogue_size,
-    error_models,
-    expected_errors,
-    systematics,
-    zonal_errors,
-)
 from linksweep.sweep.contract import Point
 
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
@@ -50,17 +43,17 @@ def check(point: Point) -> str | None:
         return problem
     try:
         # before any error is computed: a curve may not reach these magnitudes
-        for side, model in zip(SIDES, models := error_models(point), strict=True):
-            if problem := model.problem(point, side, catalogue_kind(point)):
+        for side, model in zip(SIDES, models := scenario.error_models(point), strict=True):
+            if problem := model.problem(point, side, scenario.catalogue_kind(point)):
                 return problem
-        errors = expected_errors(point, models)
+        errors = scenario.expected_errors(point, models)
         return _errors_problem(point, errors) or _projected_problem(point, models, errors)
     except (MissionUnavailableError, CurveError) as error:
         return str(error)
 
 
 def _catalogue_problem(point: Point) -> str | None:
-    kind = catalogue_kind(point)
+    kind = scenario.catalogue_kind(point)
     uses = kind.uses(point)
     if point["file"] is not None and "file" not in uses:
         return "file: catalogue = 'file' needs a file, and other catalogues have none"
@@ -68,8 +61,10 @@ def _catalogue_problem(point: Point) -> str | None:
         return "zone_of_avoidance and sky_contrast are for random positions (positions = 'isotropic')"
     if problem := kind.why_not(point):
         return problem
-    if point["solve_glide"] and catalogue_size(point) < SMALLEST_GLIDE:
-        return f"n_obj = {catalogue_size(point)}: solving for a glide too needs at least {SMALLEST_GLIDE} objects"
+    if point["solve_glide"] and scenario.catalogue_size(point) < SMALLEST_GLIDE:
+        return (
+            f"n_obj = {scenario.catalogue_size(point)}: solving for a glide too needs at least {SMALLEST_GLIDE} objects"
+        )
     if point["aberration"] and not kind.extragalactic:
         return f"aberration: the glide is that of extragalactic objects, not of {point['catalogue']}"
     return None
@@ -77,10 +72,10 @@ def _catalogue_problem(point: Point) -> str | None:
 
 def _systematics_problem(point: Point) -> str | None:
     try:
-        need_magnitudes = systematics(point).need_magnitudes
+        need_magnitudes = scenario.systematics(point).need_magnitudes
     except ValueError as error:
         return f"motion_field = {point['motion_field']!r}: {error}"
-    if need_magnitudes and any(map(math.isnan, catalogue_kind(point).magnitudes(point))):
+    if need_magnitudes and any(map(math.isnan, scenario.catalogue_kind(point).magnitudes(point))):
         return (
             "omega_slope and magnitude equations need a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
         )
@@ -120,9 +115,9 @@ def _projected_problem(point: Point, models: Sequence[ErrorModel], errors: Array
     if point["method"] == "catalogue":
         return None
     needs = "method = 'projected' needs"
-    if zonal_errors(point) is not None:
+    if scenario.zonal_errors(point) is not None:
         return f"{needs} errors that are independent from object to object, and zonal ones are not"
-    objects = catalogue_kind(point).objects(point)
+    objects = scenario.catalogue_kind(point).objects(point)
     for side, model in zip(SIDES, models, strict=True):
         if point[f"{side}_error_ratio"] != 1.0:
             return f"{needs} true errors that equal those in the weights: {side}_error_ratio = 1"
@@ -140,8 +135,8 @@ def warn(point: Point) -> list[str]:
     """Return sentences about magnitudes outside of a curve's range, about what is not measured, about positions of
     different epochs, and about objects that decide nearly alone.
     """
-    kind, models = catalogue_kind(point), error_models(point)
-    errors = expected_errors(point, models)
+    kind, models = scenario.catalogue_kind(point), scenario.error_models(point)
+    errors = scenario.expected_errors(point, models)
     sentences = [model.warning(point, kind) for model in models]
     sentences += [_not_measured(errors), _epochs(point), _heaviest(point, errors)]
     return [sentence for sentence in sentences if sentence is not None]
@@ -177,7 +172,7 @@ def _epochs(point: Point) -> str | None:
 
 def _heaviest(point: Point, errors: Array) -> str | None:
     """Name the object of a file with the largest share of the weight of positions or proper motions."""
-    kind = catalogue_kind(point)
+    kind = scenario.catalogue_kind(point)
     if not isinstance(kind, File) or point["weighting"] == "equal":
         return None
     variance = np.square(errors).sum(axis=0).reshape(-1, 2, 2)  # (N, kinds, coordinates)
@@ -206,17 +201,17 @@ def unused(point: Point) -> dict[str, str]:
             clauses[vector] = f"its direction is random (directions) and its length is {vector}_size"
     if not point["aberration"]:
         clauses["glide"] = "it is for aberration = true"
-    if zonal_errors(point) is None:
+    if scenario.zonal_errors(point) is None:
         clauses["zonal_length"] = "it is for zonal errors, zonal_pos or zonal_pm above 0"
     if point["motion_field"] is None:
         clauses["motion_field_size"] = "it is for a motion_field"
-    if not systematics(point).need_magnitudes:
+    if not scenario.systematics(point).need_magnitudes:
         clauses["v_zero"] = "it is for an omega_slope or a magnitude equation"
     return clauses
 
 
 def _unused_by_catalogue(point: Point) -> dict[str, str]:
-    kind, clauses = catalogue_kind(point), {}
+    kind, clauses = scenario.catalogue_kind(point), {}
     uses = kind.uses(point)
     for parameter in sorted({name for other in CATALOGUES.values() for name in other.parameters} - uses):
         if parameter in RANDOM_SKY & kind.parameters:

@@ -13,7 +13,6 @@ holds.
 """
 
 import ast
-import functools
 import hashlib
 import importlib.abc
 import importlib.util
@@ -34,7 +33,7 @@ from collections import ChainMap, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property, lru_cache, partial
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from itertools import accumulate, chain
@@ -76,7 +75,7 @@ PYTHONS = ("__", "_abc_", "_value2member_map_")
 
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 IMPORTS = (ast.Import, ast.ImportFrom)
-DESCRIPTORS = (staticmethod, classmethod, property, functools.cached_property, np.vectorize)
+DESCRIPTORS = (staticmethod, classmethod, property, cached_property, np.vectorize)
 # What such objects, and wrappers of libraries, have besides caches.
 WRAPPED = ("__func__", "fget", "fset", "fdel", "func", "pyfunc", "otypes", "signature", "__wrapped__")
 
@@ -291,7 +290,7 @@ class Reach:
             return value.dtype.str, value.shape, digest_of(value.tobytes())
         # A wrapper of a library, whose other attributes may be caches.
         wraps = distributions_of(kind.__module__) is not None and callable(value) and hasattr(value, "__wrapped__")
-        if isinstance(value, DESCRIPTORS) or (wraps and kind not in (MethodType, functools.partial)):
+        if isinstance(value, DESCRIPTORS) or (wraps and kind not in (MethodType, partial)):
             return [getattr(value, name, None) for name in WRAPPED]
         if isinstance(value, UNSTEADY) or value is os.environ or (kind is np.ufunc and "vectorized" in value.__name__):
             raise TypeError("not the same from call to call, or made by frompyfunc, which does not tell of what")
@@ -311,7 +310,7 @@ class Reach:
         """
         changed = state.keys() & self._changed
         self._is_partial |= bool(changed)
-        cached = {key for key in state if isinstance(getattr(kind, str(key), None), functools.cached_property)}
+        cached = {key for key in state if isinstance(getattr(kind, str(key), None), cached_property)}
         return [(key, state[key]) for key in sorted(state.keys() - changed - cached - {"__doc__"}, key=str)] or None
 
     def _is_users(self, module: str | None) -> bool:

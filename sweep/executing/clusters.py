@@ -15,8 +15,7 @@ import tomllib
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future as Fetching
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future as Fetching, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker

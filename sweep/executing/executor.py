@@ -27,17 +27,9 @@ from threadpoolctl import threadpool_limits
 
 from linksweep.sweep.code import load_experiment, new_process, provide, sendable, source_digest
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.executing import worker
 from linksweep.sweep.executing.pools import DEFAULT_POOL, NO_LIMITS, Limits, Place, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, PointBlock, Task, TaskResult
-from linksweep.sweep.executing.worker import (
-    ENOUGH_S,
-    Deadlines,
-    compute,
-    how_calls_differ,
-    ignored,
-    run_units,
-    takes_several,
-)
 from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.studies.study import Study
 
@@ -201,7 +193,7 @@ class Children:
         raised = [one.message.partition(":")[0] for one in second.failures.values() if one.kind == "exception"]
         if second.failures and not raised:
             return ""
-        return how_calls_differ(
+        return worker.how_calls_differ(
             experiment, units, list(first.outcomes.values()), list(second.outcomes.values()), *raised[:1]
         )
 
@@ -449,7 +441,7 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
     import faulthandler
 
     for number in (signal.SIGINT, signal.SIGHUP):  # only the parent answers; programs that a block starts may too
-        signal.signal(number, ignored)
+        signal.signal(number, worker.ignored)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
     for name in ONE_THREAD:
         os.putenv(name, "1")  # for libraries that a block loads; `os.environ` stays the user's
@@ -460,7 +452,7 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
         os.dup2(2, 1)  # what is printed outside of Python must not get among the results
     faulthandler.enable(words, all_threads=False)  # prints where the code was when the process ends
     faulthandler.register(signal.SIGALRM, words, all_threads=False, chain=True)
-    deadlines = Deadlines()
+    deadlines = worker.Deadlines()
     with threadpool_limits(1), suppress(EOFError):
         while (message := channel.recv()) is not None:
             for results in _results(deadlines, *message):
@@ -468,18 +460,18 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
             channel.send(None)
 
 
-def _results(deadlines: Deadlines, task: Task | Call, careful: bool) -> Iterator[list[Any]]:
+def _results(deadlines: worker.Deadlines, task: Task | Call, careful: bool) -> Iterator[list[Any]]:
     """Yield the results of a task: several at once, or if ``careful`` each unit as soon as it is done."""
     if isinstance(task, Call):
-        yield [compute(task, deadlines)]
+        yield [worker.compute(task, deadlines)]
         return
     sent = time.monotonic()
-    enough = sent + max(ENOUGH_S, task.enough_s)
+    enough = sent + max(worker.ENOUGH_S, task.enough_s)
     experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
-    split = careful and (experiment.vectorised or takes_several(experiment, task))
+    split = careful and (experiment.vectorised or worker.takes_several(experiment, task))
     tasks = [replace(task, units=(unit,)) for unit in task.units] if split else [task]
     ready: list[TaskResult] = []
-    for result in (result for part in tasks for result in run_units(part, deadlines)):
+    for result in (result for part in tasks for result in worker.run_units(part, deadlines)):
         ready.append(result)
         now = time.monotonic()
         if careful or now > min(enough, sent + SEND_EVERY_S):
@@ -558,7 +550,7 @@ def threads(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iterato
     def work() -> None:
         for job, done in iter(todo.get, None):
             try:
-                done.put((job, compute(job.task(limits, 0.0)), None))
+                done.put((job, worker.compute(job.task(limits, 0.0)), None))
             except BaseException as error:  # raised again in the thread of the run
                 done.put((job, None, error))
 
@@ -585,7 +577,7 @@ def serial(
 
     def execute(take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         while jobs := take(1):
-            yield jobs[0], compute(jobs[0].task(limits, 0.0))
+            yield jobs[0], worker.compute(jobs[0].task(limits, 0.0))
 
     place = Place("in one process" if apart else "in this process", 1)
     with threadpool_limits(1):  # sums of products must not depend on the number of cores

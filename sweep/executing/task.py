@@ -2,7 +2,6 @@
 and code, which are compared before a run and with every task.
 """
 
-import math
 import platform
 import traceback
 from collections import Counter
@@ -101,7 +100,7 @@ class Task:
     source_digest: str | None = None
     enough_s: float = 0.0
     repeatable: bool = False
-    at_once_s: float = math.inf
+    at_once_s: float = float("inf")
     caught: bool = True
     keep: Keep = dict
 

@@ -2,12 +2,11 @@
 dimensions with coordinates and units; and says how two layouts differ.
 """
 
-import dataclasses
 import datetime
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple
 
@@ -398,8 +397,8 @@ class Declared:
             named |= {str(name): result.coords[name].reset_coords(drop=True) for name in beside}
         elif isinstance(result, Mapping):
             named = dict(result)
-        elif dataclasses.is_dataclass(result) and not isinstance(result, type):
-            named = {field.name: getattr(result, field.name) for field in dataclasses.fields(result)}
+        elif is_dataclass(result) and not isinstance(result, type):
+            named = {field.name: getattr(result, field.name) for field in fields(result)}
         elif hasattr(result, "_asdict"):
             named = result._asdict()
         elif isinstance(result, tuple) and len(self.outputs) > 1:

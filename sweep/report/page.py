@@ -34,8 +34,7 @@ from matplotlib.figure import Figure
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, compare, quantity, sensitivity, tables
 from linksweep.sweep.contract import Status, SweepError
-from linksweep.sweep.plots import KINDS, grid, style
-from linksweep.sweep.plots import figure as drawing
+from linksweep.sweep.plots import KINDS, figure as drawing, grid, style
 from linksweep.sweep.result import Result, open_result, write_at_once
 from linksweep.sweep.running.progress import reasons_of
 from linksweep.sweep.running.status import SHARE, Tile, Watched, pause

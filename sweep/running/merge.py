@@ -2,7 +2,6 @@
 
 import json
 import logging
-import math
 import re
 from bisect import bisect_right
 from collections import defaultdict
@@ -24,9 +23,8 @@ from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.plan import Plan, lost_parts
 from linksweep.sweep.planning.union import united
-from linksweep.sweep.running.code import records_of
+from linksweep.sweep.running import run
 from linksweep.sweep.running.reproduce import study_of
-from linksweep.sweep.running.run import BLOCK, Writer, attributes_of, find_store, open_store, study_differences
 from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
 from linksweep.sweep.stores.ledger import Ledger, Record, references
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
@@ -89,8 +87,8 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     _require_same_bits(sources, experiment.reducer.dtype)
     plan = Plan(Grid(study))
     with locked(place):
-        existing = find_store(place, study) or create_store(place, attributes_of(plan) | origin)
-        store = open_store(existing, study)
+        existing = run.find_store(place, study) or create_store(place, run.attributes_of(plan) | origin)
+        store = run.open_store(existing, study)
         store.keep_copy()
         store.clear_failures([*store.failures])
         failed = _failures(sources)
@@ -101,14 +99,14 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
         _fail(store, accumulator, failed)
         if part and (lost := lost_parts(plan, accumulator.status, store.rows, part.total)):
             origin[LOST] = f"{in_ranges(lost)} of {part.total}"
-        return Writer(accumulator, store, further=origin).write(final=True).to_xarray()
+        return run.Writer(accumulator, store, further=origin).write(final=True).to_xarray()
 
 
 def require_free(place: Location, study: Study, about: Sequence[Mapping[str, Any]]) -> None:
     """Raise SweepError unless the place is free, or has what a merge of the same stores that was killed has left, or of
     parts of the same study.
     """
-    opened = find_store(place, study)
+    opened = run.find_store(place, study)
     if opened is None:
         return
     before = json.loads(opened.attributes.get(MERGED, "[]")) or [{}]
@@ -179,7 +177,7 @@ def _differences(one: _Source, other: _Source, accept_code: bool) -> list[str]:
         attributes["study_meaning"] = json.dumps({**old, "fixed": new["fixed"]})
     sentences = [
         text.replace(" in the store", f" {was}").replace(" in the study", f" {now}")
-        for text in study_differences(attributes, other.study)
+        for text in run.study_differences(attributes, other.study)
     ]
     numbers = ("n_sim", "n_cat", "precision", "max_n_sim")
     known = [{f"sampling.{key}": getattr(s.study.sampling, key) for key in numbers} for s in (one, other)]
@@ -188,7 +186,7 @@ def _differences(one: _Source, other: _Source, accept_code: bool) -> list[str]:
         for some, source in zip(known, (one, other), strict=True):
             some |= {name: json.loads(source.attributes["versions"]).get(name) for name in DECIDING}
     sentences += [f"{key}: {a} {was}, {known[1][key]} {now}" for key, a in known[0].items() if a != known[1][key]]
-    codes = [records[-1]["code"] if (records := records_of(s.attributes)) else {} for s in (one, other)]
+    codes = [records[-1]["code"] if (records := run.records_of(s.attributes)) else {} for s in (one, other)]
     if not accept_code and all(codes):
         sentences += code_differences(codes[0], codes[1], was, now)
     if is_part and not sentences and one.attributes["study_digest"] != other.attributes["study_digest"]:
@@ -260,8 +258,8 @@ def _failures(sources: Sequence[_Source]) -> dict[bytes, Record]:
 
 def _block_of(record: Record) -> tuple[float, ...]:
     """Return group and part of the block that failed; infinity where that was the point as a whole."""
-    block = re.fullmatch(r"(\d{1,10}) (\d{1,10})", record.get(BLOCK, ""))
-    return (math.inf,) if block is None else (int(block[1]), int(block[2]))
+    block = re.fullmatch(r"(\d{1,10}) (\d{1,10})", record.get(run.BLOCK, ""))
+    return (float("inf"),) if block is None else (int(block[1]), int(block[2]))
 
 
 def _take(
@@ -286,7 +284,7 @@ def _take(
             refuse(key, f"not as at the first point: {other}" if other else lost[rows[key]])
         elif key not in store.rows and not _is_after(key, failed):
             keys.append(key)
-    records = records_of(source.attributes)
+    records = run.records_of(source.attributes)
     starts = [record["first_row"] for record in records]
     for number, group in groupby(keys, key=lambda key: bisect_right(starts, rows[key])):
         if number:
@@ -310,7 +308,7 @@ def _is_after(key: bytes, failed: Mapping[bytes, Record]) -> bool:
 
 def _begin_code(store: Store, record: Mapping[str, Any]) -> None:
     """Record which code has made the rows that follow, before there are any."""
-    records = [earlier for earlier in records_of(store.attributes) if earlier["first_row"] < store.next_row]
+    records = [earlier for earlier in run.records_of(store.attributes) if earlier["first_row"] < store.next_row]
     if not records or records[-1]["code"] != record["code"]:
         store.record({CODE: json.dumps([*records, {**record, "first_row": store.next_row if records else 0}])})
 

@@ -4,7 +4,6 @@ the end what it took.
 
 import json
 import logging
-import math
 import re
 import sys
 import time
@@ -276,7 +275,7 @@ class Eta:
     def __init__(self, cost: float, workers: int | None = None) -> None:
         """Start with the ``cost`` of all work that is known."""
         self._known = cost
-        self._workers = math.inf if workers is None else max(1, workers)
+        self._workers = float("inf") if workers is None else max(1, workers)
         self._done = self._cost = self._busy = self._longest = self._recent_s = 0.0
         self._recent: deque[tuple[float, float]] = deque()  # when tasks ended, and their seconds
         self._begun = self._since = 0.0

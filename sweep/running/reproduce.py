@@ -20,8 +20,7 @@ from linksweep.sweep.executing.task import Task, TaskResult
 from linksweep.sweep.executing.worker import run_task
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
-from linksweep.sweep.running.code import differences_of_code, records_of
-from linksweep.sweep.running.run import Session
+from linksweep.sweep.running.run import Session, differences_of_code, records_of
 from linksweep.sweep.stores.location import Folder, Where, located
 from linksweep.sweep.stores.store import OpenStore, was_written_here
 from linksweep.sweep.studies.reader import parse_places, parse_value, study_of_attributes

@@ -262,7 +262,7 @@ def assemble_samples(plan: Plan, status: NDArray[np.int8], samples: Callable[[by
 def code_variable(
     plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], records: Sequence[Mapping[str, Any]]
 ) -> Variable:
-    """Return which code made each point, for a store with several records of code (`sweep.running.code`)."""
+    """Return which code made each point, for a store with several records of code (`sweep.running.run`)."""
     codes = np.zeros(len(plan.grid), dtype=np.int32)
     starts = [record["first_row"] for record in records]
     n_cat = plan.grid.study.sampling.n_cat

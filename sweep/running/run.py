@@ -7,14 +7,16 @@ import json
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from threading import Event, RLock, Thread
 from typing import Any
 
 import numpy as np
 
+from linksweep.sweep.code import as_recorded_where_unsteady, code_differences, code_of
 from linksweep.sweep.contract import Experiment, Named, Rows, Status, SweepError
 from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, ledger_key, lost_integers
 from linksweep.sweep.executing.executor import choose_executor
@@ -26,12 +28,11 @@ from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, failures_by_place, make_grid
 from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
 from linksweep.sweep.planning.union import REFINED, UNITED, united
-from linksweep.sweep.running.code import check_code, record_code, records_of, rows_of_other_code
 from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures, Progress, Silent, Taken
 from linksweep.sweep.running.results import Labelled, assemble, assemble_samples, code_variable, covariances, masked
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, locked, writing
-from linksweep.sweep.stores.store import BLOCKS, OpenStore, Store, create_store, replace_store, store_at
+from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, store_at
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import PART, Study
 from linksweep.sweep.tables.columns import content_digest, rows_where
@@ -42,6 +43,67 @@ OLD = "old"
 
 AGAIN = "is to be computed again where "
 """With which the reason begins why a point is not done that a run was to compute again."""
+
+
+# Which code made the numbers of a store: its attribute `CODE` is a list of records, each with the ``first_row`` of the
+# ledger that its ``code`` made.
+
+
+def records_of(attributes: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the records of a store in their order; none for a store that keeps none yet."""
+    records: list[dict[str, Any]] = json.loads(attributes.get(CODE, "[]"))
+    return records
+
+
+def differences_of_code(records: Sequence[Mapping[str, Any]], study: Study) -> list[str]:
+    """Say how a study's code differs from that of the last of some records; nothing where there is none."""
+    if not records:
+        return []
+    reference, old = study.experiment_reference, records[-1]["code"]
+    now = as_recorded_where_unsteady(code_of(reference, study.experiment), old, reference)
+    return code_differences(old, now, "in the store", "now")
+
+
+def rows_of_other_code(store: Store, study: Study) -> list[range]:
+    """Return the rows of a ledger that were made by other code than a study's."""
+    records = records_of(store.attributes)
+    starts = [*(record["first_row"] for record in records), store.next_row]
+    return [
+        range(first, end)
+        for record, (first, end) in zip(records, pairwise(starts), strict=True)
+        if differences_of_code([record], study)
+    ]
+
+
+def check_code(store: Store, study: Study, gone: Collection[bytes] = ()) -> None:
+    """Raise SweepError for a store whose last blocks other code than a study's has made, but for points that are to
+    be computed again, by their digests.
+    """
+    records = records_of(store.attributes)
+    if gone:
+        last = max((row for key, row in store.rows.items() if key[:DIGEST_BYTES] not in gone), default=-1)
+        records = [record for record in records if record["first_row"] <= last]
+    if store.rows and (changes := differences_of_code(records, study)):
+        meaning = (
+            "was made by other code, whose numbers would be mixed up with those of today's; --redo old (in Python "
+            'redo="old") computes its points again, --accept-code (accept_code=True) goes on and records for each '
+            "point which code made it, --fresh (fresh=True) starts anew, -o (store=NAME) names another store"
+        )
+        raise SweepError([meaning, *changes], str(store.location))
+
+
+def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
+    """Record which code makes the blocks from now on, and tell the user if it has changed."""
+    rows = store.next_row
+    records = [record for record in records_of(store.attributes) if record["first_row"] < rows]  # others made no rows
+    changes = differences_of_code(records, study)
+    for sentence in changes:
+        say(f"other code goes on with {store.location}: {sentence}")
+    if changes or not records:
+        code = code_of(study.experiment_reference, study.experiment)
+        records.append({"first_row": rows if records else 0, "code": code})
+    if records[-1]["code"] or CODE in store.attributes:  # linksweep's own experiments are known by their version
+        store.record({CODE: json.dumps(records)})
 
 
 @dataclass(frozen=True)

@@ -401,8 +401,7 @@ def matches_table(result: Matches) -> Any:
     """Return the matches as an astropy Table with units and descriptions; missing values are masked, ``meta`` is the
     summary.
     """
-    from astropy.table import MaskedColumn
-    from astropy.table import Table as AstropyTable
+    from astropy.table import MaskedColumn, Table as AstropyTable
 
     table = AstropyTable(meta={"linksweep": version("linksweep"), **summarise(result)})
     for name, column in match_columns(result).items():

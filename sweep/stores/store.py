@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Outcome, SweepError, suggest
 from linksweep.sweep.contract.rows import DIGEST_BYTES, EXACT_INT, LENGTH, MISSING_INT, absent, is_large, lost_integers
-from linksweep.sweep.stores import integrity
-from linksweep.sweep.stores import ledger as ledgers
+from linksweep.sweep.stores import integrity, ledger as ledgers
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
 from linksweep.sweep.stores.ledger import DamagedError, Ledger
 from linksweep.sweep.stores.location import RESULTS, Folder, Location, Where, holder, located, locked, reading, writing

@@ -16,12 +16,9 @@ from threadpoolctl import threadpool_limits
 
 from linksweep.core.frames import DEGREE, MAS, Array, position, triad
 from linksweep.core.link import LinkError
-from linksweep.core.tie import forecast as planning
-from linksweep.core.tie import mistakes
-from linksweep.core.tie import problem as solving
+from linksweep.core.tie import forecast as planning, mistakes, problem as solving
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows
 from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
-from linksweep.core.tie.problem import Problem, source_sums
 from linksweep.core.unknowns import PARAMETERS, Harmonics, Objects, SpinByBin, Unknowns, amplitudes, link_unknowns
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped
@@ -608,8 +605,8 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
 
 
 def released(
-    problem: Problem, release: str, from_release: str, epoch_moves: bool
-) -> tuple[Problem, str, Sequence[str]]:
+    problem: solving.Problem, release: str, from_release: str, epoch_moves: bool
+) -> tuple[solving.Problem, str, Sequence[str]]:
     """Return a problem with the errors of a release, the release that they were of, and notes; "table" leaves them."""
     if release == TABLE:
         return problem, "", ()
@@ -628,14 +625,20 @@ def _epochs(plan: ForecastOptions) -> list[float]:
 
 
 def _planned(
-    setup: Setup, future: Problem, release: str, add: list[float], error: float, number: int, goal: planning.Goal
+    setup: Setup,
+    future: solving.Problem,
+    release: str,
+    add: list[float],
+    error: float,
+    number: int,
+    goal: planning.Goal,
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return the variables and coordinates of the dataset; ``error`` (rad) is that of the new positions."""
-    base = source_sums(future)
-    planned = source_sums(planning.with_new_rows(future, add, error)) if add else base
+    base = solving.source_sums(future)
+    planned = solving.source_sums(planning.with_new_rows(future, add, error)) if add else base
     sources, normals = planning.choose(base, planned, number, goal)
     unknowns, total = setup.problem.unknowns, base.normal.sum(axis=0)
-    stages = {"now": source_sums(setup.problem).normal.sum(axis=0)}
+    stages = {"now": solving.source_sums(setup.problem).normal.sum(axis=0)}
     stages |= {} if release == TABLE else {release: total}
     stages |= {"all observed": planned.normal.sum(axis=0)} if add else {}
     gain = np.array([goal.value(total + one) for one in planned.normal - base.normal])
@@ -646,7 +649,9 @@ def _planned(
         "rank": ("source", np.argsort(np.argsort(gain)) + 1),
     }
     if add:
-        observed = (source_sums(planning.with_new_rows(future, [epoch], error)).normal.sum(axis=0) for epoch in add)
+        observed = (
+            solving.source_sums(planning.with_new_rows(future, [epoch], error)).normal.sum(axis=0) for epoch in add
+        )
         errors = np.array([_errors(normal) for normal in observed])
         variables["error_with_epoch"] = (("new_epoch", "unknown"), errors)
     if sources:

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.core.frames import DEGREE, MAS, Array, Flags
-from linksweep.core.tie import astrometry as core
-from linksweep.core.tie import mistakes
-from linksweep.core.tie.astrometry import FURTHER, Astrometry, kinds, named_rows
+from linksweep.core.tie import astrometry as core, mistakes
 from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
@@ -113,7 +111,7 @@ class AstrometricTable:
 
     path: str
     digest: str
-    astrometry: Astrometry
+    astrometry: core.Astrometry
     names: Mapping[str, NDArray[np.str_]]
     notes: Sequence[str] = ()
     columns: str = ""
@@ -211,7 +209,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     positions = options.positions or table.meta.get("positions", "single-epoch")
     if positions not in POSITIONS:
         read.problems.append(f"positions {positions!r}: must be {' or '.join(POSITIONS)}")
-    astrometry = Astrometry(
+    astrometry = core.Astrometry(
         values=values,
         errors=errors,
         epoch=epoch,
@@ -224,7 +222,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         **_calibrators(read),
     )
     try:
-        kinds(astrometry)
+        core.kinds(astrometry)
     except ValueError as error:
         read.problems.append(str(error))
     names = _names(read)
@@ -319,7 +317,7 @@ def _note_lost(read: Columns, lost: Flags) -> None:
     for flags, names in alike.items():
         rows = np.flatnonzero(np.frombuffer(flags, dtype=bool))
         read.notes.append(
-            f"{len(rows)} rows have no error of {', '.join(names)}, which is not used: {named_rows(rows)}"
+            f"{len(rows)} rows have no error of {', '.join(names)}, which is not used: {core.named_rows(rows)}"
         )
 
 
@@ -330,7 +328,7 @@ def _note_unlikely(read: Columns, names: Sequence[str], values: Array, errors: A
         most = np.inf if name in ("ra", "dec") else mistakes.LARGEST[unit]
         if len(beyond := np.flatnonzero((np.abs(value) > most * MAS) & (np.abs(value) > 5.0 * error))):
             what = f"{name} beyond {most:g} {unit}, which no star has"
-            read.notes.append(f"{what}: is its unit right? {named_rows(beyond)}")
+            read.notes.append(f"{what}: is its unit right? {core.named_rows(beyond)}")
         known = error[np.isfinite(error) & (error > 0.0)] / MAS
         low, high = mistakes.PLAUSIBLE
         if len(known) and not low <= (median := float(np.median(known))) <= high:
@@ -370,7 +368,7 @@ def _accelerations(read: Columns, five: Flags, options: TableOptions) -> Array |
     """
     if not read.has("accel_ra") and not read.has("accel_dec"):
         return None
-    both = np.full((2, len(FURTHER), len(read)), np.nan)
+    both = np.full((2, len(core.FURTHER), len(read)), np.nan)
     for k, name in enumerate(ACCELERATIONS):
         if read.has(name):
             both[0, k] = _in_radians(read, name, options)
@@ -481,7 +479,9 @@ def _calibrators(read: Columns) -> dict[str, Any]:
     if np.any(unlikely := (shared > 0.0) & ~((shared >= low * MAS) & (shared <= high * MAS))):
         size = f"{np.median(shared[unlikely]) / MAS:.2g} mas"
         unit = "is it in arcsec" if np.median(shared[unlikely]) < low * MAS else "is it in uas"
-        read.notes.append(f"calibrator_error of {size}, {named_rows(np.flatnonzero(unlikely))}: {unit}? Say --unit")
+        read.notes.append(
+            f"calibrator_error of {size}, {core.named_rows(np.flatnonzero(unlikely))}: {unit}? Say --unit"
+        )
     return {"calibrator": names, "shared": shared}
 
 
@@ -492,7 +492,7 @@ def _radial_velocity(read: Columns) -> Array | None:
     fast = np.abs(velocity) > FASTEST_KM_S
     if np.any(fast):
         what = f"{read.name('radial_velocity')} beyond {FASTEST_KM_S:g} km/s, which no star has, is not used"
-        read.notes.append(f"{what}: {named_rows(np.flatnonzero(fast))}")
+        read.notes.append(f"{what}: {core.named_rows(np.flatnonzero(fast))}")
     return np.where(fast, np.nan, velocity)
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import sph_harm_y
 
-from linksweep.core.fields import terms, toroidal
-from linksweep.core.fields import turned as quarter_turn
+from linksweep.core.fields import terms, toroidal, turned as quarter_turn
 from linksweep.core.frames import MAS
 from linksweep.core.unknowns import Objects, parse_unknowns
 

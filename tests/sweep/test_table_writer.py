@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from astropy import units
 from astropy.table import Table as AstropyTable
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import linksweep
 from linksweep.sweep.formatting import described, prefixed, short_meaning

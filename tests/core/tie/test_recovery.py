@@ -8,8 +8,7 @@ import pytest
 from astropy import units
 from astropy.coordinates import Distance, SkyCoord, get_body_barycentric
 from astropy.time import Time
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy.optimize import brentq
 
 from linksweep.core.frames import MAS, position, triad

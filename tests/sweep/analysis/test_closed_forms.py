@@ -5,13 +5,10 @@ import json
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import assume, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, example, given, settings, strategies as st
 from scipy.linalg import null_space
 from scipy.optimize import brentq, curve_fit
-from scipy.stats import chi2 as chi2_law
-from scipy.stats import f as f_law
-from scipy.stats import linregress
+from scipy.stats import chi2 as chi2_law, f as f_law, linregress
 
 import linksweep
 from tests.sweep.analysis.made import DONE, compare

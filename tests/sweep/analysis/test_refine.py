@@ -6,9 +6,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import settings as examples_of
-from hypothesis import strategies as st
+from hypothesis import given, settings as examples_of, strategies as st
 
 import linksweep
 from linksweep.sweep.contract import SweepError

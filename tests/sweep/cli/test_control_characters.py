@@ -9,8 +9,7 @@ import subprocess
 import sys
 
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from tests.conftest import run_sweep
 from tests.sweep.opening import IN_TEXT, Column, Table, harmless, places_in, replaced, sealed

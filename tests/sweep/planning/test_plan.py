@@ -9,8 +9,7 @@ from hashlib import blake2b
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from linksweep.sweep.contract import KEY_BYTES, Block, BlockRows, Experiment, Output, Parameter, Status, ledger_key
 from linksweep.sweep.planning import plan as planning

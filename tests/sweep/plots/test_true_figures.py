@@ -5,8 +5,7 @@ points alone, truth values in one notation.
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from matplotlib.collections import PolyCollection
 from matplotlib.container import ErrorbarContainer
 

@@ -17,8 +17,7 @@ import pytest
 
 from tests.sweep.opening import files_of
 from tests.sweep.report.test_page import evil_store
-from tests.sweep.report.test_page_in_browser import chromium, complaints, empty_page, requests
-from tests.sweep.report.test_page_in_browser import pytestmark as in_browser
+from tests.sweep.report.test_page_in_browser import chromium, complaints, empty_page, pytestmark as in_browser, requests
 from tests.tiers import PATIENCE_S
 
 watch = pytest.importorskip("linksweep.sweep.report.page")

@@ -8,8 +8,7 @@ import re
 import sys
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 import linksweep
 from linksweep.sweep.code import PREFIX

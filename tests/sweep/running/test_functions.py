@@ -6,8 +6,7 @@ import re
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 import linksweep
 from linksweep import Output, experiment

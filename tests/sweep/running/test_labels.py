@@ -4,8 +4,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from astropy.table import Table
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 import linksweep
 from linksweep import SweepError

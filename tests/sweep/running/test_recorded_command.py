@@ -5,8 +5,7 @@ import runpy
 import sys
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from linksweep.sweep.formatting import without_secrets
 from tests.tiers import examples, slow

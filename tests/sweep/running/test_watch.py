@@ -11,9 +11,7 @@ import sys
 from contextlib import suppress
 
 import pytest
-from hypothesis import given
-from hypothesis import settings as examples_of
-from hypothesis import strategies as st
+from hypothesis import given, settings as examples_of, strategies as st
 
 from linksweep.sweep.running import status as watch
 from linksweep.sweep.running.progress import Eta

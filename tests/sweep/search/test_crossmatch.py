@@ -6,8 +6,7 @@ import pandas as pd
 import pytest
 from astropy.coordinates import SkyCoord, search_around_sky
 from astropy.time import Time
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, MICROARCSEC
 from linksweep.sweep.search.crossmatch import (

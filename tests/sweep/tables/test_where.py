@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from astropy.table import MaskedColumn, Table
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from linksweep import SweepError
 from linksweep.sweep.tables.columns import rows_where

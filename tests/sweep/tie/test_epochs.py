@@ -11,15 +11,23 @@ import numpy as np
 import pandas as pd
 import pytest
 from astropy.table import Table, vstack
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 
 import linksweep
 from linksweep import SweepError
 from linksweep.core.tie.astrometry import bends
 from linksweep.sweep.tie.tables import built_in
-from tests.core.tie.made import DEGREE, MAS, NAMES, PAIRS, gaia_table, parallax_factors, propagated, seen_by_satellite
-from tests.core.tie.made import stars as made_stars
+from tests.core.tie.made import (
+    DEGREE,
+    MAS,
+    NAMES,
+    PAIRS,
+    gaia_table,
+    parallax_factors,
+    propagated,
+    seen_by_satellite,
+    stars as made_stars,
+)
 from tests.sweep.tie.test_against_least_squares import turned
 from tests.tiers import examples, slow
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from astropy.table import Table, vstack
 from click.testing import CliRunner
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 import linksweep
 from linksweep import SweepError, tie
