@@ -75,6 +75,7 @@ PYTHONS = ("__", "_abc_", "_value2member_map_")
 
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 IMPORTS = (ast.Import, ast.ImportFrom)
+CHANGEABLE = (list, dict, set, bytearray, np.ndarray)
 DESCRIPTORS = (staticmethod, classmethod, property, cached_property, np.vectorize)
 # What such objects, and wrappers of libraries, have besides caches.
 WRAPPED = ("__func__", "fget", "fset", "fdel", "func", "pyfunc", "otypes", "signature", "__wrapped__")
@@ -267,7 +268,8 @@ class Reach:
         if id(value) in known:
             return known[id(value)][1]
         # Objects may refer to each other in a circle: inside it, one stands for itself by its number.
-        known[id(value)] = value, f"object {len(known)}"
+        number = f"object {len(known)}"
+        known[id(value)] = value, number
         try:
             forms = [self._form(one, known) for one in self._pieces(value)]
             inside = ", ".join(sorted(forms) if kind in (set, frozenset) else forms)
@@ -276,7 +278,8 @@ class Reach:
         except Exception:  # whatever keeps an object from being taken apart; also where it is too deep
             self.unnoticed[self._value] = text = label_of(kind)
             self._is_partial = True
-        known[id(value)] = value, text
+        # What is there twice and can be changed is not the same as two that are equal.
+        known[id(value)] = value, number if isinstance(value, CHANGEABLE) else text
         return text
 
     def _pieces(self, value: Any) -> Iterable[Any]:
@@ -287,7 +290,8 @@ class Reach:
         if kind in (list, tuple, set, frozenset, dict):
             return chain.from_iterable(value.items()) if kind is dict else iter(value)
         if kind is np.ndarray and value.dtype.kind not in "OV":
-            return value.dtype.str, value.shape, digest_of(value.tobytes())
+            strides = () if value.flags.c_contiguous else value.strides  # sums and views depend on them
+            return value.dtype.str, value.shape, strides, digest_of(value.tobytes())
         # A wrapper of a library, whose other attributes may be caches.
         wraps = distributions_of(kind.__module__) is not None and callable(value) and hasattr(value, "__wrapped__")
         if isinstance(value, DESCRIPTORS) or (wraps and kind not in (MethodType, partial)):
@@ -916,8 +920,9 @@ def _reach(value: Any) -> Reach:
         _warn(f"changes of {name}, a {kind}, are not noticed")
     folder = Path(getattr(sys.modules.get(getattr(value, "__module__", "")), "__file__", None) or "x").parent
     for name in getattr(getattr(value, ATTRIBUTE, None), "reads", ()):
-        file = folder / name
-        reached.parts[f"file {name}"] = digest_of(file.read_bytes()) if file.is_file() else "not there"
+        if not (file := folder / name).is_file():
+            raise SweepError(f"reads: {shown(name)} is no file in {folder}", label_of(value))
+        reached.parts[f"file {name}"] = digest_of(file.read_bytes())
     return reached
 
 

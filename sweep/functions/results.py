@@ -237,6 +237,11 @@ def is_xarray(value: object) -> bool:
     return isinstance(value, tuple(getattr(xarray, name, ()) for name in ("DataArray", "Dataset")))
 
 
+IN_UTC = (
+    "results are in UTC without one: .astimezone(timezone.utc).replace(tzinfo=None), or .tz_convert(None) in pandas"
+)
+
+
 def value_of(value: Any) -> Value:
     """Return a value of any allowed type; raises ResultError that says why another one is not allowed."""
     if hasattr(value, "to_xarray") and not isinstance(value, type):
@@ -248,6 +253,9 @@ def value_of(value: Any) -> Value:
         if len(set(dims)) < len(dims):
             raise ResultError(f"has the dimensions ({', '.join(dims)}), one of them twice")
         along = [(dim, value.coords[dim]) for dim in dims if dim in value.coords]
+        for dim, one in along:  # whose values would be those in UTC, without a word
+            if (zone := getattr(one.to_index(), "tz", None)) is not None:
+                raise ResultError(f"has a coordinate {dim!r} of times with the zone {zone}; {IN_UTC}")
         coordinates = tuple(coordinate_of(dim, one.values, str(one.attrs.get("units", ""))) for dim, one in along)
         unit, meaning = (str(value.attrs.get(key, "")) for key in ("units", "long_name"))
         return Value(*_typed(value.values), dims, coordinates, unit, meaning)
@@ -334,8 +342,7 @@ def _of_objects(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
 
 def _time(value: datetime.date) -> Any:
     if (zone := getattr(value, "tzinfo", None)) is not None:
-        wanted = "results are in UTC without one: .astimezone(timezone.utc).replace(tzinfo=None)"
-        raise ResultError(f"is a time with the zone {zone}; {wanted}")
+        raise ResultError(f"is a time with the zone {zone}; {IN_UTC}")
     exact = value.to_datetime64() if hasattr(value, "to_datetime64") else np.datetime64(value)  # pandas: nanoseconds
     return _times(np.array(exact))[()]
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Value, shown
+from linksweep.sweep.contract import Experiment, Named, Parameter, Point, SweepError, Value, shown
 from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import MAX_POINTS, Grid, GridPoint, all_but
-from linksweep.sweep.studies.points import MAX_VALUES, labels_of, require_distinct
+from linksweep.sweep.studies.points import MAX_VALUES, NUMBERS, axis_written, labels_of, require_distinct
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
 from linksweep.sweep.tables.columns import sorted_json
 
@@ -31,6 +31,30 @@ EARLIER = "with the points of other runs"
 Row = tuple[Value, ...]
 Rows = dict[tuple[str, ...], list[Row]]
 """The values at each place along a dimension, by its axes."""
+
+
+def with_numbers_of(stored: Study, asked: Study) -> Study:
+    """Return a study in which numbers that equal those of a store are written as they are there: 2.0 as 2, which a
+    parameter of any type would take for another value.
+    """
+    defaults, changed = stored.experiment.defaults(), dict[str, dict[str, Any]]()
+    columns = () if asked.points is None else asked.points.names
+    for one in (one for one in asked.experiment.parameters if one.kind == "any" and one.name not in columns):
+        theirs = (defaults.get(one.name), stored.fixed.get(one.name), *stored.axes.get(one.name, ()))
+        known = {value: value for value in theirs if type(value) in NUMBERS}
+        for section, values in (("axes", asked.axes.get(one.name, ())), ("fixed", (asked.fixed.get(one.name),))):
+            written = tuple(known.get(value, value) if type(value) in NUMBERS else value for value in values)
+            if list(map(type, written)) != list(map(type, values)):
+                changed.setdefault(section, {})[one.name] = written if section == "axes" else written[0]
+    if not changed:
+        return asked
+    document = dict(asked.document)
+    for section, some in changed.items():
+        write = axis_written if section == "axes" else Parameter.written
+        raw = {name: write(asked.experiment.parameter(name), value) for name, value in some.items()}
+        document[section] = {**document.get(section, {}), **raw}
+    axes, fixed = {**asked.axes, **changed.get("axes", {})}, {**asked.fixed, **changed.get("fixed", {})}
+    return replace(asked, axes=axes, fixed=fixed, document=document)
 
 
 def united(stored: Study, asked: Study, held: Collection[bytes] = (), *, is_whole: bool = True) -> Study:
@@ -233,7 +257,7 @@ def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
     """Return the document from which a store makes the union again."""
 
     def written(names: Sequence[str]) -> dict[str, Any]:
-        return {name: whole.experiment.parameter(name).written(whole.axes[name]) for name in names}
+        return {name: axis_written(whole.experiment.parameter(name), whole.axes[name]) for name in names}
 
     columns = () if whole.points is None else whole.points.names
     document = {**asked.document, "axes": written([name for name in whole.axes if name not in columns])}
@@ -298,7 +322,7 @@ def refined(study: Study, rounds: Iterable[Round]) -> Study:
         counts |= {name: max(n, counts.get(name, 0)) for name, n in one.n_sim.items()}
     grown = [name for name, values in study.axes.items() if len(axes[name]) > len(values)]
     axes |= {name: tuple(sorted(axes[name], key=lambda value: (value is None, value or 0))) for name in grown}
-    grid, written = Grid(study), {name: parameters[name].written(axes[name]) for name in grown}
+    grid, written = Grid(study), {name: axis_written(parameters[name], axes[name]) for name in grown}
     counts |= all_but(replace(study, axes=axes), {*added, *grid.digests(grid.indices())})
     document = {**study.document, "counts": counts, "axes": study.document.get("axes", {}) | written}
     return replace(study, axes=axes, counts=counts, document=document)

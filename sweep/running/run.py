@@ -27,7 +27,7 @@ from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, failures_by_place, make_grid
 from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
-from linksweep.sweep.planning.union import REFINED, UNITED, united
+from linksweep.sweep.planning.union import REFINED, UNITED, united, with_numbers_of
 from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures, Progress, Silent, Taken
 from linksweep.sweep.running.results import Labelled, assemble, assemble_samples, code_variable, covariances, masked
 from linksweep.sweep.stores.ledger import Record
@@ -120,14 +120,15 @@ class Beside:
 ALL = Beside()
 
 
-def with_stored(store: Store, study: Study) -> tuple[Study, Set[bytes] | None]:
-    """Return the study of the points of a store and a study together, and the digests of those to be computed.
+def with_stored(store: Store, study: Study) -> tuple[Study, Study, Set[bytes] | None]:
+    """Return a study with its numbers as a store has them, the study of its points and of those of the store together,
+    and the digests of the points to be computed.
 
     The study itself, and None, where it has all of them.  Raises SweepError as `united`.
     """
     attributes, where = store.attributes, str(store.location)
     if attributes.get("study_digest") == study.digest() and json.loads(attributes["study_axes"]) == [*study.axes]:
-        return study, None
+        return study, study, None
     document = json.loads(attributes["study_document"])
     # The same files, as the caller has found; that which the store names may have moved.
     files = {one.name for one in study.experiment.parameters if one.kind == "file"} & document.get("fixed", {}).keys()
@@ -136,6 +137,7 @@ def with_stored(store: Store, study: Study) -> tuple[Study, Set[bytes] | None]:
     }
     stored = recorded_study({**attributes, "study_document": json.dumps(document)}, where)
     stored = replace(stored, document={**stored.document, "define": document.get("define", {})})
+    study = with_numbers_of(stored, study)
     digests = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
     is_whole = attributes.get("complete") and attributes.get(BLOCKS) == len(store.rows)
     try:
@@ -143,11 +145,11 @@ def with_stored(store: Store, study: Study) -> tuple[Study, Set[bytes] | None]:
     except SweepError as error:
         raise SweepError(error.problems, where) from error
     if whole is study:
-        return study, None
+        return study, study, None
     grid = Grid(study)
     wanted = set(grid.digests(grid.indices()))
     # More realisations are for all points, which are not shown without them.
-    return whole, wanted if whole.sampling is stored.sampling else wanted | digests
+    return study, whole, wanted if whole.sampling is stored.sampling else wanted | digests
 
 
 def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Record | None]:
@@ -164,8 +166,11 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     for key, row in store.rows.items():
         rows[key[:DIGEST_BYTES]].append(row)
     other = rows_of_other_code(store, study)
+    failed = store.failures.keys() if differences_of_code(records_of(store.attributes), study) else set[bytes]()
     points = [point for point in Grid(study).points() if point.digest in rows or point.digest in store.failures]
-    made_by_other = [any(row in some for row in rows[point.digest] for some in other) for point in points]
+    made_by_other = [
+        point.digest in failed or any(row in some for row in rows[point.digest] for some in other) for point in points
+    ]
     table = [
         {OLD: is_old}
         | {name: str(value) if isinstance(value, Named) else value for name, value in p.parameters.items()}
@@ -628,7 +633,7 @@ class Session:
             store = open_store(opened, study)
             if not beside.only:
                 check_points(opened, study)
-                whole, wanted = with_stored(store, study)
+                study, whole, wanted = with_stored(store, study)
             records = again_where(store, whole, beside.redo) if beside.redo else {}
             if not accept_code:
                 check_code(store, study, records)

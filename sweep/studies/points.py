@@ -115,6 +115,19 @@ class Problems:
             raise SweepError(self.sentences, self.where)
 
 
+NUMBERS = {int, float}
+
+# Beside the values of an axis in the study of a store: integers among floats, of other runs, stay integers.
+TYPED = "typed"
+
+
+def axis_written(parameter: Parameter, values: tuple[Value, ...]) -> Any:
+    """Return the values of an axis as the study of a store has them."""
+    written = parameter.written(values)
+    is_mixed = parameter.kind == "any" and {*map(type, values)} == NUMBERS
+    return {"values": written, TYPED: True} if is_mixed else written
+
+
 class Values:
     """Reads values of the parameters of an experiment; ``problems`` takes what is wrong.
 
@@ -163,7 +176,7 @@ class Values:
                 raise ValueError(f"a {parameter.kind} cannot be an axis")
             if not (raw_values := axis_values(spec, whole=parameter.kind == "int")):
                 raise ValueError("an axis needs at least one value")
-            values = self.several(place, name, raw_values)
+            values = self.several(place, name, raw_values, typed=isinstance(spec, dict) and TYPED in spec)
             counts = Counter((type(value), value) for value in values or ())
             if repeated := [shown(value) for (_, value), n in counts.items() if n > 1]:
                 self.problems.add(place, f"duplicate values {first_of(repeated, 10)}")
@@ -172,9 +185,11 @@ class Values:
         return None
 
     def several(
-        self, place: KeyPath, name: str, raw_values: Sequence[object], rows: bool = False
+        self, place: KeyPath, name: str, raw_values: Sequence[object], rows: bool = False, typed: bool = False
     ) -> tuple[Value, ...] | None:
-        """Return values of one type, None if any is wrong; problems name the row, from 1, where they are ``rows``."""
+        """Return values, None if any is wrong; problems name the row, from 1, where they are ``rows``.  Integers beside
+        floats are floats, unless they are ``typed``.
+        """
         before = len(self.problems.sentences)
         values = []
         for number, raw in enumerate(raw_values, start=1):
@@ -185,7 +200,7 @@ class Values:
         if len(self.problems.sentences) > before:
             return None
         kinds = {type(value) for value in values} if self.experiment.parameter(name).kind == "any" else set()
-        return tuple(float(value) for value in values) if kinds == {int, float} else tuple(values)
+        return tuple(float(value) for value in values) if kinds == NUMBERS and not typed else tuple(values)
 
 
 def require_distinct(values: Sequence[Value]) -> None:
@@ -220,7 +235,7 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
     >>> axis_values({"start": 10, "stop": 1000, "num": 5, "spacing": "log"}, whole=True)
     [10, 32, 100, 316, 1000]
     """
-    if isinstance(spec, dict) and set(spec) == {"values"}:
+    if isinstance(spec, dict) and set(spec) - {TYPED} == {"values"}:
         spec = spec["values"]
     if isinstance(spec, list):
         return list(spec)
