@@ -334,7 +334,7 @@ class Reach:
             self._is_users(package)
         if file.endswith(EXTENSIONS):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
-        acts = [one for one in tree_of(file, vars(module)).body if _is_act(one, calls=name != "__main__")]
+        acts = [one for one in tree_of(file, vars(module)).body if _is_act(one, vars(module))]
         if acts:
             self._keep(f"module {name}", self._text(acts, vars(module)))
 
@@ -554,24 +554,36 @@ def _changes(node: ast.AST) -> Iterator[str]:
     for one in ast.walk(node):
         if isinstance(one, ast.Global | ast.Nonlocal):
             yield from one.names
-        elif isinstance(one, ast.Attribute | ast.Subscript) and not isinstance(one.ctx, ast.Load):
-            yield _name_of(one)
+    for target in _changed(node):
+        whole = target
+        while isinstance(whole, ast.Subscript):
+            whole = whole.value
+        yield str(getattr(whole, "attr", getattr(whole, "id", "")))
+
+
+def _changed(node: ast.AST) -> Iterator[ast.expr]:
+    for one in ast.walk(node):
+        if isinstance(one, ast.Attribute | ast.Subscript) and not isinstance(one.ctx, ast.Load):
+            yield one
         elif isinstance(one, ast.Call) and isinstance(one.func, ast.Attribute) and one.func.attr in CHANGING:
-            yield _name_of(one.func.value)
+            yield one.func.value
 
 
-def _name_of(node: ast.expr) -> str:
-    while isinstance(node, ast.Subscript):
-        node = node.value
-    return str(getattr(node, "attr", getattr(node, "id", "")))
-
-
-def _is_act(statement: ast.stmt, calls: bool) -> bool:
-    """Return whether a statement of a module acts on others: changes them, or, with ``calls``, calls what may."""
+def _is_act(statement: ast.stmt, names: Names) -> bool:
+    """Return whether a statement of a module with these names acts on others while that is imported: changes them, or
+    calls what may.  A script goes on after a run: only what it changes of modules is more than its own affair.
+    """
     is_script = isinstance(statement, ast.If) and "__name__" in unparsed(statement.test)
-    inside = [] if is_script or isinstance(statement, DEFINITIONS) else [*ast.walk(statement)]
-    called = [one for one in inside if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)]
-    return bool((inside and any(True for _ in _changes(statement))) or (calls and called))
+    if is_script or isinstance(statement, DEFINITIONS):
+        return False
+    changed = [*_changed(statement)]
+    if names.get("__name__") == "__main__":
+        roots = [one for target in changed for one in ast.walk(target) if isinstance(one, ast.Name)]
+        return any(isinstance(names.get(one.id), ModuleType) for one in roots)
+    called = [
+        one for one in ast.walk(statement) if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)
+    ]
+    return bool(changed or called)
 
 
 # Where code is found, and how it comes to other processes
@@ -774,6 +786,8 @@ def load_experiment(
     """
     value = _find(reference, folder, digest, afresh)
     _require(isinstance(value, Experiment) or is_plain_function(value), "an Experiment or a function", reference, value)
+    if digest is None:  # before anything is written
+        _read_by(value)
     return value if isinstance(value, Experiment) else experiment_of(value)
 
 
@@ -918,12 +932,17 @@ def _reach(value: Any) -> Reach:
     _places.update(reached.places)
     for name, kind in reached.unnoticed.items():
         _warn(f"changes of {name}, a {kind}, are not noticed")
-    folder = Path(getattr(sys.modules.get(getattr(value, "__module__", "")), "__file__", None) or "x").parent
-    for name in getattr(getattr(value, ATTRIBUTE, None), "reads", ()):
-        if not (file := folder / name).is_file():
-            raise SweepError(f"reads: {shown(name)} is no file in {folder}", label_of(value))
-        reached.parts[f"file {name}"] = digest_of(file.read_bytes())
+    reached.parts.update({f"file {name}": digest_of(file.read_bytes()) for name, file in _read_by(value).items()})
     return reached
+
+
+def _read_by(value: Any) -> dict[str, Path]:
+    """Return the data files that a function declares, by name; raises SweepError for one that is not there."""
+    folder = Path(getattr(sys.modules.get(getattr(value, "__module__", "")), "__file__", None) or "x").parent
+    files = {name: folder / name for name in getattr(getattr(value, ATTRIBUTE, None), "reads", ())}
+    if missing := [name for name, file in files.items() if not file.is_file()]:
+        raise SweepError(f"reads: {shown(missing[0])} is no file in {folder}", label_of(value))
+    return files
 
 
 @cache  # a process says it once

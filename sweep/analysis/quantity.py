@@ -419,6 +419,8 @@ def _both(dataset: xr.Dataset, dimension: str) -> list[str]:
 
 
 def _is_meant(value: object, wanted: object) -> bool:
+    if is_missing(value):  # where a conditional parameter has no effect
+        return str(wanted).lower() in ("nan", "none")
     if not isinstance(wanted, str) or isinstance(value, str):
         return value == wanted
     if isinstance(value, bool):

@@ -313,7 +313,7 @@ class Parameter:
 
     def parse(self, raw: object) -> Value:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
-        if self.optional and (raw is None or (raw == "None" and self.kind in ("float", "int", "bool"))):
+        if self.optional and (raw is None or (raw == "None" and self.kind in ("float", "int", "bool", "str"))):
             return None
         value = self._object(raw) if self.takes_objects else raw
         return value if isinstance(value, Named) else self._plain(value)

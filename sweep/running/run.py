@@ -292,7 +292,7 @@ def check_points(opened: OpenStore, study: Study) -> None:
     rows = min(len(next(iter(old.values()))), len(study.axes[study.points.names[0]]))
     was = {name: old.get(name) or rows * [document.get("fixed", {}).get(name, settings[name])] for name in names}
     now = {name: study.axes.get(name) or rows * [study.fixed.get(name, settings[name])] for name in names}
-    now = {name: [str(value) if isinstance(value, Named) else value for value in now[name]] for name in names}
+    now = {name: list(map(study.experiment.parameter(name).written, now[name])) for name in names}
     changed = next(((i, n) for i in range(rows) for n in names if was[n][i] != now[n][i]), None)
     if changed is not None:
         row, name = changed

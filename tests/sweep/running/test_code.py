@@ -5,8 +5,10 @@ code is never refused, wherever a constant is in random layouts of packages.
 import importlib
 import json
 import re
+import subprocess
 import sys
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
@@ -275,3 +277,65 @@ def test_a_value_that_each_process_has_otherwise_is_named_and_refuses_nothing(tm
         assert process.returncode == expected, err
         assert ("m.START differs from process to process" in err) == (axis == "x=1,2"), err
     assert "value m.K (" in err
+
+
+SHAPES = {  # values that are equal, but what a function makes of them is not
+    "one list thrice": ("[[0] * 3] * 3", "[[0] * 3 for _ in range(3)]"),
+    "one array twice": ("[np.zeros(2)] * 2", "[np.zeros(2), np.zeros(2)]"),
+    "the order in memory": ("np.array([[0.0, 1.0], [2.0, 3.0]])", "np.array([[0.0, 2.0], [1.0, 3.0]]).T"),
+}
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_what_is_shared_inside_a_value_and_how_an_array_lies_in_memory_count(tmp_path, sweep, kind):
+    for value, expected in zip((*SHAPES[kind], SHAPES[kind][1]), (0, 2, 2), strict=True):
+        text = f"import copy\nimport numpy as np\nV = {value}\ndef f(x: float):\n    copy.deepcopy(V)\n    return x\n"
+        (tmp_path / "m.py").write_text(text)
+        for axis in ("x=1", "x=1,2")[: 1 + (expected == 0)]:
+            code, _, err = sweep("run", "m.py:f", "--axis", axis, "-o", "s.zarr", cwd=tmp_path)
+            assert code == expected, err
+    assert "value m.V (" in err
+
+
+@pytest.mark.parametrize("reads", ["nope.csv", ".", "*.csv"])
+def test_a_declared_file_that_is_none_is_refused(tmp_path, sweep, reads):
+    (tmp_path / "k.csv").write_text("3")
+    (tmp_path / "m.py").write_text(
+        f"import linksweep\n@linksweep.experiment(reads=[{reads!r}])\ndef f(x: float):\n    return x\n"
+    )
+    code, _, err = sweep("run", "m.py:f", "--axis", "x=1", "-o", "s.zarr", cwd=tmp_path)
+    assert (code, f"reads: {reads!r} is no file in" in err) == (2, True), err
+    assert not (tmp_path / "s.zarr").exists()
+
+
+SCRIPT = """
+import numpy as np
+import linksweep
+def f(x, k=1):
+    return x * k * np.pi
+results = {}
+for k in (1, 2):
+    for axis in ([1, 2], [1, 2, 3]):
+        ds = linksweep.run(f, f"s{k}.zarr", axes={"x": axis}, fixed={"k": k}, pool="serial")
+        results[k] = ds
+"""
+
+
+@pytest.mark.slow
+def test_what_a_script_gathers_in_a_loop_refuses_nothing(tmp_path):
+    (tmp_path / "script.py").write_text(SCRIPT)
+    for _ in range(2):
+        done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    assert linksweep.open(tmp_path / "s2.zarr").f.values.tolist() == [2 * np.pi, 4 * np.pi, 6 * np.pi]
+
+
+def test_points_that_other_code_failed_at_are_those_that_it_made(tmp_path, sweep):
+    for text, command, failed in (
+        ("1.0 / (x - 2.0)", (), 1),
+        ("1.0 / (x + 2.0)", ("--redo", "old"), 0),
+    ):
+        (tmp_path / "m.py").write_text(f"def f(x: float):\n    return {text}\n")
+        code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", *command, cwd=tmp_path)
+        assert code == failed, err
+    assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [1 / 3, 1 / 4, 1 / 5]

@@ -191,6 +191,14 @@ def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
     assert not (tmp_path / "s.zarr").exists()
 
 
+def test_tables_with_objects_go_on_and_grow(tmp_path):
+    points = {"law": [np.sin, (1, 2), [3], None], "k": [1, 2, 3, 4]}
+    for more in ({}, {}, {"law": [np.cos], "k": [5]}):
+        points = {name: [*values, *more.get(name, ())] for name, values in points.items()}
+        ds = linksweep.run(lambda law, k: str(law) * k, tmp_path / "s.zarr", points=points, pool="serial")
+    assert ds.result.values.tolist() == [str(law) * k for law, k in zip(*points.values(), strict=True)]
+
+
 @pytest.mark.parametrize("pool", [None, "serial", "threads", "processes"])
 def test_lambdas_have_labels_and_reach_every_kind_of_worker(tmp_path, pool):
     axes = {"law": {"square": lambda x: x * x, "cube": lambda x: x**3}}
@@ -254,3 +262,23 @@ def test_only_the_script_tries_failed_points_of_its_objects_again(tmp_path, monk
     for store, more, words in (("s.zarr", {"fresh": True}, "retry = True: does not go with"), ("t", {}, "no store is")):
         with pytest.raises(SweepError, match=words):
             run(dates, store, retry=True, **more)
+
+
+def test_none_of_an_optional_text_is_one_value_everywhere(tmp_path, sweep):
+    (tmp_path / "m.py").write_text("def o(x: int, s: str | None = None):\n    return repr(s)\n")
+    for more in ((), ("--set", "s=None"), ("--axis", "s=None,abc")):
+        code, _, err = sweep("run", "m.py:o", "--axis", "x=1", *more, "-o", "s.zarr", cwd=tmp_path)
+        assert code == 0, err
+    assert linksweep.open(tmp_path / "s.zarr").o.values.tolist() == [["None", "'abc'"]]
+
+
+@given(runs=st.lists(st.lists(st.sampled_from([1, 2, 3, 1.0, 2.0, 2.5]), min_size=1, unique=True), max_size=4))
+@settings(max_examples=examples(40), deadline=None, derandomize=True)
+def test_equal_numbers_are_one_point_whatever_their_type(tmp_path_factory, runs):
+    store, seen = tmp_path_factory.mktemp("numbers") / "s.zarr", dict[float, float]()
+    for axis in runs:
+        ds = linksweep.run(lambda x: 10 * x, store, axes={"x": axis}, pool="serial")
+        seen |= {float(value): 10.0 * value for value in axis}
+        assert sorted(ds.x.values.tolist()) == sorted(axis)
+        whole = linksweep.open(store)
+        assert dict(zip(whole.x.values.tolist(), whole.result.values.tolist(), strict=True)) == seen
