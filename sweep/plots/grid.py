@@ -167,17 +167,20 @@ def _panels(
 ) -> Iterator[_Panel]:
     """Yield the panels that have anything to show, row by row; those along ``far`` have units of their own."""
     across = list(product(variables, quantity.places_along(dataset, [columns] if columns else [])))
+    wholes = dict[tuple[Any, ...], xr.Dataset]()  # of all panels that share an axis: arrays may be large
     for row in quantity.places_along(dataset, [rows] if rows else []):
         for name, column in across:
             place = row | column
             alone = {d: i for d, i in place.items() if d == far}
-            whole = quantity.in_readable_units(dataset.isel(alone))  # of all panels that share an axis
-            scale = "log" if style.is_logarithmic(whole[name]) else "linear"
-            whole = whole.assign({name: whole[name].assign_attrs({style.SCALE: scale})})
-            part = whole.isel({d: i for d, i in place.items() if d not in alone})
+            shares = (name, *alone.items())
+            if shares not in wholes:
+                whole = quantity.in_readable_units(dataset.isel(alone))
+                scale = "log" if style.is_logarithmic(whole[name]) else "linear"
+                wholes[shares] = whole.assign({name: whole[name].assign_attrs({style.SCALE: scale})})
+            part = wholes[shares].isel({d: i for d, i in place.items() if d not in alone})
             if np.isfinite(part[name].values.astype(float)).any():
                 title = ", ".join(style.value_text(dataset, d, dataset[d][i].item()) for d, i in place.items())
-                yield _Panel(part, name, title, (name, *alone.items()))
+                yield _Panel(part, name, title, shares)
 
 
 # Lines
