@@ -83,8 +83,8 @@ def united(stored: Study, asked: Study, held: Collection[bytes] = (), *, is_whol
         if isinstance(value, Named) and defined.get((name, value.name), value) != value:
             raise SweepError(
                 f"{name}: {shown(value.name)} is another value than in the store, or its code has changed: its points "
-                "would be mixed up with "
-                "those of today's; give it another name, or leave the earlier points out by --only (only=True)"
+                "would be mixed up with those of today's; give it another name, or leave the earlier points out by "
+                "--only (only=True)"
             )
     if gone := [name for name in stored.axes if name not in defaults]:
         raise SweepError(f"the axis {gone[0]} of the store is no parameter any more; --only leaves its points out")

@@ -47,7 +47,6 @@ def test_a_task_that_takes_too_long_hands_back_what_it_has(coins, tmp_path, monk
     study = study_from_dict(coins)
     whole, _ = run_study(study, tmp_path / "whole.zarr", SERIAL)
     monkeypatch.setattr(worker, "ENOUGH_S", -1.0)
-    monkeypatch.setattr("linksweep.sweep.executing.executor.ENOUGH_S", -1.0)
     watcher = Sentences()
     dataset, failures = run_study(study, tmp_path / "s.zarr", resources, watcher)
     assert not failures
