@@ -203,7 +203,7 @@ def test_the_commands_about_clusters_run(tmp_path, sweep):
         here = {
             "tcp://head.example.org:8786": plain.address,
             "tls://head.example.org:8786": tls.address,
-            **{"ca.pem": files.ca, "me.pem": files.cert, "key.pem": files.key},
+            **{"ca.pem": files.files["ca"], "me.pem": files.files["cert"], "key.pem": files.files["key"]},
         }
         for command in commands("clusters.md"):
             words = [here.get(word, word) for word in shlex.split(command)[1:]]

@@ -394,7 +394,12 @@ def cluster_class(file: ClusterFile) -> Any:
     """Return the class that a cluster file names; raises SweepError where there is none or it is no Dask cluster."""
     module, _, attribute = file.class_name.rpartition(".")
     try:
+        answer = signal.getsignal(signal.SIGINT)
         kind = getattr(importlib.import_module(module), attribute)
+        if (
+            signal.getsignal(signal.SIGINT) is not answer
+        ):  # dask_jobqueue answers Ctrl-C by sys.exit once it is imported
+            signal.signal(signal.SIGINT, answer)
     except Exception as error:  # whatever a module raises while it is imported
         missing = isinstance(error, ModuleNotFoundError) and error.name == "dask_jobqueue"
         hint = "; pip install 'linksweep[jobqueue]'" if missing else ""

@@ -5,6 +5,8 @@ import itertools
 import os
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from contextlib import closing, suppress
@@ -89,6 +91,18 @@ def test_an_interrupted_start_leaves_no_process_in_a_session():
     with pytest.raises(KeyboardInterrupt), own_cluster(Interrupted, {"n_workers": 1, "threads_per_worker": 1}):
         pass
     assert not [pid for pid in workers_below(os.getpid()) if "spawn_main" in command_of(pid)]
+
+
+@pytest.mark.slow
+def test_what_a_cluster_imports_does_not_answer_ctrl_c(tmp_path):
+    """dask_jobqueue would end the process; asked for in a new one, since it is imported once."""
+    (tmp_path / "cluster.toml").write_text('class = "dask_jobqueue.SLURMCluster"\nscale = 1\n')
+    text = (
+        "import pathlib, signal; from linksweep.sweep.executing import clusters; "
+        "clusters.cluster_class(clusters.read_cluster_file(pathlib.Path('cluster.toml'))); "
+        "assert signal.getsignal(signal.SIGINT) is signal.default_int_handler"
+    )
+    subprocess.run([sys.executable, "-c", text], cwd=tmp_path, check=True)
 
 
 def test_a_dashboard_needs_bokeh(monkeypatch):
