@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, Phase, given, settings, strategies as st
 import linksweep
 from linksweep import SweepError
 from tests.sweep.opening import OpenStore, Stopping, check, dying, merge, same, status_report, until_done
-from tests.tiers import examples
+from tests.tiers import examples, slow
 
 CODE = """
 import numpy as np
@@ -216,7 +216,7 @@ COMMANDS = st.fixed_dictionaries(
 )
 
 
-@pytest.mark.parametrize("kind", ["plain", "noisy"])
+@pytest.mark.parametrize("kind", ["plain", slow("noisy")])
 @given(commands=st.lists(COMMANDS, min_size=3, max_size=7))
 @settings(
     max_examples=examples(20) if examples(20) == 20 else 2,
