@@ -156,7 +156,9 @@ def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labell
     if not experiment.deterministic:
         over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""
         meaning = f"realisations done{over}"
-        variables["n_sim_done"] = _variable(grid, realisations.copy(), Output("n_sim_done", "", meaning))
+        # How far others of its task came before a point failed depends on time.
+        counted = np.where(status == Status.FAILED, 0, realisations)
+        variables["n_sim_done"] = _variable(grid, counted, Output("n_sim_done", "", meaning))
     took = np.where(done, grid.with_repeats(accumulator.seconds), np.nan)
     variables["wall_time"] = _variable(grid, took, Output("wall_time", "s", "wall time of all blocks of the point"))
     variables["status"] = _variable(grid, status.copy(), Output("status", "", "state of the point"))
