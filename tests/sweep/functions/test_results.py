@@ -125,6 +125,10 @@ REFUSED = {
     "a large unsigned": ({"y": np.uint64(2**63)}, "integers have 64 bits"),
     "an integer that would be rounded": ({"y": [2**53 + 1, 0.5]}, "9007199254740993, an integer beyond 2**53, beside"),
     "a zone": ({"y": datetime.datetime(2024, 1, 1, tzinfo=datetime.UTC)}, "'y' is a time with the zone UTC"),
+    "a coordinate with a zone": (
+        {"y": pd.Series([1.0, 2.0], index=pd.date_range("2020-06-01", periods=2, tz="Europe/Berlin"))},
+        "'y' has a coordinate 'index' of times with the zone Europe/Berlin",
+    ),
     "far times": ({"y": np.datetime64("9999-01-01")}, "beyond the years 1678 to 2261"),
     "a duration": ({"y": np.timedelta64(3, "s")}, "'y' is of type timedelta64[s]"),
     "a surrogate": ({"y": "\ud800"}, "'y' is '\\ud800', which has a lone surrogate"),

@@ -3,6 +3,7 @@
 import datetime
 import enum
 import itertools
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -165,7 +166,7 @@ def test_another_object_under_a_label_of_the_store_is_refused(tmp_path):
     assert linksweep.open(tmp_path / "s.zarr").result.values.tolist() == [9, 80]
 
 
-def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(tmp_path):
+def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(tmp_path, sweep):
     (tmp_path / "m.py").write_text(DECLARED)
     for kernels, gammas in ((["linear", "rbf"], [0.5, 1.0]), (["linear", "poly"], [2.0, 0.5])):
         axes = {"kernel": kernels, "gamma": gammas}
@@ -176,6 +177,9 @@ def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(
         found = linksweep.open(tmp_path / "s.zarr").fit.sel(kernel=kernel).values
         assert sorted(found[np.isfinite(found)]) == values
     assert ds.fit.attrs["units"] == "mm"
+    for missing in ("nan", "None"):
+        code, out, err = sweep("show", "s.zarr", "--at", f"gamma={missing}", "--json", cwd=tmp_path)
+        assert (code, [row["fit"] for row in json.loads(out)["rows"] if row["fit"] is not None]) == (0, [107.0]), err
 
 
 WRONG = ({"gam": {"kernel": ["rbf"]}}, {"gamma": {"kernl": ["rbf"]}}, {"gamma": {"kernel": "rbf"}}, {"gamma": ["rbf"]})
