@@ -364,7 +364,7 @@ class Tuning:
         flush_every_s: seconds after which new results are made durable, when others arrive.
         latest_flush_s: seconds after which they are made durable even if no others arrive.
         write_every_s: seconds after which the dataset is written again during a run.
-        early_write: the same as a share of the time since its begin, while that is less, but at least a second.
+        early_write: the same as a share of the time since its begin, while that is less, but at least two seconds.
         write_share: the share of a run's time that these writes may take, besides the first ``early_writes_s``.
         long_write_bytes: size of a dataset that takes a second or more to write: an interruption does not wait for it.
         long_write_points: the same, in points.

@@ -377,7 +377,7 @@ class Writer:
         # Early values so far are soon out of date.
         clock = time.monotonic()
         elapsed = clock - self._begun
-        every = min(TUNED.write_every_s, max(1.0, TUNED.early_write * elapsed))
+        every = min(TUNED.write_every_s, max(2.0, TUNED.early_write * elapsed))
         if clock - self._written > every and self._writing < TUNED.early_writes_s + TUNED.write_share * elapsed:
             self.write()
 
@@ -697,7 +697,7 @@ class Session:
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
             study, is_missing, keep = self.study, self.accumulator.is_missing, writer.store.keep
             results = execute(lambda n: [Batch(study, some, is_missing, keep) for some in writer.pending.take(n)])
-            if pending.blocks:
+            if pending.blocks and (not study.experiment.says_cost or pending.cost > TARGET):
                 writer.write()  # a labelled, if empty, dataset from the start, while workers begin
             with writer:
                 for batch, result in results:

@@ -161,7 +161,7 @@ def _is_row(row: list[Any]) -> list[Any]:
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(strict=True)
+    model_config = ConfigDict(strict=True, defer_build=True)
 
 
 class _Written(BaseModel):

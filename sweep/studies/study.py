@@ -245,7 +245,7 @@ class Section(BaseModel):
     Without a `Context` only its form is checked.
     """
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, defer_build=True)
 
 
 class Sampling(Section):
