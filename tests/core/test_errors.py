@@ -6,18 +6,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from tests.core.points import (
-    MAS,
-    MISSIONS,
-    OwnErrors,
-    drawn,
-    evaluated,
-    link,
-    point,
-    random_covariances,
-    scenario,
-    set_up,
-)
+from tests.core import points
+from tests.core.points import MAS, MISSIONS, OwnErrors, drawn, evaluated, point, random_covariances, scenario, set_up
 
 FLAT = {"satellite_errors": "normal", "reference_errors": "normal"}
 
@@ -90,5 +80,8 @@ def test_one_side_underestimated_is_predicted():
     assert stats.chi2(n_sim).sf(squares).min() > 1e-4
     assert stats.chi2(n_sim).cdf(squares).min() > 1e-4
     half = point(n_obj=8, satellite_errors="normal", satellite_error_ratio=0.5)
-    chi2 = [link.evaluate([half], 1, np.random.default_rng(k), np.random.default_rng(7))["chi2"][0] for k in range(100)]
+    chi2 = [
+        points.link.evaluate([half], 1, np.random.default_rng(k), np.random.default_rng(7))["chi2"][0]
+        for k in range(100)
+    ]
     assert stats.kstest(np.array(chi2) / 0.25, stats.chi2(4 * 8 - 6).cdf).pvalue > 1e-3

@@ -6,28 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from tests.core.points import (
-    DEGREE,
-    MAS,
-    ROWS,
-    Catalogue,
-    CatalogueErrors,
-    LinkError,
-    MagnitudeErrors,
-    NestedDraw,
-    NormalErrors,
-    OwnErrors,
-    can_stack,
-    evaluated,
-    experiment,
-    generators,
-    link,
-    mission_of_function,
-    point,
-    scenario,
-    simulate,
-    simulate_stack,
-)
+from tests.core import points
+from tests.core.points import CatalogueErrors, NormalErrors, OwnErrors, experiment, generators, link, point, scenario
 from tests.tiers import examples, slow
 
 
@@ -37,15 +17,15 @@ def merged(blocks):
 
 @pytest.mark.parametrize("changes", [{}, {"reference_errors": "normal"}, {"solve_glide": True}])
 def test_samples_are_the_estimates_that_evaluate_adds_up(changes):
-    points, n_sim = [point(**changes), point(n_obj=7, omega=(4.0, 0.0, -2.0), **changes)], ROWS + 88
-    sums = link.evaluate(points, n_sim, np.random.default_rng(1), np.random.default_rng(2))
-    kept = link.samples(points, n_sim, np.random.default_rng(1), np.random.default_rng(2))
+    both, n_sim = [point(**changes), point(n_obj=7, omega=(4.0, 0.0, -2.0), **changes)], points.ROWS + 88
+    sums = link.evaluate(both, n_sim, *generators())
+    kept = link.samples(both, n_sim, *generators())
     estimates = kept.pop("estimate")
     assert set(kept) == set(sums)
     for name, values in sums.items():
         np.testing.assert_array_equal(kept[name], values)
     assert estimates.shape == (2, n_sim, 6)
-    error = estimates - np.array([[*p["epsilon"], *p["omega"]] for p in points])[:, None]
+    error = estimates - np.array([[*p["epsilon"], *p["omega"]] for p in both])[:, None]
     products = np.einsum("pni,pnj->pij", error, error)
     tolerance = {"rtol": 0, "atol": 1e-12 * n_sim * np.max(np.abs(error)) ** 2}
     np.testing.assert_allclose(error.sum(axis=1), sums["error"], **tolerance)
@@ -134,13 +114,13 @@ def test_the_error_of_a_bias_is_right_on_the_average_where_catalogues_have_sever
 
 
 def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
-    noisy = evaluated(10, point())
+    noisy = points.evaluated(10, point())
     assert np.all(np.isnan(link.summarise(noisy, np.array([10.0]), np.ones(1))["sigma_catalogue_error"]))
     for n_cat in (2.0, 3.0, 4.0):
         few = link.summarise(noisy, np.array([10.0]), np.array([n_cat]))
         assert np.all(np.isnan(few["sigma_catalogue_error"]))
         assert np.all(np.isnan(few["bias_mc_error"]))
-    perfect = evaluated(10, point(satellite_errors="none"))
+    perfect = points.evaluated(10, point(satellite_errors="none"))
     results = link.summarise(perfect, np.array([10.0]), np.ones(1))
     np.testing.assert_array_equal(results["sigma_catalogue_error"], 0.0)
     np.testing.assert_array_equal(results["sigma_spin_predicted"], 0.0)
@@ -172,25 +152,27 @@ def test_every_shared_parameter_has_another_value_here():
 @given(
     changes=st.lists(st.sets(st.sampled_from(sorted(link.shared)), max_size=6), min_size=1, max_size=4),
     sizes=st.lists(st.integers(3, 150), min_size=4, max_size=4),
-    n_sim=st.sampled_from([1, 7, 200, ROWS, ROWS + 3]),
+    n_sim=st.sampled_from([1, 7, 200, points.ROWS, points.ROWS + 3]),
     data=st.data(),
 )
 def test_no_bit_depends_on_who_shares_the_draw(changes, sizes, n_sim, data):
-    points = [point(**{"n_obj": n} | {name: OTHER[name] for name in c}) for c, n in zip(changes, sizes, strict=False)]
-    order = data.draw(st.permutations(range(len(points))))
-    together = link.samples([points[k] for k in order], n_sim, *generators())
+    drawn = [point(**{"n_obj": n} | {name: OTHER[name] for name in c}) for c, n in zip(changes, sizes, strict=False)]
+    order = data.draw(st.permutations(range(len(drawn))))
+    together = link.samples([drawn[k] for k in order], n_sim, *generators())
     for place, k in enumerate(order):
-        alone = link.samples([points[k]], n_sim, *generators())
+        alone = link.samples([drawn[k]], n_sim, *generators())
         for name, values in alone.items():
             np.testing.assert_array_equal(together[name][place], values[0], err_msg=name)
 
 
 def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
     """It may round otherwise among other objects: here by 1e-12 for each of them."""
-    errors = MagnitudeErrors(mission_of_function(lambda v_mag: np.full(len(v_mag), 0.3 * (1.0 + 1e-12 * len(v_mag)))))
+    errors = points.MagnitudeErrors(
+        points.mission_of_function(lambda v_mag: np.full(len(v_mag), 0.3 * (1.0 + 1e-12 * len(v_mag))))
+    )
     limits = [scenario(point(catalogue="quasars", n_obj=None, v_max=v)) for v in (14.0, 15.0)]
     both = [replace(one, satellite_errors=errors) for one in limits]
-    together, alone = simulate(both, 30, *generators()), simulate(both[:1], 30, *generators())
+    together, alone = points.simulate(both, 30, *generators()), points.simulate(both[:1], 30, *generators())
     np.testing.assert_array_equal(together[0]["error"], alone[0]["error"])
     np.testing.assert_array_equal(together[0]["predicted_variance"], alone[0]["predicted_variance"])
 
@@ -231,7 +213,7 @@ def assert_same_bits(here, n_sim, n_cat):
 @given(changes=POINTS, n_sim=st.sampled_from([2, 3, 20, 100]), n_cat=st.integers(2, 5))
 def test_each_catalogue_has_the_bits_that_it_has_by_itself(changes, n_sim, n_cat):
     here = link.defaults() | changes
-    assert can_stack(scenario(here), n_sim)
+    assert points.can_stack(scenario(here), n_sim)
     assert_same_bits(here, n_sim, n_cat)
 
 
@@ -253,26 +235,26 @@ def test_so_it_is_where_objects_come_in_several_tiles_and_catalogues_in_several_
 )
 def test_what_cannot_be_stacked_is_computed_one_by_one(changes):
     here = link.defaults() | {"n_obj": 30} | changes
-    assert not can_stack(scenario(here), 10)
+    assert not points.can_stack(scenario(here), 10)
     assert_same_bits(here, 10, 3)
 
 
 def sky(rng):
     dec = np.arcsin(rng.uniform(-1.0, 1.0, 12))
     zero = np.zeros_like(dec)
-    return Catalogue(rng.uniform(0.0, 2.0 * np.pi, 12) + zero, dec, zero, zero, zero)
+    return points.Catalogue(rng.uniform(0.0, 2.0 * np.pi, 12) + zero, dec, zero, zero, zero)
 
 
 def without_errors(rng):
     found = sky(rng)
-    sigma = np.where(rng.random(1)[..., :1] < 0.5, 0.0, MAS)[..., None] * np.ones((*found.ra.shape, 4))
-    return replace(found, errors=OwnErrors(np.full((*found.ra.shape, 4), MAS)), reference=OwnErrors(sigma))
+    sigma = np.where(rng.random(1)[..., :1] < 0.5, 0.0, points.MAS)[..., None] * np.ones((*found.ra.shape, 4))
+    return replace(found, errors=OwnErrors(np.full((*found.ra.shape, 4), points.MAS)), reference=OwnErrors(sigma))
 
 
 def at_a_pole(rng):
     found = sky(rng)
     near = rng.random(1)[..., :1] < 0.5
-    return replace(found, dec=np.where(near & (np.arange(12) == 3), 89.99 * DEGREE, found.dec))
+    return replace(found, dec=np.where(near & (np.arange(12) == 3), 89.99 * points.DEGREE, found.dec))
 
 
 def in_one_place(rng):
@@ -293,6 +275,6 @@ OWN = {"reference_errors": CatalogueErrors("reference"), "satellite_errors": Cat
     ],
 )
 def test_catalogues_that_differ_in_kind_or_determine_no_link_are_refused(draw, errors, words):
-    physics = replace(scenario(point(n_obj=12)), draw_catalogue=NestedDraw("own", 12, draw, True), **errors)
-    with pytest.raises(LinkError, match=words):
-        simulate_stack(physics, 5, streams(8))
+    physics = replace(scenario(point(n_obj=12)), draw_catalogue=points.NestedDraw("own", 12, draw, True), **errors)
+    with pytest.raises(points.LinkError, match=words):
+        points.simulate_stack(physics, 5, streams(8))

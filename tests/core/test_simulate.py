@@ -7,26 +7,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from tests.core.points import (
-    DEGREE,
-    MAS,
-    ROWS,
-    TILE,
-    Catalogue,
-    CatalogueErrors,
-    LinkError,
-    OwnErrors,
-    design_of,
-    drawn,
-    exact_differences,
-    of_objects,
-    point,
-    random_covariances,
-    run,
-    scenario,
-    set_up,
-    triad,
-)
+from tests.core import points
+from tests.core.points import MAS, CatalogueErrors, LinkError, OwnErrors, of_objects, random_covariances, run, set_up
 from tests.core.reference import design_matrix, solve
 from tests.tiers import examples, slow
 
@@ -39,15 +21,15 @@ WELL_POSED = 1e3
 
 
 def physics_of(**changes):
-    return scenario(point(**(TRUTH | changes)))
+    return points.scenario(points.point(**(TRUTH | changes)))
 
 
 def both_sides(rng, n_sim, n_obj):
     """Yield the normals (N, 4) of the reference and of the satellite: a stream of each for every chunk of realisations,
     object by object.
     """
-    for start in range(0, n_sim, ROWS):
-        shape = n_obj, 4, min(ROWS, n_sim - start)
+    for start in range(0, n_sim, points.ROWS):
+        shape = n_obj, 4, min(points.ROWS, n_sim - start)
         satellite, reference = (stream.standard_normal(shape) for stream in rng.spawn(2))
         yield from zip(reference.transpose(2, 0, 1), satellite.transpose(2, 0, 1), strict=True)
 
@@ -59,8 +41,8 @@ def one_by_one(physics, n_sim, seed=1, catalogue_seed=2):
     catalogue = physics.draw_catalogue(np.random.default_rng(catalogue_seed))
     setup = set_up(catalogue, physics)
     true = np.stack([catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec])
-    y = exact_differences(*true, *np.array([physics.epsilon, physics.omega]))
-    p, q, _ = triad(catalogue.ra, catalogue.dec)
+    y = points.exact_differences(*true, *np.array([physics.epsilon, physics.omega]))
+    p, q, _ = points.triad(catalogue.ra, catalogue.dec)
     y[2:] -= np.stack([p.T @ physics.aberration, q.T @ physics.aberration])
     truth = np.concatenate([physics.epsilon, physics.omega, -np.array(physics.aberration)[: 3 * physics.solve_glide]])
     for normals in both_sides(np.random.default_rng(seed), n_sim, len(catalogue)):
@@ -104,7 +86,7 @@ def assert_is_the_plain_loop(physics, n_sim):
 )
 @pytest.mark.parametrize(("n_obj", "n_sim"), [(20, 520), slow(1500, 20), slow(20, 1000)])
 def test_equals_the_plain_loop(weighting, reference, n_obj, n_sim, corrections, solve_glide):
-    assert n_sim > ROWS or 4 * n_obj * n_sim > TILE  # several chunks or several tiles
+    assert n_sim > points.ROWS or 4 * n_obj * n_sim > points.TILE  # several chunks or several tiles
     options = {"weighting": weighting, "corrections": corrections, "solve_glide": solve_glide}
     physics = physics_of(n_obj=n_obj, mean_pm=100.0, aberration=True, glide=GLIDE_UAS, **options, **reference)
     sums, sigma = assert_is_the_plain_loop(physics, n_sim)
@@ -132,10 +114,10 @@ def test_equals_the_svd_of_each_realisation(seed, n_obj, sigma_mas, motion_mas, 
     """Objects anywhere, some near a pole, with errors of their own from microarcseconds to a quarter of a degree."""
     rng = np.random.default_rng(seed)
     sin_dec = rng.uniform(-1.0, 1.0, n_obj)
-    near = np.sign(sin_dec) * rng.uniform(85.0, 89.5, n_obj) * DEGREE
+    near = np.sign(sin_dec) * rng.uniform(85.0, 89.5, n_obj) * points.DEGREE
     sigma, correlation = random_covariances(n_obj, seed)
     motions = motion_mas * MAS * rng.standard_normal((2, n_obj))
-    objects = Catalogue(
+    objects = points.Catalogue(
         *(rng.uniform(-np.pi, 2.0 * np.pi, n_obj), np.where(rng.random(n_obj) < polar, near, np.arcsin(sin_dec))),
         *(*motions, np.zeros(n_obj)),
         OwnErrors(sigma_mas * MAS * sigma / 2.5, correlation if correlated else None),
@@ -161,8 +143,8 @@ def test_equals_the_svd_of_each_realisation(seed, n_obj, sigma_mas, motion_mas, 
 
 def test_an_object_that_its_error_carries_over_the_pole_is_named():
     zero = np.zeros(40)
-    objects = replace(drawn(5, n_obj=40), errors=OwnErrors(np.full((40, 4), MAS)), pmra=zero, pmdec=zero)
-    objects.dec[35] = 90.0 * DEGREE - 0.5 * MAS
+    objects = replace(points.drawn(5, n_obj=40), errors=OwnErrors(np.full((40, 4), MAS)), pmra=zero, pmdec=zero)
+    objects.dec[35] = 90.0 * points.DEGREE - 0.5 * MAS
     physics = of_objects(objects, physics_of(**NORMAL, reference_errors="catalogue"))
     with pytest.raises(LinkError, match=r"object 35 is at a celestial pole or, with its error, beyond"):
         run(physics, 512)
@@ -183,7 +165,7 @@ def test_realised_errors_are_the_predicted_ones(weighting, solve_glide):
 
 
 def test_what_does_not_determine_the_link_is_refused():
-    one_place = drawn(1, n_obj=2).take(np.zeros(10, dtype=np.intp))
+    one_place = points.drawn(1, n_obj=2).take(np.zeros(10, dtype=np.intp))
     for reference in ({}, {**NOISY, "reference_sigma_pos": 1e-9, "reference_sigma_pm": 1e-9}):
         with pytest.raises(LinkError, match="rank deficient"):
             run(of_objects(one_place, physics_of(**NORMAL, **reference)), 3)
@@ -194,8 +176,8 @@ def test_what_does_not_determine_the_link_is_refused():
 def test_the_predicted_variance_of_correlated_errors_is_that_of_the_whole_covariance_matrix():
     """G Sigma G^T with a block of Sigma an object, formed without factors."""
     sigma, correlation = random_covariances(30, 8)
-    objects = replace(drawn(3, n_obj=30), errors=OwnErrors(sigma * MAS, correlation))
-    found = design_of(set_up(objects, physics_of(satellite_errors="catalogue"))).predicted_variance()
+    objects = replace(points.drawn(3, n_obj=30), errors=OwnErrors(sigma * MAS, correlation))
+    found = points.design_of(set_up(objects, physics_of(satellite_errors="catalogue"))).predicted_variance()
     design = design_matrix(objects.ra, objects.dec, objects.pmra, objects.pmdec)
     gain = solve(design, np.zeros((4, 30)), sigma.T * MAS).gain * sigma.T * MAS
     np.testing.assert_allclose(found, np.einsum("kin,nij,kjn->k", gain, correlation, gain), rtol=1e-9)
@@ -209,7 +191,7 @@ def test_memory_does_not_grow_with_the_number_of_realisations(reference, few, ma
     def peak(chunks):
         run(physics, 1, keep=False)
         tracemalloc.start()
-        run(physics, chunks * ROWS, keep=False)
+        run(physics, chunks * points.ROWS, keep=False)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return peak

@@ -7,38 +7,21 @@ import pytest
 from scipy import stats
 from scipy.special import eval_jacobi
 
-from tests.core.points import (
-    DEGREE,
-    GALACTIC_AXES,
-    MAS,
-    MICROARCSEC,
-    Catalogue,
-    Field,
-    ZonalErrors,
-    design_of,
-    parse_pattern,
-    pattern_field,
-    point,
-    results,
-    rms,
-    run,
-    scenario,
-    set_up,
-    triad,
-)
+from tests.core import points
+from tests.core.points import GALACTIC_AXES, MAS, ZonalErrors, parse_pattern, pattern_field, point, scenario, set_up
 from tests.core.reference import design_matrix, solve
 
 NORMAL = {"satellite_errors": "normal"}
 
 
 def results_of(n_sim, **changes):
-    return {name: values[0] for name, values in results(n_sim, point(**({"n_obj": 60} | changes))).items()}
+    return {name: values[0] for name, values in points.results(n_sim, point(**({"n_obj": 60} | changes))).items()}
 
 
 def sky(n, seed=3):
     rng, zero = np.random.default_rng(seed), np.zeros(n)
     ra, dec = rng.uniform(0, 2 * np.pi, n), np.arcsin(rng.uniform(-1, 1, n))
-    return Catalogue(ra, dec, zero, zero, rng.uniform(10.0, 20.0, n))
+    return points.Catalogue(ra, dec, zero, zero, rng.uniform(10.0, 20.0, n))
 
 
 def gain_of(setup):
@@ -58,7 +41,7 @@ def kernel(errors, distance):
 
 def field_covariance(errors, catalogue):
     """Covariance of the position errors of all objects for an RMS of 1, from the sums of harmonics; (2N, 2N)."""
-    field = Field(replace(errors, sigma_pos=1.0), catalogue.ra, catalogue.dec)
+    field = points.Field(replace(errors, sigma_pos=1.0), catalogue.ra, catalogue.dec)
     basis = np.concatenate([part for _, part in field.bases(slice(None))], axis=2).reshape(-1, 2 * len(catalogue))
     return basis.T @ (np.repeat(errors.scatter, 2)[:, None] ** 2 * basis)
 
@@ -70,7 +53,7 @@ def test_zonal_errors_are_correlated_by_distance_alone(length):
     degrees = np.arange(2, len(errors.power) + 1)  # the Gaussian on the sphere, C_l ~ exp(-l (l + 1) L^2/2)
     np.testing.assert_allclose(np.diff(np.log(errors.power)), -degrees * np.radians(length) ** 2, rtol=1e-9)
     covariance = field_covariance(errors, catalogue).reshape(2, 12, 2, 12)
-    p, q, r = triad(catalogue.ra, catalogue.dec)
+    p, q, r = points.triad(catalogue.ra, catalogue.dec)
     for a, b in [(0, 0), (0, 1), (2, 5), (7, 11), (3, 9)]:
         distance = np.arccos(np.clip(r[:, a] @ r[:, b], -1.0, 1.0)) if a != b else 0.0
         normal = np.cross(r[:, a], r[:, b]) if a != b else p[:, a]
@@ -85,7 +68,7 @@ def test_zonal_errors_are_correlated_by_distance_alone(length):
 
 def test_drawn_zonal_errors_have_that_covariance_and_are_normal():
     errors, catalogue, rows = ZonalErrors(2.0, 5.0, np.radians(40.0)), sky(10), 20_000
-    field = Field(errors, catalogue.ra, catalogue.dec)
+    field = points.Field(errors, catalogue.ra, catalogue.dec)
     drawn = field.values(field.draw(rows, np.random.default_rng(4)), slice(2, 10))
     assert drawn.shape == (8, 4, rows)
     expected = field_covariance(errors, catalogue).reshape(2, 10, 2, 10)[:, 2:, :, 2:].reshape(16, 16)
@@ -113,7 +96,7 @@ def test_what_zonal_errors_do_to_the_link_is_predicted(satellite_errors):
     for part, sigma in ((slice(0, 2), 2.0 * MAS), (slice(2, 4), 0.7 * MAS)):
         flat = gain[:, part].reshape(6, -1)
         expected = expected + sigma**2 * np.einsum("ka,ab,kb->k", flat, covariance, flat)
-    np.testing.assert_allclose(design_of(setup).predicted_variance(), expected, rtol=1e-9)
+    np.testing.assert_allclose(points.design_of(setup).predicted_variance(), expected, rtol=1e-9)
 
 
 def test_many_objects_do_not_beat_zonal_errors():
@@ -155,7 +138,7 @@ def test_the_leak_of_known_fields_is_predicted():
     f = plain_differences(catalogue, (0.3, -0.1, 0.2), (0.4, -0.3), 12.0, field) * MAS
     expected = np.einsum("kin,in->k", gain_of(setup)[:, 2:], f)
     assert np.abs(expected[3:]).min() > 0.01 * MAS
-    np.testing.assert_allclose(design_of(setup).bias, expected, atol=1e-7 * MAS)
+    np.testing.assert_allclose(points.design_of(setup).bias, expected, atol=1e-7 * MAS)
 
 
 def test_a_magnitude_equation_turns_the_sky_by_three_eighths_pi():
@@ -180,7 +163,7 @@ def test_a_field_of_degree_two_leaks_where_the_sky_is_uneven():
     place = GALACTIC_AXES.T @ np.array([np.cos(b) * np.cos(lon), np.cos(b) * np.sin(lon), np.sin(b)])
     ra, dec = np.arctan2(place[1], place[0]), np.arcsin(place[2])
     f = pattern_field(parse_pattern("t_2_0"), ra, dec)
-    p, q, _ = triad(ra, dec)
+    p, q, _ = points.triad(ra, dec)
     density = np.where(b > 0.0, 1.5, 0.5)
     expected = -3.0 / (8.0 * np.pi) * ((q * f[0] - p * f[1]) @ (area * density))
     settings = {"n_obj": 100_000, "satellite_errors": "none", "motion_field": "t_2_0"}
@@ -190,14 +173,14 @@ def test_a_field_of_degree_two_leaks_where_the_sky_is_uneven():
     np.testing.assert_allclose(results_of(1, **settings)["bias_predicted"][3:], 0.0, atol=0.008)
 
 
-GLIDE = 4.0 * MICROARCSEC * GALACTIC_AXES[0]
+GLIDE = 4.0 * points.MICROARCSEC * GALACTIC_AXES[0]
 NO_TRUTH = {"epsilon": (0.0, 0.0, 0.0), "omega": (0.0, 0.0, 0.0), "satellite_errors": "none", "aberration": True}
 
 
 def leaks(n_cat, **changes):
     """The estimates of many catalogues in units of the glide, without orientation, spin and noise; shape (n_cat, K)."""
     here = scenario(point(**(NO_TRUTH | changes)))
-    estimates = [run(here, 1, catalogue_seed=seed)["estimate"] for seed in range(n_cat)]
+    estimates = [points.run(here, 1, catalogue_seed=seed)["estimate"] for seed in range(n_cat)]
     return np.concatenate(estimates) * MAS / np.linalg.norm(GLIDE)
 
 
@@ -208,7 +191,7 @@ def expected_leak(zone_deg=0.0, contrast=0.0):
     on each side of the Galactic plane, <r> = contrast (1 + s)/2 along the pole with s = sin of the zone's limit, and
     <r r^T> is diagonal there, with <sin^2 b> = (1 + s + s^2)/3. Without a zone: -(3/4) contrast pole x g.
     """
-    s = np.sin(zone_deg * DEGREE)
+    s = np.sin(zone_deg * points.DEGREE)
     polar = (1.0 + s + s**2) / 3.0
     mean = GALACTIC_AXES[2] * contrast * (1.0 + s) / 2.0
     return -np.cross(mean, GLIDE) / ((1.0 + polar) / 2.0) / np.linalg.norm(GLIDE)
@@ -237,4 +220,4 @@ def test_the_size_of_a_pattern_is_its_rms_over_the_sky():
     pattern = scenario(point(motion_field="t_2_0=2,s_3_1_im=-1", motion_field_size=0.25)).systematics.pattern
     lengths = np.sum(pattern_field(pattern, catalogue.ra, catalogue.dec) ** 2, axis=0)
     assert np.sqrt(lengths.mean()) / MAS == pytest.approx(0.25, rel=0.01)
-    assert rms(pattern) / MAS == pytest.approx(0.25, rel=1e-12)
+    assert points.rms(pattern) / MAS == pytest.approx(0.25, rel=1e-12)

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from linksweep.sweep.contract import KEY_BYTES, Block, BlockRows, Experiment, Output, Parameter, Status, ledger_key
+from linksweep.sweep import contract
+from linksweep.sweep.contract import KEY_BYTES, BlockRows, Experiment, Parameter, Status, SweepError, ledger_key
 from linksweep.sweep.planning import plan as planning
 from linksweep.sweep.planning.accumulator import TASK_S, TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import make_grid
@@ -40,7 +41,7 @@ experiment = Experiment(
     version=1,
     parameters=(Parameter("kind", "int", 0, "which"),),
     sums={"n": ()},
-    outputs=tuple(Output(name, "", name, headline=name in HEADLINES, nan=True) for name in NAMES),
+    outputs=tuple(contract.Output(name, "", name, headline=name in HEADLINES, nan=True) for name in NAMES),
     evaluate=lambda points, n_sim, rng, catalogue_rng: {"n": [n_sim for _ in points]},
     summarise=summary,
 )
@@ -324,7 +325,7 @@ def test_streams_are_numpys_own_children_of_the_seed(seed, name, first, part):
     def state(rng):
         return rng.bit_generator.state["state"]["state"].tolist()
 
-    pairs = planning.generators_of(seed, name, Block(0, part, first, 2, 10))
+    pairs = planning.generators_of(seed, name, contract.Block(0, part, first, 2, 10))
     words = np.frombuffer(name, "<u4").tolist()
     for catalogue, pair in enumerate(pairs, first):
         for ours, place in zip(pair, [(catalogue, 1, part), (catalogue, 0)], strict=True):
@@ -350,86 +351,62 @@ def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, group
     assert accumulator.survey.pending.cost == pytest.approx(sum(work.cost for work in works))
 
 
-SHAPES = """
-from linksweep.sweep.contract import Experiment, Output, Parameter
-
-def unused(p):
-    with open("asked", "a") as file:
-        file.write("1")
-    if p["shape"] == "square":
-        return {"height": "a square has one side", "tilt": "a square is drawn upright"}
-    return ANSWER
-
-experiment = Experiment(
-    name="shapes", version=1,
-    parameters=(
-        Parameter("shape", "str", "square", "what is drawn", choices=("square", "box")),
-        Parameter("width", "float", 1.0, "one side"),
-        Parameter("height", "float", 1.0, "the other"),
-        Parameter("tilt", "float", 0.0, "by how much it leans"),
-        Parameter("ink", "int", 0, "colour"),
-    ),
-    sums={"area": ()}, outputs=(Output("area", "", "area", headline=True),),
-    evaluate=lambda points, n, rng, outer: {"area": [n * p["width"] * p["height"] for p in points]},
-    summarise=lambda sums, n, n_cat: {"area": sums["area"] / n},
-    unused=unused,
-)
-"""
+def even_are_fair(point):
+    return {} if point["coins"] % 2 else {"chance": "even numbers are fair", "metal": "of what is not seen"}
 
 
-@pytest.fixture
-def plan(tmp_path, sweep):
-    """A function that plans a study, and returns the exit code and the problems that are named."""
-
-    def planned(study="", answer="{}", command="plan"):
-        (tmp_path / "shapes.py").write_text(SHAPES.replace("ANSWER", answer))
-        (tmp_path / "s.toml").write_text(f'title = "s"\nexperiment = "shapes.py:experiment"\n{study}')
-        code, out, err = sweep(command, "s.toml", cwd=tmp_path)
-        assert (code == 0) == bool(out)
-        assert not (tmp_path / "results").exists()
-        return code, err
-
-    return planned
+def grid_of(study, unused=even_are_fair):
+    """The grid of coins some of whose parameters may change nothing."""
+    whole = study_from_dict({"title": "", "experiment": COINS} | study)
+    return make_grid(replace(whole, experiment=replace(whole.experiment, unused=unused)))
 
 
 @pytest.mark.parametrize(
     ("study", "named"),
     [
-        ("fixed = { height = 3.0 }", ["height = 3.0 changes nothing: a square has one side"]),
-        ("fixed = { height = 1.0 }", ["height = 1.0 changes nothing"]),  # even at its default: it seems to matter
-        ("axes = { width = [1, 2] }\nfixed = { height = 3.0, tilt = 1.0 }", ["height = 3.0", "tilt = 1.0"]),
-        ("axes = { height = [1, 2, 3] }", ["the axis height changes nothing at some points: a square has one side (2"]),
-        ('axes = { shape = ["square", "box"], height = [1, 2] }', ["the axis height changes nothing", "(1 point)"]),
+        ({"fixed": {"chance": 0.7}}, ["chance = 0.7 changes nothing: even numbers are fair"]),
+        ({"fixed": {"chance": 0.5}}, ["chance = 0.5 changes nothing"]),  # even at its default: it seems to matter
+        ({"axes": {"coins": [2, 4]}, "fixed": {"chance": 0.7, "metal": "tin"}}, ["chance = 0.7", "metal = 'tin'"]),
+        (
+            {"axes": {"chance": [0.5, 0.6, 0.7]}},
+            ["axis chance changes nothing at some points: even numbers are fair (2"],
+        ),
+        ({"axes": {"coins": [2, 3], "chance": [0.5, 0.7]}}, ["axis chance changes nothing", "(1 point)"]),
     ],
 )
-def test_what_changes_nothing_is_refused_by_name_and_nothing_is_written(plan, study, named):
-    for command in ("plan", "run"):
-        code, said = plan(study, command=command)
-        assert code == 2
-        assert all(words in said for words in named)
+def test_what_changes_nothing_is_refused_by_name(study, named):
+    with pytest.raises(SweepError) as error:
+        grid_of(study)
+    assert all(words in str(error.value) for words in named)
+
+
+BOTH = {"coins": [2, 3], "chance": [0.5, 0.7]}
 
 
 @pytest.mark.parametrize(
     "study",
     [
-        "",
-        'fixed = { height = 3.0, shape = "box" }',
-        'axes = { shape = ["square", "box"] }\nfixed = { height = 3.0 }',  # it matters for one of the two
-        'axes = { shape = ["square", "box"], height = [1, 2] }\nexclude = [{ shape = "square", height = 2 }]',
-        'axes = { shape = ["square", "box"], height = [1, 2] }\ngrid = { zip = [["shape", "height"]] }',
+        {},
+        {"fixed": {"chance": 0.7, "coins": 3}},
+        {"axes": {"coins": [2, 3]}, "fixed": {"chance": 0.7}},  # it matters for one of the two
+        {"axes": BOTH, "exclude": [{"coins": 2, "chance": 0.7}]},
+        {"axes": BOTH, "grid": {"zip": [["coins", "chance"]]}},
     ],
 )
-def test_what_matters_at_some_point_is_taken(plan, study):
-    assert plan(study)[0] == 0
+def test_what_matters_at_some_point_is_taken(study):
+    assert len(list(grid_of(study).points())) == (3 if "exclude" in study else 2 if "axes" in study else 1)
 
 
-def test_a_large_grid_asks_as_often_as_the_answer_can_differ(plan, tmp_path):
-    assert plan('axes = { shape = ["box", "square"], ink = { start = 1, stop = 2000, step = 1 } }')[0] == 0
-    assert len((tmp_path / "asked").read_text()) < 10
+def test_a_large_grid_asks_as_often_as_the_answer_can_differ():
+    asked = []
+    chances = {"start": 0.2, "stop": 0.8, "step": 0.0003}
+    grid_of({"axes": {"coins": [3, 5], "chance": chances}}, lambda p: asked.append(p) or even_are_fair(p))
+    assert len(asked) < 10
 
 
-@pytest.mark.parametrize(("answer", "words"), [('{"hight": "x"}', "'hight'"), ("1 / 0", "ZeroDivisionError")])
-def test_what_cannot_be_understood_of_it_is_a_sentence(plan, answer, words):
-    code, said = plan('fixed = { shape = "box" }', answer)
-    assert code == 2
-    assert words in said
+@pytest.mark.parametrize(
+    ("unused", "words"), [(lambda p: {"chanse": "x"}, "'chanse'"), (lambda p: 1 / 0, "ZeroDivisionError")]
+)
+def test_what_cannot_be_understood_of_it_is_a_sentence(unused, words):
+    with pytest.raises(SweepError, match=words):
+        grid_of({"fixed": {"coins": 3}}, unused)

@@ -9,18 +9,8 @@ from astropy.time import Time
 from hypothesis import given, settings, strategies as st
 
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, MICROARCSEC
-from linksweep.sweep.search.crossmatch import (
-    GalaxyCatalogue,
-    Matches,
-    Positions,
-    Rules,
-    at_epoch,
-    cross_match,
-    merge_galaxies,
-    one_to_one,
-    pairs_within,
-    sky_tree,
-)
+from linksweep.sweep.search import crossmatch
+from linksweep.sweep.search.crossmatch import GalaxyCatalogue, Matches, Positions, cross_match, pairs_within, sky_tree
 from tests.tiers import examples
 
 
@@ -39,7 +29,7 @@ def near(rng, where, sigma_arcsec):
     n = len(where.ra)
     none = np.zeros(n)
     east, north = (rng.normal(0.0, sigma_arcsec * ARCSEC, n) for _ in "en")
-    return at_epoch(where, east, north, none, none, np.ones(n))
+    return crossmatch.at_epoch(where, east, north, none, none, np.ones(n))
 
 
 def catalogue(where, radius_arcsec, identifier=None):
@@ -87,7 +77,7 @@ def test_positions_at_another_epoch_are_those_of_astropy():
     where = sky(rng, n, 0.1)
     pmra, pmdec = rng.normal(0, 300, (2, n))
     pmra[0], pmdec[0] = 801.551, 10362.394  # Barnard's star
-    here = at_epoch(where, pmra * MAS, pmdec * MAS, np.full(n, 3.0 * MAS), 0 * pmra, np.full(n, 8.75))
+    here = crossmatch.at_epoch(where, pmra * MAS, pmdec * MAS, np.full(n, 3.0 * MAS), 0 * pmra, np.full(n, 8.75))
     coords = SkyCoord(
         where.ra * u.rad,
         where.dec * u.rad,
@@ -121,7 +111,9 @@ pair_lists = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), unique=Tr
 @given(pair_lists)
 def test_one_to_one_is_the_greedy_loop(pairs):
     table = pd.DataFrame(pairs, columns=["a", "b"], dtype=np.int64)
-    assert one_to_one(table, "a", "b").index.tolist() == np.flatnonzero(greedy(table["a"], table["b"])).tolist()
+    assert (
+        crossmatch.one_to_one(table, "a", "b").index.tolist() == np.flatnonzero(greedy(table["a"], table["b"])).tolist()
+    )
 
 
 grid_sky = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 3), st.integers(0, 4)), min_size=1, max_size=12)
@@ -192,7 +184,7 @@ def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c,
 def test_entries_of_several_catalogues_are_one_galaxy(catalogues, merge, labels, identifiers):
     listed = [catalogue(positions(ra, np.zeros(len(ra))), radius, names) for ra, radius, names in catalogues]
     trees = [sky_tree(one.positions) for one in listed]
-    found, names = merge_galaxies(listed, trees, None if merge is None else merge * ARCSEC)
+    found, names = crossmatch.merge_galaxies(listed, trees, None if merge is None else merge * ARCSEC)
     assert ([label.tolist() for label in found], names.tolist()) == (labels, identifiers)
 
 
@@ -212,7 +204,7 @@ def test_each_rule_of_the_classes_in_a_search():
     assert matches["n_near"].tolist() == [0, 3, 0, 1, 0]
     np.testing.assert_allclose(matches["n_sigma"], [0, 0, 4, 0, 0], atol=1e-6)
     np.testing.assert_allclose(matches["d_dec"] / ARCSEC, [0, 0, 2, 0, 0], atol=1e-6)  # galaxy - star
-    kinder = cross_match(stars, supplement, [catalogue(galaxies, 5.0)], Rules(4.5, 100.0 * ARCSEC, 3))
+    kinder = cross_match(stars, supplement, [catalogue(galaxies, 5.0)], crossmatch.Rules(4.5, 100.0 * ARCSEC, 3))
     assert kinder["class"].tolist() == ["certain", "certain", "certain", "uncertain", "supplement"]
 
 
