@@ -8,6 +8,7 @@ import subprocess
 import time
 from contextlib import closing
 from importlib.metadata import version
+from itertools import product
 
 import pytest
 
@@ -55,9 +56,8 @@ def to_its_end(process, code=0):
 @pytest.fixture
 def outside(tmp_path):
     (tmp_path / "dask").mkdir()
-    dask = Outside(tmp_path / "dask")
-    yield dask
-    dask.close()
+    with closing(Outside(tmp_path / "dask")) as dask:
+        yield dask
 
 
 def lines_until(words, process):
@@ -83,25 +83,18 @@ def test_a_worker_that_is_killed_or_stalls_costs_nothing_but_time(start, tmp_pat
 
 
 @pytest.mark.slow
-def test_all_workers_die_and_others_join(start, tmp_path, outside, reference):
+def test_workers_may_come_late_and_all_of_them_die_and_others_join(start, tmp_path, outside, reference):
+    process = start("--scheduler", outside.address, waits=False)
+    lines_until("has no workers; waiting for some", process)
+    assert not (tmp_path / "s.zarr").exists()  # before a worker was compared with the client
     workers = [outside.start_worker(), outside.start_worker()]
-    process = start("--scheduler", outside.address)
+    wait_until(lambda: rows_on_disk(tmp_path / "s.zarr"), "the first results")
     outside.kill(*workers)
     before = lines_until("has no workers; waiting for some", process)
     outside.start_worker()
     err = to_its_end(process)
     assert "has no workers" not in before + err
     assert err.count("has workers again") == 1
-    same(tmp_path / "s.zarr", reference)
-
-
-@pytest.mark.slow
-def test_workers_may_come_late(start, tmp_path, outside, reference):
-    process = start("--scheduler", outside.address, waits=False)
-    lines_until("has no workers; waiting for some", process)
-    assert not (tmp_path / "s.zarr").exists()  # before a worker was compared with the client
-    outside.start_worker()
-    assert "has no workers" not in to_its_end(process)
     same(tmp_path / "s.zarr", reference)
 
 
@@ -124,9 +117,7 @@ def test_a_worker_with_another_version_stops_the_run(start, link_study, tmp_path
         outside.wait_for_workers(2)
         process = start("--scheduler", outside.address, waits=False)
     err = to_its_end(process, 2)
-    assert re.search(
-        rf"^error: .*tcp://127.0.0.1:.*: numpy is {version('numpy')} here, 0.0.9 there$", err, re.MULTILINE
-    )
+    assert re.search(rf"(?m)^error: .*tcp://127.0.0.1:.*: numpy is {version('numpy')} here, 0.0.9 there$", err)
     assert (tmp_path / "s.zarr").exists() == later
     if later:
         assert sweep("run", link_study, "-o", tmp_path / "s.zarr", *LONG)[0] == 0
@@ -163,7 +154,7 @@ def test_a_run_listens_on_loopback_at_most_and_leaves_nothing(start, tmp_path, m
 
 
 @pytest.mark.slow
-def test_workers_without_the_folder_compute_with_its_helpers(tmp_path, sweep):
+def test_workers_without_the_folder_compute_with_its_helpers(tmp_path, sweep, outside):
     """The worker has an empty file system mounted where the client has the study, and neither sees the other's."""
     study = tmp_path / "mine"
     evaluate = '{"total": [n_sim * helper.FACTOR * p["rate"] for p in points]}'
@@ -173,10 +164,8 @@ def test_workers_without_the_folder_compute_with_its_helpers(tmp_path, sweep):
     hide = ["unshare", "--mount", "sh", "-c", f'mount -t tmpfs none "{study}" && test ! -e "{study}/user.py" && "$@"']
     if os.geteuid() != 0 or subprocess.run([*hide, "sh", "true"], check=False).returncode:
         pytest.skip("a file system of its own for a process needs root and unshare")
-    (tmp_path / "dask").mkdir()
-    with closing(Outside(tmp_path / "dask")) as outside:
-        outside.start_worker(before=[*hide, "sh"])
-        code, out, err = sweep("run", "s.toml", "-o", "s.zarr", "--scheduler", outside.address, cwd=study)
+    outside.start_worker(before=[*hide, "sh"])
+    code, out, err = sweep("run", "s.toml", "-o", "s.zarr", "--scheduler", outside.address, cwd=study)
     assert code == 0, err
     assert open_dataset(study / "s.zarr")["mean"].values.tolist() == [5.0, 10.0], out
 
@@ -208,14 +197,10 @@ def test_what_a_model_prints_is_in_the_log_and_not_in_the_output(pool, tmp_path,
     arguments = ("run", "s.toml", "-o", "s.zarr", "--json", "--log", "run.log", *POOLS[pool])
     process = start_sweep(*arguments, cwd=tmp_path)
     out, err = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, err
-    rows = json.loads(out)
-    assert rows
+    assert (process.returncode, bool(json.loads(out)), "not well" in err) == (0, True, False), err
     log = (tmp_path / "run.log").read_text()
-    for kind in (1, 2, 3):
-        assert f"kind={kind}: printed: at {kind}: xxxxx" in log
-        assert f"kind={kind}: printed: not well at {kind}" in log
-    assert "not well" not in err
+    for kind, said in product((1, 2, 3), ("at {}: xxxxx", "not well at {}")):
+        assert f"kind={kind}: printed: {said.format(kind)}" in log
     (told,) = [line for line in err.splitlines() if "mind the gap" in line]
     assert told.startswith("warned 3 times, first at kind=")
     assert "UserWarning: mind the gap (user.py, line " in told

@@ -74,22 +74,15 @@ def test_a_function_that_ends_its_process_at_its_first_points_fails_these_alone(
     assert ds.attrs["failures"].count(said) == 3 or (resources and deed not in LIMITED)
 
 
-DIES_ONCE = """
-import os
-from pathlib import Path
-def f(x: float = 0.0):
-    mark = Path(__file__).with_name(f"{x:g}")
-    if x >= 28.0 and not mark.exists():
-        mark.touch()
-        os._exit(3)
-    return 2.0 * x
-"""
-
-
 def test_a_point_that_ends_its_process_once_is_computed_again_whatever_others_did(tmp_path):
-    (tmp_path / "f.py").write_text(DIES_ONCE)
-    ds = run(f"{tmp_path}/f.py:f", tmp_path / "s.zarr", axes={"x": range(40)})
-    assert ds.f.values.tolist() == [2.0 * x for x in range(40)]
+    def f(x: int):
+        mark = tmp_path / f"{x}"
+        if x >= 28 and not mark.exists():
+            mark.touch()
+            os._exit(3)
+        return x
+
+    assert run(f, tmp_path / "s.zarr", axes={"x": range(40)}).f.values.tolist() == list(range(40))
 
 
 def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails_alone(tmp_path):
@@ -105,20 +98,18 @@ def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails
     assert found[1].width.values[[0, 2, 3]].tolist() == found[0].width.values[[0, 2, 3]].tolist()
 
 
-HARMLESS = {
-    "a thread": "threading.Thread(target=time.sleep, args=(3600,)).start()",
-    "modules": "sys.modules['json'] = None; json.dumps = json.loads = None",
-    "signals": "[signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)]",
-    "limits": "__import__('resource').setrlimit(__import__('resource').RLIMIT_FSIZE, (0, 0))",
-}
-"""What a function may do to its process without failing its own point; what is put back is in `CHANGES`."""
+HARMLESS = [  # what a function may do to its process without failing its own point; what is put back is in `CHANGES`
+    "threading.Thread(target=time.sleep, args=(3600,)).start()",
+    "sys.modules['json'] = None; json.dumps = json.loads = None",
+    "[signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)]",
+    "__import__('resource').setrlimit(__import__('resource').RLIMIT_FSIZE, (0, 0))",
+]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("deed", HARMLESS)
 def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sweep_here, deed):
-    reference = written(tmp_path, HARMLESS[deed], (0,))
-    code, out, err = sweep_here("run", reference, "--axis", "x=0:3:1", "-o", "s.zarr", cwd=tmp_path)
+    code, out, err = sweep_here("run", written(tmp_path, deed, (0,)), "--axis", "x=0:3:1", "-o", "s.zarr", cwd=tmp_path)
     assert (code, "wrote s.zarr" in err, "f: It is between 0 (x=0) and 6" in out) == (0, True, True), err
     assert xr.open_zarr(tmp_path / "s.zarr")["f"].values.tolist() == [0.0, 2.0, 4.0, 6.0]
 
@@ -168,10 +159,8 @@ def test_what_a_child_leaves_running_does_not_keep_the_run(tmp_path):
         if x == 1.0:
             if os.fork():
                 os._exit(3)
-            for _ in range(600):
-                if ended.exists():
-                    os._exit(0)
-                time.sleep(0.1)
+            with suppress(AssertionError):
+                wait_until(ended.exists, "the end of the run", 60) and os._exit(0)
             waited.touch()
             os._exit(0)
         return x
@@ -194,11 +183,9 @@ def test_no_process_of_a_run_imports_what_lies_in_the_present_folder(tmp_path, w
     command = "import sys; from linksweep.sweep.__main__ import main; sys.exit(main())"
     run = ("run", "mine.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", *workers)
     (folder / "c.toml").write_text('class = "distributed.LocalCluster"\nscale = 1\n[options]\nn_workers = 0\n')
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", command, *run], cwd=folder, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 1, done.stderr
-    assert "2 points done, 1 failed" in done.stderr
+    command = [sys.executable, "-P", "-c", command, *run]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert (done.returncode, "2 points done, 1 failed" in done.stderr) == (1, True), done.stderr
     assert not (tmp_path / "marks").exists(), (tmp_path / "marks").read_text()
 
 
@@ -222,9 +209,7 @@ def test_a_script_computes_in_worker_processes(tmp_path, by_standard_input):
     assert (done.returncode, done.stdout) == (0, "[2. 4.]\n[]\n"), done.stderr
 
 
-def statuses(function, folder, **options):
-    ds = run(function, folder / "s.zarr", axes={"x": [1.0, 2.0, 3.0]}, **{"pool": "serial", **options})
-    return ds.status.values.tolist(), ds.attrs.get("failures", "")
+THREE = {"x": [1.0, 2.0, 3.0]}
 
 
 class MuteError(Exception):
@@ -234,38 +219,26 @@ class MuteError(Exception):
     __repr__ = __str__
 
 
-ODD = {
-    "GeneratorExit": (GeneratorExit(), "serial"),
-    "MuteError: its message cannot be made: RuntimeError": (MuteError(), "serial"),
-    "KeyboardInterrupt": (KeyboardInterrupt(), None),
-}
-
-
 @pytest.mark.parametrize(
-    ("said", "pool"),
+    ("error", "pool"),
     [
-        *((said, pool) for said, (_, pool) in ODD.items()),
-        *(slow("KeyboardInterrupt", p) for p in ("processes", "threads")),
+        *((GeneratorExit(), "serial"), (MuteError(), "serial"), (KeyboardInterrupt(), None)),
+        *(slow(KeyboardInterrupt(), pool) for pool in ("processes", "threads")),
     ],
 )
-def test_a_point_that_raises_anything_fails_alone(said, pool, tmp_path):
+def test_a_point_that_raises_anything_fails_alone(error, pool, tmp_path):
     def f(x: float):
         if x == 2.0:
-            raise ODD[said][0]
+            raise error
         return x
 
-    found, failures = statuses(f, tmp_path, pool=pool)
-    assert found == [1, 2, 1]
-    assert said in failures
-
-
-def test_in_the_main_thread_it_is_the_user_s(tmp_path):
-    def f(x: float):
-        raise KeyboardInterrupt
-
-    assert threading.current_thread() is threading.main_thread()
-    with pytest.raises(RunInterruptedError):
-        statuses(f, tmp_path)
+    ds = run(f, tmp_path / "s.zarr", axes=THREE, pool=pool)
+    assert ds.status.values.tolist() == [1, 2, 1]
+    said = ": its message cannot be made: RuntimeError" if isinstance(error, MuteError) else ""
+    assert type(error).__name__ + said in ds.attrs["failures"]
+    if isinstance(error, KeyboardInterrupt):  # in the main thread it is the user's
+        with pytest.raises(RunInterruptedError):
+            run(f, tmp_path / "t.zarr", axes=THREE, pool="serial")
 
 
 def test_a_child_that_a_function_forks_and_forgets_does_not_go_on_with_the_run(tmp_path):
@@ -280,7 +253,7 @@ def test_a_child_that_a_function_forks_and_forgets_does_not_go_on_with_the_run(t
             file.write(f"{x:g}\n")
         return x
 
-    assert statuses(f, tmp_path)[0] == [1, 1, 1]
+    assert run(f, tmp_path / "s.zarr", axes=THREE, pool="serial").status.values.tolist() == [1, 1, 1]
     marks = mark.read_text().split()  # the first point is computed twice where that is quick
     assert [marks.count(x) for x in "23"] == [1, 1]
 
@@ -334,13 +307,11 @@ def test_global_generators_give_the_same_on_all_pools_and_another_number_at_each
     def f(rng: np.random.Generator, x: float):
         return np.random.normal() + random.random()  # noqa: NPY002
 
-    def values(store, **options):
-        axes = {"x": [1.0, 2.0, 3.0]}
-        return run(f, tmp_path / store, axes=axes, sampling={"n_sim": 10, "seed": 3}, **options).f_mean.values.tolist()
-
-    found = values("s.zarr", pool="serial")
-    assert len(set(found)) == 3
-    assert values("other.zarr", **options) == found
+    places = {"s.zarr": {"pool": "serial"}, "other.zarr": options}
+    runs = [run(f, tmp_path / s, axes=THREE, sampling={"n_sim": 10, "seed": 3}, **o) for s, o in places.items()]
+    values, others = (ds.f_mean.values.tolist() for ds in runs)
+    assert len(set(values)) == 3
+    assert others == values
 
 
 @pytest.fixture

@@ -24,8 +24,8 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
     (tmp_path / "f.py").write_text("import time\ndef f(seconds: float):\n    return time.sleep(seconds) or seconds\n")
     store = tmp_path / "s.zarr"
     resources = ("--pool", pool) if not POOLS[pool].has_workers else ("--pool", pool, "--workers", 1)
-    axis = ("--axis", "seconds=0.6,0.7,0.8,3600")
-    process = start_sweep("run", tmp_path / "f.py:f", *axis, "-o", store, *resources, start_new_session=True)
+    run = ("run", tmp_path / "f.py:f", "--axis", "seconds=0.6,0.7,0.8,3600", "-o", store)
+    process = start_sweep(*run, *resources, start_new_session=True)
     wait_until(lambda: process.poll() is not None or opening.rows_on_disk(store) == 3, "three blocks", 240)
     assert process.poll() is None, process.communicate()[1]
     os.killpg(process.pid, signal.SIGKILL)
@@ -33,29 +33,26 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
     assert opening.rows_on_disk(store) == 3
 
 
+@pytest.fixture
+def study(coins):
+    return study_from_dict(coins)
+
+
 @pytest.mark.parametrize(
     "resources",
-    [
-        SERIAL,
-        slow(Resources(pool="serial", limits=Limits(time_s=600))),
-        Resources(pool="threads", workers=2),
-    ],
+    [SERIAL, slow(Resources(pool="serial", limits=Limits(time_s=600))), Resources(pool="threads", workers=2)],
     ids=["serial", "guarded", "threads"],
 )
-def test_a_task_that_takes_too_long_hands_back_what_it_has(coins, tmp_path, monkeypatch, resources):
+def test_a_task_that_takes_too_long_hands_back_what_it_has(study, coin_store, tmp_path, monkeypatch, resources):
     """To the bits of one that does not."""
-    study = study_from_dict(coins)
-    whole, _ = run_study(study, tmp_path / "whole.zarr", SERIAL)
     monkeypatch.setattr(worker, "ENOUGH_S", -1.0)
     watcher = Sentences()
     dataset, failures = run_study(study, tmp_path / "s.zarr", resources, watcher)
-    assert not failures
-    assert set(watcher.blocks) == {1}
-    same(dataset, whole)
+    assert (failures, set(watcher.blocks)) == ({}, {1})
+    same(dataset, coin_store)
 
 
-def test_work_that_turns_out_long_moves_to_worker_processes(coins, tmp_path, monkeypatch):
-    study = study_from_dict(coins)
+def test_work_that_turns_out_long_moves_to_worker_processes(study, tmp_path, monkeypatch):
     watcher = Sentences()
     whole, _ = run_study(study, tmp_path / "whole.zarr", ANY_RESOURCES, watcher)
     assert watcher.said == []  # short work stays in this process
@@ -73,17 +70,6 @@ def dask():
     options = {"n_workers": 1, "threads_per_worker": 2, "processes": False, "protocol": "tcp://"}
     with own_cluster(LocalCluster, options) as cluster:
         yield Resources(scheduler=cluster.scheduler_address)
-
-
-@pytest.fixture
-def study(coins):
-    return study_from_dict(coins)
-
-
-@pytest.fixture
-def whole(study, tmp_path):
-    """The results of a run that nothing disturbed."""
-    return run_study(study, tmp_path / "whole.zarr", SERIAL)[0]
 
 
 @pytest.fixture(autouse=True)
@@ -124,7 +110,7 @@ ERRORS = [UnboundLocalError("result"), slow(TimeoutError("of a stream")), slow(O
 
 
 @pytest.mark.parametrize("error", [None, *ERRORS])
-def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch, dask, fetched, error):
+def test_an_error_inside_dask_is_no_points(study, coin_store, tmp_path, monkeypatch, dask, fetched, error):
     """Of computing a result, or of fetching it: fewer than a task may have."""
     sentences = Sentences()
     if error is None:
@@ -134,7 +120,7 @@ def test_an_error_inside_dask_is_no_points(study, whole, tmp_path, monkeypatch, 
         fetched(error, 3)
     dataset, failures = run_study(study, tmp_path / "s.zarr", dask, sentences)
     assert not failures
-    same(dataset, whole)
+    same(dataset, coin_store)
     assert error or any("UnboundLocalError: cannot access local" in text for text in sentences.said)
 
 
@@ -157,8 +143,7 @@ EXPERIMENT = "linksweep.core.experiment:link"
 
 
 def slept(seconds):
-    time.sleep(seconds)
-    return seconds
+    return time.sleep(seconds) or seconds
 
 
 @pytest.mark.parametrize("resources", [Resources(), Resources(pool="threads", workers=3)], ids=["here", "threads"])
@@ -188,19 +173,9 @@ def test_the_piece_of_a_worker_that_dies_is_computed_by_another(tmp_path):
 @pytest.mark.slow
 def test_limits_hold_for_pieces():
     limits = Limits(time_s=0.5)
-    with (
-        pytest.raises(SweepError, match=r"longer than the time limit of 0\.5 s"),
-        mapped(EXPERIMENT, Resources(workers=1, limits=limits), print) as run,
+    for resources, words in (
+        (Resources(workers=1, limits=limits), r"longer than the time limit of 0\.5 s"),
+        (Resources(pool="threads", limits=limits), "need worker processes"),
     ):
-        list(run(busy, [(60.0,)]))
-    with (
-        pytest.raises(SweepError, match="need worker processes"),
-        mapped(EXPERIMENT, Resources(pool="threads", limits=limits), print),
-    ):
-        pass
-
-
-def busy(seconds):
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        pass
+        with pytest.raises(SweepError, match=words), mapped(EXPERIMENT, resources, print) as run:
+            list(run(slept, [(60.0,)]))

@@ -3,25 +3,24 @@
 import os
 import platform
 import shutil
-import socket
 import subprocess
 import time
+from contextlib import closing, suppress
 from pathlib import Path
 
 import pytest
 
+from tests.sweep.conftest import free_port
 from tests.sweep.executing.test_faults import LONG, reference, start, to_its_end
 from tests.sweep.opening import same
 from tests.sweep.outside import wait_until
 
 COMMANDS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scancel")
+WANTING = [command for command in COMMANDS if not shutil.which(command)] + ["root"] * (os.geteuid() != 0)
 
+__all__ = ["reference", "start"]
 
-def why_not() -> str:
-    """Return why SLURM cannot be started here, empty if it can."""
-    if missing := [command for command in COMMANDS if not shutil.which(command)]:
-        return f"{', '.join(missing)} not installed (Debian: slurm-wlm, munge)"
-    return "" if os.geteuid() == 0 else "SLURM's daemons start as root"
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(WANTING), reason=f"needs {WANTING} (slurm-wlm, munge)")]
 
 
 class Slurm:
@@ -62,21 +61,15 @@ PartitionName=short Nodes={name} Default=YES MaxTime=INFINITE State=UP OverSubsc
 """)
         munge = [f"--{part}-file={folder}/munge.{part}" for part in ("pid", "log", "seed")]
         munge += [f"--key-file={folder}/key", f"--socket={folder}/munge.socket"]
-        config = str(folder / "slurm.conf")
-        self.daemons = [
-            subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
-            for command in (
-                ["munged", "--foreground", "--force", *munge],
-                ["slurmctld", "-D", "-c", "-f", config],
-                ["slurmd", "-D", "-c", "-f", config],
-            )
-        ]
-        deadline = time.monotonic() + 500
-        while self.run("sinfo", "-h", "-o", "%T") != "idle":
-            if time.monotonic() > deadline:
-                self.close()
-                raise RuntimeError((folder / "slurmctld.log").read_text()[-2000:])
-            time.sleep(0.2)
+        commands = [["munged", "--foreground", "--force", *munge]]
+        commands += [[daemon, "-D", "-c", "-f", str(folder / "slurm.conf")] for daemon in ("slurmctld", "slurmd")]
+        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        self.daemons = [subprocess.Popen(command, **quiet, start_new_session=True) for command in commands]
+        try:
+            wait_until(lambda: self.run("sinfo", "-h", "-o", "%T") == "idle", "a node", 500)
+        except AssertionError as error:
+            self.close()
+            raise RuntimeError((folder / "slurmctld.log").read_text()[-2000:]) from error
 
     def run(self, *command: str) -> str:
         """Return what one of SLURM's commands prints."""
@@ -90,31 +83,16 @@ PartitionName=short Nodes={name} Default=YES MaxTime=INFINITE State=UP OverSubsc
         time.sleep(1)
         for daemon in self.daemons[::-1]:
             daemon.terminate()
-        for daemon in self.daemons:
-            try:
+            with suppress(subprocess.TimeoutExpired):
                 daemon.wait(10)
-            except subprocess.TimeoutExpired:
-                daemon.kill()
-                daemon.wait()
-
-
-def free_port() -> int:
-    """Return a port on which nobody listens."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-__all__ = ["reference", "start"]
-
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(why_not()), reason=why_not())]
+            daemon.kill()
+            daemon.wait()
 
 
 @pytest.fixture(scope="module")
 def slurm(tmp_path_factory):
-    slurm = Slurm(tmp_path_factory.mktemp("slurm"))
-    yield slurm
-    slurm.close()
+    with closing(Slurm(tmp_path_factory.mktemp("slurm"))) as slurm:
+        yield slurm
 
 
 @pytest.fixture(autouse=True)
@@ -124,8 +102,7 @@ def found_by_commands(slurm, monkeypatch):
 
 
 def cluster_file(folder, size):
-    path = folder / "slurm.toml"
-    path.write_text(f"""
+    (folder / "slurm.toml").write_text(f"""
 class = "dask_jobqueue.SLURMCluster"
 {size}
 [options]
@@ -136,7 +113,7 @@ interface = "lo"
 log_directory = "{folder / "log"}"
 local_directory = "{folder / "scratch"}"
 """)
-    return path
+    return folder / "slurm.toml"
 
 
 def jobs(slurm):

@@ -2,6 +2,7 @@
 
 import json
 import re
+import tempfile
 from dataclasses import replace
 
 import numpy as np
@@ -24,22 +25,17 @@ def together(points, n_sim, streams):
     return {name: np.array([sums[name] for sums in found]) for name in experiment.sums}
 
 
-@pytest.fixture
-def results(tmp_path):
-    """A function that runs coins, in this process, with such a function of several catalogues."""
-
-    def run(evaluate_catalogues, n_cat=500, n_sim=5):
-        CALLS.clear()
-        several = replace(experiment, evaluate_catalogues=evaluate_catalogues)
-        study = {"title": "", "experiment": several, "axes": {"coins": [4, 9]}}
-        study["sampling"] = {"n_sim": n_sim, "n_cat": n_cat, "seed": 3}
-        name = getattr(evaluate_catalogues, "__name__", "none")
-        return linksweep.run(study, tmp_path / f"{name}.zarr", pool="serial")
-
-    return run
+def results(evaluate_catalogues, n_cat=500):
+    """The results of coins, in this process, with such a function of several catalogues."""
+    CALLS.clear()
+    several = replace(experiment, evaluate_catalogues=evaluate_catalogues)
+    study = {"title": "", "experiment": several, "axes": {"coins": [4, 9]}}
+    with tempfile.TemporaryDirectory() as folder:
+        sampling = {"n_sim": 5, "n_cat": n_cat, "seed": 3}
+        return linksweep.run(study | {"sampling": sampling}, f"{folder}/s.zarr", pool="serial").load()
 
 
-def test_blocks_of_one_point_are_evaluated_in_one_call_of_so_many_at_most(results):
+def test_blocks_of_one_point_are_evaluated_in_one_call_of_so_many_at_most():
     same(results(together), results(None))
     results(together, n_cat=3000)
     assert 16 < max(CALLS) <= MOST
@@ -54,20 +50,15 @@ def exiting(points, n_sim, streams):
     raise SystemExit(3)
 
 
-def of_another_shape(points, n_sim, streams):
-    return {name: values[:-1] for name, values in together(points, n_sim, streams).items()}
+def other(change):
+    return lambda *arguments: {name: change(values) for name, values in together(*arguments).items()}
 
 
-def not_finite(points, n_sim, streams):
-    return {name: np.nan * values for name, values in together(points, n_sim, streams).items()}
+WRONG = [raising, exiting, other(lambda values: values[:-1]), other(lambda values: np.nan * values), lambda *_: None]
 
 
-def nothing(points, n_sim, streams):
-    return None
-
-
-@pytest.mark.parametrize("wrong", [raising, exiting, of_another_shape, not_finite, nothing])
-def test_where_that_fails_catalogues_are_evaluated_one_by_one(results, wrong, caplog):
+@pytest.mark.parametrize("wrong", WRONG)
+def test_where_that_fails_catalogues_are_evaluated_one_by_one(wrong, caplog):
     same(results(wrong, 40), results(None, 40))
     assert "tried" not in caplog.text  # what was printed in vain is not kept
 
@@ -76,17 +67,14 @@ X = np.linspace(5.0, 1.0, 300)
 ANY = [linksweep.Output("y", nan=True)]
 
 
-def run(of_all, store, **declared):
+def failed(of_all, store, **declared):
+    """How many points failed, and why the first did; the first ones of a run are computed alone, to measure them."""
+
+    @linksweep.experiment(vectorised=True, **declared)
     def function(x: float):
         return of_all(x)
 
-    return linksweep.run(
-        linksweep.experiment(vectorised=True, **declared)(function), store, axes={"x": X}, pool="serial"
-    )
-
-
-def failed(dataset):
-    """How many points failed, and why the first did; the first ones of a run are computed alone, to measure them."""
+    dataset = linksweep.run(function, store, axes={"x": X}, pool="serial")
     return int((dataset.status == 2).sum()), next(iter(json.loads(dataset.attrs["failures"]).values()), "")
 
 
@@ -107,7 +95,7 @@ def failed(dataset):
     ],
 )
 def test_what_depends_on_the_others_fails_with_both_values(of_all, tmp_path):
-    number, message = failed(run(of_all, tmp_path / "s.zarr", outputs=ANY))
+    number, message = failed(of_all, tmp_path / "s.zarr", outputs=ANY)
     assert number >= 290
     there, alone = re.search(r"is (.+) in a call for [\d,]+ points, but (.+) for the same point \(x=", message).groups()
     assert there != alone
@@ -128,7 +116,7 @@ def test_what_depends_on_the_others_fails_with_both_values(of_all, tmp_path):
     ],
 )
 def test_what_does_not_is_kept(of_all, tmp_path):
-    assert failed(run(of_all, tmp_path / "s.zarr", outputs=ANY)) == (0, "")
+    assert failed(of_all, tmp_path / "s.zarr", outputs=ANY) == (0, "")
 
 
 @pytest.mark.parametrize(("apart", "tolerance"), [(1e-3, 0.01), (1e-9, 1e-8), (1e-11, 1e-10)])
@@ -136,6 +124,6 @@ def test_how_far_results_may_differ_is_declared(apart, tolerance, tmp_path):
     def solver(x):
         return x * (1.0 + apart / len(x))
 
-    assert failed(run(solver, tmp_path / "s.zarr"))[0] >= 290
-    assert failed(run(solver, tmp_path / "t.zarr", tolerance=tolerance))[0] == 0
-    assert failed(run(np.cumsum, tmp_path / "u.zarr", tolerance=tolerance))[0] >= 290
+    assert failed(solver, tmp_path / "s.zarr")[0] >= 290
+    assert failed(solver, tmp_path / "t.zarr", tolerance=tolerance)[0] == 0
+    assert failed(np.cumsum, tmp_path / "u.zarr", tolerance=tolerance)[0] >= 290

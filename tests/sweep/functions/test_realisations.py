@@ -23,12 +23,13 @@ def many(rng, n_sim, gain: float = 1.0, rate: float = 2.0):
     return {"wait": gain * rng.exponential(rate, n_sim)}
 
 
-def sweep(function, store, sampling=KEPT, pool="serial", **axes):
-    return linksweep.run(function, store, axes=axes, sampling=sampling, pool=pool)
+def sweep(function, store, sampling=KEPT, **axes):
+    return linksweep.run(function, store, axes=axes, sampling=sampling, pool="serial")
 
 
 def test_realisations_are_those_behind_the_statistics(tmp_path):
-    ds = sweep(queue, tmp_path / "s", gain=[1.0, 2.0], rate=[0.5, 2.0, 3.0])
+    axes = {"gain": [1.0, 2.0], "rate": [0.5, 2.0, 3.0]}
+    ds = sweep(queue, tmp_path / "s", **axes)
     assert ds.pair_samples.dims == ("gain", "rate", "sample", "k")
     assert (ds.wait_samples.attrs["units"], ds.sizes["sample"]) == ("s", 1200)
     for name in ("wait", "pair", "late"):
@@ -37,9 +38,7 @@ def test_realisations_are_those_behind_the_statistics(tmp_path):
         np.testing.assert_allclose(kept.mean(axis=0), ds[f"{name}_mean"], rtol=1e-12)
         np.testing.assert_allclose(kept.std(axis=0, ddof=1), ds[f"{name}_std"], rtol=1e-12)
     np.testing.assert_array_equal(ds.wait_samples.max("sample"), ds.wait_max)
-    wanted = np.quantile(ds.wait_samples, 0.9, axis=2, method="hazen")
-    np.testing.assert_array_equal(ds.wait_q90, wanted)
-    axes = {"gain": [1.0, 2.0], "rate": [0.5, 2.0, 3.0]}
+    np.testing.assert_array_equal(ds.wait_q90, np.quantile(ds.wait_samples, 0.9, axis=2, method="hazen"))
     same(linksweep.run(queue, tmp_path / "s", axes=axes, sampling=KEPT, pool="serial", redo="rate == 0.5"), ds)
     assert "wait_samples" not in sweep(queue, tmp_path / "none", {"n_sim": 60}, gain=[1.0])
     with pytest.raises(SweepError, match="keep_samples"):
@@ -95,20 +94,8 @@ LINK = {
 }
 
 
-@pytest.fixture(scope="module")
-def samples(tmp_path_factory):
-    """The store of a study that keeps its samples; only read."""
-    store = tmp_path_factory.mktemp("samples") / "s.zarr"
-    linksweep.run(LINK, store, pool="serial")
-    return store
-
-
-@pytest.fixture
-def kept(samples):
-    return linksweep.open(samples)
-
-
-def test_samples_are_the_realisations_behind_the_results(kept):
+def test_samples_are_the_realisations_behind_the_results(tmp_path):
+    kept = linksweep.run(LINK, tmp_path / "s.zarr", pool="serial")
     estimate = kept["estimate"]
     assert estimate.dims == ("n_obj", "sample", "component")
     assert estimate.sizes["sample"] == 10_400

@@ -17,29 +17,22 @@ def texts(legend):
     return [text.get_text() for text in legend.get_texts()]
 
 
-@pytest.mark.parametrize(
-    ("name", "panels", "along"),
-    [
-        ("quasars", 2, r"$V_\mathrm{max}$ [mag]"),
-        slow("sqrt-n", 2, r"$N_\mathrm{obj}$"),
-        slow("mission-length", 2, "$T$ [yr]"),
-        slow("error-surface", 1, r"reference error scale $\Delta_\mathrm{ref}$"),
-        slow("algorithm", 6, r"$|\epsilon|$ [mas] = $|\omega|$ [mas/yr]"),
-        slow("grid", 4, r"$N_\mathrm{obj}$"),
-        slow("aberration", 4, r"$V_\mathrm{max}$ [mag]"),
-        slow("radio-stars", 1, r"$N_\mathrm{obj}$"),
-        slow("galaxies", 1, r"$\sigma(\omega)$ [mas/yr]"),
-        slow("scatter", 1, r"$\omega_{x}$ [mas/yr]"),
-        slow("pulsar-timing", 2, "component"),
-        slow("icrf2-icrf3", 1, "component"),
-        slow("magnitude-equation", 4, r"$V_\mathrm{max}$ [mag]"),
-    ],
-)
-def test_every_study_has_a_picture_without_options(dataset_of, name, panels, along):
+LIMIT, NUMBER = r"$V_\mathrm{max}$ [mag]", r"$N_\mathrm{obj}$"
+PICTURES = {  # of a study: how many panels, and along what
+    **{"quasars": (2, LIMIT), "sqrt-n": (2, NUMBER), "mission-length": (2, "$T$ [yr]")},
+    **{"error-surface": (1, r"reference error scale $\Delta_\mathrm{ref}$"), "grid": (4, NUMBER)},
+    **{"algorithm": (6, r"$|\epsilon|$ [mas] = $|\omega|$ [mas/yr]"), "aberration": (4, LIMIT)},
+    **{"radio-stars": (1, NUMBER), "galaxies": (1, r"$\sigma(\omega)$ [mas/yr]")},
+    **{"scatter": (1, r"$\omega_{x}$ [mas/yr]"), "pulsar-timing": (2, "component")},
+    **{"icrf2-icrf3": (1, "component"), "magnitude-equation": (4, LIMIT)},
+}
+
+
+@pytest.mark.parametrize("name", [name if name == "quasars" else slow(name) for name in PICTURES])
+def test_every_study_has_a_picture_without_options(dataset_of, name):
     dataset = dataset_of(name)
     figure = linksweep.plot(dataset)
-    assert len(axes_of(figure)) == panels
-    assert axes_of(figure)[-1].get_xlabel() == along
+    assert (len(axes_of(figure)), axes_of(figure)[-1].get_xlabel()) == PICTURES[name]
     assert figure.get_suptitle().startswith(dataset.attrs["title"])
     assert len(figure._repr_png_()) > 10_000  # as a notebook shows it
 
@@ -106,8 +99,7 @@ def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
     dataset = dataset_of("scatter")
     [axes] = linksweep.plot(dataset).axes
     x, y = (dataset["estimate"].squeeze("model").sel(component=name).values for name in ("omega_x", "omega_y"))
-    assert np.array_equal(axes.lines[0].get_xdata(), x)
-    assert np.array_equal(axes.lines[0].get_ydata(), y)
+    assert np.array_equal(axes.lines[0].get_xydata().T, [x, y])
     truth = next(line for line in axes.lines if line.get_label() == "truth")
     assert (truth.get_xdata()[0], truth.get_ydata()[0]) == pytest.approx((1.0, 1.0), abs=1e-9)  # of the study
     offset = np.stack([x - x.mean(), y - y.mean()])
@@ -117,14 +109,10 @@ def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
         assert inside.mean() == pytest.approx(share, abs=4.0 * np.sqrt(share * (1 - share) / len(x)))
         assert inside.sum() == pytest.approx((distance < -2.0 * np.log(1.0 - share)).sum(), abs=5)
     assert axes.get_aspect() == 1.0
-
-
-def test_a_scatter_of_chosen_components(dataset_of):
-    one = dataset_of("scatter")
-    [axes] = linksweep.plot(one, over=["epsilon_x", "omega_z"]).axes
+    [axes] = linksweep.plot(dataset, over=["epsilon_x", "omega_z"]).axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == (r"$\epsilon_{x}$ [mas]", r"$\omega_{z}$ [mas/yr]")
     with pytest.raises(SweepError, match="'omega' is no component of estimate"):
-        linksweep.plot(one, over=["omega", "omega_x"])
+        linksweep.plot(dataset, over=["omega", "omega_x"])
 
 
 @pytest.mark.slow
@@ -135,32 +123,8 @@ def test_the_same_picture_is_the_same_file(store_of, tmp_path, sweep, ending):
     assert (tmp_path / f"a.{ending}").read_bytes() == (tmp_path / f"b.{ending}").read_bytes()
 
 
-def test_any_experiment_can_be_drawn(coin_store, tmp_path, sweep):
-    code, _, err = sweep("plot", coin_store, "--at", "metal=tin", "-o", tmp_path / "coins.svg")
-    assert code == 0, err
-    assert (tmp_path / "coins.svg").read_text().startswith("<?xml")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["STORE", "--at", "metal=tin,coins=5"], "possible are none"),
-        (["STORE", "--kind", "map"], "no map of share here; possible are lines, law"),
-        (["STORE", "--over", "length"], "length is not one axis to draw along; there are"),
-        (["STORE", "-o", "coins.bmp"], "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
-        (["STORE", "--kind", "sky"], "only stores of the link alone can be drawn so"),
-        (["STORE", "--kind", "sky", "--over", "coins"], "do not go with --kind sky"),
-        (["STORE", "--width", "2mm"], "must be from 40mm to 1000mm, like 88mm or 180mm"),
-        ([], "name the store to draw"),
-        (["--kind", "accuracy", "--model", "hipparcos"], "no model 'hipparcos'"),
-    ],
-)
-def test_bad_combinations_are_one_message(coin_store, tmp_path, monkeypatch, sweep, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    code, _, err = sweep("plot", *(coin_store if a == "STORE" else a for a in arguments))
-    assert code == 2
-    assert message in err
-    assert list(tmp_path.glob("*.png")) == []
+def figure_of(function, tmp_path, axes, kind=None, **options):
+    return linksweep.plot(linksweep.run(function, tmp_path / "s.zarr", axes=axes, pool="serial"), kind, **options)
 
 
 def decay(half_life: float, years: int = 10):
@@ -168,17 +132,11 @@ def decay(half_life: float, years: int = 10):
 
 
 def test_a_list_at_each_point_of_an_axis_is_a_map_over_both(tmp_path):
-    axes = {"half_life": [1.0, 2.0, 3.0, 6.0, 12.0, 20.0]}
-    dataset = linksweep.run(decay, tmp_path / "s.zarr", axes=axes, pool="serial")
-    axes = linksweep.plot(dataset, variables=["rest"]).axes[0]
+    lives = [1.0, 2.0, 3.0, 6.0, 12.0, 20.0]
+    axes = figure_of(decay, tmp_path, {"half_life": lives}, variables=["rest"]).axes[0]
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("half life", "index\u00a00")
     shown = np.asarray(axes.collections[0].get_array()).reshape(11, 6)
-    assert shown == pytest.approx(dataset["rest"].values.T)
-
-
-def figure_of(function, tmp_path, axes, kind=None, **sampling):
-    dataset = linksweep.run(function, tmp_path / "s.zarr", axes=axes, pool="serial", sampling=sampling or None)
-    return linksweep.plot(dataset, kind)
+    assert shown == pytest.approx(0.5 ** np.divide.outer(range(11), lives))
 
 
 STUDY = """
@@ -211,29 +169,23 @@ def test_a_study_names_its_figure(tmp_path, sweep, monkeypatch, figure, code, dr
     if code:
         assert drawn in (err if refused else sweep("plot", "w.zarr")[2])
         return
-    figure = linksweep.plot(linksweep.open("w.zarr"))
-    assert [axes.get_ylabel() for axes in axes_of(figure)] == drawn
-    chosen = linksweep.plot(linksweep.open("w.zarr"), variables=["second"])  # what is asked for comes first
-    assert [axes.get_ylabel() for axes in axes_of(chosen)] == ["second"]
+    for options, labels in (({}, drawn), ({"variables": ["second"]}, ["second"])):  # what is asked for comes first
+        figure = linksweep.plot(linksweep.open("w.zarr"), **options)
+        assert [axes.get_ylabel() for axes in axes_of(figure)] == labels
 
 
-def product(x: float, y: float):
-    return x * y
+MAPS = {
+    "product": lambda x, y: x * y,
+    "plateau": lambda x, y: min(x * y, 8.0),
+    "noise": lambda x, y: x + y + 7.0 * np.sin(1e4 * x * y),
+}
 
 
-def plateau(x: float, y: float):
-    return min(x * y, 8.0)
-
-
-def noise(x: float, y: float):
-    return x + y + 7.0 * np.sin(1e4 * x * y)
-
-
-@pytest.mark.parametrize(("function", "has_contours"), [(product, True), slow(plateau, False), slow(noise, False)])
-def test_contours_are_of_smooth_maps_and_wide_ranges_have_logarithmic_colours(tmp_path, function, has_contours):
+@pytest.mark.parametrize("name", ["product", slow("plateau"), slow("noise")])
+def test_contours_are_of_smooth_maps_and_wide_ranges_have_logarithmic_colours(tmp_path, name):
     places = [0.5 + 0.5 * i for i in range(16)]
-    axes, _ = figure_of(function, tmp_path, {"x": places, "y": places}, "map").axes
-    assert bool(axes.texts) == has_contours
+    axes, _ = figure_of(MAPS[name], tmp_path, {"x": places, "y": places}, "map").axes
+    assert bool(axes.texts) == (name == "product")
     values = axes.collections[0].get_array()
     assert (type(axes.collections[0].norm).__name__ == "LogNorm") == (0.0 < 20.0 * values.min() < values.max())
 

@@ -13,35 +13,22 @@ from tests.tiers import slow
 WIDTH = 88.0
 
 
-@pytest.fixture
-def narrow():
-    with settings(WIDTH):
-        yield
-
-
-def drawn(dataset, *arguments, **options):
-    figure = linksweep.plot(dataset, *arguments, **options)
+def drawn(dataset, *arguments, width=WIDTH):
+    with settings(width):
+        figure = linksweep.plot(dataset, *arguments)
     figure.draw_without_rendering()  # a warning of a collapsed layout would be an error
     return figure
-
-
-def letters(figure):
-    """The sizes of all texts that are shown, in points."""
-    figure.draw_without_rendering()
-    return [text.get_fontsize() for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [WIDTH, 180.0])
 @pytest.mark.parametrize("name", ["quasars", "algorithm", "error-surface", "scatter"])
 def test_letters_have_their_size_at_the_width_of_print(dataset_of, name, width):
-    with settings(width):
-        figure = drawn(dataset_of(name))
-        assert figure.get_figwidth() == pytest.approx(width / 25.4)
-        assert min(letters(figure)) >= 6.0
+    figure = drawn(dataset_of(name), width=width)
+    assert figure.get_figwidth() == pytest.approx(width / 25.4)
+    assert min(t.get_fontsize() for t in figure.findobj(Text) if t.get_visible() and t.get_text().strip()) >= 6.0  # pt
 
 
-@pytest.mark.usefixtures("narrow")
 def test_titles_and_labels_of_panels_neither_overlap_nor_leave_the_figure(dataset_of):
     dataset = dataset_of("quasars").sel(v_max=[14.0, 20.0])
     long = dataset["v_max"].assign_attrs(symbol="a parameter with a long name")
@@ -54,7 +41,6 @@ def test_titles_and_labels_of_panels_neither_overlap_nor_leave_the_figure(datase
         assert all(box.x0 >= 0.0 and box.x1 <= figure.bbox.width for box in boxes)
 
 
-@pytest.mark.usefixtures("narrow")
 def test_a_legend_takes_no_height_from_its_panel(dataset_of):
     many = dataset_of("quasars").sel(model="gaia").expand_dims(draw=np.arange(6.0))
     [panel] = drawn(many, "lines").axes
@@ -77,8 +63,7 @@ TOWNS = ["Amsterdam", "Buenos Aires", "Constantinople", "Heidelberg", "Kuala Lum
 def test_names_below_an_axis_do_not_cover_each_other(tmp_path, names, width, turned):
     different = [f"{name}{'' if i < len(TOWNS) else i}" for i, name in enumerate(names)]
     dataset = linksweep.run(letters_in, tmp_path / "s.zarr", axes={"town": different}, pool="serial")
-    with settings(width):
-        [axes] = drawn(dataset).axes
+    [axes] = drawn(dataset, width=width).axes
     texts = axes.get_xticklabels()
     assert [" ".join(text.get_text().split()) for text in texts] == different
     assert {text.get_rotation() for text in texts} == {turned}

@@ -17,57 +17,49 @@ def points(tmp_path_factory):
     return linksweep.run(model, store, points=design, axes={"scale": [1.0, 2.0]}, pool="serial")
 
 
-def lines_in(figure):
-    return [line for axes in figure.axes for line in axes.get_lines()]
-
-
 def drawn(figure):
-    """Return what each visible panel shows: its labels."""
-    return [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes if axes.get_visible()]
+    """The labels of each visible panel, and all lines."""
+    labels = [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes if axes.get_visible()]
+    return labels, [line for axes in figure.axes for line in axes.get_lines()]
 
 
-def test_points_are_drawn_over_each_parameter_and_never_joined(points):
+def test_points_are_drawn_over_each_parameter_and_never_joined_crossed_axes_are_colours_and_variables_rows(points):
     figure = linksweep.plot(points.isel(scale=0))
-    assert [x for x, _ in drawn(figure)] == ["$x$", "$k$", "kind"]
-    lines = lines_in(figure)
+    labels, lines = drawn(figure)
+    assert [x for x, _ in labels] == ["$x$", "$k$", "kind"]
     assert {line.get_linestyle() for line in lines} == {"None"}
     assert np.array_equal(np.sort(lines[0].get_xdata()), np.sort(points.x.values))
     assert np.array_equal(np.sort(lines[0].get_ydata()), np.sort(points.y.values[:, 0]))
     assert figure.axes[0].get_xscale() == "log"
-
-
-def test_crossed_axes_are_colours_and_variables_rows(points):
     figure = linksweep.plot(points, variables=["y", "z"], over=["x", "k"])
-    assert len(drawn(figure)) == 4
-    assert {line.get_linestyle() for line in lines_in(figure)} == {"None"}
+    labels, lines = drawn(figure)
+    assert (len(labels), {line.get_linestyle() for line in lines}) == (4, {"None"})
     [legend] = figure.legends
     assert [text.get_text() for text in legend.get_texts()][:2] == ["scale = 1", "scale = 2"]
 
 
 def test_pairs_have_a_panel_for_every_two_parameters(points):
     figure = linksweep.plot(points.isel(scale=1), kind="pairs")
-    assert drawn(figure)[:-1] == [("", "$k$"), ("$x$", "kind"), ("$k$", "")]  # the last is the scale of colours
-    assert not lines_in(figure)
+    labels, lines = drawn(figure)
+    assert labels[:-1] == [("", "$k$"), ("$x$", "kind"), ("$k$", "")]  # the last is the scale of colours
+    assert not lines
     offsets = np.asarray(figure.axes[0].collections[0].get_offsets())
     assert np.array_equal(np.sort(offsets, axis=0), np.sort(np.stack([points.x, points.k], axis=1), axis=0))
     assert np.array_equal(np.sort(figure.axes[0].collections[0].get_array()), np.sort(points.y.values[:, 1]))
 
 
-def series_of(points):
-    def decay(rate: float = 1.0):
-        return {"left": np.exp(-rate * TIMES)}
-
-    declared = linksweep.experiment(outputs=[linksweep.Output("left", dims="time", coords={"time": (TIMES, "d")})])
-    return linksweep.run(declared(decay), points=points, pool="serial")
-
-
 TIMES = np.linspace(0.0, 3.0, 9)
 
 
+@linksweep.experiment(outputs=[linksweep.Output("left", dims="time", coords={"time": (TIMES, "d")})])
+def decay(rate: float = 1.0):
+    return {"left": np.exp(-rate * TIMES)}
+
+
 @pytest.mark.slow
-def test_a_series_at_many_points_is_a_median_with_bands(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    ds = series_of({"design": "halton", "n": 40, "ranges": {"rate": [0.5, 2.0]}})
+def test_a_series_at_many_points_is_a_median_with_bands(tmp_path):
+    design = {"design": "halton", "n": 40, "ranges": {"rate": [0.5, 2.0]}}
+    ds = linksweep.run(decay, tmp_path / "s.zarr", points=design, pool="serial")
     for options in ({}, {"over": ["time"]}, {"kind": "curves"}):
         [axes] = linksweep.plot(ds, variables=["left"], **options).axes
         [line] = [line for line in axes.get_lines() if len(line.get_xdata())]

@@ -2,10 +2,8 @@
 
 import os
 import re
-import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +14,7 @@ from linksweep import SweepError
 from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.contract import Status
 from linksweep.sweep.report.page import explorer, pictures, report_of, report_page, residuals, section
+from tests.sweep import evil
 from tests.tiers import slow
 
 
@@ -33,9 +32,6 @@ def grid(value, status=None, **others):
     return dataset.assign(status=(("kind", "size"), status))
 
 
-QUESTION = "How well do quasars alone tie a mission's proper motions to the extragalactic frame?"
-
-
 @pytest.fixture
 def results(store_of):
     return linksweep.open(store_of("quasars"))
@@ -49,20 +45,12 @@ def sentences(dataset):
 VALUES = [[8.0, 4.0, 2.0], [80.0, 20.0, 10.0]]
 
 
-def test_the_answer_names_range_places_and_what_changes_it():
-    text = sentences(grid(VALUES))
-    assert "It is between 2 mas (kind=one, size=4) and 80 mas (kind=two, size=1), over 6 points." in text
-    # 80 / 8 = 10 across kinds; 80 / 10 = 8 across sizes
-    assert "What changes it: kind by a factor of up to 10, size by a factor of up to 8, all else being equal." in text
-
-
 def test_the_answer_adds_the_parts_of_an_error_and_counts_what_agrees_with_the_prediction():
     error = 0.03 * np.array(VALUES)
     predicted = np.array(VALUES) * [[1.0, 1.1, 1.0], [1.0, 1.0, 1.25]]  # off by 1 / 1.1 and 1 / 1.25
     text = sentences(grid(VALUES, mc_error=error, catalogue_error=4.0 / 3.0 * error, predicted=predicted))
     # in errors of 5 %: 0.1 / 0.05 = 2.0 and 0.25 / 0.05 = 5.0
     assert "It differs from its prediction by at most 20 % and 5.0 of its errors, at 1 point by more than 3" in text
-    assert "at most 20 %" in text
 
 
 def test_what_is_missing_is_said_and_does_not_count():
@@ -82,10 +70,9 @@ def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
     values = {name: array * np.nan for name, array in dataset.data_vars.items() if array.dtype.kind == "f"}
     status = dataset["status"] * 0 + undone
     nothing = dataset.assign(values | {"status": status}).assign_attrs(complete=0)
-    said = [f"Incomplete: 0 of {nothing['status'].size} points are done, {nothing['status'].size} {undone.word}."]
-    no = "No conclusion yet" if undone == Status.MISSING else "No conclusion"
-    reason = "not done yet" if undone == Status.MISSING else "failed"
-    said.append(f"{no}: numbers that it needs are missing ({reason}).")
+    said = [f"Incomplete: 0 of {status.size} points are done, {status.size} {undone.word}."]
+    no, why = (" yet", "not done yet") if undone == Status.MISSING else ("", "failed")
+    said.append(f"No conclusion{no}: numbers that it needs are missing ({why}).")
     assert linksweep.answer(nothing).sentences == said
     found = section("s", nothing, 1, 100)
     assert [*found["gaps"], *found["short"], *found["answers"]] == said
@@ -95,10 +82,8 @@ def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
 def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
     found, used, left_out = explorer(results, ["sigma_spin"], 10**6)
     assert left_out == []
-    quantity, order = (
-        found["quantities"][0],
-        [axis["name"] for axis in found["axes"] if axis["name"] in results["sigma_spin"].dims],
-    )
+    quantity = found["quantities"][0]
+    order = [axis["name"] for axis in found["axes"] if axis["name"] in results["sigma_spin"].dims]
     error = np.hypot(results["sigma_spin_mc_error"], results["sigma_spin_catalogue_error"])
     wanted = {"value": results["sigma_spin"], "error": error, "published": results["sigma_spin_published"]}
     for name, array in wanted.items():
@@ -112,23 +97,19 @@ def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
 def test_what_cannot_be_drawn_says_why():
     dataset = grid(VALUES).assign_coords(kind=["$x^$", "$\\nothing$"])
     (one,) = pictures(dataset, ["share"], 0)
-    assert one.svg == ""
-    assert one.problem
-    page = report_page([("odd.zarr", dataset)])
-    assert "No figure of share" in page
+    assert (one.svg, bool(one.problem)) == ("", True)
+    assert "No figure of share" in report_page([("odd.zarr", dataset)])
 
 
 @pytest.fixture(scope="session")
 def evil_store(tmp_path_factory):
     """A store whose title, question, axis values, meanings and failures are hostile."""
-    from tests.sweep.evil import BREAK, METALS
-
     path = tmp_path_factory.mktemp("evil") / "evil.zarr"
     document = {
-        "title": f"<script>window.owned = true</script>{BREAK}",
+        "title": f"<script>window.owned = true</script>{evil.BREAK}",
         "question": "<img src=x onerror='window.owned = true'>?",
-        "experiment": str(Path(__file__).parents[1] / "evil.py") + ":experiment",
-        "axes": {"metal": list(METALS), "coins": [1, 5, 20]},
+        "experiment": f"{evil.__file__}:experiment",
+        "axes": {"metal": list(evil.METALS), "coins": [1, 5, 20]},
         "sampling": {"n_sim": 20, "n_cat": 2, "seed": 3},
     }
     linksweep.run(document, path, pool="serial")
@@ -137,11 +118,9 @@ def evil_store(tmp_path_factory):
 
 def test_every_text_of_a_store_is_escaped(evil_store):
     page = report_of([evil_store])
-    assert "&lt;script&gt;window.owned = true&lt;/script&gt;" in page
-    assert "<script>window" not in page
-    assert "<img" not in page
-    assert re.findall(r"<[a-z][^>]*\son\w+=", page.partition("<script>")[0]) == []
-    assert "is what failed" in page
+    assert all(text in page for text in ("&lt;script&gt;window.owned = true&lt;/script&gt;", "is what failed"))
+    assert not re.search(r"<script>window|<img", page)
+    assert not re.search(r"<[a-z][^>]*\son\w+=", page.partition("<script>")[0])
 
 
 @pytest.mark.slow
@@ -154,39 +133,10 @@ def test_the_same_store_gives_the_same_bytes_in_another_process(store_of, tmp_pa
     assert pages[0].read_bytes() == pages[1].read_bytes()
 
 
-def test_an_earlier_report_is_replaced_and_nothing_else(coin_store, tmp_path, sweep):
-    shutil.copytree(coin_store, tmp_path / "s.zarr")
-    page = tmp_path / "page.html"
+def test_an_earlier_report_is_replaced(coin_store, tmp_path, sweep):
     for _ in range(2):
-        assert sweep("report", tmp_path / "s.zarr", "-o", page)[0] == 0
-    page.write_text("<!doctype html>\nmy own")
-    for bad, phrase in ((page, "no report of linksweep"), (tmp_path, "is a directory")):
-        code, _, err = sweep("report", tmp_path / "s.zarr", "-o", bad)
-        assert (code, phrase in err) == (2, True)
-    assert page.read_text() == "<!doctype html>\nmy own"
-    assert {path.name for path in tmp_path.iterdir()} >= {"page.html", "s.zarr"}
-    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".page")]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "phrase"),
-    [
-        (("report", "s.zarr", "--all"), "name stores, or give --all"),
-        (("report", "s.zarr", "--workers", "2"), "go with --all"),
-        (("report", "s.zarr", "-o", "no/such/page.html"), "its directory does not exist"),
-        (("report", "gs://b/s.zarr"), "gs:// is not known"),
-    ],
-)
-def test_bad_input_is_exit_code_2_and_nothing_is_written(
-    coin_store, tmp_path, monkeypatch, sweep_here, arguments, phrase
-):
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(coin_store, tmp_path / "s.zarr")
-    before = sorted(path.name for path in tmp_path.iterdir())
-    code, out, err = sweep_here(*arguments)
-    assert (code, out) == (2, "")
-    assert phrase in err
-    assert sorted(path.name for path in tmp_path.iterdir()) == before
+        assert sweep("report", coin_store, "-o", tmp_path / "page.html")[0] == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
 
 
 @pytest.mark.slow
@@ -197,13 +147,13 @@ def test_a_missing_package_is_named_with_what_to_do(tmp_path):
     environment = os.environ | {"PYTHONPATH": str(tmp_path)}
     run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path, env=environment)
     assert run.returncode == 2
-    assert "pip install 'linksweep[report]'" in run.stderr
-    assert "no bokeh here" in run.stderr
+    assert all(words in run.stderr for words in ("pip install 'linksweep[report]'", "no bokeh here")), run.stderr
 
 
 def test_an_answer_is_question_and_sentences_as_text_and_in_a_notebook(results):
     card = linksweep.answer(results)
-    assert str(card).splitlines() == [QUESTION, *card.sentences]
+    question = "How well do quasars alone tie a mission's proper motions to the extragalactic frame?"
+    assert str(card).splitlines() == [question, *card.sentences]
     page = card._repr_html_()
     assert "<strong>How well do quasars alone tie a mission&#x27;s proper motions" in page
     assert 'src="data:image/png;base64,iVBOR' in page
@@ -221,6 +171,8 @@ def test_incomplete_results_say_so_first_and_a_dataset_of_something_else_is_refu
 @pytest.mark.parametrize(
     ("value", "phrase"),
     [
+        (VALUES, "It is between 2 mas (kind=one, size=4) and 80 mas (kind=two, size=1), over 6 points."),
+        (VALUES, "What changes it: kind by a factor of up to 10, size by a factor of up to 8, all else being equal."),
         (np.full((2, 3), np.nan), "No point has a value yet."),
         (np.full((2, 3), 7.0), "7 mas"),
         ([[np.nan, np.nan, 3.0], [np.nan] * 3], "3 mas at kind=one, size=4"),
@@ -228,7 +180,8 @@ def test_incomplete_results_say_so_first_and_a_dataset_of_something_else_is_refu
         ([[1.0, np.inf, 2.0], [1.0] * 3], "It is not a finite number at 1 point."),
     ],
 )
-def test_answers_of_odd_grids(value, phrase):
+def test_the_answer_names_range_places_and_what_changes_it(value, phrase):
+    """80 / 8 = 10 across kinds; 80 / 10 = 8 across sizes."""
     assert phrase in sentences(grid(value))
 
 

@@ -29,20 +29,14 @@ def store(tmp_path_factory):
     reference = replace(made, values=earlier, epoch=np.full(25, 2008.0))
     for name, one in (("satellite", seen), ("reference", reference)):
         gaia(folder / f"{name}.ecsv", replace(one, values=one.values + 3.0 * noise(rng, one)))
-    lines = (
-        'title = "Radio stars"',
-        'experiment = "linksweep.sweep.tie.experiment:tie"',
-        "[fixed]",
-        'satellite = "satellite.ecsv"',
-        'reference = "reference.ecsv"',
-        "[axes]",
-        f"clip = {list(CLIPS)}",
-        "error_factor = [1.0, 2.0]",
-        "[sampling]",
-        "n_sim = 4",
-    )
-    (folder / "study.toml").write_text("\n".join(lines))
-    linksweep.run(folder / "study.toml", folder / "s.zarr", pool="serial")
+    study = {
+        "title": "Radio stars",
+        "experiment": "linksweep.sweep.tie.experiment:tie",
+        "fixed": {name: f"{folder}/{name}.ecsv" for name in ("satellite", "reference")},
+        "axes": {"clip": list(CLIPS), "error_factor": [1.0, 2.0]},
+        "sampling": {"n_sim": 4},
+    }
+    linksweep.run(study, folder / "s.zarr", pool="serial")
     return folder / "s.zarr"
 
 

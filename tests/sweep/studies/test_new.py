@@ -54,23 +54,6 @@ def test_a_new_study_runs_as_it_is_and_says_the_defaults_in_comments(reference, 
     assert plan(sampled)[0]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("taken",), "taken.toml: exists already; take another name"),
-        (("../up",), "'../up' is no name for a study"),
-        (("fine", "no.such:thing"), "no.such"),
-        (("fine", "math:tau"), "math:tau"),
-    ],
-)
-def test_what_cannot_be_begun(arguments, said, tmp_path, sweep):
-    (tmp_path / "taken.toml").write_text("mine")
-    code, out, err = sweep("new", *arguments, cwd=tmp_path)
-    assert (code, out) == (2, "")
-    assert said in err
-    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("taken.toml", "mine")]
-
-
 def test_every_study_of_ours_conforms_to_the_schema(link_validator):
     for text in corpus().values():
         if (document := tomllib.loads(text)).get("experiment", LINK) == LINK:  # others are only in a document
