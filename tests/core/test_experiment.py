@@ -7,7 +7,17 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from tests.core import points
-from tests.core.points import CatalogueErrors, NormalErrors, OwnErrors, experiment, generators, link, point, scenario
+from tests.core.points import (
+    OTHER,
+    CatalogueErrors,
+    NormalErrors,
+    OwnErrors,
+    experiment,
+    generators,
+    link,
+    point,
+    scenario,
+)
 from tests.tiers import examples, slow
 
 
@@ -124,28 +134,6 @@ def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
     results = link.summarise(perfect, np.array([10.0]), np.ones(1))
     np.testing.assert_array_equal(results["sigma_catalogue_error"], 0.0)
     np.testing.assert_array_equal(results["sigma_spin_predicted"], 0.0)
-
-
-OTHER = {
-    **{"model": "gaia", "mission_length": 7.0, "satellite_errors": "normal", "reference_errors": "normal"},
-    **{"error_scale": 0.5, "satellite_error_scale": 3.0, "reference_error_scale": 2.0},
-    **{"satellite_sigma_pos": 0.3, "satellite_sigma_pm": 0.2, "reference_sigma_pos": 0.5, "reference_sigma_pm": 0.7},
-    **{"corrections": False, "weighting": "equal", "solve_glide": True, "arithmetic": "stored"},
-    **{"epsilon": (3.0, 0.0, -1.0), "omega": (0.0, 0.5, 2.0), "epsilon_size": 5.0, "omega_size": 0.1},
-    **{"directions": "random", "aberration": True, "glide": (1.0, 2.0, 3.0), "v_min": 7.0, "v_max": 13.0},
-    **{"mean_pm": 200.0, "pm_distribution": "constant", "zone_of_avoidance": 20.0, "sky_contrast": 0.4},
-    **{"satellite_floor_pos": 0.3, "satellite_floor_pm": 0.4, "reference_floor_pos": 0.5, "reference_floor_pm": 0.6},
-    **{"satellite_error_ratio": 2.0, "reference_error_ratio": 0.7},
-    **{"zonal_pos": 1.0, "zonal_pm": 2.0, "zonal_length": 70.0, "v_zero": 9.0},
-    **{"omega_slope": (0.1, 0.0, -0.2), "omega_slope_size": 0.3, "motion_field_size": 0.5},
-    **{"magnitude_equation_pmra": 0.2, "magnitude_equation_pmdec": -0.1, "motion_field": "t_2_0,s_3_1_im=-0.5"},
-}
-"""Another value of every parameter that leaves the draw as it is."""
-
-
-def test_every_shared_parameter_has_another_value_here():
-    assert set(OTHER) == set(link.shared) <= {p.name for p in link.parameters}
-    assert all(OTHER[name] != link.parameter(name).default for name in link.shared)
 
 
 @settings(max_examples=examples(25))

@@ -19,9 +19,7 @@ def results_of(n_sim, **changes):
 
 
 def sky(n, seed=3):
-    rng, zero = np.random.default_rng(seed), np.zeros(n)
-    ra, dec = rng.uniform(0, 2 * np.pi, n), np.arcsin(rng.uniform(-1, 1, n))
-    return points.Catalogue(ra, dec, zero, zero, rng.uniform(10.0, 20.0, n))
+    return points.Catalogue(*points.sky(n, seed, 0.0), np.random.default_rng(99).uniform(10.0, 20.0, n))
 
 
 def gain_of(setup):

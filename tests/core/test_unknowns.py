@@ -5,14 +5,8 @@ import pytest
 from scipy.special import sph_harm_y
 
 from linksweep.core.fields import terms, toroidal, turned as quarter_turn
-from linksweep.core.frames import MAS
 from linksweep.core.unknowns import Objects, parse_unknowns
-
-
-def sky(n, seed=0):
-    rng = np.random.default_rng(seed)
-    ra, dec = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-1.0, 1.0, n))
-    return Objects(ra, dec, *(rng.normal(0.0, 500.0 * MAS, (2, n))))
+from tests.core.points import sky
 
 
 def all_fields(degree, ra, dec):
@@ -31,7 +25,7 @@ def test_the_fields_are_orthogonal_to_degree_7():
 
 
 def test_the_fields_are_the_gradients_of_scipys_harmonics():
-    objects, step = sky(50), 1e-5
+    objects, step = Objects(*sky(50)), 1e-5
     fields = toroidal(5, objects.ra, objects.dec)
     place = 0
     for degree in range(1, 6):
@@ -50,7 +44,7 @@ def test_the_fields_are_the_gradients_of_scipys_harmonics():
 
 
 def test_degree_1_is_rotation_and_glide():
-    objects = sky(40)
+    objects = Objects(*sky(40))
     factor = np.sqrt(8.0 * np.pi / 3.0)
     rotation = np.array([0.3, -0.7, 1.1])
     r1, r2, r3 = rotation
@@ -67,14 +61,14 @@ def test_degree_1_is_rotation_and_glide():
 
 
 def test_a_rate_moves_the_position_of_a_source_with_another_epoch():
-    objects, years = sky(5), np.array([0.0, 1.0, -2.0, 0.5, 10.0])
+    objects, years = Objects(*sky(5)), np.array([0.0, 1.0, -2.0, 0.5, 10.0])
     matrix = parse_unknowns("orientation,spin,glide,vsh_motion:2", corrections=False).matrix(objects, years)
     np.testing.assert_array_equal(matrix[:, :2, 3:], years[:, None, None] * matrix[:, 3:, 3:])
     np.testing.assert_array_equal(matrix[:, 3:, :3], 0.0)
 
 
 def test_a_spin_for_each_bin_acts_in_its_bin_alone():
-    objects = sky(4)
+    objects = Objects(*sky(4))
     columns = {"mag": np.array([5.0, 6.0, 7.9, 12.0])}
     unknowns = parse_unknowns("spin", ("mag", [6.0, 8.0]), columns)
     matrix = unknowns.matrix(Objects(objects.ra, objects.dec, objects.pmra, objects.pmdec, columns))
