@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, MICROARCSEC
 from linksweep.sweep.search import crossmatch
-from linksweep.sweep.search.crossmatch import GalaxyCatalogue, Matches, Positions, cross_match, pairs_within, sky_tree
+from linksweep.sweep.search.crossmatch import GalaxyCatalogue, Positions, cross_match, pairs_within, sky_tree
 from tests.tiers import examples
 
 
@@ -119,53 +119,34 @@ def test_one_to_one_is_the_greedy_loop(pairs):
 grid_sky = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 3), st.integers(0, 4)), min_size=1, max_size=12)
 
 
-def on_grid(points, identified):
-    """Positions a multiple of an arcsecond apart about ra = 0, many at equal distances, and identifiers of some."""
-    ra = np.array([(x - 6) / 3600.0 % 360.0 for x, _, _ in points])
-    dec = np.array([y / 3600.0 for _, y, _ in points])
-    names = np.array([n if identified else 0 for _, _, n in points], dtype=np.int64)
-    return positions(ra, dec), names
+def on_grid(points, radius=0.0):
+    """Entries a multiple of an arcsecond apart about ra = 0, many at equal distances, and identifiers of some."""
+    x, y, names = np.array(points).T
+    return catalogue(positions((x - 6) / 3600.0 % 360.0, y / 3600.0), radius, names)
 
 
-def placed(matches: Matches, stars, catalogues):
-    """The matches as positions, which do not depend on the order of rows."""
-    rows = []
-    for m in range(len(matches)):
-        there = catalogues[matches["catalogue"][m]].positions
-        star, entry = matches["star"][m], matches["entry"][m]
-        rows.append((stars.ra[star], stars.dec[star], there.ra[entry], there.dec[entry], matches["class"][m]))
-    return sorted(rows)
+def matched(stars, catalogues):
+    """The matches as positions, which do not depend on the order of rows; nothing is matched twice."""
+    matches = cross_match(stars, no_supplement(stars), catalogues)
+    for column in (matches["star"], matches["galaxy"], matches["identifier"][matches["identifier"] > 0]):
+        assert len(set(column.tolist())) == len(column)
+    assert matches.found_in[np.arange(len(matches)), matches["catalogue"]].all()
+    there = [catalogues[c].positions.take(e) for c, e in zip(matches["catalogue"], matches["entry"], strict=True)]
+    here = stars.take(matches["star"])
+    return sorted(zip(here.ra, here.dec, [g.ra for g in there], [g.dec for g in there], matches["class"], strict=True))
 
 
 @pytest.mark.slow
 @settings(max_examples=examples(150), derandomize=True)
-@given(grid_sky, grid_sky, grid_sky, st.booleans(), st.randoms(use_true_random=False))
-def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c, identified, random):
-    stars, _ = on_grid(list({point[:2]: point for point in a}.values()), False)
-    catalogues = [
-        catalogue(*[on_grid(p, identified)[0], r, on_grid(p, identified)[1]]) for p, r in ((b, 2.5), (c, 1.2))
-    ]
-    matches = cross_match(stars, no_supplement(stars), catalogues)
-    assert len(set(matches["star"].tolist())) == len(matches)
-    assert len(set(matches["galaxy"].tolist())) == len(matches)
-    named = matches["identifier"][matches["identifier"] > 0]
-    assert len(set(named.tolist())) == len(named)
-    assert (matches.found_in.sum(axis=1) >= 1).all()
-    assert matches.found_in[np.arange(len(matches)), matches["catalogue"]].all()
-
-    def shuffled(n):
-        order = list(range(n))
-        random.shuffle(order)
-        return np.array(order)
-
-    star_order = shuffled(len(stars.ra))
-    other_stars = stars.take(star_order)
-    others = []
-    for c_ in catalogues:
-        order = shuffled(len(c_.positions.ra))
-        others.append(GalaxyCatalogue(c_.positions.take(order), c_.identifier[order], c_.radius))
-    again = cross_match(other_stars, no_supplement(other_stars), others)
-    assert placed(again, other_stars, others) == placed(matches, stars, catalogues)
+@given(grid_sky, grid_sky, grid_sky, st.randoms(use_true_random=False))
+def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c, random):
+    tables = list({point[:2]: point for point in a}.values()), b, c
+    others = [random.sample(table, len(table)) for table in tables]
+    found, again = (
+        matched(on_grid(stars).positions, [on_grid(one, 2.5), on_grid(other, 1.2)])
+        for stars, one, other in (tables, others)
+    )
+    assert found == again
 
 
 @pytest.mark.parametrize(

@@ -33,33 +33,15 @@ def read_galaxy_table(path):
 
 def star_table(**changes):
     """Four stars: a plain galaxy, one 4 sigma off, a star alone, and one that moves onto its galaxy in 8.75 yr."""
-    columns = {
-        "TYC1": [1, 1234, 9537, 4012],
-        "TYC2": [13, 567, 12121, 1],
-        "TYC3": [1, 2, 3, 1],
-        "ra": [10.0, 50.0, 90.0, 359.99999],
-        "dec": [20.0, -30.0, 0.0, 0.0],
-        "ra_error": [100.0, 120.0, 50.0, 140.0],
-        "dec_error": [110.0, 130.0, 60.0, 150.0],
-        "pmra": [0.0, 0.0, 0.0, 6000.0],
-        "pmdec": [0.0, 0.0, 0.0, 0.0],
-        "vt_mag": [12.0, 12.5, 9.0, 13.0],
-        "ref_epoch": [1991.25] * 4,
-    }
-    columns |= changes
+    names = ["TYC1", "TYC2", "TYC3", "ra", "dec", "ra_error", "dec_error", "pmra", "pmdec", "vt_mag", "ref_epoch"]
+    rows = [
+        (1, 13, 1, 10.0, 20.0, 100.0, 110.0, 0.0, 0.0, 12.0, 1991.25),
+        (1234, 567, 2, 50.0, -30.0, 120.0, 130.0, 0.0, 0.0, 12.5, 1991.25),
+        (9537, 12121, 3, 90.0, 0.0, 50.0, 60.0, 0.0, 0.0, 9.0, 1991.25),
+        (4012, 1, 1, 359.99999, 0.0, 140.0, 150.0, 6000.0, 0.0, 13.0, 1991.25),
+    ]
+    columns = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True)) | changes
     return Table({name: values for name, values in columns.items() if values is not None})
-
-
-def galaxy_tables():
-    wide = Table(
-        {
-            "ra": [10.0, 50.0, 359.99999 + 52.5 * ARCSEC - 360.0, 200.0],
-            "dec": [20.0 + ARCSEC, -30.0 + 4.1 * ARCSEC, 0.0, 0.0],
-            "PGC": [7223, 11404, 65866, 99999],
-        }
-    )
-    sharp = Table({"ra": [10.0], "dec": [20.0 + 0.2 * ARCSEC]}, units={"ra": "deg"})  # else: hours?
-    return wide, sharp
 
 
 @pytest.fixture
@@ -69,9 +51,9 @@ def folder(tmp_path, monkeypatch):
     supplement = {"TYC1": [5], "TYC2": [6], "TYC3": [1], "ra": [200.0], "dec": [0.0]}
     supplement |= {"ra_error": [200.0], "dec_error": [210.0], "vt_mag": [13.5]}
     Table(supplement).write("extra.ecsv")
-    wide, sharp = galaxy_tables()
-    wide.write("wide.csv")
-    sharp.write("sharp.ecsv")
+    ra, dec = [10.0, 50.0, 359.99999 + 52.5 * ARCSEC - 360.0, 200.0], [20.0 + ARCSEC, -30.0 + 4.1 * ARCSEC, 0.0, 0.0]
+    Table({"ra": ra, "dec": dec, "PGC": [7223, 11404, 65866, 99999]}).write("wide.csv")
+    Table({"ra": [10.0], "dec": [20.0 + 0.2 * ARCSEC]}, units={"ra": "deg"}).write("sharp.ecsv")  # else: hours?
     return tmp_path
 
 
@@ -79,8 +61,8 @@ def folder(tmp_path, monkeypatch):
 def test_the_command_of_the_document_runs(folder):
     star_table().write("tycho2.fits")
     Table.read("extra.ecsv").write("tycho2_suppl1.fits")
-    for table, name in zip(galaxy_tables(), ("pgc.fits", "uzc.csv"), strict=True):
-        table.write(name, format="fits" if name.endswith("fits") else "ascii.ecsv")
+    Table.read("wide.csv").write("pgc.fits")
+    Table.read("sharp.ecsv").write("uzc.csv", format="ascii.ecsv")
     command, _ = commands("galaxy-search.md")
     result = run(*shlex.split(command)[2:])
     assert result.exit_code == 0, result.output
@@ -119,11 +101,7 @@ def test_the_search_from_files_to_files(folder):
     assert list(galaxies["class"]) == [LETTERS[name] for name in table["class"]]
     assert [list(row)[:3] for row in galaxies] == [[4012, 1, 1], [1, 13, 1], [1234, 567, 2], [5, 6, 1]]
     assert (folder / "out.png").read_bytes().startswith(b"\x89PNG")
-    assert sorted(path.name for path in folder.iterdir() if path.name.startswith(("out", "."))) == [
-        "out.dat",
-        "out.ecsv",
-        "out.png",
-    ]
+    assert sorted(path.name for path in folder.glob("*out*")) == ["out.dat", "out.ecsv", "out.png"]
 
 
 def test_json_is_the_summary(folder):
@@ -131,10 +109,7 @@ def test_json_is_the_summary(folder):
     numbers = {name: row["n"] for name, row in report["classes"].items()}
     assert numbers == {"certain": 2, "uncertain": 1, "supplement": 1, "all": 4}
     certain, wide = report["classes"]["certain"], report["catalogues"]["wide"]
-    assert certain["ra_error_mas"] == {
-        "mean": pytest.approx(120.0),
-        "scatter": pytest.approx(np.std([100, 140], ddof=1)),
-    }
+    assert certain["ra_error_mas"] == pytest.approx({"mean": 120.0, "scatter": np.std([100, 140], ddof=1)})
     motions = {"ra": np.hypot(120.0, 50.0) / 20.0, "dec": np.hypot(130.0, 50.0) / 20.0}
     assert certain["pm_error_mas_yr"] == pytest.approx(motions)
     assert certain["magnitude"]["mean"] == pytest.approx(12.5)
@@ -170,9 +145,7 @@ def test_missing_proper_motions_may_be_zero(folder):
 
 def test_gaia_identifiers_are_carried(folder):
     ids = np.array([2**62 + k for k in range(4)])
-    table = star_table(
-        source_id=ids, phot_g_mean_mag=[1.0, 2.0, 3.0, 4.0], vt_mag=None, TYC1=None, TYC2=None, TYC3=None
-    )
+    table = star_table(source_id=ids, phot_g_mean_mag=[1.0, 2.0, 3.0, 4.0], vt_mag=None, **NO_NUMBERS)
     table.write("stars.fits", overwrite=True)
     assert run(*ARGUMENTS).exit_code == 0
     found = read_matches(folder / "results" / "matches.ecsv")
@@ -197,14 +170,6 @@ def test_the_map_shows_every_class_with_longitude_to_the_left():
     assert tick["60°"] < tick["0°"] < tick["300°"]
 
 
-def test_without_numbers_for_the_table_nothing_is_written(folder):
-    star_table(TYC1=None, TYC2=None, TYC3=None).write("stars.fits", overwrite=True)
-    result = run(*ARGUMENTS, "--table", "t.dat")
-    assert (result.exit_code, "needs columns TYC1, TYC2 and TYC3, or TYC with strings" in result.output) == (2, True)
-    assert not (folder / "results").exists()
-    assert not (folder / "t.dat").exists()
-
-
 def test_the_ecsv_is_the_catalogue_of_a_study(folder):
     assert run(*WITH_SUPPLEMENT, "-o", "galaxies.ecsv").exit_code == 0
     fixed = {"catalogue": "file", "file": "galaxies.ecsv", "model": "amex"}
@@ -221,48 +186,42 @@ def test_an_existing_file_is_kept_without_overwrite(folder):
     assert len(read_matches(folder / "out.ecsv")) == 3
 
 
+NO_NUMBERS = {"TYC1": None, "TYC2": None, "TYC3": None}
+TYC = NO_NUMBERS | {"TYC": ["1-13-1", "1-13", "TYC 1-14-1", ""]}
+NO_MOTION = "no proper motion (--missing-pm zero takes it as zero) in row 1, 2, 3, 4"
+
+
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("stars", "arguments", "message"),
     [
-        (["-o", "wide.csv"], "wide.csv is one of the tables that are read"),
-        (["-o", "m.txt"], "m.txt must end in .ecsv"),
-        (["-o", "m.ecsv", "--table", "m.ecsv"], "m.ecsv is named for two outputs"),
-        (["--table", "wide.csv/t.dat"], "is not a directory that can be written"),
+        ({}, ["-o", "wide.csv"], "wide.csv is one of the tables that are read"),
+        ({}, ["-o", "m.txt"], "m.txt must end in .ecsv"),
+        ({}, ["-o", "m.ecsv", "--table", "m.ecsv"], "m.ecsv is named for two outputs"),
+        ({}, ["--table", "wide.csv/t.dat"], "is not a directory that can be written"),
+        ({}, ["--radius", "wied=3"], "radius: no table 'wied'; did you mean 'wide'?"),
+        ({}, ["--radius", "wide=3", "--radius", "wide=4"], "radius: wide, wide: one is named twice"),
+        ({}, ["--column", "ra"], "columns = 'ra': must be [NAME:]KEY=COLUMN"),
+        ({}, ["sub/wide.fits"], "two tables are called 'wide'"),
+        ({}, ["--k-sigma", "-1"], "k_sigma = -1: must be a finite number > 0"),
+        (NO_NUMBERS, ["--table", "t.dat"], "needs columns TYC1, TYC2 and TYC3, or TYC with strings"),
+        ({"dec": MaskedColumn([1.0] * 4, mask=[0, 0, 1, 0])}, [], "no dec in row 3"),
+        ({"ra_error": None}, [], "give its error in arcsec with --error"),
+        ({"ra_error": [0.0, 1.0, 1.0, 1.0]}, [], "a ra_error that is not above 0 in row 1 (0)"),
+        ({"pmdec": [np.nan] * 4}, [], NO_MOTION),
+        ({"ref_epoch": None}, [], "proper motions need the epoch of the positions"),
+        ({"TYC3": [1, 4, 1, 0]}, [], "a TYC3 outside 1..3 in row 2, 4"),
+        ({"TYC1": [1] * 4, "TYC2": [13] * 4, "TYC3": [1, 2, 1, 3]}, [], "the Tycho identifier of an earlier row"),
+        (TYC, [], "a TYC that is no Tycho identifier like '1-13-1' in row 2, 4"),
     ],
 )
-def test_bad_outputs_are_refused_before_the_search(folder, arguments, message):
+def test_what_is_wrong_is_refused_and_nothing_is_written(folder, stars, arguments, message):
+    star_table(**stars).write("stars.fits", overwrite=True)
+    before = {path: path.read_bytes() for path in folder.iterdir()}
     result = run(*ARGUMENTS, *arguments, "--overwrite")
     assert result.exit_code == 2
     assert message in result.output
-
-
-BAD_STARS = {
-    "masked": ({"dec": MaskedColumn([1.0] * 4, mask=[0, 0, 1, 0])}, "no dec in row 3"),
-    "no error": ({"ra_error": None}, "give its error in arcsec with --error"),
-    "zero error": ({"ra_error": [0.0, 1.0, 1.0, 1.0]}, "a ra_error that is not above 0 in row 1 (0)"),
-    "missing motion": (
-        {"pmdec": [np.nan] * 4},
-        "no proper motion (--missing-pm zero takes it as zero) in row 1, 2, 3, 4",
-    ),
-    "no epoch": ({"ref_epoch": None}, "proper motions need the epoch of the positions"),
-    "TYC range": ({"TYC3": [1, 4, 1, 0]}, "a TYC3 outside 1..3 in row 2, 4"),
-    "TYC twice": ({"TYC1": [1] * 4, "TYC2": [13] * 4, "TYC3": [1, 2, 1, 3]}, "the Tycho identifier of an earlier row"),
-    "TYC text": (
-        {"TYC1": None, "TYC2": None, "TYC3": None, "TYC": ["1-13-1", "1-13", "TYC 1-14-1", ""]},
-        "a TYC that is no Tycho identifier like '1-13-1' in row 2, 4",
-    ),
-}
-
-
-@pytest.mark.parametrize("case", BAD_STARS)
-def test_every_bad_star_table_is_a_clear_error(folder, case):
-    changes, message = BAD_STARS[case]
-    star_table(**changes).write("stars.fits", overwrite=True)
-    result = run(*ARGUMENTS)
-    assert result.exit_code == 2
-    assert message in result.output
-    assert "stars.fits" in result.output
-    assert not (folder / "results").exists()
+    assert arguments or "stars.fits" in result.output
+    assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
 def test_problems_of_all_tables_come_at_once(folder):
@@ -280,22 +239,6 @@ def test_a_star_in_both_star_tables_is_refused(folder):
     assert (
         "TYC 1-13-1, 1234-567-2, 9537-12121-3, 4012-1-1: in the star table and again in the supplement" in result.output
     )
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--radius", "wied=3"], "radius: no table 'wied'; did you mean 'wide'?"),
-        (["--radius", "wide=3", "--radius", "wide=4"], "radius: wide, wide: one is named twice"),
-        (["--column", "ra"], "columns = 'ra': must be [NAME:]KEY=COLUMN"),
-        (["sub/wide.fits"], "two tables are called 'wide'"),
-        (["--k-sigma", "-1"], "k_sigma = -1: must be a finite number > 0"),
-    ],
-)
-def test_bad_options_are_clear_errors(folder, arguments, message):
-    result = run(*ARGUMENTS[:3], *arguments)
-    assert result.exit_code == 2
-    assert message in result.output
 
 
 def test_a_radius_that_pairs_everything_is_bad_input(folder):
