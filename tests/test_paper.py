@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import linksweep
-from linksweep.core.experiment import link
 from tests.documents import ROOT
 
 pytestmark = pytest.mark.timeout(7200)  # of all studies together
@@ -84,16 +83,6 @@ def test_with_corrections_the_spin_does_not_depend_on_proper_motions(results):
     # goes as the proper motion over the size of the sky; it scatters by a factor of two from draw to draw
     assert (without / with_a21).sel(mean_pm=500) > 50
     assert 0.7 < (without / with_a21).sel(mean_pm=0) < 1.4  # no proper motions: A21 is zero
-
-
-def test_without_corrections_the_spin_errs_in_proportion_to_proper_motions():
-    """The same catalogue without proper motions, with some, and with all of them ten times as large."""
-    same = {"n_obj": 100, "satellite_errors": "none", "corrections": False}
-    points = [link.defaults() | same | {"mean_pm": pm} for pm in (0.0, 50.0, 500.0)]
-    none, some, ten_times = (
-        link.evaluate([p], 1, np.random.default_rng(1), np.random.default_rng(2))["error"][0, 3:] for p in points
-    )
-    np.testing.assert_allclose(ten_times - none, 10 * (some - none), rtol=1e-6)
 
 
 @pytest.mark.slow

@@ -134,6 +134,8 @@ def test_magnitudes_follow_the_counts_within_each_bin():
     for k in range(1, len(counts)):
         low, high = counts[k - 1], counts[k]
         assert is_log_linear(v_mag[low:high], limits[k - 1], limits[k], low, high)
+    above = np.concatenate([quasars(seed, 14.5, v_min=14.2).v_mag for seed in range(400)])  # a limit inside a bin
+    assert is_log_linear(above, 14.2, 14.5, 28 * (49 / 28) ** ((14.2 - 14.0) / 0.5), 49)
     assert stats.kstest((v_mag[5542:8095] - 18.5) / 0.5, "uniform").pvalue < P_VALUE  # not uniform in V
 
 
@@ -159,11 +161,3 @@ def test_n_obj_draws_that_many_different_quasars():
     assert len(index) == 400
     np.testing.assert_array_equal(chosen, everything[:, index])
     assert stats.kstest(index / 1156, "uniform").pvalue > P_VALUE  # from all of them, not the brightest
-
-
-def test_a_bright_limit_inside_a_bin_keeps_the_law_of_the_counts():
-    """Magnitudes above 14.2 in the bin to 14.5 follow N = 28 (49/28)^((V - 14)/0.5): compared with its inverse."""
-    ratio = 49 / 28
-    v_mag = np.concatenate([quasars(seed, 14.5, v_min=14.2).v_mag for seed in range(400)])
-    low = ratio ** ((14.2 - 14.0) / 0.5)
-    assert stats.kstest((ratio ** ((v_mag - 14.0) / 0.5) - low) / (ratio - low), "uniform").pvalue > P_VALUE
