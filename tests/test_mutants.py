@@ -44,17 +44,8 @@ def test_a_copy_may_be_changed(tmp_path):
     ],
 )
 def test_mutants_are_killed_or_named(tests, code, words):
-    command = [
-        sys.executable,
-        "benchmarks/mutants.py",
-        FRAMES,
-        "--function",
-        "triad",
-        "--tests",
-        tests,
-        "--sample",
-        "2",
-    ]
+    options = f"{FRAMES} --function triad --tests {tests} --sample 2"
+    command = [sys.executable, "benchmarks/mutants.py", *options.split()]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == code, done.stdout + done.stderr
     assert all(word in done.stdout for word in words)

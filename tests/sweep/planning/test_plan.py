@@ -74,7 +74,7 @@ ONE = study_from_dict({"title": "", "experiment": COINS})
 
 
 @settings(max_examples=examples(30), derandomize=True)
-@given(st.integers(1, 1300), st.integers(1, 40), st.floats(1.0, 1e9), st.integers(0, 900), st.integers(0, 40))
+@given(st.integers(1, 700), st.integers(1, 20), st.floats(1.0, 1e9), st.integers(0, 600), st.integers(0, 20))
 def test_blocks_tile_the_realisations_exactly_once_and_more_leave_whole_ones(n_sim, n_cat, cost, more_sim, more_cat):
     before, after = (
         Plan(make_grid(replace(ONE, sampling=ONE.sampling.model_copy(update=sampling)))).blocks(cost)
