@@ -12,7 +12,7 @@ import numpy as np
 from linksweep.core.frames import Array, Indices
 from linksweep.core.link import LinkError
 from linksweep.core.tie.astrometry import Astrometry, Differences, joined
-from linksweep.core.tie.problem import KeptSources, NormalSums, Problem, add_separations, eliminate, inverted
+from linksweep.core.tie.problem import KeptSources, NormalSums, Problem, add_separations, covariance_of, eliminate
 from linksweep.core.unknowns import Unknowns
 
 
@@ -126,34 +126,34 @@ class Goal:
         names = self.blocks or self.unknowns.names
         return np.concatenate([np.arange(len(self.unknowns))[self.unknowns.part(name)] for name in names])
 
-    def value(self, normal: Array) -> float:
-        """Return the criterion of a normal matrix (K, K); infinite where it does not determine the unknowns."""
+    def value(self, matrices: Array) -> float:
+        """Return the criterion of sums as in `covariance_of`; infinite where they do not determine the unknowns."""
         try:
-            covariance = inverted(normal)[np.ix_(self.parts, self.parts)]
+            covariance = covariance_of(matrices)[np.ix_(self.parts, self.parts)]
         except LinkError:
             return np.inf
         return float(np.trace(covariance) if self.criterion == "A" else np.linalg.slogdet(covariance)[1])
 
 
 def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> tuple[list[int], Array]:
-    """Return the sources to observe, the best first, then the best beside it, and so on, and the normal matrices
-    (n + 1, K, K) before and after each.
+    """Return the sources to observe, the best first, then the best beside it, and so on, and the sums of the
+    `NormalSums.matrices` before and after each (n + 1, 1 or 2, K, K).
 
     ``now`` and ``new`` are the sums of each source without and with the new rows.  While no single one determines the
     unknowns, the one that adds most to the smallest eigenvalues is taken.
     """
-    gain = new.normal - now.normal
-    normals = [now.normal.sum(axis=0)]
+    gain = new.matrices - now.matrices
+    totals = [now.matrices.sum(axis=0)]
     chosen: list[int] = []
     for _ in range(min(number, len(gain))):
         left = [i for i in range(len(gain)) if i not in chosen]
-        values = [goal.value(normals[-1] + gain[i]) for i in left]
+        values = [goal.value(totals[-1] + gain[i]) for i in left]
         if not np.any(np.isfinite(values)):
-            values = [-_regularised(normals[-1] + gain[i]) for i in left]
+            values = [-_regularised((totals[-1] + gain[i])[0]) for i in left]
         best = left[int(np.argmin(values))]
         chosen.append(best)
-        normals.append(normals[-1] + gain[best])
-    return chosen, np.array(normals)
+        totals.append(totals[-1] + gain[best])
+    return chosen, np.array(totals)
 
 
 def _regularised(normal: Array) -> float:

@@ -94,6 +94,11 @@ class NormalSums:
         """The covariance of b; shape (G, K, K)."""
         return self.normal if self.spread is None else self.spread
 
+    @property
+    def matrices(self) -> Array:
+        """N, and beside it the covariance of b where that is another; shape (G, 1 or 2, K, K)."""
+        return np.stack([self.normal, *([] if self.spread is None else [self.spread])], axis=1)
+
 
 @dataclass(frozen=True)
 class Eliminated(NormalSums):
@@ -559,6 +564,12 @@ def inverted(normal: Array, labels: tuple[str, ...] = ()) -> Array:
         raise LinkError(f"the tables do not tell these unknowns apart: {', '.join(np.array(named)[involved])}")
     half = scale[:, None] * vectors / np.sqrt(values)
     return np.asarray(half @ half.T)
+
+
+def covariance_of(matrices: Array) -> Array:
+    """Return the covariance (K, K) of a solution with these sums of `NormalSums.matrices`; raises as `inverted`."""
+    inverse = inverted(matrices[0])
+    return inverse if len(matrices) == 1 else np.asarray(inverse @ matrices[1] @ inverse)
 
 
 def discrepancies(sums: NormalSums, estimate: Array) -> Array:

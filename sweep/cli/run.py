@@ -26,7 +26,7 @@ from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.tables.options import Declared, declared
-from linksweep.sweep.tie.options import FORECAST, TIE, ForecastOptions, Options
+from linksweep.sweep.tie.options import FORECAST, TIE, ApplyOptions, ForecastOptions, Options
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -666,7 +666,6 @@ def submit(
 
 EXPERIMENT = arg(default="linksweep.core.experiment:link")
 
-year = partial(opt, type=float, metavar="YEAR")
 MORE_EPOCHS = arg(nargs=-1, type=FILE, metavar="[--epochs FILE...]")
 
 
@@ -875,7 +874,7 @@ def apply(
     table: Path = arg(type=FILE),
     output: Path = cli.output("The table in the other frame: .csv, .ecsv, .fits or .parquet.", required=True),
     inverse: bool = flag("TABLE is in the reference's frame, and goes into the satellite's."),
-    epoch: float | None = year("Epoch of a table without a column of epochs."),
+    asked: dict[str, Any] = _declared("apply", ApplyOptions),
 ) -> None:
     """Carry TABLE from the satellite's frame into that of the reference, by the LINK that `sweep tie -o` wrote.
 
@@ -886,7 +885,7 @@ def apply(
     """
     from linksweep.sweep.tie.link import apply as carry
 
-    for note in carry(link, table, output, inverse=inverse, epoch=epoch).meta["comments"]:
+    for note in carry(link, table, output, inverse=inverse, **asked).meta["comments"]:
         click.echo(f"note: {note}", err=True)
     click.echo(f"wrote {output}", err=True)
 

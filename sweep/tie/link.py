@@ -24,13 +24,13 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.result import require_free, stored_table, write_at_once
-from linksweep.sweep.tables.columns import ALONG_RA, CORRELATIONS, Columns, first_found, unit_of
+from linksweep.sweep.tables.columns import ALONG_RA, CORRELATIONS, Columns, unit_of
 from linksweep.sweep.tables.options import number
 from linksweep.sweep.tables.reader import read_table
 from linksweep.sweep.tie.epochs import described
-from linksweep.sweep.tie.options import FORECAST, SIGNS, TABLE, TIE, ForecastOptions, Options, listed
+from linksweep.sweep.tie.options import FORECAST, SIGNS, TABLE, TIE, ApplyOptions, ForecastOptions, Options, listed
 from linksweep.sweep.tie.setup import DECLARED, FROM_ROWS, Setup, in_row_groups, parse_bins, set_up, set_up_row_groups
-from linksweep.sweep.tie.tables import UNITS, TableOptions, astrometric_table, built_in
+from linksweep.sweep.tie.tables import QUANTITIES, UNITS, as_read, astrometric_table, built_in, digest_of
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -636,30 +636,30 @@ def _planned(
     """Return the variables and coordinates of the dataset; ``error`` (rad) is that of the new positions."""
     base = solving.source_sums(future)
     planned = solving.source_sums(planning.with_new_rows(future, add, error)) if add else base
-    sources, normals = planning.choose(base, planned, number, goal)
-    unknowns, total = setup.problem.unknowns, base.normal.sum(axis=0)
-    stages = {"now": solving.source_sums(setup.problem).normal.sum(axis=0)}
+    sources, steps = planning.choose(base, planned, number, goal)
+    unknowns, total = setup.problem.unknowns, base.matrices.sum(axis=0)
+    stages = {"now": solving.source_sums(setup.problem).matrices.sum(axis=0)}
     stages |= {} if release == TABLE else {release: total}
-    stages |= {"all observed": planned.normal.sum(axis=0)} if add else {}
-    gain = np.array([goal.value(total + one) for one in planned.normal - base.normal])
+    stages |= {"all observed": planned.matrices.sum(axis=0)} if add else {}
+    gain = np.array([goal.value(total + one) for one in planned.matrices - base.matrices])
     variables: dict[str, Any] = {
-        "error": (("stage", "unknown"), np.array([_errors(normal) for normal in stages.values()])),
-        "criterion": ("stage", _scaled([goal.value(normal) for normal in stages.values()], goal)),
+        "error": (("stage", "unknown"), np.array([_errors(sums) for sums in stages.values()])),
+        "criterion": ("stage", _scaled([goal.value(sums) for sums in stages.values()], goal)),
         "criterion_alone": ("source", _scaled(gain, goal), {"long_name": "if this source alone is observed"}),
         "rank": ("source", np.argsort(np.argsort(gain)) + 1),
     }
     if add:
         observed = (
-            solving.source_sums(planning.with_new_rows(future, [epoch], error)).normal.sum(axis=0) for epoch in add
+            solving.source_sums(planning.with_new_rows(future, [epoch], error)).matrices.sum(axis=0) for epoch in add
         )
-        errors = np.array([_errors(normal) for normal in observed])
+        errors = np.array([_errors(sums) for sums in observed])
         variables["error_with_epoch"] = (("new_epoch", "unknown"), errors)
     if sources:
         chosen = np.array(["", *setup.names[sources]]).astype(str)
         variables |= {
             "step_source": ("step", chosen),
-            "step_error": (("step", "unknown"), np.array([_errors(normal) for normal in normals])),
-            "step_criterion": ("step", _scaled([goal.value(normal) for normal in normals], goal)),
+            "step_error": (("step", "unknown"), np.array([_errors(sums) for sums in steps])),
+            "step_criterion": ("step", _scaled([goal.value(sums) for sums in steps], goal)),
         }
     coordinates = {
         "stage": list(stages),
@@ -671,12 +671,12 @@ def _planned(
     return variables, coordinates
 
 
-def _errors(normal: Array) -> Array:
+def _errors(matrices: Array) -> Array:
     """Return formal errors in mas and mas/yr; NaN where the unknowns are not determined."""
     try:
-        return np.sqrt(np.diag(solving.inverted(normal))) / MAS
+        return np.sqrt(np.diag(solving.covariance_of(matrices))) / MAS
     except LinkError:
-        return np.full(len(normal), np.nan)
+        return np.full(matrices.shape[-1], np.nan)
 
 
 def _scaled(values: Sequence[float] | Array, goal: planning.Goal) -> Array:
@@ -699,7 +699,7 @@ def apply(
     output: str | Path | None = None,
     *,
     inverse: bool = False,
-    epoch: float | None = None,
+    **options: Any,
 ) -> "Table":
     """Return a table of the satellite's frame in that of the reference, or back.
 
@@ -713,7 +713,9 @@ def apply(
             of astropy, which is copied.
         output: the file to write: .csv, .ecsv, .fits or .parquet.
         inverse: whether the table is in the frame of the reference, and is carried into that of the satellite.
-        epoch: the epoch (Julian year) of a table without a column of epochs.
+        options: those of `sweep apply`, under the names of `ApplyOptions` in `sweep.tie.options`: ``epoch`` (Julian
+            year, of a table without a column of epochs), ``columns``, ``units``, ``without_cos_dec`` and
+            ``zero_errors``.  What they do not say is as the link's own table was read, for columns that are there.
 
     Returns:
         The table with its own columns, in their own units; ``meta["comments"]`` says what was done.
@@ -729,6 +731,7 @@ def apply(
         >>> [round(float(dec), 7) for dec in moved["dec"][:2]]
         [53.1172503, 53.1172503]
     """
+    told = ApplyOptions.named("apply", options)
     output = None if output is None else Path(output)
     if output is not None:
         require_free(output)
@@ -740,14 +743,23 @@ def apply(
         link = stored.dataset
     path = built_in(Path(table)) if isinstance(table, (str, Path)) else Path("the table")
     raw = read_table(path) if isinstance(table, (str, Path)) else table.copy()
-    stars = astrometric_table(raw, str(path), "", TableOptions(epoch=epoch)).astrometry
+    how = as_read(link.attrs, raw, digest_of(path) if isinstance(table, (str, Path)) else "", told)
+    stars = astrometric_table(raw, str(path), "", how).astrometry
     notes = _notes(link, stars, inverse, str(path))
-    if not any(first_found(names, raw.colnames) for names in CORRELATIONS.items()):
+    read = Columns(raw, str(path), how.columns, how.units, QUANTITIES)
+    if not any(read.has(name) for name in CORRELATIONS):
         if stars.correlations is not None:
             raise SweepError("has no columns like ra_dec_corr for its correlations: write them first", str(path))
         notes.append("the table has no columns of correlations: those that the link adds are lost")
-    read = Columns(raw, str(path))
-    _put(read, _moved(stars, link, inverse), output is not None and output.suffix == ".csv")
+    put = _put(read, _moved(stars, link, inverse), how.pmra_cos_dec, output is not None and output.suffix == ".csv")
+    if "satellite_read" not in link.attrs:
+        notes.append(
+            "the link does not know how its tables were read, with units, names of columns or cos(dec) of pmra"
+        )
+    notes.append(f"columns that were changed: {', '.join(put)}")
+    said = [f"{key}={value}" for key, value in [*how.columns.items(), *how.units.items()]]
+    if said := said + ["pmra without cos(dec)"] * (how.pmra_cos_dec is False):
+        notes.append(f"the table was read with {', '.join(said)}")
     raw.meta["comments"] = [*raw.meta.get("comments", []), *notes]
     if output is not None:
         write_at_once(output, raw.write)  # it warns of long names in a FITS header
@@ -771,8 +783,11 @@ def _notes(link: "xr.Dataset", stars: Astrometry, inverse: bool, path: str) -> l
         epochs = f"{low:g}" if low == high else f"{low:g} to {high:g}"
         said = f"epoch {stars.epoch[other[0]]:g} in {named_rows(other)}, and the link is of {epochs}"
         raise SweepError(f"{said}: the frame of another release is another one", path)
-    if len(without := np.flatnonzero(~np.isfinite(stars.values[:2]).all(axis=0))):
+    there = np.isfinite(stars.values)
+    if len(without := np.flatnonzero(~there[:2].all(axis=0))):
         raise SweepError(f"no position in {named_rows(without)}", path)
+    if len(half := np.flatnonzero(there[3] != there[4])):
+        raise SweepError(f"only one coordinate of the motion in {named_rows(half)}", path)
     frames = "reference to the satellite" if inverse else "satellite to the reference"
     notes = [
         f"carried from the frame of the {frames} by {' and '.join(applied)}, with the covariance of the link added"
@@ -800,7 +815,7 @@ def _moved(stars: Astrometry, link: "xr.Dataset", inverse: bool) -> dict[str, Ar
     values = stars.values.copy()
     values[0] += (ra - values[0] + np.pi) % (2.0 * np.pi) - np.pi
     values[1] = dec
-    values[3:] = np.where(stars.present[3:], [np.sum(axis * velocity.T, axis=0) for axis in axes], np.nan)
+    values[3:] = np.where(np.isfinite(values[3:]), [np.sum(axis * velocity.T, axis=0) for axis in axes], np.nan)
     effect = ROTATION.matrix(Objects(ra, dec, *np.nan_to_num(values[3:])), years) * stars.present.T[..., None]
     # the axes of errors turn too, by so little (1e-7) that their covariance does not change
     whole = stars.covariance()[:, :5, :5] + effect @ covariance @ effect.swapaxes(1, 2)
@@ -813,23 +828,31 @@ def _moved(stars: Astrometry, link: "xr.Dataset", inverse: bool) -> dict[str, Ar
     return new | {f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr": values for (i, j), values in of_pairs.items()}
 
 
-def _put(read: Columns, new: dict[str, Array], is_csv: bool) -> None:
-    """Put quantities into their columns, in the units of these; raises SweepError for columns that cannot hold them."""
+def _put(read: Columns, new: dict[str, Array], cos_dec: bool | None, is_csv: bool) -> list[str]:
+    """Put quantities into their columns, in the units of these, and return the columns; raises SweepError for those
+    that cannot hold them.  ``cos_dec`` says whether pmra has that factor, by default unless it is in units of time.
+    """
+    put = []
     for quantity, values in new.items():
         if (name := read.name(quantity)) not in read.names or name is None:
             continue
         unit, usual = read.table[name].unit, unit_of(quantity)
-        if read.kind(name) not in "fiu" or (quantity in ALONG_RA and read.in_time(quantity)):
-            read.problems.append(f"column {name!r} is text or in units of time: write it in {usual} first")
+        if read.kind(name) not in "fiu":
+            read.problems.append(f"column {name!r} is text: write it in {usual} first")
         elif is_csv and unit is not None and usual and Unit(unit) != Unit(usual):
             read.problems.append(f"column {name!r} is in {unit}, which CSV cannot say: write .ecsv or .fits")
         else:
+            put.append(name)
             scale = 1.0 if not usual else DEGREE if quantity in ("ra", "dec") else MAS
             stated = read.numbers(name)
-            before = read.quantity(quantity, "allowed", scale) if usual else stated
+            before = read.quantity(quantity, "allowed", scale, cos_dec=True) if usual else stated
             some = np.isfinite(before) & (stated != 0.0)
             factor = np.median(before[some] / stated[some]) if np.any(some) else scale
+            of_motion = cos_dec if quantity.startswith("pmra") and usual else None
+            if quantity in ALONG_RA[1:] and (read.in_time(quantity) if of_motion is None else not of_motion):
+                factor = factor * np.cos(new["dec"])
             at = np.isfinite(before) & np.isfinite(values)
             read.table[name] = read.table[name].astype(np.float64)
-            read.table[name][at] = values[at] / factor
+            read.table[name][at] = (values / factor)[at]
     read.finish()
+    return put

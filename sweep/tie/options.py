@@ -29,7 +29,7 @@ def _tables(meaning: str) -> Any:
     return option(meaning, "satellite|reference|NAME", joined=",")
 
 
-def _flag(meaning: str, only: str) -> Any:
+def _flag(meaning: str, only: str = "") -> Any:
     return option(meaning, "", False, "bool", only)
 
 
@@ -93,6 +93,17 @@ class ForecastOptions(Declared):
     number: int = option("how many sources to choose", "N", 0, "int", FORECAST, minimum=0)
     criterion: str = one_of("trace or determinant of the covariance", "A", "D", only=FORECAST)
     all_sources: bool = _flag("also choose among sources without rows of the reference", FORECAST)
+
+
+@dataclass(frozen=True)
+class ApplyOptions(Declared):
+    """How the table of `apply` is read, where that differs from what the link says."""
+
+    epoch: float | None = _year("epoch of a table without a column of epochs")
+    columns: Pairs = mapping("the column with a quantity, e.g. pmra=mua; default as the link read it", "KEY=COLUMN")
+    units: Pairs = mapping("the unit of a column that says none; default as the link read it", "KEY=UNIT")
+    without_cos_dec: bool = _flag("the table's pmra is mu_alpha, without cos(dec)")
+    zero_errors: str = one_of("what an error of 0 means", TABLE, "error", "missing", "exact")
 
 
 def listed(text: str) -> list[str]:

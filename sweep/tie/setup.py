@@ -154,6 +154,7 @@ class Setup:
         said = {"epoch": self.problem.epoch, "satellite_epochs": [min(known), max(known)]}
         for name, table in ((name, self.tables[name]) for name in SIDES):
             said |= {name: table.path, f"{name}_columns": table.columns, f"{name}_sha256": table.digest}
+            said[f"{name}_read"] = table.options.told()
         return said
 
     def only(self, sources: Indices) -> "Setup":
@@ -719,7 +720,7 @@ def set_up_row_groups(
     numbers = np.arange(n + 1)  # one array for the sources and, from 1, for their names
     stars = Astrometry(values, np.broadcast_to(np.nan, (5, n)), np.broadcast_to(epoch, n))
     problem = Problem(stars, zero_motion(n), numbers[:-1], unknowns, epoch, options.weights)
-    left = AstrometricTable(str(satellite), digest, stars, {})
+    left = AstrometricTable(str(satellite), digest, stars, {}, options=table_options(options)[SIDES[0]])
     right = AstrometricTable(ZERO_MOTION, "", problem.rows, {})
     matched = Match(numbers[:-1], EVERY_SOURCE, np.broadcast_to(-1, n))
     said.append(f"read in {len(groups)} row groups; sources are named by their row numbers")

@@ -20,7 +20,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.tables import columns as archives
 from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, first_found, rows_where
 from linksweep.sweep.tables.reader import read_table as read_file
-from linksweep.sweep.tie.options import POSITIONS
+from linksweep.sweep.tie.options import POSITIONS, SIDES, TABLE, ApplyOptions
 
 # Columns that name a source, in upper or lower case, best first; other columns of text come after them.
 SOURCE_NAMES = ("name", "star", "source", "source_id", "designation", "psr_name", "hip", "iers_name", "icrf_name")
@@ -102,11 +102,15 @@ class TableOptions:
     zero_errors: str = "error"
     pmra_cos_dec: bool | None = None
 
+    def told(self) -> dict[str, Any]:
+        """Return the options that are not the default."""
+        return {name: value for name, value in vars(self).items() if value != getattr(TableOptions(), name)}
+
 
 @dataclass(frozen=True)
 class AstrometricTable:
     """The astrometry in a file, the file's path and SHA-256, the columns with names, notes for the user, which columns
-    were used, and the release of Gaia whose identifiers columns of names have.
+    were used, the release of Gaia whose identifiers columns of names have, and how the file was read.
     """
 
     path: str
@@ -116,6 +120,7 @@ class AstrometricTable:
     notes: Sequence[str] = ()
     columns: str = ""
     releases: Mapping[str, str] = field(default_factory=dict)
+    options: TableOptions = field(default_factory=TableOptions)
 
     def named_notes(self) -> list[str]:
         """Return the notes with the name of the file."""
@@ -141,6 +146,29 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     if path.resolve().parent == _BUILT_IN:
         return replace(read, columns="", notes=notes)  # ours are as they were published
     return replace(read, path=str(path), notes=[*notes, *read.notes, *_usual_choices(table, options)])
+
+
+def as_read(link: Mapping[str, Any], table: Any, digest: str, told: ApplyOptions) -> TableOptions:
+    """Return how a table is to be read: as the options say, else as the ``link`` (attributes of `tie`) read the same
+    file, or its satellite's table as far as this one has the columns and says no units itself.
+    """
+    side = next((name for name in SIDES if digest and digest == link.get(f"{name}_sha256")), "")
+    before = TableOptions(**link.get(f"{side or SIDES[0]}_read", {}))
+    columns = {key: name for key, name in before.columns.items() if name in table.colnames} | dict(told.columns)
+    units = dict(told.units)
+    for key, unit in before.units.items():
+        if (name := archives.column_of(key, table.colnames, columns)) in table.colnames and not table[name].unit:
+            units.setdefault(key, unit)
+    as_before = told.epoch is None and (side or archives.column_of("ref_epoch", table.colnames, columns) is None)
+    cos_dec = before.pmra_cos_dec if "pmra" not in dict(told.units) else None
+    return TableOptions(
+        columns,
+        units,
+        epoch=before.epoch if as_before else told.epoch,
+        extragalactic=bool(as_before and before.extragalactic),
+        zero_errors=before.zero_errors if told.zero_errors == TABLE else told.zero_errors,
+        pmra_cos_dec=False if told.without_cos_dec else cos_dec,
+    )
 
 
 def built_in(path: Path) -> Path:
@@ -229,7 +257,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     releases = _releases(read, names, epoch[np.all(present, axis=0)])
     read.finish()
     astrometry = core.with_variance(astrometry, np.outer([1.0, 1.0, 0.0, 0.0, 0.0], astrometry.shared**2))
-    return AstrometricTable(where, digest, astrometry, names, read.notes, _used(read), releases)
+    return AstrometricTable(where, digest, astrometry, names, read.notes, _used(read), releases, options)
 
 
 def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Array) -> dict[str, str]:

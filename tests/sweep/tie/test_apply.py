@@ -140,6 +140,93 @@ def test_columns_keep_their_units_and_names(tmp_path):
     assert not (tmp_path / "units.csv").exists()
 
 
+def test_columns_in_units_of_time_keep_them(tmp_path):
+    link = linked(tmp_path, EPSILON[0], OMEGA[0])
+
+    def in_time(table):
+        table = table.copy()
+        for name, unit in (("pmra", "ms/yr"), ("pmra_error", "ms/yr"), ("ra_error", "ms")):
+            table[name] = table[name] / 15.0 / np.cos(np.radians(table["dec"]))
+            table[name].unit = unit
+        table["ra"] = table["ra"] / 15.0
+        table["ra"].unit = "hourangle"
+        return table
+
+    plain = Table.read(tmp_path / "satellite.ecsv")
+    moved, expected = linksweep.apply(link, in_time(plain)), in_time(linksweep.apply(link, plain))
+    for name in ("ra", "ra_error", "pmra", "pmra_error", "pmdec", "ra_pmra_corr"):
+        np.testing.assert_allclose(moved[name], expected[name], rtol=1e-12, err_msg=name)
+
+
+ARCSEC = dict.fromkeys(("pmra", "pmdec", "pmra_error", "pmdec_error"), "arcsec/yr")
+OWN = {name: f"my {name}" for name in ("ra", *ARCSEC)}
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        *(
+            {"units": ARCSEC},
+            {"columns": OWN},
+            {"without_cos_dec": True},
+            {"epoch": 2016.0},
+            {"zero_errors": "missing"},
+        ),
+        {"units": ARCSEC, "columns": OWN, "without_cos_dec": True},
+    ],
+    ids=" ".join,
+)
+def test_a_table_is_read_as_the_link_read_it_or_as_is_said(tmp_path, said):
+    linked(tmp_path, EPSILON[0], OMEGA[0])
+    of_satellite, reference, form = (tmp_path / name for name in ("satellite.ecsv", "reference.ecsv", "form.csv"))
+    names = said.get("columns", {})
+
+    def written(table):
+        table = table.copy()
+        for name in table.colnames:
+            table[name].unit = None
+            table[name] = table[name] / (1000.0 if name in said.get("units", {}) else 1)
+        for name in ("pmra", "pmra_error") if "without_cos_dec" in said else ():
+            table[name] = table[name] / np.cos(np.radians(table["dec"]))
+        if "zero_errors" in said:
+            table["parallax_error"][3] = 0.0
+        if "epoch" in said:
+            table.remove_column("ref_epoch")
+        for name, another in names.items():
+            table.rename_column(name, another)
+        return table
+
+    written(Table.read(of_satellite)).write(form)
+    options = {"satellite_epoch" if name == "epoch" else name: value for name, value in said.items()}
+    options |= {"without_cos_dec": "satellite"} if "without_cos_dec" in said else {}
+    options |= {
+        name: {f"satellite:{k}": v for k, v in said[name].items()} for name in ("units", "columns") & said.keys()
+    }
+    link = linksweep.tie(form, reference, "orientation,spin", accept_misfit=True, **options)
+    usual = linksweep.tie(of_satellite, reference, "orientation,spin", accept_misfit=True)
+    usual["estimate"][:], usual["covariance"][:] = link.estimate, link.covariance
+    expected = written(linksweep.apply(usual, of_satellite))
+    for one, table, told in ((link, form, {}), (link, Table.read(form), {}), (usual, form, said)):
+        moved = linksweep.apply(one, table, **told)
+        assert moved.colnames == Table.read(form).colnames
+        for name in moved.colnames:
+            if name not in ("ra_parallax_corr", "dec_parallax_corr", "parallax_pmra_corr", "parallax_pmdec_corr"):
+                np.testing.assert_allclose(moved[name], expected[name], rtol=1e-9, err_msg=name)
+
+
+def test_motions_without_errors_are_turned_and_half_a_motion_is_refused(tmp_path):
+    link = linked(tmp_path, EPSILON[0], OMEGA[0])
+    table = Table.read(tmp_path / "satellite.ecsv")
+    whole = linksweep.apply(link, table)
+    table = table[["source_id", "ra", "dec", "ref_epoch", "pmra", "pmdec"]]
+    bare = linksweep.apply(link, table)
+    for name in ("ra", "dec", "pmra", "pmdec"):
+        np.testing.assert_array_equal(bare[name], whole[name])
+    table.remove_column("pmdec")
+    with pytest.raises(SweepError, match="one coordinate of the motion"):
+        linksweep.apply(link, table)
+
+
 @pytest.mark.parametrize("unknowns", ["orientation", "spin"])
 def test_what_the_link_lacks_stays_and_is_said(tmp_path, unknowns):
     link, own = linked(tmp_path, EPSILON[0], OMEGA[0], unknowns=unknowns), stars(10, 4)

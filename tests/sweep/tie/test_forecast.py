@@ -39,7 +39,7 @@ def tables(request, tmp_path):
     own = replace(stars(4, request.param, pm=1e-3, parallax=1e-3), radial_velocity=np.zeros(4))
     rows = replace(stars(4, request.param + 50), epoch=np.full(4, 2004.0))
     rows = replace(rows, values=seen(own, rows))
-    found = SimpleNamespace(folder=tmp_path, own=own, rows=rows, known={})
+    found = SimpleNamespace(folder=tmp_path, own=own, rows=rows, known={}, weights="covariance")
     found.satellite = gaia(tmp_path / "dr3.ecsv", own)
     found.scaled = gaia(tmp_path / "dr4.ecsv", scaled(own, "dr3", "dr4"))
     found.reference = gaia(tmp_path / "rows.ecsv", replace(rows, radial_velocity=np.zeros(4)))
@@ -64,7 +64,8 @@ def covariance(tables, satellite, sources=(), epochs=EPOCHS):
     joint, which = joined(*pieces), np.concatenate(source)
     joint = replace(joint, radial_velocity=np.zeros(len(joint)), correlations=np.nan_to_num(joint.correlations))
     path = gaia(tables.folder / "extended.ecsv", joint, source_id=which + 10**17)
-    link = tie(satellite, path, "orientation,spin", errors="formal", epoch=2016.0, accept_misfit=True)
+    how = {"epoch": 2016.0, "accept_misfit": True, "weights": tables.weights}
+    link = tie(satellite, path, "orientation,spin", errors="formal", **how)
     tables.known[key] = link.covariance.values
     return tables.known[key]
 
@@ -77,7 +78,9 @@ def value(matrix, blocks, criterion):
 
 @pytest.mark.parametrize("criterion", ["A", slow("D")])
 @pytest.mark.parametrize("blocks", [("spin",), slow(("orientation", "spin"))])
-def test_every_stage_and_choice_is_the_link_with_the_new_rows(tables, criterion, blocks):
+@pytest.mark.parametrize("weights", ["covariance", "variance", slow("equal")])
+def test_every_stage_and_choice_is_the_link_with_the_new_rows(tables, criterion, blocks, weights):
+    tables.weights = weights
     plan = forecast(
         tables.satellite,
         tables.reference,
@@ -89,6 +92,7 @@ def test_every_stage_and_choice_is_the_link_with_the_new_rows(tables, criterion,
         goal=blocks,
         criterion=criterion,
         epoch=2016.0,
+        weights=weights,
     )
     every, scaled = range(4), tables.scaled
     close = {"rtol": 1e-5, "atol": 1e-5 if criterion == "D" else 0.0}
