@@ -11,22 +11,15 @@ from rich.console import Console
 
 import linksweep
 from linksweep import SweepError
-from linksweep.sweep.contract import count_status
-from linksweep.sweep.planning.grid import make_grid
+from linksweep.sweep.executing.task import Failure
 from linksweep.sweep.running import progress
 from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures
 from linksweep.sweep.running.run import TooManyFailuresError
-from linksweep.sweep.stores.store import open_dataset
 from linksweep.sweep.studies.reader import study_of_function
-from tests.sweep.opening import SERIAL, run_study
+from tests.sweep.opening import SERIAL, make_grid, run_study, status_report
 from tests.tiers import slow
 
 FUNCTIONS = """
-def odd(x: int):
-    if x % 2:
-        raise ValueError(f"no sun at {x}")
-    return x
-
 def never(x: int):
     raise ImportError(f"no package for {x}")
 
@@ -42,10 +35,6 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def counts(store):
-    return {code.word: n for code, n in count_status(open_dataset(store)["status"].values).items()}
-
-
 def odd_study(points=18):
     def odd(x: int):
         if x % 2:
@@ -59,9 +48,8 @@ def test_the_bar_has_what_failed_in_red_and_the_first_reason(tmp_path, monkeypat
     shown = io.StringIO()
     console = Console(file=shown, force_terminal=True, width=140, color_system="standard", legacy_windows=False)
     monkeypatch.setattr(progress, "Console", lambda **_: console)
-    study = odd_study()
-    with progress.TerminalProgress(study) as bar:
-        run_study(study, tmp_path / "s.zarr", SERIAL, bar)
+    with progress.TerminalProgress(odd_study()) as bar:
+        run_study(odd_study(), tmp_path / "s.zarr", SERIAL, bar)
     assert re.search(r"9 done, \x1b\[1;31m9 failed\x1b\[0m of 18 points", shown.getvalue())
     assert "ValueError: no <sun> at 1" in shown.getvalue()
     assert "18/18" not in shown.getvalue()
@@ -95,13 +83,13 @@ def test_a_run_whose_first_points_all_fail_alike_stops_and_goes_on_where_it_stop
     assert (code, out) == (1, "")
     assert "stopped: the first 20 points all failed for the same reason: " in err
     assert re.search(r"like ImportError: no package for (\d+), for example at x=\1", err)  # whichever came first
-    before = counts("s.zarr")["failed"]
+    before = status_report("s.zarr")["points"]["failed"]
     assert FIRST <= before < 100
     assert sweep_here(*command)[0] == 1
-    after = counts("s.zarr")
+    after = status_report("s.zarr")["points"]
     assert after["failed"] > before
     assert sweep_here(*command, "--max-failures", "100%")[0] == 1
-    assert counts("s.zarr") == {"missing": 0, "done": 0, "failed": 100, "excluded": 0}
+    assert status_report("s.zarr")["points"] == {"missing": 0, "done": 0, "failed": 100, "excluded": 0}
 
 
 @pytest.mark.parametrize(("most", "failed"), [(0, 1), (7, 8), ("7", 8), ("30%", None), ("100 %", 50)])
@@ -111,26 +99,24 @@ def test_the_most_failures_that_are_allowed(tmp_path, most, failed):
 
     with nullcontext() if failed == 50 else pytest.raises(TooManyFailuresError, match=r"stopped: .* failed, more than"):
         linksweep.run(late, tmp_path / "s.zarr", axes={"x": range(100)}, pool="serial", max_failures=most)
-    found = counts(tmp_path / "s.zarr")
+    found = status_report(tmp_path / "s.zarr")["points"]
     assert found["done"] == 50
     assert 20 < found["failed"] < 50 if failed is None else found["failed"] == failed
 
 
 @pytest.mark.parametrize("wrong", ["-1", "101%", "many", "", "1.5", "5 %%"])
 def test_a_limit_that_is_none_is_refused(folder, sweep, wrong):
-    code, _, err = sweep("run", "f.py:odd", "--axis", "x=0,1", "--max-failures", wrong)
+    code, _, err = sweep("run", "f.py:never", "--axis", "x=0,1", "--max-failures", wrong)
     assert code == 2
     assert f"{wrong!r}: must be a number of points, like 10, or a percentage, like '5%'" in err
     assert not (folder / "results").exists()
     with pytest.raises(SweepError, match="max_failures = True: must be"):
-        linksweep.run("f.py:odd", axes={"x": [0]}, max_failures=True)
+        linksweep.run("f.py:never", axes={"x": [0]}, max_failures=True)
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60), st.one_of(st.none(), st.integers(0, 30), st.floats(0, 100)))
 def test_the_rule_in_any_order(fails, limit):
     """Against a count by hand, point by point."""
-    from linksweep.sweep.executing.task import Failure
-
     study = odd_study(100)
     points = list(make_grid(study).points())
     most = None if limit is None else MaxFailures(limit) if isinstance(limit, int) else MaxFailures(percent=limit)

@@ -13,7 +13,7 @@ import pytest
 import xarray as xr
 
 from linksweep.sweep.interrupt import LOST_S, RunInterruptedError, watched
-from tests.sweep.opening import SERIAL, TUNED, Store, rows_on_disk, run_study, same, study_from_dict
+from tests.sweep.opening import TUNED, Store, rows_on_disk, run, same
 from tests.sweep.outside import below, command_of, wait_until
 from tests.tiers import PATIENCE_S, slow
 
@@ -21,21 +21,30 @@ ENDLESS_S = 3600.0
 """Longer than a test may take: what waits for it fails."""
 
 SLEEP = """
-import time
-def f(sheep: int, seconds: float, *, rng, n_sim):
-    time.sleep(seconds)
+import os, time
+def f(sheep: int, *, rng, n_sim):
+    time.sleep(float(os.environ["SECONDS"]))
     return rng.normal(size=n_sim)
 """
 
 
 @pytest.fixture
-def sleepers(tmp_path):
-    """A function that returns the arguments of a run of blocks that take so long."""
+def sleepers(tmp_path, monkeypatch):
+    """A function that returns the arguments of a run of blocks that take so long, until it is called again."""
     (tmp_path / "f.py").write_text(SLEEP)
 
     def command(seconds, sheep=20):
-        axis, sets = f"sheep=1:{sheep}:1", ("--set", f"seconds={seconds}", "--set", "n_sim=2")
-        return ("run", tmp_path / "f.py:f", "--axis", axis, *sets, "-o", tmp_path / "s.zarr")
+        monkeypatch.setenv("SECONDS", str(seconds))
+        return (
+            "run",
+            tmp_path / "f.py:f",
+            "--axis",
+            f"sheep=1:{sheep}:1",
+            "--set",
+            "n_sim=2",
+            "-o",
+            tmp_path / "s.zarr",
+        )
 
     return command
 
@@ -51,7 +60,6 @@ def ended_as(body):
 
 
 def test_a_held_signal_is_raised_once_and_a_second_one_is_answered_as_before(monkeypatch):
-    """So that what is written after an interruption is written."""
     steps, seen = [], []
 
     def body(interruptions):
@@ -97,30 +105,23 @@ def test_except_exception_in_a_loop_does_not_go_on_after_ctrl_c(tmp_path, start_
     (tmp_path / "loop.py").write_text(IN_A_LOOP)
     process = start_sweep(command=(sys.executable, "loop.py"), cwd=tmp_path)
     out, err = process.communicate(timeout=PATIENCE_S)
-    assert out.splitlines() == ["began 0"]
-    assert process.returncode != 0
+    assert (out.splitlines(), process.returncode != 0) == (["began 0"], True)
     assert err.splitlines()[-1].endswith("interrupted; what was done is kept, the same call goes on from there")
 
 
-def test_what_a_finaliser_swallows_comes_again():
-    class Swallower:
-        def __del__(self):
-            signal.raise_signal(signal.SIGINT)
-
-    def body(interruptions):
-        Swallower()
-        threading.Event().wait(ENDLESS_S)
-
-    assert ended_as(body) == signal.SIGINT
+class Swallower:
+    def __del__(self):
+        signal.raise_signal(signal.SIGINT)
 
 
-def test_cleaning_up_takes_its_time():
-    """What is on its way out is not interrupted again."""
+@pytest.mark.parametrize("is_swallowed", [True, False])
+def test_what_a_finaliser_swallows_comes_again_and_cleaning_up_is_not_interrupted(is_swallowed):
     steps = []
 
     def body(interruptions):
         try:
-            signal.raise_signal(signal.SIGINT)
+            Swallower() if is_swallowed else signal.raise_signal(signal.SIGINT)
+            threading.Event().wait(ENDLESS_S)
         finally:
             for _ in range(4):
                 time.sleep(LOST_S / 2)
@@ -130,8 +131,7 @@ def test_cleaning_up_takes_its_time():
     assert steps == ["clean"]
 
 
-def test_an_ignored_signal_stays_ignored():
-    """Under nohup a run goes on when the terminal is closed."""
+def test_an_ignored_signal_stays_ignored():  # under nohup a run goes on when the terminal is closed
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with watched():
@@ -143,8 +143,7 @@ def test_an_ignored_signal_stays_ignored():
 @pytest.mark.parametrize("long_write", [False, True], ids=["short write", "long write"])
 def test_interrupted_during_the_last_write(coins, tmp_path, monkeypatch, long_write):
     """A short write is finished, a long one given up; either way the run goes on to the same numbers."""
-    write = Store.write
-    written = []
+    write, written = Store.write, []
 
     def interrupted(self, dataset):
         if dataset.attrs["complete"] and not any(written):
@@ -152,19 +151,13 @@ def test_interrupted_during_the_last_write(coins, tmp_path, monkeypatch, long_wr
         write(self, dataset)
         written.append(dataset.attrs["complete"])
 
-    monkeypatch.setattr(TUNED, "long_write_bytes", 0 if long_write else 2**30)
-    monkeypatch.setattr(Store, "write", interrupted)
-    study = study_from_dict(coins)
-    with pytest.raises(RunInterruptedError):
-        run_study(study, tmp_path / "s.zarr", SERIAL)
+    with monkeypatch.context() as patch:
+        patch.setattr(TUNED, "long_write_bytes", 0 if long_write else 2**30)
+        patch.setattr(Store, "write", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            run(coins, tmp_path / "s.zarr")
     assert written == ([0] if long_write else [0, 1])
-    monkeypatch.undo()
-
-    run_study(study_from_dict(coins | {"axes": {"coins": [1, 5]}}), tmp_path / "s.zarr", SERIAL)  # what is there
-    assert xr.open_zarr(tmp_path / "s.zarr").attrs["complete"] == 1  # is shown whatever is asked
-    resumed, _ = run_study(study, tmp_path / "s.zarr", SERIAL)
-    whole, _ = run_study(study, tmp_path / "whole.zarr", SERIAL)
-    same(resumed, whole)
+    same(run(coins, tmp_path / "s.zarr"), run(coins, tmp_path / "whole.zarr"))
 
 
 def stopped(process, number):
@@ -209,9 +202,7 @@ def test_interrupted_while_the_cluster_starts(start_sweep, sleepers, moment):
     wait_until(lambda: catches(process.pid, signal.SIGTERM), "an answer of its own")
     time.sleep(moment)
     returned, err = stopped(process, signal.SIGINT)
-    assert returned == 130, err
-    assert "interrupted" in err
-    assert "Traceback" not in err
+    assert (returned, "interrupted" in err, "Traceback" in err) == (130, True, False), err
 
 
 SLOW = """
@@ -237,16 +228,21 @@ def test_the_second_signal_ends_it_at_once(start_sweep, sleepers):
     assert (returned, "Traceback" in err) == (130, False)
 
 
-def test_what_was_finished_before_is_kept(tmp_path, start_sweep, sweep, sleepers):
-    store, log, run = tmp_path / "s.zarr", ("--events", tmp_path / "e.jsonl"), sleepers(0.1, sheep=12)
-    process = start_sweep(*run, "--pool", "serial", *log, start_new_session=True)
+def test_nobody_else_writes_meanwhile_and_what_was_finished_is_kept(tmp_path, start_sweep, sweep, sleepers):
+    store, log, asked = tmp_path / "s.zarr", ("--events", tmp_path / "e.jsonl"), sleepers(0.1, sheep=100)
+    process = start_sweep(*asked, "--pool", "serial", *log, start_new_session=True)
     wait_until(lambda: rows_on_disk(store), "it")
+    code, out, err = sweep(*asked)
+    assert (code, out, f"{store}: is being written by process {process.pid} on " in err) == (2, "", True)
+    assert f"process {process.pid} on " in sweep("status", store)[1]
     returned, err = stopped(process, signal.SIGTERM)
     assert returned == 143, err
+    assert not store.with_name("s.zarr.lock").exists()
+    assert "stopped: " in sweep("status", store)[1]
     assert int(xr.open_zarr(store)["n_sim_done"].sum()) > 0
     last = json.loads((tmp_path / "e.jsonl").read_text().splitlines()[-1])
     assert (last["event"], last["exit_code"]) == ("ended", 143)
-    code, _, err = sweep(*run)
+    code, _, err = sweep(*sleepers(0.0, sheep=100))
     assert (code, "of them in the store already" in err) == (0, True), err
-    assert sweep(*run[:-1], tmp_path / "whole.zarr")[0] == 0
+    assert sweep(*asked[:-1], tmp_path / "whole.zarr")[0] == 0
     same(store, tmp_path / "whole.zarr")

@@ -38,21 +38,13 @@ def ledger_of(path, study):
     return {key: rows[row].tobytes() for key, row in store.rows.items()}
 
 
-@pytest.fixture
-def whole(link_study, tmp_path, sweep):
-    """The serial reference: its ledger by block, and its results."""
-    code, _, err = sweep("run", link_study, "-o", tmp_path / "whole.zarr", "--pool", "serial", *LONG)
-    assert code == 0, err
-    study = load_study(str(link_study), LONG[1::2])
-    return ledger_of(tmp_path / "whole.zarr", study), tmp_path / "whole.zarr"
-
-
-def test_killed_at_any_instant_nothing_is_lost_and_no_bit_differs(link_study, tmp_path, start_sweep, sweep, whole):
+def test_killed_at_any_instant_nothing_is_lost_and_no_bit_differs(link_study, tmp_path, start_sweep, sweep):
     """A chain of runs on one store, each killed, until one comes to its end; then the next store, until there were
     enough kills.  After each kill every block in the ledger has the bits of the reference, and none has gone.
     """
-    expected, results = whole
-    study = load_study(str(link_study), LONG[1::2])
+    results, study = tmp_path / "whole.zarr", load_study(str(link_study), LONG[1::2])
+    assert sweep("run", link_study, "-o", results, "--pool", "serial", *LONG)[0] == 0
+    expected = ledger_of(results, study)
     rng = random.Random(2004)
     kills, chain = 0, 0
     before: dict[bytes, bytes] = {}
@@ -69,9 +61,8 @@ def test_killed_at_any_instant_nothing_is_lost_and_no_bit_differs(link_study, tm
             _, err = process.communicate(timeout=PATIENCE_S)
             kills += 1
             assert process.returncode in (0, -end, 128 + end), err  # 0: it was in its last moment
-            begun = (store / "zarr.json").exists()
             assert "Traceback" not in err, err
-            after = ledger_of(store, study) if begun else {}
+            after = ledger_of(store, study) if (store / "zarr.json").exists() else {}
             assert before.keys() <= after.keys()
             assert all(expected[key] == row for key, row in after.items())
             before = after

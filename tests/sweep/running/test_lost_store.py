@@ -13,33 +13,16 @@ from tests.sweep.opening import MANIFEST, holder, rows_on_disk
 from tests.sweep.outside import wait_until
 from tests.tiers import PATIENCE_S, slow
 
-MODEL = """
+LAST = 9
+MODEL = f"""
 import time
 from pathlib import Path
 import numpy as np
 def model(x: float = 1.0):
-    while x == {last} and not Path({go!r}).exists():
+    while x == {LAST} and not Path("go").exists():
         time.sleep(0.02)
     return {{"y": x * x, "name": f"{{x:g}}", "large": np.full(600_000, x)}}
 """
-LAST = 9
-
-
-@pytest.fixture
-def started(tmp_path, start_sweep):
-    """A run some points of which are in its store, and a function that lets it end."""
-    go = tmp_path / "go"
-    (tmp_path / "model.py").write_text(MODEL.format(last=LAST, go=str(go)))
-    command = [sys.executable, "-m", "linksweep", "run", "model.py:model", "--axis", f"x=1:{LAST}:1", "-o", "s.zarr"]
-    process = start_sweep(command=[*command, "--pool", "threads", "--workers", "1"], cwd=tmp_path)
-    wait_until(lambda: process.poll() is not None or _has_some(tmp_path / "s.zarr"), "some points")
-    assert process.poll() is None, process.communicate()[1]
-
-    def end():
-        go.touch()
-        return process.communicate(timeout=PATIENCE_S)[1]
-
-    return process, end
 
 
 def _has_some(store):
@@ -63,10 +46,15 @@ def removed(store, part):
     ],
     ids=["removed", "blocks", "moved", "manifest", "root"],
 )
-def test_it_is_said_and_what_was_computed_is_kept(started, tmp_path, sweep, change, lost):
-    process, end = started
+def test_it_is_said_and_what_was_computed_is_kept(tmp_path, start_sweep, sweep, change, lost):
+    (tmp_path / "model.py").write_text(MODEL)
+    command = [sys.executable, "-m", "linksweep", "run", "model.py:model", "--axis", f"x=1:{LAST}:1", "-o", "s.zarr"]
+    process = start_sweep(command=[*command, "--pool", "threads", "--workers", "1"], cwd=tmp_path)
+    wait_until(lambda: process.poll() is not None or _has_some(tmp_path / "s.zarr"), "some points")
+    assert process.poll() is None, process.communicate()[1]
     change(tmp_path / "s.zarr")
-    err = end()
+    (tmp_path / "go").touch()
+    err = process.communicate(timeout=PATIENCE_S)[1]
     if process.returncode == 0:  # the last write has set it right
         assert sweep("check", tmp_path / "s.zarr")[0] == 0
         assert linksweep.open(tmp_path / "s.zarr").attrs["complete"] == 1

@@ -3,6 +3,7 @@ what one run makes; what does not belong together is refused.
 """
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -49,9 +50,6 @@ def run_parts(study, store, numbers, total, **more):
     return [Path(f"{store}.part-{number}-of-{total}") for number in numbers]
 
 
-floats = st.floats(-8.0, 8.0, width=16).map(lambda x: x + 0.0)
-
-
 def some(values, most):
     return st.lists(values, min_size=1, max_size=most, unique=True)
 
@@ -60,9 +58,10 @@ def table(**columns):
     return st.fixed_dictionaries(columns)
 
 
+FLOATS = st.floats(-8.0, 8.0, width=16).map(lambda x: x + 0.0)
 LINK = {"experiment": "linksweep.core.experiment:link", "axes": {"model": ["amex", "gaia"], "n_obj": [20, 30]}}
 KINDS = {  # the study, or the name of a function above, and what is asked of it
-    "plain": ("plain", table(axes=table(k=some(st.integers(1, 9), 7), x=some(floats, 5), word=some(st.just("b"), 1)))),
+    "plain": ("plain", table(axes=table(k=some(st.integers(1, 9), 7), x=some(FLOATS, 5), word=some(st.just("b"), 1)))),
     "noisy": (
         "noisy",
         table(
@@ -117,6 +116,12 @@ def model(tmp_path):
 
 
 @pytest.fixture
+def into(model, tmp_path):
+    """A function that runs a study into a store of a name."""
+    return lambda store, study=model, **how: linksweep.run(study, tmp_path / store, pool="serial", **how)
+
+
+@pytest.fixture
 def three(model, tmp_path):
     """The three parts of a small study, in one of which a point has failed."""
     return run_parts(model, tmp_path / "s", [1, 2, 3], 3, **SMALL)
@@ -137,17 +142,13 @@ def test_no_part_gets_the_same_value_of_an_axis_again_and_again(tmp_path, total)
 def test_a_lost_part_is_named_and_the_same_commands_go_on(model, tmp_path, sweep):
     stores = run_parts(model, tmp_path / "s", [1, 3], 3, **SMALL)
     code, out, _ = sweep("status", tmp_path / "s")
-    assert code == 0
-    assert "lost: 2" in out
+    assert (code, "lost: 2" in out) == (0, True)
     code, out, _ = sweep("merge", *stores, tmp_path / "s.part-2-of-3", "-o", tmp_path / "s")
-    assert code == 1
-    assert "INCOMPLETE" in out
-    assert "lost parts: 2 of 3" in out
+    assert (code, "INCOMPLETE" in out, "lost parts: 2 of 3" in out) == (1, True, True)
     assert status_report(tmp_path / "s")["lost_parts"] == "2 of 3"
     stores += run_parts(model, tmp_path / "s", [2], 3, **SMALL)
     code, out, _ = sweep("merge", *stores, "-o", tmp_path / "s")
-    assert code == 1  # a point has failed
-    assert "lost" not in out
+    assert (code, "lost" in out) == (1, False)  # a point has failed
     linksweep.run(model, tmp_path / "w", pool="serial", **SMALL)
     require_same(tmp_path / "s", tmp_path / "w")
     more = linksweep.run(model, tmp_path / "s", pool="serial", **SMALL | {"axes": {"k": [1, 2, 3, 7, 8]}})
@@ -177,11 +178,12 @@ def test_a_task_of_an_array_is_a_part(model, tmp_path, sweep, monkeypatch, first
     assert part or "name the part, as in --part $SLURM_ARRAY_TASK_ID/100" in err
 
 
-def test_what_does_not_belong_together_is_refused_and_nothing_is_written(three, model, tmp_path):
-    def refused(stores, message):
+def test_what_does_not_belong_together_is_refused_and_nothing_is_written(three, model, into, coin_store, tmp_path):
+    def refused(stores, *messages, to="m"):
         before = sorted(path.name for path in tmp_path.iterdir())
-        with pytest.raises(SweepError, match=message):
-            merge(stores, tmp_path / "m")
+        with pytest.raises(SweepError) as told:
+            merge(stores, tmp_path / to)
+        assert all(re.search(message, "\n".join(told.value.problems)) for message in messages), told.value.problems
         assert sorted(path.name for path in tmp_path.iterdir()) == before
 
     other = run_parts(model, tmp_path / "o", [2], 3, axes=SMALL["axes"], fixed={"x": 0.75})
@@ -189,18 +191,27 @@ def test_what_does_not_belong_together_is_refused_and_nothing_is_written(three, 
     other = run_parts(model, tmp_path / "p", [2], 3, axes={"k": [1, 2]}, fixed=SMALL["fixed"])
     refused([three[0], *other], "the points are others")
     refused([three[0], *run_parts(model, tmp_path / "s", [2], 4, **SMALL)], "is part 1/3, and .* is part 2/4")
-    linksweep.run(model, tmp_path / "w", pool="serial", **SMALL)
+    into("w", **SMALL)
     refused([tmp_path / "w", three[0]], "is no part of a study, and .* is part 1/3")
     shutil.copytree(three[1], tmp_path / "copy")
     refused([*three, tmp_path / "copy"], "is part 2/3, and so is")
+    refused([tmp_path / "nothing"], "no store there")
+    refused(three[:1], "holds a store already", to="w")
+    with pytest.raises(SweepError, match="part: 1/3 in the store, the whole in the study"):
+        linksweep.run(model, three[0], pool="serial", **SMALL)
+    (tmp_path / "other.py").write_text("def plain(k: int = 1):\n    return {'y': 1.0, 'name': 'x'}\n")
+    into("b", f"{tmp_path}/other.py:plain", axes={"k": [1]})
+    refused([tmp_path / "w", tmp_path / "b"], "these differ")
+    refused([tmp_path / "w", coin_store], "experiment: ")
+    for store, n_sim, seed in (("t", 10, 1), ("u", 20, 2)):
+        into(store, f"{tmp_path}/m.py:noisy", sampling={"n_sim": n_sim, "seed": seed})
+    t, u = tmp_path / "t", tmp_path / "u"
+    refused([t, u], f"seed: 1 in {t}, 2 in {u}", f"sampling.n_sim: 10 in {t}, 20 in {u}")
+    into("d", axes={"k": [8]}, fixed=SMALL["fixed"])
+    refused([tmp_path / "w", tmp_path / "d"], "holds a store already", to="w")
     (tmp_path / "m.py").write_text(MODEL.replace("x * k", "k * x"))
     shutil.rmtree(three[1])
     refused([three[0], *run_parts(model, tmp_path / "s", [2], 3, **SMALL)], "plain .* has changed")
-    refused([tmp_path / "nothing"], "no store there")
-    with pytest.raises(SweepError, match="holds a store already"):
-        merge(three[:1], tmp_path / "w")
-    with pytest.raises(SweepError, match="part: 1/3 in the store, the whole in the study"):
-        linksweep.run(model, three[0], pool="serial", **SMALL)
 
 
 def test_a_part_that_is_running_is_left_out_and_named(three, tmp_path, sweep):
@@ -242,72 +253,35 @@ def test_parts_and_merges_that_are_killed_go_on(model, tmp_path, monkeypatch, st
     assert number > 10
 
 
-PLAIN = (
-    "def model(x: float = 1.0, k: int = 1):\n"
-    "    if k == 9:\n        raise ValueError('nine')\n"
-    "    return {'y': x * k, 'name': f'{x:g}'}\n"
-)
-
-
-@pytest.fixture
-def run_into(tmp_path):
-    (tmp_path / "model.py").write_text(PLAIN)
-
-    def compute(store, study=f"{tmp_path}/model.py:model", **given):
-        return linksweep.run(study, store=tmp_path / store, pool="serial", **given)
-
-    return compute
-
-
-def test_points_beside_a_table_are_a_table(run_into, tmp_path):
-    run_into("a.zarr", axes={"x": [1.0, 2.0]}, fixed={"k": 3})
-    run_into("b.zarr", points={"x": [1.0, 5.0], "k": [3, 5]})
-    ds = merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
+def test_points_beside_a_table_are_a_table(into, tmp_path):
+    into("a", axes={"x": [1.0, 2.0]}, fixed={"k": 3})
+    into("b", points={"x": [1.0, 5.0], "k": [3, 5]})
+    ds = merge([tmp_path / "a", tmp_path / "b"], tmp_path / "c")
     rows = zip(ds.x.values.tolist(), ds.k.values.tolist(), ds.y.values.tolist(), strict=True)
     assert set(rows) == {(1.0, 3, 3.0), (2.0, 3, 6.0), (5.0, 5, 25.0)}
 
 
-def test_failures_are_kept_unless_the_other_store_has_the_point(run_into, tmp_path):
-    run_into("a.zarr", axes={"k": [1, 9]})
-    run_into("b.zarr", axes={"k": [2]})
-    ds = merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
-    assert json.loads(ds.attrs["failures"]) == {"k=9": "ValueError: nine"}
+def test_failures_are_kept_unless_the_other_store_has_the_point(into, tmp_path):
+    b, c, d, e = (tmp_path / name for name in "bcde")
+    into("a", axes={"k": [1, 7]}, fixed={"word": "b"})
+    into("b", axes={"k": [2]}, fixed={"word": "b"})
+    ds = merge([tmp_path / "a", b], c)
+    assert json.loads(ds.attrs["failures"]) == {"k=7": "ValueError: no b at 1.0"}
     assert ds.status.values.tolist() == [1, 1, 2]
     told = json.loads(ds.attrs[MERGED])
-    assert [one["store"].rpartition("/")[2] for one in told] == ["a.zarr", "b.zarr"]
-    assert told[0]["study_digest"] == OpenStore(tmp_path / "a.zarr").attributes["study_digest"]
-    (tmp_path / "model.py").write_text(PLAIN.replace("k == 9", "k == 99"))
-    run_into("d.zarr", axes={"k": [9]})
-    with pytest.raises(SweepError, match=r"model\.model .* has changed"):
-        merge([tmp_path / "c.zarr", tmp_path / "d.zarr"], tmp_path / "e.zarr")
-    assert not (tmp_path / "e.zarr").exists()
-    healed = merge([tmp_path / "c.zarr", tmp_path / "d.zarr"], tmp_path / "e.zarr", accept_code=True)
+    assert [one["store"].rpartition("/")[2] for one in told] == ["a", "b"]
+    assert told[1]["study_digest"] == OpenStore(b).attributes["study_digest"]
+    (tmp_path / "m.py").write_text(MODEL.replace("k == 7", "k == 77"))
+    into("d", axes={"k": [7]}, fixed={"word": "b"})
+    with pytest.raises(SweepError, match=r"m\.plain .* has changed"):
+        merge([c, d], e)
+    assert not e.exists()
+    healed = merge([c, d], e, accept_code=True)
     assert healed.status.values.tolist() == [1, 1, 1]
     assert healed.code.values.tolist() == [1, 1, 2]
     assert healed.attrs["failures"] == "{}"
-    run_into("e.zarr", axes={"k": [1, 3]})  # it goes on as any other
-    assert len(json.loads(linksweep.open(tmp_path / "e.zarr").attrs[MERGED])) == 2
-
-
-def test_stores_that_do_not_belong_together_are_refused_and_nothing_is_written(run_into, tmp_path):
-    run_into("a.zarr", axes={"k": [1]})
-    (tmp_path / "other.py").write_text("def model(k: int = 1):\n    return {'y': 1.0, 'name': 'x'}\n")
-    run_into("b.zarr", f"{tmp_path}/other.py:model", axes={"k": [1]})
-    with pytest.raises(SweepError, match="these differ"):
-        merge([tmp_path / "a.zarr", tmp_path / "b.zarr"], tmp_path / "c.zarr")
-    link = {"experiment": "linksweep.core.experiment:link", "fixed": {"n_obj": 20}}
-    for store, sampling in (("s.zarr", {"n_sim": 10, "seed": 1}), ("t.zarr", {"n_sim": 20, "seed": 2})):
-        linksweep.run(link | {"sampling": sampling}, tmp_path / store, pool="serial")
-    with pytest.raises(SweepError) as told:
-        merge([tmp_path / "s.zarr", tmp_path / "t.zarr"], tmp_path / "c.zarr")
-    assert f"seed: 1 in {tmp_path}/s.zarr, 2 in {tmp_path}/t.zarr" in told.value.problems
-    assert f"sampling.n_sim: 10 in {tmp_path}/s.zarr, 20 in {tmp_path}/t.zarr" in told.value.problems
-    with pytest.raises(SweepError, match="experiment: "):
-        merge([tmp_path / "a.zarr", tmp_path / "s.zarr"], tmp_path / "c.zarr")
-    run_into("d.zarr", axes={"k": [2]})
-    with pytest.raises(SweepError, match="holds a store already"):
-        merge([tmp_path / "a.zarr", tmp_path / "d.zarr"], tmp_path / "a.zarr")
-    assert not (tmp_path / "c.zarr").exists()
+    into("e", axes={"k": [1, 3]}, fixed={"word": "b"})  # it goes on as any other
+    assert len(json.loads(linksweep.open(e).attrs[MERGED])) == 2
 
 
 def test_other_bits_of_the_same_point_are_refused(tmp_path, monkeypatch):
@@ -315,22 +289,22 @@ def test_other_bits_of_the_same_point_are_refused(tmp_path, monkeypatch):
     (tmp_path / "m.py").write_text(
         "import pathlib\ndef m(k: int = 1):\n    return float(pathlib.Path('n').read_text())\n"
     )
-    for store, number in (("a.zarr", "1.0"), ("b.zarr", "1.0000000000000002")):
+    for store, number in (("a", "1.0"), ("b", "1.0000000000000002")):
         (tmp_path / "n").write_text(number)
         linksweep.run("m.py:m", store, axes={"k": [1, 2]}, pool="serial")
-    with pytest.raises(SweepError, match=r"has other numbers than .*b\.zarr at k="):
-        merge(["a.zarr", "b.zarr"], "c.zarr")
-    assert not (tmp_path / "c.zarr").exists()
+    with pytest.raises(SweepError, match=r"has other numbers than .*b at k="):
+        merge(["a", "b"], "c")
+    assert not (tmp_path / "c").exists()
 
 
-def test_what_another_merge_has_left_is_not_replaced(run_into, tmp_path, monkeypatch):
-    for name, k in (("a.zarr", 1), ("b.zarr", 2), ("d.zarr", 3)):
-        run_into(name, axes={"k": [k]})
-    one, two, three, into = (tmp_path / f"{name}.zarr" for name in "abdc")
+def test_what_another_merge_has_left_is_not_replaced(into, tmp_path, monkeypatch):
+    one, two, three, merged = (tmp_path / name for name in "abdc")
+    for k, store in enumerate((one, two, three), 1):
+        into(store.name, axes={"k": [k]})
     with monkeypatch.context() as patch:
         dying(patch)[0] = 7
         with pytest.raises(Killed):
-            merge([one, two], into)
+            merge([one, two], merged)
     with pytest.raises(SweepError, match="holds a store already"):
-        merge([one, three], into)
-    assert merge([one, two], into).k.values.tolist() == [1, 2]
+        merge([one, three], merged)
+    assert merge([one, two], merged).k.values.tolist() == [1, 2]

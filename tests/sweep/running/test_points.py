@@ -1,20 +1,23 @@
-"""Tables of points from a study to a store: once each, the bits of a grid, growth at the end, reproduction."""
+"""Tables of points from a study to a store: once each, the bits of a grid, growth, reproduction, labels of rows."""
 
 import json
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
+from astropy.table import Table
+from hypothesis import given, settings, strategies as st
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import POINT, POINT_TABLE, OpenStore, same
-from tests.tiers import slow
+from tests.sweep.opening import POINT, POINT_TABLE, OpenStore, merge, same
+from tests.tiers import examples, slow
 
 
-def run(study, store, **given):
-    return linksweep.run(study, store=store, pool="serial", **given)
+def run(study, store, points=None, labels=None, **given):
+    return linksweep.run(study, store, points=points, labels=labels, pool="serial", **given)
 
 
 def counting():
@@ -102,42 +105,133 @@ def test_a_point_of_a_table_has_the_bits_of_the_same_point_in_a_grid(tmp_path):
     assert on.sigma_spin.equals(table.sigma_spin)
 
 
-@pytest.fixture
-def file(tmp_path):
-    (tmp_path / "model.py").write_text(
-        "def model(x: float = 1.0, k: int = 1):\n"
-        "    if k == 3:\n        raise ValueError('three')\n"
-        "    return {'y': x * k}\n"
-    )
-    return "model.py:model"
+FILE = """
+def model(x: float = 1.0, k: int = 1):
+    if k == 3:
+        raise ValueError("three")
+    return {"y": x * k}
+"""
 
 
-def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(file, tmp_path, sweep):
+def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(tmp_path, sweep):
     def asked(*command, code=0):
         found, out, err = sweep(*command, "--json", cwd=tmp_path)
         assert found == code, err
         return json.loads(out or "null"), err
 
-    table = "x,k\n0.5,2\n0.25,3\n0.5,2\n"
+    study, table = ("model.py:model", "--points", "t.csv", "-o", "s.zarr"), "x,k\n0.5,2\n0.25,3\n0.5,2\n"
+    (tmp_path / "model.py").write_text(FILE)
     (tmp_path / "t.csv").write_text(table)
-    told, err = asked("run", file, "--points", "t.csv", "-o", "s.zarr", code=1)
+    told, err = asked("run", *study, code=1)
     assert "1 point failed: ValueError: three, at x=0.25,k=3" in err
     rows = [(row["point"], row["y"], row["status"]) for row in told["rows"]]
     assert rows == [(0, 1.0, "done"), (1, None, "failed"), (2, 1.0, "done")]
     (tmp_path / "t.csv").write_text(table + "2.0,7\n")
-    told, _ = asked("plan", file, "--points", "t.csv", "-o", "s.zarr")
+    told, _ = asked("plan", *study)
     assert (told["grid"], told["blocks_pending"]) == ("point 4", 1)
-    asked("run", file, "--points", "t.csv", "-o", "s.zarr", code=1)
+    asked("run", *study, code=1)
     (tmp_path / "t.csv").unlink()
-    told, _ = asked("status", "s.zarr")
-    assert told["points"] == {"missing": 0, "done": 3, "failed": 1, "excluded": 0}
     for at in ("point=3", "x=2.0", "x=0.5,k=2"):
         assert sweep("reproduce", "s.zarr", "--at", at, cwd=tmp_path)[::2] == (0, "every bit as in s.zarr\n")
     code, _, err = sweep("reproduce", "s.zarr", "--at", "point=4", cwd=tmp_path)
     assert (code, "must be the number of a point, from 0 to 3" in err) == (2, True)
-    (tmp_path / "model.py").write_text((tmp_path / "model.py").read_text().replace("k == 3", "k == 300"))
+    (tmp_path / "model.py").write_text(FILE.replace("k == 3", "k == 300"))
     asked("run", "--retry", "s.zarr", code=2)
     told, _ = asked("run", "--retry", "s.zarr", "--accept-code")
     assert [row["y"] for row in told["rows"]] == [1.0, 0.75, 1.0, 14.0]
-    told, _ = asked("find", "s.zarr", "--where", "y > 0.9")
-    assert [row["point"] for row in told["rows"]] == [0, 2, 3]
+
+
+# Labels of rows change no number, whatever joins the points.
+
+
+def noisy(x: float, k: int = 1, *, rng):
+    return {"y": k * x + rng.normal()}
+
+
+STARS = {"x": [1.0, 2.0, 2.0], "star": ["Sirius", None, "Vega"], "hd": [48915, 2**62, 172167]}
+
+
+@pytest.mark.parametrize("form", ["mapping", "frame", "index", "levels", "table", "file"])
+def test_labels_are_coordinates_along_points_and_change_no_number(tmp_path, form):
+    store, rows, labels = tmp_path / "s.zarr", STARS, ["star", "hd"]
+    if form in ("frame", "index", "levels"):
+        index = {"frame": [], "index": ["star"], "levels": ["star", "hd"]}[form]
+        rows = pd.DataFrame(STARS).set_index(index) if index else pd.DataFrame(STARS)
+        labels = [name for name in labels if name not in index]
+    elif form != "mapping":
+        rows = Table({**STARS, "star": ["Sirius", "", "Vega"]})
+        rows.write(tmp_path / "t.ecsv")
+        rows = rows if form == "table" else str(tmp_path / "t.ecsv")
+    ds = run(noisy, store, rows, labels)
+    assert ds.y_mean.values.tobytes() == run(noisy, tmp_path / "plain.zarr", {"x": STARS["x"]}).y_mean.values.tobytes()
+    for found_there in (ds, linksweep.open(store), xr.open_zarr(store).load()):
+        assert found_there.star.dims == found_there.hd.dims == (POINT,)
+        assert found_there.star.values.tolist() == ["Sirius", "", "Vega"]
+        assert found_there.hd.values.tolist() == STARS["hd"]
+
+
+def test_a_name_of_digits_in_a_file_stays_what_is_written(tmp_path):
+    def of_text(name: str, x: float = 1.0):
+        return {"name_back": name}
+
+    def of_any(name, x: float = 1.0):
+        return {"name_back": str(name)}
+
+    (tmp_path / "t.csv").write_text("name,x,hip,field\n0071,1,7,007\n12,2,8,\n")
+    for k, function in enumerate((of_text, of_any)):
+        ds = run(function, tmp_path / f"{k}.zarr", str(tmp_path / "t.csv"), ["hip", "field"])
+        assert ds.name.values.tolist() == ds.name_back.values.tolist() == ["0071", "12"]
+        assert ds.hip.values.tolist() == [7, 8]
+        assert ds.field.values.tolist() == ["007", ""]
+
+
+def test_what_is_no_label_is_refused_by_name(tmp_path):
+    frame = pd.DataFrame({"x": [1.0], "star": ["a"]})
+    for rows, labels, words in (
+        (frame, None, r'unknown parameter .star.; .*labels = \["star"\]'),
+        (frame, "starr", "no column; did you mean 'star'"),
+        (frame.set_index("x"), "star", "'x': is a parameter or a result"),
+        (frame.rename(columns={"star": "status"}), "status", "'status': the platform gives this name"),
+        (frame.rename(columns={"star": "a/b"}), "a/b", "a name begins with a letter"),
+        ({"x": [1.0, 2.0], "star": ["a"]}, "star", "x has 2, star has 1"),
+        (frame, 3, "labels.0: input should be a valid string"),
+        (None, "star", "points = None"),
+        (frame.rename(columns={"star": "y_std"}), "y_std", "y_std is a label and the name of a result"),
+    ):
+        with pytest.raises(SweepError, match=words):
+            run(noisy, tmp_path / "s.zarr", rows, labels)
+
+
+CELLS = st.one_of(st.none(), st.text("ab", max_size=2), st.integers(0, 3), st.floats(0, 2))
+TABLES = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0]), CELLS), min_size=1, max_size=5)
+
+
+@settings(max_examples=max(2, examples(12) // 3))
+@given(table=TABLES, first=st.integers(1, 4), number=st.integers(1, 3))
+def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_path_factory, table, first, number):
+    folder = tmp_path_factory.mktemp("labels")
+    columns = {"x": [x for x, _ in table], "label": [label for _, label in table]}
+    whole = run(noisy, folder / "s.zarr", columns, "label")
+    expected = ["" if cell is None else str(cell) for cell in columns["label"]]
+    texts = whole.label.dtype.kind not in "if"
+    got = whole.label.values.tolist()
+    assert got == expected if texts else [float(cell) for cell in expected if cell] == [c for c in got if c == c]  # noqa: PLR0124
+    for rows in ({"x": columns["x"][:first], "label": ["another"] * len(table[:first])}, columns):
+        run(noisy, folder / "grown.zarr", rows, "label")
+    for k in range(1, number + 1):
+        run(noisy, folder / "parts.zarr", columns, "label", part=f"{k}/{number}")
+    merge(sorted(folder.glob("parts.zarr.part-*")), folder / "parts.zarr")
+    for store in ("grown.zarr", "parts.zarr"):
+        again = linksweep.open(folder / store)
+        assert again.y_mean.values.tobytes() == whole.y_mean.values.tobytes()
+        assert again.x.values.tolist() == columns["x"]
+        assert str(again.label.values.tolist()) == str(got)
+
+
+def test_points_beside_a_table_have_no_labels(tmp_path):
+    run(noisy, tmp_path / "s.zarr", {"x": [1.0, 2.0], "star": ["a", "b"]}, "star")
+    run(noisy, tmp_path / "s.zarr", {"x": [1.0]})
+    run(noisy, tmp_path / "s.zarr", axes={"x": [2.0, 9.0]})
+    ds = linksweep.open(tmp_path / "s.zarr")
+    rows = list(zip(ds.x.values.tolist(), ds.star.values.tolist(), strict=True))
+    assert rows == [(1.0, "a"), (2.0, "b"), (9.0, "")]

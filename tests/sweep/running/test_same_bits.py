@@ -11,20 +11,14 @@ import pytest
 import xarray as xr
 
 import linksweep
-from linksweep import SweepError
 from tests.sweep import spread
 from tests.sweep.opening import check, generators, make_grid, merge, plan_study, run, same, study_from_dict
 from tests.tiers import slow
 
+OTHER_RESOURCES = [("--workers", 1), ("--workers", 4), ("--pool", "threads", "--workers", 4)]
 
-@pytest.mark.parametrize(
-    "resources",
-    [
-        ("--workers", 2),
-        *map(slow, [("--workers", 1), ("--workers", 4), ("--pool", "threads", "--workers", 4)]),
-    ],
-    ids=str,
-)
+
+@pytest.mark.parametrize("resources", [("--workers", 2), *map(slow, OTHER_RESOURCES)], ids=str)
 def test_any_number_of_workers(link_study, tmp_path, sweep, reference, resources):
     code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", *resources)
     assert code == 0, err
@@ -73,11 +67,7 @@ def test_blocks_add_up_whoever_computed_them(tmp_path):
     same(again, more)
 
 
-def pending(document, path):
-    return plan_study(study_from_dict(document), path)[1].pending
-
-
-@pytest.mark.parametrize("chains", [1, pytest.param(6, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("chains", [1, slow(6)])
 def test_growth_of_any_kind_in_any_order_gives_the_bits_of_a_fresh_run(coins, tmp_path, chains):
     """Chains of edits: axis values, a new axis, more realisations, more catalogues, one after the other."""
     rng = random.Random(11)
@@ -97,12 +87,9 @@ def test_growth_of_any_kind_in_any_order_gives_the_bits_of_a_fresh_run(coins, tm
             else:
                 key = "n_cat" if kind == "n_cat" else "n_sim"
                 sampling[key] += rng.randint(1, 400)
-            before = pending(document, store)
+            assert plan_study(study_from_dict(document), store)[1].pending.blocks == 0
             document = document | {"axes": axes, "sampling": sampling}
-            grown = run(document, store)
-            fresh = run(document, tmp_path / f"{chain}-{rng.random()}.zarr")
-            assert before.blocks == 0
-            same(grown, fresh)
+            same(run(document, store), run(document, tmp_path / f"{chain}-{rng.random()}.zarr"))
 
 
 def test_results_are_what_a_plain_loop_over_the_streams_gives(coins, tmp_path):
@@ -147,5 +134,3 @@ def test_points_that_share_random_numbers_are_what_they_are_alone(tmp_path, monk
     assert (1.0, "power") not in asked  # it is there already
     assert set(json.loads(grown.attrs["failures"])) == {"x=2.0,law=power", "x=2.0,law=levelling"}
     np.testing.assert_array_equal(grown["width"].sel(x=[0.5, 1.0]), whole["width"].sel(x=[0.5, 1.0]))
-    with pytest.raises(SweepError, match="common_random_numbers: True in the store, 'absent' in the study"):
-        run(SPREAD | {"sampling": {"n_sim": 64, "n_cat": 6, "seed": 5}}, tmp_path / "s.zarr")

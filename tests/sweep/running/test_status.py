@@ -15,10 +15,9 @@ from tests.tiers import PATIENCE_S
 
 def test_points_that_nobody_asked_for_and_failures_that_left_a_store_are_told(sweep, tmp_path):
     (tmp_path / "f.py").write_text("def f(a: int, b: int = 1):\n    return a // (a - 3) + b\n")
-    runs = (["--axis", "a=1:5:1"], ["--axis", "a=7", "--axis", "b=2"], ["--axis", "a=1,2", "--only"])
     said = []
-    for options in runs:
-        sweep("run", "f.py:f", *options, "-o", "s.zarr", "-q", "--pool", "serial", cwd=tmp_path)
+    for options in ("--axis a=1:5:1", "--axis a=7 --axis b=2", "--axis a=1,2 --only"):
+        sweep("run", "f.py:f", *options.split(), "-o", "s.zarr", "-q", cwd=tmp_path)
         said.append([" ".join(sweep(look, "s.zarr", cwd=tmp_path)[1].split()) for look in ("status", "watch")])
     assert "finished: 4 of 5 points done, 1 failed" in said[0][0]
     assert "finished: 5 of 6 points done, 1 failed" in said[1][0]
@@ -30,15 +29,12 @@ def test_all_failed_points_are_counted_and_a_terminal_says_why(sweep, tmp_path):
     (tmp_path / "f.py").write_text(
         "def f(a: int):\n    if a > 1:\n        raise ValueError('even' if a % 2 == 0 else 'odd')\n    return a\n"
     )
-    code, _, err = sweep("run", "f.py:f", "--axis", "a=1:401:1", "-o", "s.zarr", "-q", "--pool", "serial", cwd=tmp_path)
+    code, _, err = sweep("run", "f.py:f", "--axis", "a=1:401:1", "-o", "s.zarr", "-q", cwd=tmp_path)
     reasons = "400 points failed: 200 like ValueError: even, for example at a=2; 200 like ValueError: odd, for"
-    assert code == 1
-    assert reasons in " ".join(err.split())
-    code, out, _ = sweep("status", "s.zarr", "--json", cwd=tmp_path)
-    failures = json.loads(out)["failures"]
+    assert (code, reasons in " ".join(err.split())) == (1, True)
+    failures = json.loads(sweep("status", "s.zarr", "--json", cwd=tmp_path)[1])["failures"]
     assert list(failures) == [f"a={a}" for a in range(2, 402)]
-    code, out, _ = sweep("status", "s.zarr", cwd=tmp_path)
-    words = " ".join(out.split())
+    words = " ".join(sweep("status", "s.zarr", cwd=tmp_path)[1].split())
     assert "finished: 1 of 401 points done, 400 failed" in words
     assert reasons.replace(";", "") in words
     assert "next: sweep run --retry s.zarr" in words
@@ -57,23 +53,15 @@ def test_a_smaller_study_is_answered_while_another_process_holds_the_lock(tmp_pa
             linksweep.run(coins | asked, store, pool="serial", **more)
 
 
-@pytest.mark.parametrize("change", ["title", "lost", "damaged", "moved"])
-def test_a_finished_run_writes_what_is_not_as_it_would_write_it(tmp_path, coins, change):
-    store = tmp_path / "s.zarr"
-    whole = linksweep.run(coins, store, pool="serial")
-    chunk = next(file for file in (store / "status").iterdir() if file.name != "zarr.json")
-    if change == "title":
-        coins = coins | {"title": "Another"}
-    elif change == "moved":
-        store = store.rename(tmp_path / "t.zarr")
-    else:
-        chunk.unlink() if change == "lost" else chunk.write_bytes(b"")
+def test_a_finished_run_writes_its_title_and_its_place_once(tmp_path, coins):
+    whole = linksweep.run(coins, tmp_path / "s.zarr", pool="serial")
+    store, coins = (tmp_path / "s.zarr").rename(tmp_path / "t.zarr"), coins | {"title": "Another"}
     linksweep.run(coins, store, pool="serial")
     stored, before = linksweep.open(store), files_of(store)
     linksweep.run(coins, store, pool="serial")
     assert files_of(store) == before
     assert stored.equals(whole)
-    assert stored.attrs["title"] == coins["title"]
+    assert stored.attrs["title"] == "Another"
     assert str(store) in (store / "zarr.json").read_text()
     assert not check(store)
 
@@ -122,16 +110,12 @@ def run_f(tmp_path, sweep_here):
     return run
 
 
-def test_quiet_prints_the_table_and_errors(run_f):
+def test_quiet_prints_the_table_and_errors_and_verbose_each_point(run_f):
     code, out, err = run_f("--quiet", fails="False")
     assert (code, err, "f_mean" in out) == (0, "", True)
     code, _, err = run_f("-q", "--fresh")
-    assert (code, len(err.splitlines())) == (1, 1)
-    assert err.startswith("1 point failed")
-
-
-def test_verbose_tells_each_point(run_f):
-    told = sorted(line for line in run_f("--verbose")[2].splitlines() if line.startswith("x="))
+    assert (code, len(err.splitlines()), err.startswith("1 point failed")) == (1, 1, True)
+    told = sorted(line for line in run_f("--verbose", "--fresh")[2].splitlines() if line.startswith("x="))
     assert told == ["x=0.0: done", "x=1.0: done", "x=2.0: failed (exception)", "x=3.0: done", "x=4.0: done"]
 
 
@@ -164,14 +148,8 @@ def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_s
     inner = f"TERM=xterm {sys.executable} -m linksweep run {link_study} -o {store} --set n_sim=100000 --workers 1"
     process = start_sweep(command=["script", "-qec", inner, "/dev/null"])
     shown, _ = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, shown
-    assert "━" in shown
+    assert (process.returncode, "━" in shown, "wrote" in shown) == (0, True, True), shown
     assert re.search(r"of the work\), about \d+ s left, \d", re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown))
-    assert "wrote" in shown
-
-
-def events_in(folder):
-    return [json.loads(line) for line in (folder / "e.jsonl").read_text().splitlines()]
 
 
 @pytest.mark.parametrize(
@@ -184,19 +162,20 @@ def events_in(folder):
     ],
 )
 def test_counts_of_events_are_those_of_the_store(run_f, tmp_path, fails, options, wanted):
-    assert run_f(*options, "--events", "e.jsonl", fails=fails)[0] == wanted
-    events, points = events_in(tmp_path), status_report(tmp_path / "s.zarr")["points"]
+    def run_with_events(*more):
+        code = run_f(*options, *more, "--events", "e.jsonl", fails=fails)[0]
+        events = [json.loads(line) for line in (tmp_path / "e.jsonl").read_text().splitlines()]
+        assert (events[-1]["event"], events[-1]["exit_code"]) == ("ended", code)
+        return code, events
+
+    (code, events), points = run_with_events(), status_report(tmp_path / "s.zarr")["points"]
     ended = [event for event in events if event["event"] == "points"]
     for key in ("done", "failed"):
         assert events[0][key] + sum(event[key] for event in ended) == points[key]
     assert sum(event["event"] == "failed" for event in events) == points["failed"]
     assert (events[0]["event"], events[0]["points"]) == ("started", sum(points.values()))
-    assert [event["event"] for event in events[-2:]] == ["written", "ended"]
-    assert events[-1]["exit_code"] == wanted
-    code, before = run_f(*options, "--events", "e.jsonl", fails=fails)[0], len(events)
-    events = events_in(tmp_path)
-    assert (events[before]["done"], events[before]["failed"]) == (points["done"], points["failed"])
-    assert events[-1]["exit_code"] == code
-    assert run_f("--set", "seed=9", "--events", "e.jsonl", fails=fails)[0] == 2
-    last = events_in(tmp_path)[-1]
-    assert (last["event"], last["exit_code"], "different study" in last["reason"]) == ("ended", 2, True)
+    assert (code, events[-2]["event"]) == (wanted, "written")
+    again = run_with_events()[1][len(events)]
+    assert (again["done"], again["failed"]) == (points["done"], points["failed"])
+    code, events = run_with_events("--set", "seed=9")
+    assert (code, "different study" in events[-1]["reason"]) == (2, True)

@@ -15,20 +15,8 @@ from hypothesis import given, settings as examples_of, strategies as st
 
 from linksweep.sweep.running import status as watch
 from linksweep.sweep.running.progress import Eta
-from tests.sweep.opening import (
-    OFTEN,
-    Silent,
-    Stopping,
-    files_of,
-    located,
-    locked,
-    make_grid,
-    open_dataset,
-    parts_of,
-    run,
-    status_report,
-    study_from_dict,
-)
+from tests.sweep import opening
+from tests.sweep.opening import OFTEN, Silent, Stopping, files_of, located, parts_of, run, status_report
 from tests.tiers import PATIENCE_S, examples, slow
 
 CODE = """
@@ -75,14 +63,14 @@ def test_the_points_are_those_of_the_status(
     for n_sim in sims:
         sampling = {"n_sim": n_sim, "seed": 1} | ({"precision": 0.5, "max_n_sim": 4096} if precision else {})
         if refined and not precision:
-            grid = make_grid(study_from_dict(document | {"sampling": sampling}))
+            grid = opening.make_grid(opening.study_from_dict(document | {"sampling": sampling}))
             document["counts"] = {grid.digests(grid.indices())[-1].hex(): refined}
         with suppress(KeyboardInterrupt):
             run(document | {"sampling": sampling}, store, OFTEN, progress=Stopping(tasks))
         watched, report = look(store), status_report(store)
         counts = {code.word: n for code, n in watch.count_status(watched.status).items()}
         assert counts == report["points"]
-        if "n_sim_done" in (dataset := open_dataset(store)):
+        if "n_sim_done" in (dataset := opening.open_dataset(store)):
             assert report["realisations_done"] == int(dataset["n_sim_done"].sum())
             assert counts["done"] == int((dataset["status"] == 1).sum())
         assert watched.is_over
@@ -137,24 +125,12 @@ def test_a_store_that_comes_runs_ends_and_goes(coins, tmp_path, where, request):
     assert watched.progress == "2 of 2 points done"
 
 
-def test_a_run_that_replaces_a_file_meanwhile_is_looked_at_again(coin_store, tmp_path):
-    """From the first look on."""
+def test_looking_writes_nothing_damage_is_said_and_a_run_that_replaces_a_file_is_looked_at_again(
+    sweep_here, coin_store, tmp_path
+):
     store = tmp_path / "s.zarr"
     shutil.copytree(coin_store, store)
-    part = store / parts_of(store)[0]
-    part.rename(tmp_path / "away")
-    with locked(store):
-        watched = look(store)
-        assert (watched.state, watched.is_over, watched.progress) == ("running", False, "")
-        (tmp_path / "away").rename(part)
-        watched.look()
-        assert watched.progress == "6 of 6 points done"
-
-
-def test_looking_writes_nothing_and_damage_is_said(sweep_here, coin_store, tmp_path):
-    store = tmp_path / "s.zarr"
-    shutil.copytree(coin_store, store)
-    before = files_of(tmp_path)
+    before, part = files_of(tmp_path), store / parts_of(store)[0]
     for folder, _, _ in os.walk(tmp_path, topdown=False):
         os.chmod(folder, 0o555)
     try:
@@ -164,7 +140,14 @@ def test_looking_writes_nothing_and_damage_is_said(sweep_here, coin_store, tmp_p
             os.chmod(folder, 0o755)
     assert (code, "6 of 6 points done" in out) == (0, True)
     assert files_of(tmp_path) == before
-    (store / parts_of(store)[0]).write_bytes(b"other")
+    part.rename(tmp_path / "away")
+    with opening.locked(store):  # from the first look on
+        watched = look(store)
+        assert (watched.state, watched.is_over, watched.progress) == ("running", False, "")
+        (tmp_path / "away").rename(part)
+        watched.look()
+        assert watched.progress == "6 of 6 points done"
+    part.write_bytes(b"other")
     code, out, _ = sweep_here("watch", store)
     assert (code, "unreadable" in out) == (2, True)
     (tmp_path / "other").mkdir()
@@ -211,27 +194,21 @@ START_S = 7.0
 """Workers take this long to be there: not work, and not extrapolated."""
 
 
-def results_of(tasks, workers, travel=0.0, seed=0):
-    """Give tasks (cost, seconds) to workers in order, and return results (time, cost, seconds) as they arrive."""
-    random_ = random.Random(seed)
-    free = [START_S] * workers
-    results = []
+def estimates(tasks, workers, known):
+    """Give tasks (cost, seconds) to workers in order; yield after each the share of the work that is done, and how long
+    the rest takes, estimated and in truth.
+    """
+    free, ends = [START_S] * workers, []
     for cost, seconds in tasks:
         end = heapq.heappop(free) + seconds
-        results.append((end + random_.uniform(0.0, travel), cost, seconds))
+        ends.append((end, cost, seconds))
         heapq.heappush(free, end + 0.002)
-    return sorted(results)
-
-
-def estimates(results, workers):
-    """Return (share of the work done, estimated, true time left) after each result."""
-    eta = Eta(sum(cost for _, cost, _ in results), workers)
-    total, done, rows = sum(cost for _, cost, _ in results), 0.0, []
-    for now, cost, seconds in results:
+    total, done = sum(cost for _, cost, _ in ends), 0.0
+    eta = Eta(total, workers if known else None)
+    for now, cost, seconds in sorted(ends):
         eta.take(now, cost, seconds)
         done += cost
-        rows.append((done / total, eta.left(now), results[-1][0] - now))
-    return rows
+        yield done / total, eta.left(now), max(ends)[0] - now
 
 
 KINDS = {  # from a random generator and the place in the grid: cost and seconds of a task
@@ -252,8 +229,7 @@ def test_after_a_fifth_of_the_work_it_is_right_within_a_factor_of_one_and_a_half
     n = (50 if kind == "scattered" else 10) * workers
     for seed in range(5):
         random_ = random.Random(seed)
-        results = results_of([KINDS[kind](random_, i / n) for i in range(n)], workers)
-        rows = estimates(results, workers if known else None)
+        rows = list(estimates([KINDS[kind](random_, i / n) for i in range(n)], workers, known))
         for share in (0.2, 0.5):
             estimate, truth = next(row[1:] for row in rows if row[0] >= share)
             assert truth / 1.5 < estimate < 1.5 * truth

@@ -1,9 +1,8 @@
-"""One run at a time writes to a store.  Holders are real processes."""
+"""One run at a time writes to a store.  Holders are real processes; test_interrupt.py has two runs."""
 
 import errno
 import json
 import os
-import signal
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -14,8 +13,7 @@ import pytest
 from linksweep import SweepError
 from tests.sweep import opening
 from tests.sweep.opening import Holder, holder, located, locked
-from tests.sweep.outside import wait_until
-from tests.tiers import PATIENCE_S, slow
+from tests.tiers import slow
 
 HOLD = """
 import sys, time
@@ -63,19 +61,25 @@ def can_be_taken(place, **options):
     return lock_file(place) is None
 
 
-def test_the_second_is_told_who_has_it(place, hold):
+def without_flock(monkeypatch, number=errno.ENOLCK):
+    def refuse(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(opening.location.fcntl, "flock", refuse)
+
+
+@pytest.mark.parametrize("number", [None, errno.ENOLCK, slow(errno.EOPNOTSUPP), slow(errno.ENOSYS)])
+def test_who_has_it_is_told_until_that_process_is_killed(place, hold, monkeypatch, number):
+    """With locks of the system, and without."""
+    if number is not None:
+        without_flock(monkeypatch, number)
     process = hold(place)
     assert holder(place).pid == process.pid
     for break_lock in (False, True):  # never broken while its holder is known to run
-        words = rf"is being written by process {process.pid} on .*, since 20.*"
-        with pytest.raises(SweepError, match=words) as told, locked(place, break_lock=break_lock):
-            pass
+        with pytest.raises(SweepError, match=rf"is being written by process {process.pid} on .*, since 20.*") as told:
+            can_be_taken(place, break_lock=break_lock)
         assert told.value.where == place
     assert process.poll() is None
-
-
-def test_the_lock_of_a_killed_process_is_taken_over(place, hold):
-    process = hold(place)
     process.kill()
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
     assert process.returncode is None  # still a zombie of ours
@@ -83,6 +87,9 @@ def test_the_lock_of_a_killed_process_is_taken_over(place, hold):
     assert holder(place) is None
     process.wait()
     assert can_be_taken(place)
+    held_by(place, host="elsewhere")
+    assert can_be_taken(place, break_lock=True)
+    assert located(place).parent.keys() == []
 
 
 def test_a_later_process_of_the_same_number_does_not_hold_it(place):
@@ -101,30 +108,10 @@ def test_a_lock_that_cannot_be_judged_or_is_damaged_is_broken_only_on_request(pl
         other = held_by(place, **left)
         assert holder(place) == other
     before = lock_file(place)
-    with pytest.raises(SweepError, match=r"(cannot be told from here|damaged).*--break-lock"), locked(place):
-        pass
+    with pytest.raises(SweepError, match=r"(cannot be told from here|damaged).*--break-lock"):
+        can_be_taken(place)
     assert lock_file(place) == before
     assert can_be_taken(place, break_lock=True)
-
-
-def without_flock(monkeypatch, number=errno.ENOLCK):
-    def refuse(*_):
-        raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(opening.location.fcntl, "flock", refuse)
-
-
-@pytest.mark.parametrize("number", [errno.ENOLCK, slow(errno.EOPNOTSUPP), slow(errno.ENOSYS)])
-def test_without_locks_of_the_system_a_killed_run_is_resumed_too(tmp_path, hold, monkeypatch, number):
-    without_flock(monkeypatch, number)
-    place = str(tmp_path / "s.zarr")
-    process = hold(place)
-    process.kill()
-    process.wait()
-    assert can_be_taken(place)
-    held_by(place, host="elsewhere")
-    assert can_be_taken(place, break_lock=True)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_process_that_was_killed_while_it_took_over_is_named(tmp_path, monkeypatch):
@@ -132,11 +119,8 @@ def test_a_process_that_was_killed_while_it_took_over_is_named(tmp_path, monkeyp
     monkeypatch.setattr(opening.location, "PAUSE_S", 0.0)
     held_by(str(tmp_path / "s.zarr"))
     (tmp_path / "s.zarr.lock.taking").touch()
-    with (
-        pytest.raises(SweepError, match=r"remove s\.zarr\.lock and s\.zarr\.lock\.taking"),
-        locked(tmp_path / "s.zarr"),
-    ):
-        pass
+    with pytest.raises(SweepError, match=r"remove s\.zarr\.lock and s\.zarr\.lock\.taking"):
+        can_be_taken(tmp_path / "s.zarr")
 
 
 @pytest.mark.parametrize("flock", [True, False], ids=["flock", "no flock"])
@@ -171,19 +155,3 @@ def test_a_holder_whose_lock_was_broken_leaves_that_of_the_next(place):
         other = Holder("elsewhere", "", 1, "", "2026-01-01", "other")
         put_lock(place, json.dumps(asdict(other)).encode())
     assert holder(place) == other
-
-
-def test_a_second_run_stops_at_once_and_the_first_goes_on(link_study, tmp_path, start_sweep, sweep):
-    store = tmp_path / "s.zarr"
-    long = ("run", link_study, "-o", store, "--set", "n_sim=20000", "--set", "n_cat=20", "--pool", "serial")
-    first = start_sweep(*long)
-    wait_until(lambda: first.poll() is not None or (store / "status").exists(), "the first writing")
-    code, out, err = sweep(*long)
-    assert (code, out) == (2, "")
-    assert f"{store}: is being written by process {first.pid} on " in err
-    code, out, err = sweep("status", store)
-    assert (code, f"process {first.pid} on " in out) == (0, True), err
-    first.send_signal(signal.SIGINT)
-    assert first.wait(timeout=PATIENCE_S) == 130
-    assert not (tmp_path / "s.zarr.lock").exists()
-    assert "stopped: " in sweep("status", store)[1]

@@ -83,9 +83,7 @@ def test_no_command_runs_what_a_store_names(evil, sweep, tmp_path, command):
         assert not marker.exists(), arguments
         assert "Traceback" not in err, err
         if command in COMPUTING or arguments in (["STORE/study.toml"], RETRY):
-            assert code == 2
-            assert "--trust" in err
-            assert str(store) in err
+            assert (code, "--trust" in err, str(store) in err) == (2, True, True)
     if command in COMPUTING or command == "run":
         assert f"would run {store}/x.py, which lies inside the store" in err
         code, _, err = sweep(command, *(a.replace("STORE", str(store)) for a in ARGUMENTS[command][-1]), "--trust")
@@ -93,7 +91,7 @@ def test_no_command_runs_what_a_store_names(evil, sweep, tmp_path, command):
         assert marker.exists()
 
 
-def test_a_store_from_elsewhere_asks_once(tmp_path, coins, sweep):
+def test_a_store_from_elsewhere_asks_once(coin_store, tmp_path, coins, sweep, monkeypatch):
     (tmp_path / "x.py").write_text(COINS)
     run(coins | {"experiment": f"{tmp_path / 'x.py'}:experiment"}, tmp_path / "s.zarr")
     point, copy = ("--at", "metal=tin,coins=5"), tmp_path / "copy.zarr"
@@ -102,17 +100,14 @@ def test_a_store_from_elsewhere_asks_once(tmp_path, coins, sweep):
     code, _, err = sweep("reproduce", copy, *point)
     assert code == 2
     assert re.search(r"would run .*x.py, and the store was not written here: .* give --trust", err)
-    assert sweep("reproduce", copy, *point, "--trust")[0] == 0
-    assert sweep("run", "--retry", copy, "--trust")[0] == 0
+    for command in (("reproduce", copy, *point), ("run", "--retry", copy)):
+        assert sweep(*command, "--trust")[0] == 0
     assert sweep("reproduce", copy, *point)[0] == 0  # written here since
-
-
-@pytest.mark.parametrize("who", ["platform.node", "getpass.getuser"])
-def test_another_host_or_user_is_elsewhere(tmp_path, coins, monkeypatch, sweep, who):
-    run(coins, tmp_path / "s.zarr")
-    monkeypatch.setattr(who, lambda: "another")
-    code, _, err = sweep("reproduce", tmp_path / "s.zarr", "--at", "metal=tin,coins=5")
-    assert (code, "coins.py, and the store was not written here" in err) == (2, True)
+    for who in ("platform.node", "getpass.getuser"):  # another host or user is elsewhere
+        with monkeypatch.context() as patch:
+            patch.setattr(who, lambda: "another")
+            code, _, err = sweep("reproduce", coin_store, *point)
+        assert (code, "coins.py, and the store was not written here" in err) == (2, True)
 
 
 def test_code_of_our_own_asks_nothing_but_functions_that_a_study_defines_do(tmp_path, store_of, sweep):

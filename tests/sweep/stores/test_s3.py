@@ -4,6 +4,8 @@ import random
 import socket
 import sys
 import threading
+from http.client import HTTPConnection
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from urllib.parse import urlsplit
 
 import pytest
@@ -19,87 +21,65 @@ from tests.sweep.opening import OFTEN, existing_store, located, run, same
 from tests.tiers import slow
 
 
-class Proxy:
-    """Passes connections on to a server; what ``fault`` says happens to a request instead.
+class Passing(BaseHTTPRequestHandler):
+    """Passes a request on to the server of a proxy, unless a fault happens to it."""
 
-    ``fault`` is called with the number of the request and returns None, "reset" (the connection breaks before the
-    server hears of it), "lost" (the server does it, but its answer never comes) or "503".
-    """
+    protocol_version = "HTTP/1.1"
 
-    def __init__(self, server, fault=lambda number: None):
-        self._server = (urlsplit(server).hostname, urlsplit(server).port)
-        self.requests, self.faults, self._fault = [], 0, fault
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.endpoint = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def _accept(self):
-        while True:
-            try:
-                connection, _ = self._listener.accept()
-            except OSError:
+    def pass_on(self):
+        proxy, body = self.server, self.rfile.read(int(self.headers.get("content-length", 0)))
+        proxy.requests.append(self.command)
+        fault = proxy.fault(len(proxy.requests))
+        proxy.faults += fault is not None
+        if fault == "503":
+            self.send_error(503)
+        elif fault == "reset":
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+            self.connection.close()
+            self.close_connection = True
+        else:
+            server = HTTPConnection(proxy.server)
+            server.request(self.command, self.path, body, dict(self.headers))
+            answer = server.getresponse()
+            content = answer.read()
+            server.close()
+            if fault == "lost":
+                self.close_connection = True
                 return
-            threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+            self.send_response(answer.status)
+            for name, value in answer.getheaders():
+                if name.lower() not in ("transfer-encoding", "connection", "date", "server"):
+                    self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(content)
 
-    def _serve(self, client):
-        with client, socket.create_connection(self._server) as server, client.makefile("rb") as requests:
-            answers = server.makefile("rb")
-            while True:
-                try:
-                    head, body = read_message(requests)
-                except OSError:
-                    return
-                if not head:
-                    return
-                self.requests.append(head.split(b"\r\n")[0].decode())
-                fault = self._fault(len(self.requests))
-                self.faults += fault is not None
-                if fault == "reset":
-                    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
-                    return
-                if fault == "503":
-                    client.sendall(b"HTTP/1.1 503 Slow Down\r\nContent-Length: 0\r\n\r\n")
-                    continue
-                server.sendall(head + body)
-                answer = b"".join(read_message(answers, to_head=head.startswith(b"HEAD")))
-                if fault == "lost":
-                    return
-                client.sendall(answer)
+    do_GET = do_PUT = do_POST = do_HEAD = do_DELETE = pass_on  # noqa: N815
 
-    def close(self):
-        self._listener.close()
-
-
-def read_message(stream, to_head=False):
-    """Return head and body of an HTTP message."""
-    head = b""
-    while not head.endswith(b"\r\n\r\n"):
-        line = stream.readline()
-        if not line:
-            return b"", b""
-        head += line
-    fields = dict(line.lower().split(b": ", 1) for line in head.split(b"\r\n")[1:] if b": " in line)
-    if b"chunked" in fields.get(b"transfer-encoding", b""):
-        body = b""
-        while (line := stream.readline()) != b"0\r\n":
-            body += line + stream.read(int(line, 16) + 2)
-        return head, body + line + stream.readline()
-    return head, b"" if to_head else stream.read(int(fields.get(b"content-length", 0)))
+    def log_message(self, *_):
+        """Print nothing."""
 
 
 @pytest.fixture
 def through(s3_endpoint, bucket, monkeypatch):
-    """A function that puts a proxy with faults before the server of the bucket."""
+    """A function that puts a proxy before the server of the bucket.
+
+    ``fault`` is called with the number of a request and returns None, "reset" (the connection breaks before the server
+    hears of it), "lost" (the server does it, but its answer never comes) or "503".
+    """
     proxies = []
 
     def make(fault=lambda number: None):
-        proxies.append(Proxy(s3_endpoint, fault))
-        monkeypatch.setenv("AWS_ENDPOINT_URL", proxies[-1].endpoint)
-        return proxies[-1]
+        proxy = ThreadingHTTPServer(("127.0.0.1", 0), Passing)
+        proxy.server, proxy.fault, proxy.requests, proxy.faults = urlsplit(s3_endpoint).netloc, fault, [], 0
+        threading.Thread(target=proxy.serve_forever, daemon=True).start()
+        proxies.append(proxy)
+        monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{proxy.server_port}")
+        return proxy
 
     yield make
     for proxy in proxies:
-        proxy.close()
+        proxy.shutdown()
+        proxy.server_close()
 
 
 @pytest.fixture
@@ -132,8 +112,7 @@ def test_a_small_run_needs_few_requests(bucket, coins, through):
     arrays = len(linksweep.open(f"{bucket}/s.zarr").variables)
     assert before < 45 + 4 * arrays  # each array's chunk and document are written at the start and at the end
     assert len(proxy.requests) - before <= 2 + arrays
-    methods = {line.split()[0] for line in proxy.requests}
-    assert methods == {"GET", "PUT", "POST"}  # POST: deletion of the lock
+    assert set(proxy.requests) == {"GET", "PUT", "POST"}  # POST: deletion of the lock
 
 
 @pytest.mark.parametrize("kind", ["reset", slow("lost"), slow("503")])
