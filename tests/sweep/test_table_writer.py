@@ -112,30 +112,19 @@ def test_results_have_no_empty_attributes_and_whole_labels(store_of, coin_store,
         assert len(variable.attrs["long_name"]) <= LONGEST_LABEL
 
 
-@pytest.mark.parametrize(
-    ("values", "unit", "chosen"),
-    [
-        (0.0005411, "mas / yr", "uas / yr"),
-        ([0.65, 0.00054, 0.0017], "mas / yr", "uas / yr"),
-        (1e-4, "mas yr-1", "uas yr-1"),
-        (3000.0, "mas", "arcsec"),
-        (2e-4, "s", "us"),
-        (5000.0, "m", "km"),
-        (2e6, "pc", "Mpc"),
-        (1e5, "yr", "kyr"),
-        ([0.0, np.nan, 0.004], "mas", "uas"),
-    ],
-)
-def test_a_prefix_that_reads_well(values, unit, chosen):
-    found = prefixed(np.array(values), unit)
-    assert found.unit == chosen
-    assert units.Unit(unit).to(units.Unit(chosen)) == pytest.approx(found.factor, rel=1e-12)
+WELL = [
+    *((0.0005411, "mas / yr", "uas / yr"), ([0.65, 0.00054, 0.0017], "mas / yr", "uas / yr")),
+    *((1e-4, "mas yr-1", "uas yr-1"), (3000.0, "mas", "arcsec"), (2e-4, "s", "us"), (5000.0, "m", "km")),
+    *((2e6, "pc", "Mpc"), (1e5, "yr", "kyr"), ([0.0, np.nan, 0.004], "mas", "uas")),
+]
+OTHERS = ("", "d", "deg", "mag", "users / d", "%", "mas2 / yr2", "mas, mas", "1 / s", "yr", "h")
+STAYING = [*((1e-6, unit) for unit in OTHERS), *((x, "mas") for x in (np.nan, 0.0, np.inf, 0.1, 999.0))]
+STAYING += [(5000.0, "s"), (5000.0, "arcsec")]
 
 
-@pytest.mark.parametrize(
-    ("value", "unit"),
-    [(1e-6, unit) for unit in ("", "d", "deg", "mag", "users / d", "%", "mas2 / yr2", "mas, mas", "1 / s", "yr", "h")]
-    + [(5000.0, "s"), (5000.0, "arcsec"), (np.nan, "mas"), (0.0, "mas"), (np.inf, "mas"), (0.1, "mas"), (999.0, "mas")],
-)
-def test_what_takes_no_prefix_stays(value, unit):
-    assert prefixed(value, unit) == (unit, 1.0)
+def test_a_prefix_is_one_that_reads_well_or_none():
+    for values, unit, chosen in WELL:
+        found = prefixed(np.array(values), unit)
+        assert (found.unit, found.factor) == (chosen, pytest.approx(units.Unit(unit).to(chosen), rel=1e-12))
+    for value, unit in STAYING:
+        assert prefixed(value, unit) == (unit, 1.0)

@@ -45,3 +45,8 @@ def write_study(folder, axes="rate = [1.0, 2.0]", sampling="n_sim = 4", experime
     text = f'title = "t"\nexperiment = "{experiment}"\n{rest}\n[axes]\n{axes}\n[sampling]\n{sampling}\n'
     (folder / "s.toml").write_text(text)
     return folder / "s.toml"
+
+
+def law(a: float = 1.0, n: int = 2, m: str = "x", e=None):
+    """A parameter of each kind."""
+    return a

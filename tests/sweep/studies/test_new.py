@@ -45,8 +45,8 @@ def test_a_new_study_runs_as_it_is_and_says_the_defaults_in_comments(reference, 
     begun, fixed = text.split("[fixed]")
     [axis] = tomllib.loads(text)["axes"]
     names = [parameter.name for parameter in load_study(str(tmp_path / "mine.toml")).experiment.parameters]
-    assert re.findall(r"^# (\w+) =", fixed, flags=re.MULTILINE) == [name for name in names if name != axis]
-    for line in re.findall(r"^# (\w+ = .*)$", fixed, flags=re.MULTILINE):
+    assert re.findall(r"(?m)^# (\w+) =", fixed) == [name for name in names if name != axis]
+    for line in re.findall(r"(?m)^# (\w+ = .*)$", fixed):
         report, err = plan(f"{begun}[fixed]\n{line}")  # a default has no effect with the values of some others
         assert report["points_done"] == report["points"] if report else "changes nothing" in err, line
     sampled = re.sub(r"^# (precision|max_n_sim) =", r"\1 =", begun, flags=re.MULTILINE)
