@@ -58,6 +58,18 @@ def host() -> str:
     return platform.node()
 
 
+def typed(name: object) -> str:
+    """Return a name as it is typed in bash and shells like it after the words of a command.
+
+    Examples:
+        >>> print(typed("s.zarr"), typed("a b.zarr"), typed("-o.zarr"), typed("two\\nlines"))
+        s.zarr 'a b.zarr' ./-o.zarr $'two\\u000alines'
+    """
+    text = f"./{name}" if str(name).startswith("-") else str(name)
+    escaped = text.replace("\\", "\\\\").replace("'", "\\'").translate(ESCAPED)
+    return f"$'{escaped}'" if ESCAPED.keys() & {*map(ord, text)} else shlex.quote(text)
+
+
 def command_line() -> str:
     """Return the `sweep` command that this process runs, as a person would type it but for secrets; '' in a script."""
     return without_secrets(shlex.join(COMMAND))

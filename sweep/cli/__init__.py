@@ -16,6 +16,7 @@ import os
 import shutil
 import signal
 import sys
+import textwrap
 import threading
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -572,8 +573,12 @@ def prepare_streams() -> None:
 
 
 def print_wrapped(text: str, first: str = "", later: str = "") -> None:
-    """Print a sentence in lines of the width of a terminal, the first and the later ones behind a prefix."""
-    click.echo(click.wrap_text(text, WIDTH, first, later))
+    """Print a sentence in lines of the width of a terminal, the first and the later ones behind a prefix; no word is
+    broken, since it may be a name.
+    """
+    wrapper = textwrap.TextWrapper(WIDTH, first, later, replace_whitespace=False)
+    wrapper.break_long_words = wrapper.break_on_hyphens = False
+    click.echo(wrapper.fill(text))
 
 
 def print_styled(text: str, **style: bool) -> None:

@@ -22,7 +22,7 @@ import linksweep
 from linksweep.sweep import cli
 from linksweep.sweep.cli import FILE, JSON, POSITIVE, WORKERS, arg, choice, flag, many, opt, parsed, passed
 from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName, Resources
-from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_json, without_secrets
+from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_json, typed, without_secrets
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.tables.options import Declared, declared
@@ -229,7 +229,7 @@ def run_with_progress(
             cli.print_headlines(dataset, bool(how.as_json))
         # Nothing to look at next where a caller goes on itself, as `sweep report --all` does.
         looks = () if how.as_json is None or study.part else ("plot", "report")
-        progress.finish(failures, store, [f"sweep {look} {short_name(store)}" for look in looks])
+        progress.finish(failures, store, [f"sweep {look} {typed(short_name(store))}" for look in looks])
     if readable:
         # Slopes are fitted with xarray.
         whole: Any = dataset.to_xarray() if '"slope"' in dataset.attrs.get(CONCLUSION, "") else dataset
@@ -443,11 +443,11 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
         for total, states in report["parts"].items():
             cli.print_wrapped(f"of {total} parts: {'; '.join(f'{state}: {some}' for state, some in states.items())}")
     else:
-        _print_status(report, str(store))
+        _print_status(report, typed(store))
 
 
 def _print_status(report: Mapping[str, Any], store: str) -> None:
-    """Print for people how far a run is."""
+    """Print for people how far the run in a store is, which is named as it is typed."""
     from linksweep.sweep.contract import progress_in_words
     from linksweep.sweep.running.progress import reasons_of
 
@@ -484,7 +484,7 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
         f"sweep run --retry {store}": points["failed"] and not report["running"],
         f"sweep show {store}": report["complete"],
     }
-    cli.print_wrapped(f"next: {', '.join(words for words, fits in nexts.items() if fits)}")
+    click.echo(f"next: {', '.join(words for words, fits in nexts.items() if fits)}")
 
 
 @cli.command("Store care", "Compare files with checksums; set damaged aside")
@@ -517,7 +517,7 @@ def check(
         lines = [f"{file}: {problem}" for file, problem in damaged] or [WHOLE]
         click.echo("\n".join([*lines, *(f"{store} {remark}" for remark in report.remarks)]))
     if report:
-        click.echo(f"`sweep check {store} --repair` repairs what can be repaired", err=True)
+        click.echo(f"`sweep check {typed(store)} --repair` repairs what can be repaired", err=True)
         sys.exit(cli.EXIT_FAILED_POINTS)
 
 
@@ -611,7 +611,7 @@ END_OF_JOB
 )
 sbatch --dependency="afterany:${{array%%;*}}" --output={folder}/merge-%j.log {options} <<'END_OF_JOB'
 #!/bin/bash
-exec {merge} {store}.part-{{1..{total}}}-of-{total}
+exec {merge} -o {store} {store}.part-{{1..{total}}}-of-{total}
 END_OF_JOB
 """
 
@@ -639,17 +639,17 @@ def submit(
     require_free(store, study, [{"study_digest": study.digest(), "parts": tasks}])
     overrides = [written.replace(" ", "=", 1) for written in study.overrides]
     trust = ["--trust"] if asked.trust else []
-    sweep = [sys.executable, "-P", "-m", "linksweep"]
+    sweep = shlex.join([sys.executable, "-P", "-m", "linksweep"])
     folder = (store.path.parent if isinstance(store, Folder) else Path.cwd()) / f"{store.name}.slurm"
     script = SCRIPT.format(
-        name=shlex.quote(study.name),
+        name=typed(study.name),
         total=tasks,
         folder=shlex.quote(str(folder)),
         options=shlex.join([f"--job-name={study.name}", f"--chdir={Path.cwd()}", *more]),
-        run=shlex.join([*sweep, "run", asked.study, *overrides, *trust, "-o", str(store)]),
+        run=f"{sweep} run {typed(asked.study)} {shlex.join([*overrides, *trust])} -o {typed(store)}",
         # Who submits a study trusts its code; parts are written on other hosts than the one that merges them.
-        merge=shlex.join([*sweep, "merge", *(trust if study.is_ours else ["--trust"]), "-o", str(store)]),
-        store=shlex.quote(str(store)),
+        merge=f"{sweep} merge {shlex.join(trust if study.is_ours else ['--trust'])}",
+        store=typed(store),
     )
     file = folder / "submit.sh"
     try:
@@ -657,7 +657,7 @@ def submit(
             raise linksweep.SweepError("is there already, and another one; submit it with sh, or remove it", str(file))
         folder.mkdir(parents=True, exist_ok=True)
         file.write_text(script)
-        click.echo(f"wrote {file}" + ("" if go else f"; submit it with: sh {shlex.quote(str(file))}"), err=True)
+        click.echo(f"wrote {file}" + ("" if go else f"; submit it with: sh {typed(file)}"), err=True)
         if go:
             subprocess.run(["sh", str(file)], check=True)
     except (OSError, subprocess.CalledProcessError) as error:

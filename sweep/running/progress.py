@@ -23,7 +23,7 @@ from rich.text import Text
 
 from linksweep.sweep.contract import shown
 from linksweep.sweep.executing.task import Failure, TaskResult
-from linksweep.sweep.formatting import counted, harmless, in_words, now, per_second
+from linksweep.sweep.formatting import counted, harmless, in_words, now, per_second, typed
 from linksweep.sweep.interrupt import how_ended
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
@@ -494,10 +494,11 @@ class TerminalProgress:
             if (more := len(self._warned) - NAMED) > 0:
                 SENTENCES.warning(f"warned of {more} other things")
         if failures:
+            name = typed(store)
             SENTENCES.error(
                 f"{failed_points(failures)}; "
-                f"`sweep status {store}` names them and says why, `sweep run --retry {store}` tries them again, "
-                f"`sweep reproduce {store} --at POINT` runs one here"
+                f"`sweep status {name}` names them and says why, `sweep run --retry {name}` tries them again, "
+                f"`sweep reproduce {name} --at POINT` runs one here"
             )
 
     def summary(self, elapsed: float) -> list[str]:

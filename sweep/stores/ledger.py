@@ -214,7 +214,7 @@ MAX_TRACEBACKS, TRACEBACK_BYTES = 1000, 4096
 
 CHANGED = "its ledger was removed, or changed by others, during this run"
 
-REPAIR = "`sweep check {} --repair` repairs what can be repaired"
+REPAIR = "`sweep check STORE --repair` repairs what can be repaired"
 
 Record = dict[str, str]
 """The record of a failed point: place, kind, message, traceback, host, when."""
@@ -228,7 +228,7 @@ class DamagedError(SweepError):
 
     def __init__(self, location: Location, files: Mapping[str, str]) -> None:
         problems = [f"{file} is damaged ({problem})" for file, problem in files.items()]
-        problems[-1] += f"; {REPAIR.format(location)}, and the next `sweep run` computes again what is lost"
+        problems[-1] += f"; {REPAIR}, and the next `sweep run` computes again what is lost"
         super().__init__(problems, str(location))
 
 

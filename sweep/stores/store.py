@@ -234,8 +234,7 @@ class Store(OpenStore):
                     }
                 )
             attributes[LEDGER_THEN] = self._ledger.manifest.model_dump_json()
-            self.root = integrity.group_document(attributes, documents)
-            self.location.put(ROOT, integrity.sealed(self.root, ROOT))
+            self._put_root(integrity.group_document(attributes, documents))
             # Who reads the last writing may miss values so far, and nothing else: NaN, as if there were none yet.
             gone |= {f for f in in_use if f"{f.partition('/')[0]}/zarr.json" in gone and f"{RUNNING}/" in f}
             self._delete(gone)
@@ -284,6 +283,17 @@ class Store(OpenStore):
         for key in keys:
             self.location.delete(key)
 
+    def _put_root(self, root: Mapping[str, Any]) -> None:
+        """Replace the root document; after an error the one that is there counts."""
+        before, self.root = self.root, root
+        try:
+            self.location.put(ROOT, integrity.sealed(root, ROOT))
+        except BaseException:
+            # It may be written although the answer is lost.
+            if self.location.get(ROOT) == integrity.sealed(before, ROOT):
+                self.root = before
+            raise
+
     @property
     def next_row(self) -> int:
         """The row of the ledger that the next block gets."""
@@ -293,9 +303,8 @@ class Store(OpenStore):
         """Record more of the study, such as which code makes the blocks from now on, before there are any."""
         if all(self.attributes.get(name) == value for name, value in attributes.items()):
             return
-        self.root = {**self.root, "attributes": {**self.attributes, **attributes}}
         with writing(self.location):
-            self.location.put(ROOT, integrity.sealed(self.root, ROOT))
+            self._put_root({**self.root, "attributes": {**self.attributes, **attributes}})
             self._ledger.put("study", copied(self.attributes))
 
     def keep_copy(self, attributes: Mapping[str, Any] | None = None) -> None:
@@ -422,7 +431,7 @@ def find_root(location: Location) -> dict[str, Any] | None:
         except (ValueError, KeyError) as error:
             if readable_copy(location) is not None:
                 problem = "it is another document" if isinstance(error, KeyError) else error
-                raise SweepError(f"{ROOT} is damaged ({problem}); {ledgers.REPAIR.format(where)}", where) from error
+                raise SweepError(f"{ROOT} is damaged ({problem}); {ledgers.REPAIR}", where) from error
             with suppress(ValueError, KeyError, TypeError, RecursionError):
                 # The checksum of another format.
                 _check_format(json.loads(content or b"")["attributes"], where)

@@ -54,6 +54,31 @@ def test_a_job_array_gets_the_options_of_its_study(sweep, tmp_path):
     assert (code, "run quasars --axis=v_max=14 -o" in script, "--array=1-3" in script) == (0, True, True), err
 
 
+ODD = ["-o.zarr", "a  b.zarr", "$HOME.zarr", "#x&<b>;'\".zarr", "[s]*.zarr", "~.zarr", "two\nlines.zarr", "-long" * 40]
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_commands_that_are_printed_and_written_can_be_given(name, tmp_path):
+    (tmp_path / "half.py").write_text("def half(a: int):\n    return 1 / (a - 2)\n")
+    asked, new = ("half.py:half", "--axis", "a=1,2", "-o"), f"{name}.new"
+    _, _, failed = run_sweep("run", *asked, name, "--pool", "serial", cwd=tmp_path)
+    _, status, _ = run_sweep("status", "--", name, cwd=tmp_path)
+    next((tmp_path / name / "blocks").glob("rows.*")).write_bytes(b"")
+    _, _, damaged = run_sweep("check", "--", name, cwd=tmp_path)
+    assert run_sweep("submit", *asked, new, "--slurm", 2, "--trust", cwd=tmp_path)[0] == 0
+    script = (tmp_path / f"{new}.slurm" / "submit.sh").read_text()
+    lines = [*failed.split("`")[1::2], status.partition("next: ")[2], *damaged.split("`")[1::2]]
+    lines += [line for line in script.splitlines() if line.startswith("exec ")]
+    shell = 'sweep () { printf \'%s\\0\' "$@"; }; exec () { sweep "$@"; }; '
+    said = (subprocess.check_output(["bash", "-c", shell + line], text=True, cwd=tmp_path) for line in lines)
+    words = [one.split("\0")[:-1] for one in said]
+    at, new = ("./" * name.startswith("-") + one for one in (name, new))
+    assert words[:3] == [["status", at], ["run", "--retry", at], ["reproduce", at, "--at", "POINT"]]
+    assert words[3:5] == [["run", "--retry", at], ["check", at, "--repair"]]
+    assert words[5][4:10] == ["run", "half.py:half", "--axis=a=1,2", "--trust", "-o", new]
+    assert words[6][4:] == ["merge", "--trust", "-o", new, *(f"{new}.part-{k}-of-2" for k in (1, 2))]
+
+
 def test_the_help_has_every_command_in_one_section_with_a_whole_sentence(sweep):
     code, out, _ = sweep("--help")
     commands = out.partition("\nRun:\n")[2]

@@ -1,5 +1,6 @@
 """The ledger of finished blocks, the record of failures, and the dataset, which is read while it is written."""
 
+import itertools
 import json
 import os
 import shutil
@@ -7,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -261,6 +263,32 @@ def test_a_full_disk_keeps_what_was_finished(disk, tmp_path, coins, monkeypatch)
     (disk / "more").unlink()
     same(run(document, store), wanted)
     assert not check(store)
+
+
+@pytest.mark.parametrize("step", [3, slow(1)])
+@pytest.mark.parametrize("is_written", [False, True])
+def test_where_a_file_cannot_be_written_none_counts_as_lost(tmp_path, coins, monkeypatch, is_written, step):
+    document = coins | {"axes": {"coins": [1, 5]}, "sampling": {"n_sim": 100, "n_cat": 5, "seed": 7}}
+    wanted, put, left = run(document, tmp_path / "wanted.zarr"), Folder.put, [10**9]
+    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+
+    def failing(folder, key, content):
+        left[0] -= 1
+        if left[0] != 0 or is_written:  # it may be there although its writing fails
+            put(folder, key, content)
+        if left[0] == 0:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Folder, "put", failing)
+    for number in itertools.count(2, step):
+        store, left[0] = tmp_path / f"{number}.zarr", number
+        with suppress(SweepError):
+            run(document, store, {"flush_every_s": -1.0})
+            break
+        assert [one.name for one in tmp_path.glob(f"{number}.zarr*")] == [store.name]
+        same(run(document, store), wanted)
+        assert not check(store)
+    assert number > 5
 
 
 @pytest.mark.slow
