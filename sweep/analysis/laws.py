@@ -190,17 +190,16 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
     dimension = str(dataset[over].dims[0])
     pair = (dimension, f"{dimension}_other")
     if dimension == POINT:  # a table may repeat a point
-        once = np.unique(dataset[over].values, return_index=True)[1]
-        dataset = dataset.isel({d: once for d in pair if d in dataset.dims})
+        dataset = dataset.isel({dimension: np.unique(dataset[over].values, return_index=True)[1]})
     others = tuple(str(d) for d in dataset[variable].dims if d != dimension)
-    if covariance is None:
-        covariance = quantity.covariance_along(dataset, variable, dimension)
-    if covariance is not None and (
-        set(covariance.dims) - {*others, *pair}
-        or any(covariance.sizes.get(d) != dataset.sizes[dimension] for d in pair)
-    ):
-        name, sizes = f"{variable}_{quantity.COVARIANCE_SUFFIX}_{dimension}", dict(covariance.sizes)
-        raise SweepError(f"{name} is {sizes}: it needs {' and '.join(pair)} of one length, and no more")
+    if covariance is not None:
+        name = f"{variable}_{quantity.COVARIANCE_SUFFIX}_{dimension}"
+        if not set(pair) <= set(covariance.dims) <= {*others, *pair}:
+            raise SweepError(f"{name} is {dict(covariance.sizes)}: it needs {' and '.join(pair)}, and no more")
+        dataset = dataset.drop_dims(pair[1], errors="ignore").assign({name: covariance})
+    covariance = quantity.covariance_along(dataset, variable, dimension)
+    if covariance is not None:
+        covariance = covariance.isel({pair[1]: quantity.places_of_others(dataset, variable, dimension)})
     samples, error = quantity.samples_along(dataset, dimension, covariance), quantity.standard_error(dataset, variable)
     order = np.argsort(dataset[over].values, kind="stable")
 

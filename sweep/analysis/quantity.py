@@ -37,7 +37,8 @@ BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_roundin
 # A variable NAME_mc_covariance_OVER with the dimensions of NAME and OVER_other is the covariance of NAME between points
 # along the axis OVER, where these share random numbers.  It includes all of their error, and replaces both error
 # variables.  Its attribute ``samples`` is the number of independent samples that it was estimated from; without that
-# attribute it is exact.
+# attribute it is exact.  The coordinate OVER_other has the values of OVER, by which points are found there after OVER
+# was cut or sorted.
 COVARIANCE_SUFFIX = "mc_covariance"
 
 # Attributes: whether points of the grid share random numbers, and the axes along which they do, all by default.
@@ -51,7 +52,7 @@ def quantities(dataset: xr.Dataset) -> list[str]:
     """Return the variables that are results of their own: numbers at each point, not errors, predictions or samples."""
     axes = set(dataset["status"].dims)
     numbers = [str(n) for n, v in dataset.data_vars.items() if _is_number(dataset, str(n)) and axes <= set(v.dims)]
-    covariances = [f"{COVARIANCE_SUFFIX}_{axis}" for axis in dataset.coords]
+    covariances = [f"{COVARIANCE_SUFFIX}_{str(axis).removesuffix('_other')}" for axis in dataset.coords]
     beside = {f"{name}_{suffix}" for name in numbers for suffix in (*BESIDE, *covariances)}
     return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
 
@@ -193,6 +194,34 @@ def samples_along(dataset: xr.Dataset, dimension: str, covariance: xr.DataArray 
     return np.nan if shares_random_numbers(dataset, [dimension]) else np.inf
 
 
+def places_of_others(dataset: xr.Dataset, variable: str, dimension: str) -> list[int]:
+    """Return where along DIMENSION_other the covariance of a variable has each point along a dimension.
+
+    These are places of the same labels.  Raises SweepError for a covariance without labels that is not of these points
+    in their order: its rows and columns are then those of no covariance.
+    """
+    if f"{dimension}_other" in dataset.coords and dimension in dataset.coords:
+        labels = (dataset[name].values.tolist() for name in (dimension, f"{dimension}_other"))
+        here, there = ([None if is_missing(value) else value for value in some] for some in labels)
+        place = {label: i for i, label in enumerate(there)}
+        if len(place) == len(there) and place.keys() >= set(here):
+            return [place[label] for label in here]
+    name, pair = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}", (dimension, f"{dimension}_other")
+    covariance = np.moveaxis(dataset[name].values, [dataset[name].dims.index(d) for d in pair], (-2, -1))
+    if (n := covariance.shape[-1]) == dataset.sizes[dimension]:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+            correlation = covariance / sigma[..., :, None] / sigma[..., None, :]
+        same = np.allclose(correlation, np.swapaxes(correlation, -1, -2), rtol=0.0, atol=1e-6, equal_nan=True)
+        if same and not (np.abs(correlation) > 1.0 + 1e-6).any():
+            return list(range(n))
+    sizes, both = dict(dataset[name].sizes), " and ".join(pair)
+    raise SweepError(
+        f"{name} is {sizes}, and {dimension}_other does not say of which points: cut or sort {both} alike, or open the "
+        "store with linksweep.open"
+    )
+
+
 def error_of_sum(
     dataset: xr.Dataset, variable: str, one: Mapping[str, int], other: Mapping[str, int], weights: tuple[Any, Any]
 ) -> Array | None:
@@ -213,7 +242,8 @@ def error_of_sum(
     covariance = covariance_along(dataset, variable, dimension) if len(differing) == 1 else None
     if covariance is not None:
         i, j, name = one[dimension], other[dimension], f"{variable}_{COVARIANCE_SUFFIX}_{dimension}"
-        pairs = ({**one, dimension: a, f"{dimension}_other": b} for a, b in ((i, i), (j, j), (i, j)))
+        places = places_of_others(dataset, variable, dimension)
+        pairs = ({**one, dimension: a, f"{dimension}_other": places[b]} for a, b in ((i, i), (j, j), (i, j)))
         at_one, at_other, both = (dataset.isel(pair)[name].transpose(*dims).values for pair in pairs)
         variance = first**2 * at_one + second**2 * at_other + 2.0 * first * second * both
         variance = np.maximum(0.0, variance * small_sample_factor(samples_along(dataset, dimension, covariance)))
@@ -368,7 +398,7 @@ def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
     """
     part: dict[str, Any] = {}
     for dimension, hits in indices(dataset, places).items():
-        part |= {dimension: hits[0]} if len(hits) == 1 else dict.fromkeys(_both(dataset, dimension), hits)
+        part[dimension] = hits[0] if len(hits) == 1 else hits
     return dataset.isel(part)
 
 
@@ -384,7 +414,9 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
     """
     problems: list[str] = []
     chosen: dict[str, set[int]] = {}
-    axes = [str(n) for n, c in dataset.coords.items() if len(c.dims) == 1 and not str(n).endswith("_unit")]
+    others = [f"{d}_other" for d in axes_of(dataset)]
+    one_dimensional = {str(n): c.dims[0] for n, c in dataset.coords.items() if len(c.dims) == 1}
+    axes = [n for n, dimension in one_dimensional.items() if dimension not in others and not n.endswith("_unit")]
     for name, wanted in places.items():
         if name not in axes:
             problems.append(f"{shown(name)} is not an axis{suggest(name, axes) if axes else '; there are none'}")
@@ -410,12 +442,7 @@ def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Datas
     if not inside.size:
         ends = f"it goes from {values.min():g} to {values.max():g}"
         raise SweepError(f"{axis} has no value from {low:g} to {high:g}; {ends}")
-    return dataset.isel(dict.fromkeys(_both(dataset, str(dataset[axis].dims[0])), inside))
-
-
-def _both(dataset: xr.Dataset, dimension: str) -> list[str]:
-    """Return a dimension, and the second one that covariances along it have."""
-    return [d for d in (dimension, f"{dimension}_other") if d in dataset.dims]
+    return dataset.isel({dataset[axis].dims[0]: inside})
 
 
 def _is_meant(value: object, wanted: object) -> bool:

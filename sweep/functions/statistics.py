@@ -78,7 +78,7 @@ def unknown(name: str, field: Field) -> str:
     """Return where the error of a statistic is NaN, in words; '' for nowhere."""
     if (level := quantile_of(name)) is not None:
         return f"below {fewest_for(level)} realisations, and where values repeat around the quantile"
-    if name == "count" or field.type == "bool":
+    if field.type == "bool":
         return ""
     fewest = FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
     return f"below {fewest} realisations, and where all are alike or one outweighs all others"
@@ -120,7 +120,7 @@ def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array,
     mean, m2, m3, _, low, high = (moments[:, k] for k in range(MOMENTS))
     if name in ("min", "max"):
         return (low if name == "min" else high), None
-    if binary := name == "count" or field.type == "bool":
+    if binary := field.type == "bool":
         low, high = np.zeros_like(mean), np.ones_like(mean)
     extent = high - low
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
@@ -347,6 +347,12 @@ def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ..
     if strange := [field for field in layout.fields if field.type not in NUMBERS | {"bool"}]:
         name, kind = strange[0].name, strange[0].type
         raise ResultError(f"{function}: {name!r} is of type {kind}; statistics are made of numbers and truth values")
+    counted = {output.name for output in declared if "count" in output.statistics}
+    if strange := [field for field in layout.fields if field.name in counted and field.type != "bool"]:
+        name, kind = strange[0].name, strange[0].type
+        raise ResultError(
+            f"{function}: {name!r} is of type {kind}; the statistic 'count' is of truth values, how many are true"
+        )
     layout = layout.with_floats(field.name for field in layout.fields)
     rows = []
     for outcome in outcomes:

@@ -387,9 +387,11 @@ def _same(value: object, text: str) -> bool:
 LARGEST = 10**7
 
 
-def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], ledger: Rows) -> dict[str, Variable]:
-    """Return ``NAME_mc_covariance_AXIS`` of every result with a Monte-Carlo error, for every axis along which points
-    share their random numbers; dimensions of the result and ``AXIS_other``.
+def with_covariances(
+    dataset: Labelled, plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], ledger: Rows
+) -> Labelled:
+    """Return a dataset with ``NAME_mc_covariance_AXIS`` of every result with a Monte-Carlo error, for every axis along
+    which points share their random numbers; dimensions of the result and ``AXIS_other``, which has the values of AXIS.
 
     The independent samples are the catalogues, each with all its blocks, or the blocks where there is one catalogue.
     The results without each of them in turn give the covariance (Efron 1982, The Jackknife, Sect. 3.5 and 6.1).  It has
@@ -398,18 +400,21 @@ def covariances(plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int],
     """
     samples = _independent(plan)
     if len(samples) < FEWEST_SAMPLES:
-        return {}
+        return dataset
     outputs = {output.name: output for output in plan.grid.study.experiment.outputs}
     with_error = [o for o in outputs.values() if f"{o.name}_mc_error" in outputs and o.name not in plan.grid.study.axes]
     along = {output: _shared_dimensions(plan, output, len(samples)) for output in with_error}
     along = {output: dimensions for output, dimensions in along.items() if dimensions}
     deviations = _deviations(plan, accumulator, samples, list(along), rows, ledger) if along else {}
-    return {
+    made = {
         f"{output.name}_mc_covariance_{dimension}": _covariance(plan, deviations[output.name], output, dimension)
         for output, dimensions in along.items()
         for dimension in dimensions
         if not np.isnan(deviations[output.name]).all()  # as of quantiles, which no sum gives
     }
+    pairs = (one.dims[-2:] for one in made.values())
+    others = {other: replace(dataset.coords[axis], dims=(other,)) for axis, other in pairs}
+    return replace(dataset.assign(made), coords=dataset.coords | others)
 
 
 def _shared_dimensions(plan: Plan, output: Output, samples: int) -> list[str]:
@@ -458,9 +463,16 @@ def _deviations(
             places = [rows[ledger_key(point.digest, block)] for block in plan.blocks(1.0)]
             without = _without_each(reducer, [ledger[place : place + 1] for place in places])[:count]
         results = reducer.finish(without, np.full(count, n - alone_n), catalogues)
+        total, draws = accumulator.total[point.index : point.index + 1], np.array([n, float(n_cat)]).reshape(2, 1)
+        twice = reducer.finish(reducer.add(total, total), *draws * [[2.0], [min(n_cat, 2.0)]])
+        once = reducer.finish(total, *draws)
         scale = (n - alone_n) / np.sqrt(n * alone_n * (count - 1.0))  # sqrt((count - 1)/count), if these are all blocks
         for name, mine in deviations.items():
             values = np.reshape(results[name], (count, -1)).T
+            with np.errstate(invalid="ignore", divide="ignore"):
+                power = np.log2(np.reshape(twice[name] / once[name], (-1, 1)))  # 0 of a mean, 1 of a sum
+                sums = np.abs(power - np.round(power)) < 1e-9
+            values = values * (n / (n - alone_n)) ** np.where(sums, np.round(power), 0.0)
             mine[point.index] = scale * (values - values.mean(axis=1, keepdims=True))
     return {name: grid.with_repeats(mine) for name, mine in deviations.items()}
 

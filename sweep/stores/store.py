@@ -612,7 +612,10 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
     for name in (CHUNKS, LEDGER_THEN, STORE):
         dataset.attrs.pop(name, None)
-    return dataset
+    # a store of an earlier version does not label the second points of covariances
+    axes = {str(d): str(d).removesuffix("_other") for d in dataset.dims if str(d).endswith("_other")}
+    along = {d: dataset[axis] for d, axis in axes.items() if d not in dataset.coords and axis in dataset.coords}
+    return dataset.assign_coords({d: (d, axis.values, axis.attrs) for d, axis in along.items()})
 
 
 def with_gaps(whole: NDArray[np.int64]) -> NDArray[Any]:

@@ -63,6 +63,80 @@ def test_differences_along_a_shared_axis_have_small_errors(tmp_path):
     assert "wait_mean_mc_covariance_gain" not in alone
 
 
+@experiment(shared=("a", "b", "kind"))
+def turns(rng, n_sim, a: float = 1.0, b: int = 0, kind: str = "x"):
+    common, own = rng.normal(size=(2, n_sim))
+    return {"y": 10.0 + a + np.cos(a + b) * common + np.sin(a + len(kind)) * own}
+
+
+A = [1.0, 2.0, 4.0, 7.0]
+LAID_OUT = {
+    "numbers": ("a", {"axes": {"a": A}}),
+    "texts": ("kind", {"axes": {"a": A[:2], "kind": ["x", "xy", "xyz", ""]}}),
+    "zipped": ("b", {"axes": {"a": A, "b": range(4)}, "grid": {"zip": [["a", "b"]]}}),
+    "conditional": ("a", {"axes": {"kind": ["x", "y"], "a": A}, "when": {"a": {"kind": ["x"]}}}),
+    "a table": ("a", {"points": {"a": A, "kind": ["x", "xy", "x", "xy"]}}),
+}
+
+
+@pytest.mark.parametrize("layout", LAID_OUT)
+def test_points_that_are_cut_or_sorted_have_the_errors_that_they_had(tmp_path, layout):
+    axis, study = LAID_OUT[layout]
+    linksweep.run({"experiment": turns, "sampling": {"n_sim": 512 * 6}, **study}, tmp_path / "s", pool="serial")
+    whole = xr.open_zarr(tmp_path / "s").load()
+    values = whole[axis].values.tolist()
+    place = [values.index(value) for value in dict.fromkeys(study["axes" if "axes" in study else "points"][axis])]
+
+    def error(dataset):
+        found = linksweep.ratio(dataset, "y_mean", axis, values[place[3]], values[place[1]])["ratio_error"].values
+        assert np.nanmin(found) > 0.0
+        return found
+
+    dimension, wanted = whole[axis].dims[0], error(whole)
+    for order in ([3, 1], [1, 3], [3, 2, 1, 0], [2, 1, 0, 3]):
+        np.testing.assert_array_equal(error(whole.isel({dimension: [place[k] for k in order]})), wanted)
+    bare = whole.drop_vars([str(name) for name in whole.coords if str(name).endswith("_other")])
+    np.testing.assert_array_equal(error(bare), wanted)
+    with pytest.raises(SweepError, match=f"cut or sort {dimension} and {dimension}_other alike"):
+        error(bare.isel({dimension: place[::-1]}))
+
+
+def test_the_covariance_of_a_sum_is_that_of_the_sum(tmp_path):
+    def walk(points, n_sim, rng, catalogue_rng):
+        steps = rng.normal(1.0, 1.0, n_sim)
+        return {"total": [p["step"] * steps.sum() for p in points]}
+
+    outputs = [Output(f"{name}{end}") for name in ("mean", "sum", "product") for end in ("", "_mc_error")]
+    step = linksweep.Parameter("step", "float", 1.0, "step")
+
+    def summarise(sums, n, n_cat):
+        total, error = sums["total"], np.ones_like(n)
+        values = {"mean": total / n, "sum": total, "product": total * total}
+        return values | {f"{name}_mc_error": error for name in values}
+
+    walks = linksweep.Experiment("walks", 1, (step,), {"total": ()}, tuple(outputs), walk, summarise, shared=("step",))
+    study = {"experiment": walks, "axes": {"step": [1.0, 2.0]}, "sampling": {"common_random_numbers": True}}
+    for sampling in ({"n_sim": 512 * 6}, {"n_sim": 100, "n_cat": 7}):
+        n = sampling["n_sim"] * sampling.get("n_cat", 1)
+        study["sampling"] |= sampling
+        ds = linksweep.run(study, tmp_path / f"{n}", pool="serial")
+        np.testing.assert_allclose(ds.sum_mc_covariance_step, n**2 * ds.mean_mc_covariance_step, rtol=1e-9)
+        slope = 2.0 * ds["sum"].values  # to first order
+        squared = ds.sum_mc_covariance_step * np.outer(slope, slope)
+        np.testing.assert_allclose(ds.product_mc_covariance_step, squared, rtol=0.1)
+
+
+@pytest.mark.parametrize("kind", [int, float, bool])
+def test_only_truth_values_are_counted(tmp_path, kind):
+    @experiment(outputs=Output("hit", statistics="count"))
+    def counted(rng, chance):
+        return kind(rng.random() < chance)
+
+    ds = sweep(counted, tmp_path / "s", {"n_sim": 60}, chance=[0.3])
+    assert (ds.status.item() == 1) == (kind is bool)
+    assert kind is bool or f"'hit' is of type {kind.__name__}; the statistic 'count'" in ds.attrs["failures"]
+
+
 @pytest.mark.parametrize(
     ("shared", "function", "problem"),
     [
