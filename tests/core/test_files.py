@@ -2,6 +2,8 @@
 
 import importlib.util
 import warnings
+from collections import ChainMap
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -173,28 +175,22 @@ def side(name, factor):
     return {f"{name}_{key}": factor * values for key, values in ERRORS.items()}
 
 
-@pytest.mark.parametrize(
-    ("columns", "reference", "satellite"),
-    [
-        (ERRORS, 1.0, 1.0),
-        (side("reference", 2.0) | side("satellite", 3.0) | ERRORS, 2.0, 3.0),
-        (side("reference", 2.0) | ERRORS, 2.0, 1.0),
-        (side("satellite", 3.0) | ERRORS, 1.0, 3.0),
-        (side("reference", 2.0), 2.0, None),
-        (side("satellite", 3.0), None, 3.0),
-    ],
-)
-def test_each_side_has_its_own_errors_or_those_of_both(columns, reference, satellite, write):
-    table = write(GAIA | columns)
+FACTORS = {"": 1.0, "reference": 2.0, "satellite": 3.0}
+
+
+@pytest.mark.parametrize("there", [names for n in (1, 2, 3) for names in combinations(FACTORS, n)])
+def test_each_side_has_its_own_errors_or_those_of_both(there, write):
+    columns = [side(name, FACTORS[name]) if name else ERRORS for name in there]
+    table = write(GAIA | dict(ChainMap(*columns)))
     found = read(table).take(np.array([2, 0]))
-    for name, factor in (("reference", reference), ("satellite", satellite)):
-        if factor is None:
+    for name in ("reference", "satellite"):
+        if name in there or "" in there:
+            factor = FACTORS[name if name in there else ""]
+            expected = factor * np.array(list(ERRORS.values())).T[[2, 0]] * MAS
+            np.testing.assert_allclose(found.own_errors(name).sigma, expected, rtol=1e-14)
+        elif name == "satellite":
             asked = point(catalogue="file", file=table, n_obj=None) | {f"{name}_errors": "catalogue"}
-            if name == "satellite":
-                assert "has no errors of its own" in link.check(asked)
-            continue
-        expected = factor * np.array(list(ERRORS.values())).T[[2, 0]] * MAS
-        np.testing.assert_allclose(found.own_errors(name).sigma, expected, rtol=1e-14)
+            assert "has no errors of its own" in link.check(asked)
 
 
 def test_correlations_are_those_of_their_side_and_a_column_is_that_of_one(write):
