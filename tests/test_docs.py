@@ -119,14 +119,13 @@ def test_the_tutorial_from_top_to_bottom(tmp_path, sweep):
 def test_the_same_sweep_with_each_tool_gives_the_same_numbers(tool, tmp_path):
     pytest.importorskip(tool)
     text = save_files("coming-from.md", tmp_path)
-    (words,) = re.findall(r"`python (lost_hydra.py .*?)`", text) if tool == "hydra" else [""]
     scripts = code("coming-from.md", "python")
     script = next((one for one in scripts if f"import {tool}" in one or f"from {tool}" in one), "")
     script += 'print({"half_life": ds.half_life.values.tolist(), "lost": ds.lost.values.astype(float).tolist()})'
-    commands_of = {"hydra": shlex.split(words), "snakemake": ["-m", "snakemake", "--cores", "1"]}
-    arguments = commands_of.get(tool, ["-c", script])
-    said = python(tmp_path, *arguments)
-    if tool in ("hydra", "snakemake"):
+    hydra = shlex.split(re.search(r"`python (lost_hydra.py .*?)`", text)[1])
+    others = {"hydra": hydra, "snakemake": ["-m", "snakemake", "--cores", "1"]}
+    said = python(tmp_path, *others.get(tool, ["-c", script]))
+    if tool in others:
         results = [json.loads(file.read_text()) for file in tmp_path.rglob("*.json") if "lost" in file.read_text()]
         got = {(one["half_life"], one["years"]): one["lost"] for one in results if "half_life" in one}
     else:
@@ -202,17 +201,14 @@ def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
     """The files make job scripts; a real SLURM runs one like the first in test_slurm."""
     from linksweep.sweep.executing.clusters import cluster_class, own_cluster, read_cluster_file
 
-    (tmp_path / "slurm.toml").write_text(code("clusters.md", "toml")[1])
-    (tmp_path / "pbs.yaml").write_text(code("clusters.md", "yaml")[0])
-    scripts = {}
-    for path in (tmp_path / "slurm.toml", tmp_path / "pbs.yaml"):
-        file = read_cluster_file(path)
+    shown = {"slurm.toml": code("clusters.md", "toml")[1], "pbs.yaml": code("clusters.md", "yaml")[0]}
+    said = {"slurm.toml": ["#SBATCH -p short", "#SBATCH --account=astro"]}
+    said["pbs.yaml"] = ["#PBS -l select=1:ncpus=8:mem=16GB", "--nworkers 8"]
+    for name, text in shown.items():
+        (tmp_path / name).write_text(text)
+        file = read_cluster_file(tmp_path / name)
         with own_cluster(cluster_class(file), file.options) as cluster:
-            scripts[path.name] = cluster.job_script()
-    assert "#SBATCH -p short" in scripts["slurm.toml"]
-    assert "#SBATCH --account=astro" in scripts["slurm.toml"]
-    assert "#PBS -l select=1:ncpus=8:mem=16GB" in scripts["pbs.yaml"]
-    assert "--nworkers 8" in scripts["pbs.yaml"]
+            assert all(words in cluster.job_script() for words in said[name])
 
 
 def test_pages_link_to_what_is_there_and_list_every_page_name_and_extra():
