@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from linksweep.sweep import contract
-from linksweep.sweep.contract import KEY_BYTES, BlockRows, Experiment, Parameter, Status, SweepError, ledger_key
+from linksweep.sweep.contract import KEY_BYTES, Block, BlockRows, Output, Status, SweepError, ledger_key
 from linksweep.sweep.planning import plan as planning
 from linksweep.sweep.planning.accumulator import TASK_S, TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import make_grid
@@ -21,43 +20,44 @@ from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 from tests.tiers import examples, slow
 
-
-def summary(sums, n, n_cat):
-    """Headline results whose relative errors are known exactly: sqrt(150/n) and sqrt(2000/n) per cent; one that is like
-    the latter, but small by chance for the first 128; and one that is not known below 500.
-    """
-    results = {}
-    for name, realisations in (("a", 150.0), ("b", 2000.0)):
-        results |= {name: np.ones_like(n), f"{name}_mc_error": 0.01 * np.sqrt(realisations / n)}
-    one, error = np.ones_like(n), results["b_mc_error"]
-    results |= {"lucky": one, "lucky_mc_error": np.where(n == 128.0, 0.005, error)}
-    return results | {"late": one, "late_mc_error": np.where(n < 500.0, np.nan, 0.001)}
+PER_CENT = {
+    "a": lambda n: np.sqrt(150.0 / n),
+    "b": lambda n: np.sqrt(2000.0 / n),
+    "lucky": lambda n: np.where(n == 128.0, 0.5, np.sqrt(2000.0 / n)),  # as b, but small by chance for the first 128
+    "late": lambda n: np.where(n < 500.0, np.nan, 0.1),  # not known below 500
+}
+"""Relative errors of results, all of which are one."""
 
 
-HEADLINES = ("a", "b", "lucky", "late")
-NAMES = tuple(each for name in HEADLINES for each in (name, f"{name}_mc_error"))
-experiment = Experiment(
-    name="exact",
-    version=1,
-    parameters=(Parameter("kind", "int", 0, "which"),),
-    sums={"n": ()},
-    outputs=tuple(contract.Output(name, "", name, headline=name in HEADLINES, nan=True) for name in NAMES),
-    evaluate=lambda points, n_sim, rng, catalogue_rng: {"n": [n_sim for _ in points]},
-    summarise=summary,
-)
-
-
-def plan_of(document, **sampling):
+def plan_of(document, experiment=None, **sampling):
     whole = {"title": "", "experiment": COINS} | document
-    return Plan(make_grid(study_from_dict(whole | {"sampling": whole.get("sampling", {}) | sampling})))
+    study = study_from_dict(whole | {"sampling": whole.get("sampling", {}) | sampling})
+    return Plan(make_grid(replace(study, experiment=experiment or study.experiment)))
+
+
+ONE = study_from_dict({"title": "", "experiment": COINS})
+
+
+def exact(*headlines):
+    """An experiment whose errors are known exactly."""
+    names = [*PER_CENT, *(f"{name}_mc_error" for name in PER_CENT)]
+    return replace(
+        ONE.experiment,
+        sums={"n": ()},
+        outputs=tuple(Output(name, "", name, headline=name in headlines, nan=True) for name in names),
+        evaluate=lambda points, n_sim, rng, catalogue_rng: {"n": [n_sim for _ in points]},
+        summarise=lambda sums, n, n_cat: {
+            **{name: np.ones_like(n) for name in PER_CENT},
+            **{f"{name}_mc_error": 0.01 * error(n) for name, error in PER_CENT.items()},
+        },
+    )
+
+
+experiment = exact(*PER_CENT)
 
 
 def precise(headlines=("a", "b"), **sampling):
-    study = study_from_dict(
-        {"title": "", "experiment": f"{__file__}:experiment", "sampling": {"n_sim": 100} | sampling}
-    )
-    outputs = tuple(replace(output, headline=output.name in headlines) for output in experiment.outputs)
-    return Plan(make_grid(replace(study, experiment=replace(study.experiment, outputs=outputs))))
+    return plan_of({"experiment": f"{__file__}:experiment"}, exact(*headlines), **{"n_sim": 100} | sampling)
 
 
 def row(sums, accumulator):
@@ -70,14 +70,11 @@ def keys_of(plan):
     return [ledger_key(point.digest, work.block) for task in tasks for work in task for point in work.points]
 
 
-ONE = study_from_dict({"title": "", "experiment": COINS})
-
-
 @settings(max_examples=examples(30), derandomize=True)
 @given(st.integers(1, 700), st.integers(1, 20), st.floats(1.0, 1e9), st.integers(0, 600), st.integers(0, 20))
 def test_blocks_tile_the_realisations_exactly_once_and_more_leave_whole_ones(n_sim, n_cat, cost, more_sim, more_cat):
     before, after = (
-        Plan(make_grid(replace(ONE, sampling=ONE.sampling.model_copy(update=sampling)))).blocks(cost)
+        plan_of({}, **sampling).blocks(cost)
         for sampling in ({"n_sim": n_sim, "n_cat": n_cat}, {"n_sim": n_sim + more_sim, "n_cat": n_cat + more_cat})
     )
     covered = np.zeros((n_cat, n_sim), dtype=int)
@@ -261,9 +258,8 @@ def test_blocks_are_added_in_their_own_order_whatever_that_of_their_arrival():
 
 @pytest.mark.parametrize("taken_before", [0, 3])
 def test_a_failed_point_is_given_out_no_more_and_never_done(taken_before):
-    study = study_from_dict({"title": "", "experiment": COINS, "sampling": {"n_sim": 160}, "axes": {"coins": [1, 2]}})
-    costly = replace(study.experiment, cost=lambda point: 2.0**24)  # ten blocks of 16 realisations, a task each
-    plan = Plan(make_grid(replace(study, experiment=costly)))
+    costly = replace(ONE.experiment, cost=lambda point: 2.0**24)  # ten blocks of 16 realisations, a task each
+    plan = plan_of({"axes": {"coins": [1, 2]}}, costly, n_sim=160)
     accumulator = Accumulator(plan)
     pending = Pending(plan, accumulator)
     first, second = plan.grid.points()
@@ -287,8 +283,7 @@ def test_what_is_asked_of_a_point_is_its_own_answer_whatever_it_depends_on(reads
         other = point[reads[point["coins"]]] if point["coins"] in reads else ""
         return float(1 + 100 * point["coins"] + len(str(other)) + 10 * (other == 0.5))
 
-    study = study_from_dict({"title": "", "experiment": COINS, "axes": AXES})
-    plan = Plan(make_grid(replace(study, experiment=replace(study.experiment, cost=cost))))
+    plan = plan_of({"axes": AXES}, replace(ONE.experiment, cost=cost))
     points = [parameters for _, parameters in plan.grid.parameters()]
     order.shuffle(points)
     assert [plan.cost(point) for point in points] == [cost(point) for point in points]
@@ -325,7 +320,7 @@ def test_streams_are_numpys_own_children_of_the_seed(seed, name, first, part):
     def state(rng):
         return rng.bit_generator.state["state"]["state"].tolist()
 
-    pairs = planning.generators_of(seed, name, contract.Block(0, part, first, 2, 10))
+    pairs = planning.generators_of(seed, name, Block(0, part, first, 2, 10))
     words = np.frombuffer(name, "<u4").tolist()
     for catalogue, pair in enumerate(pairs, first):
         for ours, place in zip(pair, [(catalogue, 1, part), (catalogue, 0)], strict=True):
@@ -357,8 +352,7 @@ def even_are_fair(point):
 
 def grid_of(study, unused=even_are_fair):
     """The grid of coins some of whose parameters may change nothing."""
-    whole = study_from_dict({"title": "", "experiment": COINS} | study)
-    return make_grid(replace(whole, experiment=replace(whole.experiment, unused=unused)))
+    return plan_of(study, replace(ONE.experiment, unused=unused)).grid
 
 
 @pytest.mark.parametrize(
