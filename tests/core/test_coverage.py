@@ -5,7 +5,6 @@ import functools
 import numpy as np
 import pytest
 
-import linksweep
 from tests.core.points import CALIBRATED, all_skies, constants_of, fit, published_model, published_numbers
 from tests.sweep.test_coverage import assert_covers, results_of
 
@@ -56,22 +55,6 @@ def test_the_error_of_a_bias_that_is_none():
     for n_cat, n_sim in ((1, 64), (1, 2048), (12, 64)):
         dataset = copies(n_cat, n_sim)
         assert_covers(dataset["bias"] / dataset["bias_mc_error"], dof=np.inf if n_cat == 1 else n_cat - 1)
-
-
-@pytest.mark.parametrize("precision", [0.05, 0.02])
-def test_the_error_at_which_a_precision_stops(tmp_path, precision):
-    """Stopping at an error that is itself estimated moves neither the value nor its error by what can be seen."""
-    document = {
-        "title": "Copies",
-        "axes": {"error_scale": [1.0 + 1e-9 * k for k in range(COPIES)]},
-        "fixed": QUASARS,
-        "sampling": {"n_sim": 64, "n_cat": 1, "seed": 5, "precision": precision},
-    }
-    dataset = linksweep.run(document, tmp_path / "s.zarr", pool="serial")
-    assert np.all(dataset["n_sim_done"] > 64)
-    for name in ("sigma_spin", "sigma_orientation"):
-        assert np.all(dataset[f"{name}_mc_error"] <= precision * dataset[name])
-        assert_covers((dataset[name] - dataset[f"{name}_predicted"]) / dataset[f"{name}_mc_error"])
 
 
 @pytest.mark.parametrize("model", ["gaia", "amex"])

@@ -77,20 +77,6 @@ def predicted(physics, catalogue):
     return np.einsum("kin,nij,kjn->k", gain, both, gain)[:6]
 
 
-def assert_is_the_plain_loop(physics, n_sim):
-    sums = run(physics, n_sim)
-    solutions, found = zip(*one_by_one(physics, n_sim), strict=True)
-    error, sigma = np.array(found) / MAS, solutions[0].formal_error / MAS
-    near, products = 1e-9 * n_sim * sigma, error.T @ error
-    assert np.all(np.abs(sums["error"] - error.sum(axis=0)[:6]) < near[:6])
-    assert np.all(np.abs(sums["error_products"] - products[:6, :6]) < np.outer(near, sigma)[:6, :6])
-    if physics.solve_glide:
-        assert np.all(np.abs(sums["glide_error"] - error.sum(axis=0)[6:]) < near[6:])
-        assert np.all(np.abs(sums["glide_squares"] - np.diag(products)[6:]) < (near * sigma)[6:])
-    assert sums["chi2"] == pytest.approx(sum(s.chi2 for s in solutions), rel=1e-9)
-    return sums
-
-
 @pytest.mark.parametrize(
     ("weighting", "reference", "corrections", "solve_glide"),
     [
@@ -103,7 +89,16 @@ def test_equals_the_plain_loop(weighting, reference, n_obj, n_sim, corrections, 
     assert n_sim > points.ROWS or 4 * n_obj * n_sim > points.TILE  # several chunks or several tiles
     options = {"weighting": weighting, "corrections": corrections, "solve_glide": solve_glide}
     physics = physics_of(n_obj=n_obj, mean_pm=100.0, aberration=True, glide=GLIDE_UAS, **options, **reference)
-    sums = assert_is_the_plain_loop(physics, n_sim)
+    sums = run(physics, n_sim)
+    solutions, found = zip(*one_by_one(physics, n_sim), strict=True)
+    error, sigma = np.array(found) / MAS, solutions[0].formal_error / MAS
+    near, products = 1e-9 * n_sim * sigma, error.T @ error
+    assert np.all(np.abs(sums["error"] - error.sum(axis=0)[:6]) < near[:6])
+    assert np.all(np.abs(sums["error_products"] - products[:6, :6]) < np.outer(near, sigma)[:6, :6])
+    if solve_glide:
+        assert np.all(np.abs(sums["glide_error"] - error.sum(axis=0)[6:]) < near[6:])
+        assert np.all(np.abs(sums["glide_squares"] - np.diag(products)[6:]) < (near * sigma)[6:])
+    assert sums["chi2"] == pytest.approx(sum(s.chi2 for s in solutions), rel=1e-9)
     variance = predicted(physics, physics.draw_catalogue(np.random.default_rng(2))) / MAS**2
     np.testing.assert_allclose(sums["predicted_variance"], n_sim * variance, rtol=1e-9)
     squares = n_sim * np.square([*variance, np.mean(variance[:3]), np.mean(variance[3:])])

@@ -78,7 +78,7 @@ OMEGA = np.array([[0.02, -0.1, 0.06], [0.3, -0.2, 0.15]]) * MAS
 UNKNOWNS = parse_unknowns("orientation,spin,hipparcos:orientation,hipparcos:spin", missions=("hipparcos",))
 
 
-def missions(n=14, n_reference=6, noisy=True, seed=5):
+def missions(n=14, n_reference=6, seed=5):
     """Return the problem of two missions, and of a reference that has a few of their stars, at three epochs.
 
     Each mission's orientation is that of 2016.0, the epoch of the unknowns.
@@ -95,7 +95,6 @@ def missions(n=14, n_reference=6, noisy=True, seed=5):
     vlbi = truth.taken(chosen)
     vlbi = replace(vlbi, values=propagated(vlbi.values, vlbi.radial_velocity, vlbi.epoch, vlbi.epoch - 9.0))
     vlbi = replace(vlbi, epoch=vlbi.epoch - 9.0)
-    if noisy:
-        gaia, hipparcos, vlbi = (replace(one, values=one.values + noise(rng, one)) for one in (gaia, hipparcos, vlbi))
+    gaia, hipparcos, vlbi = (replace(one, values=one.values + noise(rng, one)) for one in (gaia, hipparcos, vlbi))
     source = np.concatenate([np.arange(n), chosen])
     return Problem(gaia, joined(hipparcos, vlbi), source, UNKNOWNS, GAIA)

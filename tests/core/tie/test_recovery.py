@@ -24,25 +24,15 @@ OMEGA = np.array([0.9, -1.4, 0.6]) * MAS
 def by_astropy(reference, epoch):
     """Return the values of a reference at an epoch by astropy."""
     ra, dec, parallax, pmra, pmdec = reference.values
-    start = Time(reference.epoch[0], format="jyear", scale="tdb")
     there = SkyCoord(
-        ra=ra * units.rad,
-        dec=dec * units.rad,
-        distance=Distance(parallax=parallax * units.rad),
+        *(ra * units.rad, dec * units.rad, Distance(parallax=parallax * units.rad)),
         pm_ra_cosdec=pmra * units.rad / units.yr,
         pm_dec=pmdec * units.rad / units.yr,
         radial_velocity=reference.radial_velocity * units.km / units.s,
-        obstime=start,
+        obstime=Time(reference.epoch[0], format="jyear", scale="tdb"),
     ).apply_space_motion(new_obstime=Time(epoch, format="jyear", scale="tdb"))
-    return np.array(
-        [
-            there.ra.rad,
-            there.dec.rad,
-            there.distance.parallax.rad,
-            there.pm_ra_cosdec.to_value(units.rad / units.yr),
-            there.pm_dec.to_value(units.rad / units.yr),
-        ]
-    )
+    motions = (pm.to_value(units.rad / units.yr) for pm in (there.pm_ra_cosdec, there.pm_dec))
+    return np.array([there.ra.rad, there.dec.rad, there.distance.parallax.rad, *motions])
 
 
 def apparent(values, epoch):

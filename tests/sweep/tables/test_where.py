@@ -8,8 +8,8 @@ from hypothesis import given, settings, strategies as st
 
 from linksweep import SweepError
 from linksweep.sweep.tables.columns import rows_where
+from tests.tiers import examples
 
-NUMBERS, TEXTS = ("a", "b", "n"), ("s",)
 FRAME = pd.DataFrame(
     {
         "a": [0.5, 1.4, 2.0, -3.0, 7.25, 1e9, 0.0, -0.5],
@@ -22,32 +22,23 @@ FRAME = pd.DataFrame(
 TABLE = Table.from_pandas(FRAME)
 
 
-def literals(column):
-    if column in TEXTS:
-        return st.sampled_from(["'S1'", '"x"', "'none'"])
-    return st.sampled_from(["1.4", "-3", "0", "2", "1e9", "-0.5", str(2**53 + 1), str(10**17)])
-
-
-@st.composite
-def comparisons(draw):
-    column = draw(st.sampled_from((*NUMBERS, *TEXTS)))
-    form = draw(st.sampled_from(("one", "chain", "in", "columns", "flag")))
-    comparison = draw(st.sampled_from(("<", "<=", ">", ">=", "==", "!=")))
-    if form == "in":
-        some = ", ".join(draw(st.lists(literals(column), min_size=1, max_size=3)))
-        return f"{column} {draw(st.sampled_from(('in', 'not in')))} [{some}]"
-    if column in TEXTS:
-        return f"{column} {draw(st.sampled_from(('==', '!=')))} {draw(literals(column))}"
-    if form == "flag":
-        return "flag"
-    return {
-        "chain": f"{draw(literals(column))} {draw(st.sampled_from(('<', '<=')))} {column} < {draw(literals(column))}",
-        "columns": f"a {comparison} b",
-    }.get(form, f"{column} {comparison} {draw(literals(column))}")
-
-
+COLUMN = st.sampled_from("abn")
+NUMBER = st.sampled_from(["1.4", "-3", "0", "2", "1e9", "-0.5", str(2**53 + 1), str(10**17)])
+TEXT = st.sampled_from(["'S1'", '"x"', "'none'"])
+COMPARED = st.sampled_from(["<", "<=", ">", ">=", "==", "!="])
+COMPARISONS = st.one_of(
+    st.builds("{} {} {}".format, COLUMN, COMPARED, NUMBER),
+    st.builds("{} {} {} < {}".format, NUMBER, st.sampled_from(["<", "<="]), COLUMN, NUMBER),
+    st.builds("a {} b".format, COMPARED),
+    st.builds("s {} {}".format, st.sampled_from(["==", "!="]), TEXT),
+    *(
+        st.builds("{} {} [{}, {}]".format, column, st.sampled_from(["in", "not in"]), value, value)
+        for column, value in ((COLUMN, NUMBER), (st.just("s"), TEXT))
+    ),
+    st.just("flag"),
+)
 CONDITIONS = st.recursive(
-    comparisons(),
+    COMPARISONS,
     lambda inner: st.one_of(
         st.builds("({}) & ({})".format, inner, inner),
         st.builds("{} | {}".format, inner, inner),
@@ -59,7 +50,7 @@ CONDITIONS = st.recursive(
 )
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(100))
 @given(CONDITIONS)
 def test_rows_are_those_of_pandas(condition):
     wanted = FRAME.eval(condition, engine="python").to_numpy(dtype=bool)
@@ -70,7 +61,7 @@ def test_rows_are_those_of_pandas(condition):
             rows_where(TABLE, condition)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(300))
 @given(st.text(alphabet="ab ns<>=!&|~()[]{}'\"`.,:0123eE+-*/%^@#lambdinotrue_\\\n\té", max_size=30))
 def test_any_text_gives_rows_or_is_refused_with_its_place(condition):
     try:
