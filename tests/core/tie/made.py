@@ -7,7 +7,7 @@ import numpy as np
 from astropy.table import Table
 
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, satellite_catalogue
-from linksweep.core.tie.astrometry import PAIRS, Astrometry, joined, parallax_factors, propagated
+from linksweep.core.tie.astrometry import PAIRS, Astrometry, by_errors, joined, parallax_factors, propagated
 from linksweep.core.tie.problem import Problem
 from linksweep.core.unknowns import Objects, parse_unknowns, spin_block
 from linksweep.sweep.cli import main
@@ -49,6 +49,17 @@ def noise(rng, astrometry):
     values, vectors = np.linalg.eigh(covariance)
     half = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     return np.einsum("nij,nj->in", half, rng.normal(size=(len(astrometry), 5)))
+
+
+def only(made, present, **changes):
+    """Return an astrometry that has no more than the parameters that are ``present``, as (5,) or (5, N)."""
+    made = replace(made, **changes)
+    present = np.broadcast_to(np.asarray(present).T, made.errors.T.shape).T
+    values, errors = (np.where(present, array, np.nan) for array in (made.values, made.errors))
+    return replace(made, values=values, errors=errors)
+
+
+POSITION = np.array([True, True, False, False, False])
 
 
 def gaia_table(made, **changes):

@@ -4,7 +4,6 @@ import re
 
 import numpy as np
 import pytest
-import xarray as xr
 
 import linksweep
 from linksweep import SweepError
@@ -12,18 +11,16 @@ from tests.sweep.analysis.made import DONE, FAILED, MISSING, answers, grid, stud
 
 AT = {"model": "gaia", "v_max": 20.0}
 GAIA = {"value": {"variable": "sigma_spin", "at": AT}}
+RATIO = {"variable": "sigma_spin", "of": {"model": "gaia"}, "to": {"model": "amex"}}
 
 
 def made(value=((0.65, 0.57), (0.0017, 0.00054)), error=3e-6, status=DONE):
     """Results of the link at two missions and two limits; the last point has another status."""
-    places = ("model", "v_max"), np.full((2, 2), DONE, np.int8)
-    places[1][1, 1] = status
-    variables = {
-        "sigma_spin": (places[0], np.array(value), {"units": "mas / yr", "long_name": "RMS error", "headline": 1}),
-        "sigma_spin_mc_error": (places[0], np.full((2, 2), error), {"units": "mas / yr"}),
-        "status": places,
-    }
-    return xr.Dataset(variables, {"model": ["amex", "gaia"], "v_max": [14.0, 20.0]}, {"title": "t", "complete": 1})
+    status = np.array([[DONE, DONE], [DONE, status]], dtype=np.int8)
+    found = grid(value, error, np.array([14.0, 20.0]), "v_max", status=status).assign_coords(model=["amex", "gaia"])
+    for name in ("width", "width_mc_error"):
+        found[name].attrs |= {"units": "mas / yr", "long_name": "RMS error"}
+    return found.rename(width="sigma_spin", width_mc_error="sigma_spin_mc_error")
 
 
 def said(dataset):
@@ -41,12 +38,7 @@ def concluding(dataset, *sentences, grid=None, **values):
     ("sentence", "value", "text"),
     [
         ("GAIA {{20}}: {gaia}, {gaia:error}.", GAIA, "GAIA {20}: 0.54 uas/yr, 0.5400 ± 0.0030 uas/yr."),
-        (
-            "{gaia:%} of AMEX",
-            {"ratio": {"variable": "sigma_spin", "of": {"model": "gaia"}, "to": {"model": "amex"}}}
-            | {"where": {"v_max": 20.0}},
-            "0.0947 % of AMEX",
-        ),
+        ("{gaia:%} of AMEX", {"ratio": RATIO, "where": {"v_max": 20.0}}, "0.0947 % of AMEX"),
         ("{gaia}", {"value": {"variable": "sigma_spin"}, "choose": "largest"}, "0.650 mas/yr"),
         ("{gaia}", {"value": {"variable": "sigma_spin"}, "choose": "least"}, "0.54 uas/yr"),
     ],

@@ -3,7 +3,6 @@
 import json
 
 import numpy as np
-import pytest
 import xarray as xr
 from astropy.table import Table
 
@@ -13,24 +12,19 @@ from tests.sweep.analysis.made import grid, shown, text_of
 LARGE = 2**60
 
 
-def large(a: int, b: int = 1):
+def large(a: int):
     if a % 3 == 0:
         raise ValueError("no")
-    return {"k": LARGE + a * b, "small": a, "line": np.arange(2) + LARGE + a}
-
-
-@pytest.fixture(scope="module")
-def store(tmp_path_factory):
-    place = tmp_path_factory.mktemp("gaps") / "large.zarr"
-    linksweep.run(large, place, axes={"a": range(1, 11)}, pool="serial")
-    return str(place)
+    return {"k": LARGE + a, "small": a, "line": np.arange(2) + LARGE + a}
 
 
 EXPECTED = [None if a % 3 == 0 else a for a in range(1, 11)]
 EXACT = [None if a is None else LARGE + a for a in EXPECTED]
 
 
-def test_tables_have_gaps_and_no_number_in_place_of_them(store):
+def test_integers_are_exact_beside_gaps_in_tables_and_in_the_dataset(tmp_path, sweep):
+    store = tmp_path / "large.zarr"
+    linksweep.run(large, store, axes={"a": range(1, 11)}, pool="serial")
     text = shown("show", store)
     assert str(np.iinfo(np.int64).min) not in text
     assert ["3", "failed"] in [line.split() for line in text.splitlines()]
@@ -45,9 +39,6 @@ def test_tables_have_gaps_and_no_number_in_place_of_them(store):
     ecsv = Table.read(shown("show", store, "--format", "ecsv"), format="ascii.ecsv")
     assert ecsv["k"].tolist() == EXACT
     assert ecsv["small"].tolist() == EXPECTED
-
-
-def test_the_dataset_has_exact_integers_beside_gaps(store, sweep):
     found = linksweep.open(store)
     assert [None if k != k else k for k in found.k.values] == EXACT  # noqa: PLR0124 (NaN)
     assert found.small.dtype == float
@@ -63,10 +54,7 @@ def test_a_prediction_is_shown_with_its_parts_and_a_published_number_with_the_di
     dataset = dataset.assign({name: (axes, np.full((2, 5), x), {"units": "mas"}) for name, x in parts.items()})
     first = next(line for line in text_of(dataset).splitlines() if line.split()[:1] == ["old"])
     assert first.split()[2:] == ["0.6000", "±", "0.0030", "0.5000", "0.4000", "0.3000", "0.5", "+20.0", "%"]
-
-
-def test_what_is_published_exactly_is_a_sentence_and_no_column():
-    text = text_of(grid(28.0, published={(0, 0): "28"}))
+    text = text_of(grid(28.0, published={(0, 0): "28"}))  # what is met exactly is a sentence and no column
     assert "width: all published values are met exactly" in text
     assert "difference" not in text
 
@@ -80,47 +68,25 @@ def test_an_integer_beyond_those_of_floats_chooses_its_own_point(tmp_path):
     assert row["f"] == (2**53 + 1) % 10
 
 
-NAMES = ["omega_x", "omega_y", "omega_z"]
-
-
-@pytest.fixture
-def masers():
+def test_each_component_and_a_bad_condition_are_shown_in_80_columns():
     """The twelve masers: the mean 1.05 hides 0.11, 1.59 and 0.89, of which two have a correlation of 0.999."""
     sigma, correlation = np.array([0.11, 1.59, 0.89]), np.eye(3)
     correlation[1, 2] = correlation[2, 1] = -0.999
-    pair = ("n_obj", "component", "component_other")
-    return xr.Dataset(
-        {
-            "sigma": (("n_obj", "component"), [sigma]),
-            "sigma_mc_error": (("n_obj", "component"), [0.01 * sigma]),
-            "correlation": (pair, [correlation]),
-            "condition_number": ("n_obj", [1999.0]),
-            "n_sim_done": ("n_obj", [1000]),
-            "status": ("n_obj", np.array([1], dtype=np.int8)),
-        },
-        {
-            "n_obj": [12],
-            "component": NAMES,
-            "component_other": NAMES,
-            "component_unit": ("component", ["mas / yr"] * 3),
-        },
-    )
-
-
-def test_each_component_and_the_largest_correlation_are_shown_in_80_columns(masers):
+    axes, names = ("n_obj", "component"), ["omega_x", "omega_y", "omega_z"]
+    variables = {"sigma": (axes, [sigma]), "sigma_mc_error": (axes, [0.01 * sigma])}
+    variables |= {"correlation": ((*axes, "component_other"), [correlation]), "condition_number": ("n_obj", [1999.0])}
+    variables |= {"n_sim_done": ("n_obj", [1000]), "status": ("n_obj", np.array([1], dtype=np.int8))}
+    units = {"component_unit": ("component", ["mas / yr"] * 3)}
+    masers = xr.Dataset(variables, {"n_obj": [12], "component": names, "component_other": names} | units)
     text = text_of(masers)
-    assert [line.split() for line in text.splitlines() if line.startswith("omega_") and "yr" in line] == [
-        ["omega_x", "0.11", "mas/yr"],
-        ["omega_y", "1.59", "mas/yr"],
-        ["omega_z", "0.89", "mas/yr"],
+    shown = [line.split() for line in text.splitlines() if line.startswith("omega_") and "yr" in line]
+    assert shown == [
+        [f"omega_{axis}", number, "mas/yr"] for axis, number in zip("xyz", ("0.11", "1.59", "0.89"), strict=True)
     ]
     words = "sigma, n_obj=12: condition number 2e+03, largest correlation -0.999 (omega_y, omega_z)"
     assert words in " ".join(text.split())
     assert max(map(len, text.splitlines()[:4])) <= 80
-
-
-def test_a_bad_condition_is_warned_of_and_a_good_one_is_not(masers):
     warned = "at 1 point the condition number is up to 2e+03"
-    assert warned in text_of(masers)
+    assert warned in text
     assert warned not in text_of(masers.assign(condition_number=("n_obj", [3.0])))
     assert "omega_x" not in text_of(masers.drop_vars(["sigma_mc_error"]))

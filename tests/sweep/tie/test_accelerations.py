@@ -9,9 +9,11 @@ import pytest
 from astropy.table import MaskedColumn, Table
 
 import linksweep
+from linksweep.core.frames import DEGREE, MAS
+from linksweep.core.tie.astrometry import by_errors, propagated
 from linksweep.sweep.tables.columns import ALL_PAIRS
 from linksweep.sweep.tie.tables import TableOptions, read_table
-from tests.core.tie.made import DEGREE, MAS, NAMES, gaia, propagated, seen_by_satellite, stars
+from tests.core.tie.made import NAMES, gaia, noise, only, seen_by_satellite, stars
 from tests.sweep.tie.test_against_least_squares import EPSILON, KINDS, OMEGA, compare
 from tests.tiers import slow
 
@@ -25,10 +27,8 @@ def drawn(n, seed, models=(5, 7, 9), epoch=2017.5):
     made = replace(stars(n, seed, pm=20.0, epoch=epoch), radial_velocity=np.zeros(n))
     sizes = np.array(models)[np.arange(n) % len(models)]
     half = rng.normal(size=(n, 9, 14))
-    covariance = half @ half.swapaxes(1, 2)
-    sigma = np.sqrt(np.einsum("nii->ni", covariance))
-    wanted = np.concatenate([made.errors.T, rng.uniform(0.02, 0.05, (n, 4)) * MAS], axis=1)
-    covariance *= (wanted / sigma)[:, :, None] * (wanted / sigma)[:, None, :]
+    wanted = np.concatenate([made.errors, rng.uniform(0.02, 0.05, (4, n)) * MAS])
+    covariance = np.einsum("ijn,in,jn->nij", by_errors(half @ half.swapaxes(1, 2))[1], wanted, wanted)
     for one, size in zip(covariance, sizes, strict=True):
         one[size:] = one[:, size:] = 0.0
     accelerations = rng.normal(0.0, 2.0 * MAS, (4, n)) * (np.arange(5, 9)[:, None] < sizes)
@@ -38,9 +38,7 @@ def drawn(n, seed, models=(5, 7, 9), epoch=2017.5):
 
 def satellite_table(path, made, accelerations, covariance, sizes, form="named", **changes):
     """Write the satellite's table; missing parameters are blank."""
-    sigma = np.sqrt(np.einsum("nii->in", covariance))
-    safe = np.where(sigma > 0.0, sigma, 1.0)
-    correlation = covariance / (safe.T[:, :, None] * safe.T[:, None, :])
+    sigma, correlation = by_errors(covariance)
     values = np.concatenate([made.values, accelerations])
     table = Table({"source_id": np.arange(len(made)) + 10**17, "ref_epoch": made.epoch})
     for k, name in enumerate(NINE):
@@ -49,10 +47,10 @@ def satellite_table(path, made, accelerations, covariance, sizes, form="named", 
         table[f"{name}_error"] = MaskedColumn(sigma[k] / MAS, mask=blank)
     if form == "named":
         for i, j in ALL_PAIRS:
-            table[f"{NINE[i]}_{NINE[j]}_corr"] = MaskedColumn(correlation[:, i, j], mask=sizes <= j)
+            table[f"{NINE[i]}_{NINE[j]}_corr"] = MaskedColumn(correlation[i, j], mask=sizes <= j)
     else:
         vectors = np.full((len(made), 98), np.nan)
-        vectors[:, :36] = np.array([correlation[:, i, j] for j in range(1, 9) for i in range(j)]).T
+        vectors[:, :36] = np.array([correlation[i, j] for j in range(1, 9) for i in range(j)]).T
         for row, size in zip(vectors, sizes, strict=True):
             row[size * (size - 1) // 2 :] = np.nan
         lists = [f"[{', '.join(f'{x!r}' for x in row[np.isfinite(row)].tolist())}]" for row in vectors]
@@ -68,9 +66,8 @@ def test_rows_of_each_model_are_read(tmp_path, form, ending):
     made, accelerations, covariance, sizes = drawn(9, 1)
     read = read_table(satellite_table(tmp_path / f"dr4.{ending}", made, accelerations, covariance, sizes, form))
     np.testing.assert_allclose(read.astrometry.further[0, :4], accelerations, rtol=1e-12)
-    np.testing.assert_allclose(
-        read.astrometry.covariance()[:, :9, :9], covariance, rtol=1e-9, atol=1e-12 * covariance.max()
-    )
+    found = read.astrometry.covariance()[:, :9, :9]
+    np.testing.assert_allclose(found, covariance, rtol=1e-9, atol=1e-12 * covariance.max())
     assert any("3 of 5, 3 of 7, 3 of 9" in note for note in read.notes)
 
 
@@ -87,22 +84,17 @@ def path(star, accelerations, years):
     return np.array([*position, moved[2], *(moved[3:] + faster)])
 
 
-def made_link(folder, seed, n=12, epoch=2017.5, noise=1.0, change=None, **options):
+def made_link(folder, seed, n=12, epoch=2017.5, change=None, **options):
     """Write two tables of stars with models of each kind, their rows at several epochs, and return the link."""
     rng = np.random.default_rng(seed)
     made, accelerations, covariance, sizes = drawn(n, seed, epoch=epoch)
     own = replace(made, values=seen_by_satellite(made, EPSILON + OMEGA * (epoch - 2016.0), OMEGA))
-    values, vectors = np.linalg.eigh(covariance)
-    errors = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ rng.normal(size=(n, 9, 1)) * noise
-    errors = errors[..., 0].T
+    errors = np.array([rng.multivariate_normal(np.zeros(9), one, method="eigh") for one in covariance]).T
     source, epochs = np.repeat(np.arange(n), 3), rng.uniform(2003.0, 2024.0, 3 * n)
     rows = replace(made.taken(source), radial_velocity=np.zeros(3 * n), epoch=epochs)
     truth = path(made.taken(source), accelerations[:, source], epochs - epoch)
-    kind = np.arange(3 * n) % 3 == 0
-    sigma = np.where((np.arange(5)[:, None] >= 2) & ~kind, np.nan, rows.errors)
-    rows = replace(rows, values=np.where(np.isnan(sigma), np.nan, truth), errors=sigma)
-    drawn_errors = np.linalg.cholesky(rows.covariance() + 1e-40 * np.eye(5)) @ rng.normal(size=(3 * n, 5, 1)) * noise
-    rows = replace(rows, values=rows.values + drawn_errors[..., 0].T)
+    rows = replace(rows, values=truth + noise(rng, rows))
+    rows = only(rows, (np.arange(5)[:, None] < 2) | (np.arange(3 * n) % 3 == 0))
     shift = errors[:5] / np.array([np.cos(own.values[1]), *np.ones((4, n))])
     own, accelerations = replace(own, values=own.values + shift), accelerations + errors[5:]
     if change is not None:
@@ -140,10 +132,9 @@ def test_mistakes_in_accelerations_are_named(tmp_path, change, words):
 def test_the_mean_motions_of_dr3_are_those_of_its_polynomials(tmp_path):
     made, accelerations, covariance, sizes = drawn(9, 6, epoch=2016.0)
     made = replace(made, values=made.values * np.array([1.0, 0.5, 1.0, 1.0, 1.0])[:, None])
-    path = satellite_table(
-        *(tmp_path / "nss.fits", made, accelerations, covariance, sizes),
-        nss_solution_type=np.array([f"Acceleration{size}" for size in sizes]),
-    )
+    kinds = np.array([f"Acceleration{size}" for size in sizes])
+    table = tmp_path / "nss.fits", made, accelerations, covariance, sizes
+    path = satellite_table(*table, nss_solution_type=kinds)
     span, a, b, t = 517.5 / 365.25, accelerations[:2], accelerations[2:], 3.0
     # the documentation of DR3, Eq. 7.5
     shift = a * (t**2 - span**2 / 3.0) / 2.0 + b * (t**2 - span**2) * t / 6.0
@@ -182,9 +173,8 @@ def test_accelerations_of_a_reference_leave_its_five_parameters(tmp_path):
     table = Table.read(reference)
     table.remove_columns([name for name in table.colnames if "accel" in name])
     table.write(tmp_path / "five.fits")
-    np.testing.assert_array_equal(
-        link.estimate, linksweep.tie(own, tmp_path / "five.fits", "orientation,spin").estimate
-    )
+    same = linksweep.tie(own, tmp_path / "five.fits", "orientation,spin")
+    np.testing.assert_array_equal(link.estimate, same.estimate)
 
 
 def test_an_accelerated_satellite_in_a_forecast_and_in_draws(tmp_path):
@@ -192,9 +182,8 @@ def test_an_accelerated_satellite_in_a_forecast_and_in_draws(tmp_path):
     tables, options = (tmp_path / "satellite.fits", tmp_path / "reference.fits"), {"positions": "mean"}
     plan = linksweep.forecast(*tables, "orientation,spin", add=[2030.0], release="dr5", **options)
     assert np.all(np.diff(plan.error.sel(unknown="omega_x")) < 0.0)
-    shrunk = (66.0 / 126.0) ** np.array(
-        [*[0.5] * 3, 1.5, 1.5, 2.5, 2.5, 3.5, 3.5]
-    )  # from DR4, errors by T^-1/2 and so on
+    powers = np.array([*[0.5] * 3, 1.5, 1.5, 2.5, 2.5, 3.5, 3.5])  # from DR4, errors by T^-1/2 and so on
+    shrunk = (66.0 / 126.0) ** powers
     later = replace(made.own, epoch=np.full(12, 2020.0)), made.accelerations, made.covariance * np.outer(shrunk, shrunk)
     by_hand = satellite_table(tmp_path / "dr5.fits", *later, made.sizes)
     found = linksweep.forecast(by_hand, tables[1], "orientation,spin", **options).error[0]

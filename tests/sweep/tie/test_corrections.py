@@ -12,34 +12,21 @@ from tests.core.tie.made import MAS, gaia, stars
 
 zpt = pytest.importorskip("zero_point").zpt
 
-SHIFTED = TableOptions(parallax_zero_point=True)
-
-
-def dr3(n=30):
-    """Return columns of gaia_source: five- and six-parameter solutions, one of two and one too bright."""
-    rng = np.random.default_rng(1)
-    six = np.arange(n) % 3 == 0
-    solved = np.where(six, 95, 31)
-    solved[4] = 3
-    magnitude = rng.uniform(7.0, 20.0, n)
-    magnitude[5] = 4.0
-    return {
-        "phot_g_mean_mag": magnitude,
-        "nu_eff_used_in_astrometry": np.where(six, np.nan, rng.uniform(1.2, 1.8, n)),
-        "pseudocolour": np.where(six, rng.uniform(1.25, 1.7, n), np.nan),
-        "ecl_lat": rng.uniform(-90.0, 90.0, n),
-        "astrometric_params_solved": solved,
-    }
-
 
 def test_parallaxes_are_those_of_the_authors_package(tmp_path):
-    columns, made = dr3(), stars(30)
-    found = read_table(gaia(tmp_path / "gaia.ecsv", made, **columns), SHIFTED)
+    """Of columns of gaia_source: five- and six-parameter solutions, one of two and one too bright."""
+    rng, made = np.random.default_rng(1), stars(30)
+    six, magnitude = np.arange(30) % 3 == 0, rng.uniform(7.0, 20.0, 30)
+    solved = np.where(six, 95, 31)
+    solved[4], magnitude[5] = 3, 4.0
+    columns = {"phot_g_mean_mag": magnitude}
+    columns["nu_eff_used_in_astrometry"] = np.where(six, np.nan, rng.uniform(1.2, 1.8, 30))
+    columns["pseudocolour"] = np.where(six, rng.uniform(1.25, 1.7, 30), np.nan)
+    columns |= {"ecl_lat": rng.uniform(-90.0, 90.0, 30), "astrometric_params_solved": solved}
+    found = read_table(gaia(tmp_path / "gaia.ecsv", made, **columns), TableOptions(parallax_zero_point=True))
     zpt.load_tables()
     for k in range(30):
-        wanted = 0.0
-        if k not in (4, 5):
-            wanted = zpt.get_zpt(*(column[[k]] for column in columns.values()))[0]
+        wanted = 0.0 if k in (4, 5) else zpt.get_zpt(*(column[[k]] for column in columns.values()))[0]
         assert (made.values[2, k] - found.astrometry.values[2, k]) / MAS == pytest.approx(wanted, abs=1e-9)
     assert any("zero points of 28 of 30 parallaxes subtracted" in note for note in found.notes)
 
@@ -51,16 +38,17 @@ def edr3_to_icrf(pmra, pmdec, ra, dec, magnitude):
     return pmra - along_ra / 1000.0, pmdec - (np.sin(ra) * x - np.cos(ra) * y) / 1000.0
 
 
-def bright(folder, epoch=2016.0):
+def bright(folder):
     """Write motions with the spin of bright stars of EDR3, and those without it."""
-    made = replace(stars(30, 2, epoch=epoch), radial_velocity=np.zeros(30))
+    made = replace(stars(30, 2), radial_velocity=np.zeros(30))
     magnitude = np.tile([8.0, 12.6, 15.0], 10)
     values = made.values.copy()
     for k in range(30):
         ra, dec, _, pmra, pmdec = made.values[:, k]
         values[3:, k] = np.array(edr3_to_icrf(pmra / MAS, pmdec / MAS, ra, dec, magnitude[k])) * MAS
-    magnitudes = {"phot_g_mean_mag": magnitude}
-    return gaia(folder / "gaia.ecsv", made, **magnitudes), gaia(folder / "true.ecsv", replace(made, values=values))
+    return gaia(folder / "gaia.ecsv", made, phot_g_mean_mag=magnitude), gaia(
+        folder / "true.ecsv", replace(made, values=values)
+    )
 
 
 @pytest.mark.parametrize("sign", ["reference-satellite", "satellite-reference"])

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 import linksweep
 from linksweep import SweepError, forecast, tie
-from tests.core.tie.made import MAS, gaia, joined, noise, stars
+from tests.core.tie.made import MAS, POSITION, gaia, joined, noise, only, stars
 from tests.tiers import examples, slow
 
 EPOCH = {"dr1": 2015.0, "dr2": 2015.5, "dr3": 2016.0, "dr4": 2017.5, "dr5": 2020.0}
@@ -28,22 +28,20 @@ def scaled(own, old, new):
 
 def seen(own, rows):
     """The values of rows of sources that do not move."""
-    return own.values + noise(np.random.default_rng(1), rows) / np.array(
-        [np.cos(own.values[1]), *np.ones((4, len(own)))]
-    )
+    return own.values + noise(np.random.default_rng(1), rows) / [np.cos(own.values[1]), *np.ones((4, len(own)))]
 
 
 @pytest.fixture(params=[1, slow(2)])
 def tables(request, tmp_path):
     """A satellite of DR3, its rows so far, and the satellite's table as DR4 may give it."""
     own = replace(stars(4, request.param, pm=1e-3, parallax=1e-3), radial_velocity=np.zeros(4))
-    rows = replace(stars(4, request.param + 50), epoch=np.full(4, 2004.0))
+    rows = replace(stars(4, request.param + 50, epoch=2004.0), radial_velocity=np.zeros(4))
     rows = replace(rows, values=seen(own, rows))
-    found = SimpleNamespace(folder=tmp_path, own=own, rows=rows, known={}, weights="covariance")
-    found.satellite = gaia(tmp_path / "dr3.ecsv", own)
-    found.scaled = gaia(tmp_path / "dr4.ecsv", scaled(own, "dr3", "dr4"))
-    found.reference = gaia(tmp_path / "rows.ecsv", replace(rows, radial_velocity=np.zeros(4)))
-    return found
+    paths = gaia(tmp_path / "dr3.fits", own), gaia(tmp_path / "rows.fits", rows)
+    later = gaia(tmp_path / "dr4.fits", scaled(own, "dr3", "dr4"))
+    return SimpleNamespace(
+        folder=tmp_path, own=own, rows=rows, known={}, paths=paths, scaled=later, weights="covariance"
+    )
 
 
 def covariance(tables, satellite, sources=(), epochs=EPOCHS):
@@ -51,19 +49,13 @@ def covariance(tables, satellite, sources=(), epochs=EPOCHS):
     key = satellite, frozenset(sources), tuple(epochs)
     if key in tables.known:
         return tables.known[key]
-    pieces, source = [tables.rows], [np.arange(4)]
-    for epoch in epochs:
-        own = replace(tables.own.taken(np.array(sources, dtype=np.int64)), correlations=None)
-        errors = np.full((5, len(sources)), np.nan)
-        errors[:2] = ERROR * MAS
-        one = replace(own, errors=errors)
-        values = np.where(np.isnan(errors), np.nan, seen(own, one))
-        single = np.ones(len(sources), dtype=bool)
-        pieces.append(replace(one, errors=errors, values=values, epoch=np.full(len(sources), epoch), apparent=single))
-        source.append(np.array(sources, dtype=np.int64))
-    joint, which = joined(*pieces), np.concatenate(source)
-    joint = replace(joint, radial_velocity=np.zeros(len(joint)), correlations=np.nan_to_num(joint.correlations))
-    path = gaia(tables.folder / "extended.ecsv", joint, source_id=which + 10**17)
+    which = np.array([*range(4), *(len(epochs) * list(sources))], dtype=np.int64)
+    new = tables.own.taken(which[4:])
+    changes = {"errors": np.full((5, len(new)), ERROR * MAS), "correlations": np.zeros((10, len(new)))}
+    new = only(new, POSITION, epoch=np.repeat(epochs, len(sources)), **changes)
+    joint = joined(tables.rows, replace(new, values=seen(new, new)))
+    joint = replace(joint, radial_velocity=np.zeros(len(joint)))
+    path = gaia(tables.folder / "extended.fits", joint, source_id=which + 10**17)
     how = {"epoch": 2016.0, "accept_misfit": True, "weights": tables.weights}
     link = tie(satellite, path, "orientation,spin", errors="formal", **how)
     tables.known[key] = link.covariance.values
@@ -81,26 +73,12 @@ def value(matrix, blocks, criterion):
 @pytest.mark.parametrize("weights", ["covariance", "variance", slow("equal")])
 def test_every_stage_and_choice_is_the_link_with_the_new_rows(tables, criterion, blocks, weights):
     tables.weights = weights
-    plan = forecast(
-        tables.satellite,
-        tables.reference,
-        "orientation,spin",
-        add=EPOCHS,
-        error=ERROR,
-        release="dr4",
-        number=2,
-        goal=blocks,
-        criterion=criterion,
-        epoch=2016.0,
-        weights=weights,
-    )
+    options = {"add": EPOCHS, "error": ERROR, "release": "dr4", "number": 2, "goal": blocks, "criterion": criterion}
+    plan = forecast(*tables.paths, "orientation,spin", epoch=2016.0, weights=weights, **options)
     every, scaled = range(4), tables.scaled
     close = {"rtol": 1e-5, "atol": 1e-5 if criterion == "D" else 0.0}
-    stages = {
-        "now": covariance(tables, tables.satellite),
-        "dr4": covariance(tables, scaled),
-        "all observed": covariance(tables, scaled, every),
-    }
+    stages = {"now": covariance(tables, tables.paths[0]), "dr4": covariance(tables, scaled)}
+    stages["all observed"] = covariance(tables, scaled, every)
     for stage, matrix in stages.items():
         np.testing.assert_allclose(plan.error.sel(stage=stage), np.sqrt(np.diag(matrix)), rtol=1e-5, err_msg=stage)
         expected = value(matrix, blocks, criterion)
@@ -133,24 +111,24 @@ def folder(tmp_path_factory):
     """A reference of a later epoch, and the satellite's table at the epoch of each release and at others."""
     made = tmp_path_factory.mktemp("releases")
     reference = resting(2008.0)
-    gaia(made / "reference.ecsv", replace(reference, values=seen(reference, reference)))
+    gaia(made / "reference.fits", replace(reference, values=seen(reference, reference)))
     for name, epoch in EPOCH.items():
-        gaia(made / f"{name}.ecsv", resting(epoch))
-    gaia(made / "other.ecsv", resting(1991.25))
+        gaia(made / f"{name}.fits", resting(epoch))
+    gaia(made / "other.fits", resting(1991.25))
     mixed = resting(2016.0)
-    gaia(made / "mixed.ecsv", replace(mixed, epoch=np.where(np.arange(12) < 6, 2016.0, 2017.5)))
-    gaia(made / "various.ecsv", replace(mixed, epoch=np.where(np.arange(12) < 6, 2016.0, 2017.3)))
+    gaia(made / "mixed.fits", replace(mixed, epoch=np.where(np.arange(12) < 6, 2016.0, 2017.5)))
+    gaia(made / "various.fits", replace(mixed, epoch=np.where(np.arange(12) < 6, 2016.0, 2017.3)))
     return made
 
 
 def planned(folder, table, release, **options):
-    return forecast(folder / f"{table}.ecsv", folder / "reference.ecsv", "orientation,spin", release=release, **options)
+    return forecast(folder / f"{table}.fits", folder / "reference.fits", "orientation,spin", release=release, **options)
 
 
 def errors_by_hand(folder, table, old, new):
     """The formal errors with a table whose errors were multiplied and whose epoch was moved by hand."""
-    gaia(folder / "scaled.ecsv", scaled(resting(EPOCH.get(table, 1991.25)), old, new))
-    return forecast(folder / "scaled.ecsv", folder / "reference.ecsv", "orientation,spin").error.values[0]
+    gaia(folder / "scaled.fits", scaled(resting(EPOCH.get(table, 1991.25)), old, new))
+    return forecast(folder / "scaled.fits", folder / "reference.fits", "orientation,spin").error.values[0]
 
 
 @settings(max_examples=examples(25), deadline=None)
@@ -171,15 +149,13 @@ def test_errors_are_scaled_from_the_release_that_has_the_epoch(folder, pair):
     assert any("Hipparcos" in note for note in plan.attrs["notes"]) == ("dr1" in pair)
 
 
-@pytest.mark.parametrize("named", [None, "dr3", "dr4"])
-def test_errors_are_not_scaled_twice(folder, named):
-    with pytest.raises(SweepError, match="of dr4, the same or" if named != "dr3" else r"2017.5\) are those of dr4"):
-        planned(folder, "dr4", "dr4", from_release=named)
-    with pytest.raises(SweepError, match=r"those of dr4 .*from_release"):
-        planned(folder, "dr4", "dr5", from_release="dr3")
-
-
-def test_a_table_at_another_epoch_needs_the_name_of_its_release(folder):
+def test_errors_are_not_scaled_twice_and_a_table_at_another_epoch_needs_the_name_of_its_release(folder):
+    for named, new, said in (
+        *((None, "dr4", "of dr4, the same or"), ("dr4", "dr4", "of dr4, the same or")),
+        *(("dr3", "dr4", r"2017.5\) are those of dr4"), ("dr3", "dr5", r"those of dr4 .*from_release")),
+    ):
+        with pytest.raises(SweepError, match=said):
+            planned(folder, "dr4", new, from_release=named)
     for table, said in (("other", "1991.25"), ("various", "2016 to 2017.3")):
         with pytest.raises(SweepError, match=rf"epochs \({said}\) are those of no release .*from_release"):
             planned(folder, table, "dr4")
@@ -192,13 +168,13 @@ def test_a_table_at_another_epoch_needs_the_name_of_its_release(folder):
 
 
 def test_a_study_scales_from_the_same_release(folder):
-    tables = {name: str(folder / f"{one}.ecsv") for name, one in (("satellite", "dr4"), ("reference", "reference"))}
+    tables = {name: str(folder / f"{one}.fits") for name, one in (("satellite", "dr4"), ("reference", "reference"))}
     fixed = tables | {"accept_misfit": True, "release": "dr5"}
     study = {"experiment": "linksweep.sweep.tie.experiment:tie", "sampling": {"n_sim": 2}}
-    predicted = linksweep.run(study | {"fixed": fixed}, folder / "s.zarr", pool="serial").sigma_predicted.values[
-        ..., :6
-    ]
-    np.testing.assert_allclose(predicted.ravel(), errors_by_hand(folder, "dr4", "dr4", "dr5"), rtol=1e-9)
+    predicted = linksweep.run(study | {"fixed": fixed}, folder / "s.zarr", pool="serial").sigma_predicted
+    np.testing.assert_allclose(
+        predicted.values[..., :6].ravel(), errors_by_hand(folder, "dr4", "dr4", "dr5"), rtol=1e-9
+    )
     for changes, words in (({"from_release": "dr3"}, "are those of dr4"), ({"release": "dr3"}, "a later one")):
         with pytest.raises(SweepError, match=words):
             linksweep.run(study | {"fixed": fixed | changes}, folder / "t.zarr", pool="serial")

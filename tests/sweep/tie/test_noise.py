@@ -1,7 +1,6 @@
 """Estimated noise against dense restricted likelihoods, closed forms and its coverage; errors of calibrators."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,10 +9,14 @@ from scipy.linalg import block_diag, null_space
 from scipy.optimize import minimize
 
 import linksweep
+from linksweep.core.tie.astrometry import joined, propagated
 from linksweep.core.tie.forecast import Simulation
 from linksweep.core.tie.noise import estimated, noises
 from linksweep.core.tie.problem import Problem, solve, source_sums
-from tests.core.tie.made import MAS, gaia, joined, noise, parse_unknowns, stars
+from linksweep.core.unknowns import parse_unknowns
+from linksweep.sweep.tie.options import Options
+from linksweep.sweep.tie.setup import set_up
+from tests.core.tie.made import MAS, POSITION, gaia, noise, only, stars
 from tests.sweep.tie.test_against_least_squares import drawn_tables, linked, pieces_of, turned
 from tests.tiers import slow
 
@@ -30,15 +33,20 @@ def noises_of(piece, kinds):
     return parts
 
 
+def in_one(pieces):
+    """All observations of a link, the derivatives by unknowns and by what the sources lack, and their covariance."""
+    y, a = (np.concatenate([vars(one)[name] for one in pieces]) for name in "ya")
+    return y, np.hstack([a, block_diag(*(one.b for one in pieces))]), block_diag(*(one.d for one in pieces))
+
+
 @pytest.mark.parametrize(("seed", "n"), [(1, 18), *(slow(seed, 30) for seed in (2, 3))])
 def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
     tables = drawn_tables(tmp_path, seed, n=n, scale=2.0)
     plain, link = linked(tables), linked(tables, jitter="estimate")
     pieces, labels = list(pieces_of(tables, plain.difference.values)), [str(name) for name in link.noise.values]
-    y, a = (np.concatenate([vars(one)[name] for one in pieces]) for name in "ya")
-    d, parts = block_diag(*(one.d for one in pieces)), [noises_of(one, plain.row_kind.values) for one in pieces]
+    y, both, d = in_one(pieces)
+    parts = [noises_of(one, plain.row_kind.values) for one in pieces]
     whole_noises = np.array([block_diag(*(one[label] for one in parts)) for label in labels])
-    both = np.hstack([a, block_diag(*(one.b for one in pieces))])
     contrasts = null_space(both.T)
     noisy, known, z = contrasts.T @ whole_noises @ contrasts, contrasts.T @ d @ contrasts, contrasts.T @ y
 
@@ -80,22 +88,16 @@ def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
     assert list(link.error_kind.values[:2]) == ["estimated", "scaled"]
 
 
-def alike(folder, seed, n=20, size=0.5, error=0.1):
-    """Write tables with equal errors, whose positions scatter by ``size`` beside them."""
-    rng = np.random.default_rng(seed)
-    own = stars(n, seed)
-    own = replace(own, errors=np.full((5, n), error * MAS), correlations=np.zeros((10, n)))
-    values = own.values.copy()
-    offset = rng.normal(0.0, np.hypot(size, np.sqrt(2.0) * error), (2, n)) * MAS
-    values[:2] += offset / np.array([np.cos(own.values[1]), np.ones(n)])
-    errors = np.where(np.arange(5)[:, None] < 2, own.errors, np.nan)
-    rows = replace(own, values=np.where(np.isnan(errors), np.nan, values), errors=errors)
-    return gaia(folder / "a.ecsv", own), gaia(folder / "b.ecsv", rows), own, offset / MAS
-
-
 def test_equal_errors_have_a_closed_form(tmp_path):
-    satellite, reference, own, offset = alike(tmp_path, 3)
-    link = linksweep.tie(satellite, reference, "orientation", positions="mean", jitter="estimate")
+    """Positions scatter by 0.5 mas beside errors of 0.1."""
+    own = only(
+        stars(20, 3), np.ones(5, dtype=bool), errors=np.full((5, 20), 0.1 * MAS), correlations=np.zeros((10, 20))
+    )
+    offset = np.random.default_rng(3).normal(0.0, np.hypot(0.5, np.sqrt(2.0) * 0.1), (2, 20))
+    values = own.values.copy()
+    values[:2] += offset * MAS / np.array([np.cos(own.values[1]), np.ones(20)])
+    tables = gaia(tmp_path / "a.ecsv", own), gaia(tmp_path / "b.ecsv", only(own, POSITION, values=values))
+    link = linksweep.tie(*tables, "orientation", positions="mean", jitter="estimate")
     design = np.concatenate([turned(*place) for place in own.values[:2].T])
     x, squares, *_ = np.linalg.lstsq(design, offset.T.ravel(), rcond=None)
     nu = design.shape[0] - 3
@@ -126,18 +128,12 @@ def drawn(seed, n, rows_each, kind, part=1.0, factor=3.0):
     """A problem without any rotation, whose ``part`` of stars has errors ``factor`` times those of the tables."""
     rng = np.random.default_rng(seed)
     truth = replace(stars(n, seed, pm=1e-3), radial_velocity=np.zeros(n))
-    large = np.where(rng.random(n) < part, factor, 1.0)
+    large, present = np.where(rng.random(n) < part, factor, 1.0), POSITION if kind == "position" else POSITION | True
     pieces = []
     for k in range(rows_each):
-        years, row = rng.uniform(-12.0, 12.0, n), stars(n, seed + 1000 * (k + 1))
-        values = truth.values.copy()
-        values[0] += years * values[3] / np.cos(values[1])
-        values[1] += years * values[4]
-        row = replace(row, values=values + large * noise(rng, row), epoch=truth.epoch + years)
-        if kind == "position":
-            errors = np.where(np.arange(5)[:, None] < 2, row.errors, np.nan)
-            row = replace(row, errors=errors, values=np.where(np.isnan(errors), np.nan, row.values))
-        pieces.append(row)
+        row = stars(n, seed + 1000 * (k + 1), epoch=truth.epoch + rng.uniform(-12.0, 12.0, n))
+        values = propagated(truth.values, None, truth.epoch, row.epoch) + large * noise(rng, row)
+        pieces.append(only(row, present, values=values))
     own = replace(truth, values=truth.values + large * noise(rng, truth))
     source = np.tile(np.arange(n), rows_each)
     return Problem(own, joined(*pieces), source, parse_unknowns("orientation,spin"), float(truth.epoch[0]))
@@ -162,50 +158,29 @@ def test_the_truth_is_within_the_error_as_often_as_it_should_be(seeds, case):
     assert np.mean(plain) < 0.6
 
 
-# ---- calibrators
-
-
-def with_calibrators(folder, seed, n=14):
-    """Write single-epoch rows of which some share a calibrator; return what dense least squares need."""
-    rng = np.random.default_rng(seed)
-    own = replace(stars(n, seed, pm=5.0), radial_velocity=np.zeros(n))
-    source = np.repeat(np.arange(n), 4)
-    rows = replace(own.taken(source), epoch=2016.0 + rng.uniform(-10.0, 10.0, 4 * n))
-    names = rng.choice(["", "J1", "J2"], 4 * n)
-    shared = np.where(names == "", 0.0, rng.uniform(0.1, 1.0, 4 * n))
-    values = rows.values.copy()
-    years = rows.epoch - own.epoch[source]
-    values[0] += (years * values[3] + rng.normal(0.0, 0.3 * MAS, 4 * n)) / np.cos(values[1])
-    values[1] += years * values[4] + rng.normal(0.0, 0.3 * MAS, 4 * n)
-    errors = np.where(np.arange(5)[:, None] < 2, rows.errors, np.nan)
-    rows = replace(rows, values=np.where(np.isnan(errors), np.nan, values), errors=errors)
-    columns = {"source_id": source + 10**17, "calibrator": names, "calibrator_error": shared}
-    satellite, reference = gaia(folder / "own.ecsv", own), gaia(folder / "rows.ecsv", rows, **columns)
-    return SimpleNamespace(
-        satellite=satellite, reference=reference, own=own, rows=rows, source=source, names=names, shared=shared
-    )
+CALIBRATED = {"n": 40, "calibrators": ("", "J1")}
 
 
 @pytest.mark.parametrize("seed", [1, slow(2)])
 def test_rows_that_share_a_calibrator_share_its_error(tmp_path, seed):
-    tables = with_calibrators(tmp_path, seed)
+    tables = drawn_tables(tmp_path, seed, **CALIBRATED)
     link = linked(tables)
-    normal, right = np.zeros((6, 6)), np.zeros(6)
-    for s, one in enumerate(pieces_of(tables, link.difference.values)):
-        at = np.flatnonzero(tables.source == s)
-        same = (tables.names[at][:, None] == tables.names[at]) * tables.shared[at][:, None] * tables.shared[at]
-        weights = np.linalg.inv(one.d + np.kron(same, np.eye(2)))
-        normal, right = normal + one.a.T @ weights @ one.a, right + one.a.T @ weights @ one.y
-    np.testing.assert_allclose(link.estimate, np.linalg.solve(normal, right), rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), np.linalg.inv(normal), rtol=1e-4, atol=1e-7)
+    pieces, shared = list(pieces_of(tables, link.difference.values)), []
+    for one in pieces:
+        k, which = np.array(one.observed).T
+        same = (tables.names[k][:, None] == tables.names[k]) & (which[:, None] == which) & (which < 2)
+        shared.append(same * np.outer(tables.shared[k], tables.shared[k]))
+    assert sum(np.count_nonzero(np.triu(one, 1)) for one in shared) > 4
+    y, both, d = in_one(pieces)
+    weights = np.linalg.inv(d + block_diag(*shared))
+    inverse = np.linalg.pinv(both.T @ weights @ both, rcond=1e-14)[:6]
+    np.testing.assert_allclose(link.estimate, inverse @ both.T @ weights @ y, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), inverse[:, :6], rtol=1e-4, atol=1e-7)
     assert linked(tables, jitter="estimate").noise.size
 
 
 def test_draws_have_the_errors_that_calibrators_share(tmp_path):
-    tables = with_calibrators(tmp_path, 3)
-    from linksweep.sweep.tie.options import Options
-    from linksweep.sweep.tie.setup import set_up
-
+    tables = drawn_tables(tmp_path, 3, **CALIBRATED)
     problem = set_up(tables.satellite, tables.reference, Options("orientation,spin", positions="mean")).problem
     expected = solve(source_sums(problem)).covariance
     draws = Simulation(problem, np.zeros(6)).draws(600, np.random.default_rng(1))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from astropy.table import MaskedColumn, Table
+from astropy.table import Column, MaskedColumn, Table
 
 import linksweep
 from linksweep import SweepError
@@ -31,6 +31,7 @@ FEW = np.where(np.arange(N) < 4, 10**17 + np.arange(N), 1)  # all but four match
 SPIN = {f"omega_{axis}": [10.0] for axis in "xyz"}
 DR3 = {"phot_g_mean_mag": at(1, 8.0, 12.0), "nu_eff_used_in_astrometry": np.full(N, 1.5), "pseudocolour": at(1, 1.4)}
 DR3 |= {"ecl_lat": at(1, 30.0), "astrometric_params_solved": np.full(N, 31)}
+ARCSEC = Column(at(0, 0), unit="arcsec")
 SHIFTED = {"parallax_zero_point": "satellite"}
 
 # The sentence, the changes of the columns (None: without it) of either table, and the options.
@@ -46,6 +47,7 @@ REFUSED = [
     ("give the epoch", {}, {"ref_epoch": None}, {}),
     ("no column 'q'", {}, {}, {"columns": {"parallax": "q"}}),
     ("is no quantity", {}, {}, {"columns": {"paralax": "p"}}),
+    ("'parallax' is in arcsec, and 'parallax_error' has no unit; say --unit", {"parallax": ARCSEC}, {}, {}),
     # epochs
     ("no Julian year, MJD or JD from 1700 to 2300 in row 2", {}, {"ref_epoch": at(2, 0.0, 2016.0)}, {}),
     ("no Julian year, MJD or JD from 1700 to 2300 in row 1, 2, 3", {}, {"ref_epoch": at(0, 0, 15.5)}, {}),

@@ -8,48 +8,37 @@ from astropy.table import Table
 
 import linksweep
 from linksweep import SweepError
+from linksweep.core.frames import ARCSEC, MAS
+from linksweep.core.tie.astrometry import PAIRS, propagated
 from linksweep.sweep.tie.tables import read_table
-from tests.core.tie.made import (
-    ARCSEC,
-    MAS,
-    PAIRS,
-    gaia,
-    gaia_table,
-    propagated,
-    random_correlations,
-    seen_by_satellite,
-    stars,
-)
+from tests.core.tie.made import POSITION, gaia, gaia_table, only, random_correlations, seen_by_satellite, stars
 
-MEAN = {"positions": "mean"}
+POSITIONS = ["source_id", "ra", "ra_error", "dec", "dec_error", "ref_epoch"]
 TURN = np.array([1.0, -2.0, 3.0]) * MAS
+
+
+def still(n=12, epoch=2016.0, **options):
+    return replace(stars(n, 3, epoch=epoch, **options), radial_velocity=np.zeros(n))
 
 
 def two_tables(folder, n=12, own=None, other=None, epoch=2017.5):
     """Write the tables of two releases, the second without the satellite's turn; return their paths."""
-    made = replace(stars(n, 3, epoch=epoch), radial_velocity=np.zeros(n))
+    made = still(n, epoch)
     there = propagated(made.values, made.radial_velocity, made.epoch, np.full(n, 2016.0))
-    own, other = own or {}, other or {}
     seen = replace(made, values=seen_by_satellite(made, TURN, 0.0 * TURN))
-    return (
-        gaia(folder / "own.ecsv", seen, **own),
-        gaia(folder / "other.ecsv", replace(made, values=there, epoch=np.full(n, 2016.0)), **other),
-    )
+    other_made = replace(made, values=there, epoch=np.full(n, 2016.0))
+    return gaia(folder / "own.ecsv", seen, **(own or {})), gaia(folder / "other.ecsv", other_made, **(other or {}))
 
 
 def said(link, words):
     return any(words in note for note in link.attrs["notes"])
 
 
-def designations(release, numbers):
-    return [f"Gaia {release} {number}" for number in numbers]
-
-
 def test_identifiers_of_two_releases_are_different_names(tmp_path):
     numbers = np.arange(12) + 100
     exchanged = np.roll(numbers, 1)  # the same numbers, of other stars
-    own = {"source_id": exchanged, "designation": designations("DR4", exchanged)}
-    other = {"source_id": numbers, "designation": designations("DR3", numbers)}
+    own = {"source_id": exchanged, "designation": [f"Gaia DR4 {number}" for number in exchanged]}
+    other = {"source_id": numbers, "designation": [f"Gaia DR3 {number}" for number in numbers]}
     tables = two_tables(tmp_path, own=own, other=other)
     link = linksweep.tie(*tables, "orientation,spin")
     np.testing.assert_allclose(link.estimate[:3], TURN / MAS, atol=1e-4)
@@ -65,15 +54,14 @@ def test_identifiers_of_two_releases_are_different_names(tmp_path):
 
 
 def test_sources_within_the_radius_and_leftovers_are_named(tmp_path):
-    made = replace(stars(12, 3, pm=0.0, epoch=2016.0), radial_velocity=np.zeros(12))
+    made = still(pm=0.0)
     values = made.values.copy()
     values[:2, 1] = values[:2, 0] + np.array([0.0, 0.4 * ARCSEC])  # a companion of S0 in the satellite's table
     names = [f"S{k}" for k in range(12)]
     own = gaia(tmp_path / "own.ecsv", replace(made, values=values), source_id=[f"A{k}" for k in range(12)])
     rows = made.values.copy()
     rows[1, 11] += 0.01  # nothing is there
-    reference = gaia_table(replace(made, values=rows))
-    reference["source_id"] = names
+    reference = gaia_table(replace(made, values=rows), source_id=names)
     reference.remove_row(1)
     reference.write(tmp_path / "other.ecsv")
     link = linksweep.tie(own, tmp_path / "other.ecsv", "orientation", by="position", accept_misfit=True)
@@ -131,13 +119,12 @@ def test_what_is_known_is_taken_out_in_the_sign_of_the_results(tmp_path):
 
 
 def test_positions_of_one_epoch_give_epsilon_and_omega_only_together(tmp_path):
-    made = replace(stars(12, 3, epoch=2016.0), radial_velocity=np.zeros(12))
-    errors = np.where(np.arange(5)[:, None] < 2, made.errors, np.nan)
-    table = gaia_table(replace(made, errors=errors, epoch=np.full(12, 2010.0)))
-    positions = Table({name: table[name] for name in ("source_id", "ra", "ra_error", "dec", "dec_error", "ref_epoch")})
-    positions.write(tmp_path / "vlbi.ecsv")
-    positions.write(tmp_path / "own.ecsv")
-    link = linksweep.tie(tmp_path / "own.ecsv", tmp_path / "vlbi.ecsv", epoch=2016.0, **MEAN)
+    made = still()
+    positions = gaia_table(only(made, POSITION, epoch=np.full(12, 2010.0)))
+    positions.keep_columns(POSITIONS)
+    for name in ("vlbi", "own"):
+        positions.write(tmp_path / f"{name}.ecsv")
+    link = linksweep.tie(tmp_path / "own.ecsv", tmp_path / "vlbi.ecsv", epoch=2016.0, positions="mean")
     assert said(link, "determine only epsilon + t omega, here t = -6 years")
     assert link.unknown.values.tolist() == ["epsilon_x", "epsilon_y", "epsilon_z"]
 
@@ -161,10 +148,10 @@ def test_a_row_for_each_star_is_a_table_in_every_format(tmp_path, sweep):
 
 
 def test_observations_at_epochs_of_releases_are_no_releases(tmp_path):
-    made = replace(stars(12, 3, epoch=2016.0), radial_velocity=np.zeros(12))
+    made = still()
     own = gaia(tmp_path / "own.ecsv", made)
     sessions = gaia_table(replace(made, epoch=np.full(12, 2017.5)))
-    sessions.keep_columns(["source_id", "ra", "ra_error", "dec", "dec_error", "ref_epoch"])
+    sessions.keep_columns(POSITIONS)
     sessions.write(tmp_path / "vlbi.ecsv")
     link = linksweep.tie(own, tmp_path / "vlbi.ecsv", "orientation", accept_misfit=True)
     assert link.attrs["matched_by"] == "source_id"

@@ -22,10 +22,8 @@ def quasars(path, n=3000, group=700, **changes):
     rng = np.random.default_rng(6)
     ra, dec = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-1.0, 1.0, n))
     x, y, z = SPIN
-    motion = np.array(
-        [-(-np.sin(dec) * (np.cos(ra) * x + np.sin(ra) * y) + np.cos(dec) * z), -(np.sin(ra) * x - np.cos(ra) * y)]
-    )
-    motion += rng.normal(0.0, 0.3, (2, n)) + 50.0 * (rng.random(n) < 0.01)
+    along = -np.sin(dec) * (np.cos(ra) * x + np.sin(ra) * y) + np.cos(dec) * z, np.sin(ra) * x - np.cos(ra) * y
+    motion = -np.array(along) + rng.normal(0.0, 0.3, (2, n)) + 50.0 * (rng.random(n) < 0.01)
     columns = {"source_id": np.arange(n), "ra": np.degrees(ra), "dec": np.degrees(dec), "ref_epoch": np.full(n, 2016.0)}
     columns |= {"pmra": motion[0], "pmdec": motion[1], "pmra_pmdec_corr": rng.uniform(-0.4, 0.4, n)}
     columns |= {"pmra_error": np.full(n, 0.3), "pmdec_error": np.full(n, 0.3)}
@@ -39,8 +37,9 @@ def by_groups(monkeypatch):
     monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", 1000)
 
 
+OF_ALL = {"unknowns": "spin", "degree": 2, "clip": "median:5", "errors": "cells"}
 OPTIONS = [
-    {"unknowns": "spin", "degree": 2, "clip": "median:5", "errors": "cells"},
+    OF_ALL,
     {"unknowns": "spin,glide", "clip": "rayleigh", "errors": "sandwich,bootstrap"},
     {"unknowns": "spin", "clip": "huber:3", "weights": "variance", "bins": ("phot_g_mean_mag", [17.0, 19.0])},
     {"known_spin": SPIN},
@@ -69,8 +68,7 @@ def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
 
 def test_the_bits_are_the_same_on_any_workers(tmp_path, by_groups):
     path = quasars(tmp_path / "quasars.parquet")
-    options = {"unknowns": "spin", "degree": 2, "clip": "median:5", "errors": "cells"}
-    here, there = (tie(path, "zero-motion", workers=workers, **options) for workers in (None, 2))
+    here, there = (tie(path, "zero-motion", workers=workers, **OF_ALL) for workers in (None, 2))
     for name in here.data_vars:
         np.testing.assert_array_equal(here[name].values, there[name].values, err_msg=name)
 
@@ -78,8 +76,7 @@ def test_the_bits_are_the_same_on_any_workers(tmp_path, by_groups):
 @pytest.mark.slow
 def test_a_scheduler_elsewhere_gives_the_same_bits(tmp_path, by_groups):
     path = quasars(tmp_path / "quasars.parquet")
-    (tmp_path / "dask").mkdir()
-    with closing(Outside(tmp_path / "dask")) as outside:
+    with closing(Outside(tmp_path)) as outside:
         outside.start_worker("--nworkers", "2")
         outside.wait_for_workers(2)
         there = tie(path, "zero-motion", "spin", scheduler=outside.address)
@@ -89,7 +86,7 @@ def test_a_scheduler_elsewhere_gives_the_same_bits(tmp_path, by_groups):
 @pytest.mark.parametrize("clip", [*map(slow, ["none", "rayleigh"]), "median:5"])
 def test_without_sources_the_rest_is_the_same(tmp_path, by_groups, clip):
     path = quasars(tmp_path / "quasars.parquet")
-    options = {"unknowns": "spin", "degree": 2, "clip": clip, "errors": "cells"}
+    options = OF_ALL | {"clip": clip}
     all_of_it, rest = (tie(path, "zero-motion", **options, per_source=wanted) for wanted in (True, False))
     assert {"discrepancy", "n_observations", "weight_factor"} == set(all_of_it.data_vars) - set(rest.data_vars)
     for name in rest.data_vars:
