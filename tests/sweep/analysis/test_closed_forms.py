@@ -20,10 +20,8 @@ several = settings(max_examples=examples(50))
 
 def results(x, y, errors=None, covariance=None, samples=None, name="n", **attributes):
     """Results along one axis as `linksweep.open` returns them."""
-    variables = {
-        "width": (name, np.asarray(y, dtype=float), {"headline": 1}),
-        "status": (name, np.full(len(x), DONE, np.int8)),
-    }
+    variables = {"width": (name, np.asarray(y, dtype=float), {"headline": 1})}
+    variables["status"] = name, np.full(len(x), DONE, np.int8)
     if errors is not None:
         variables["width_mc_error"] = name, np.asarray(errors, dtype=float)
     if covariance is not None:
@@ -196,19 +194,20 @@ def delta(function, values, covariance, step=1e-6):
 
 
 @several
-@example(1, 0.5, True, 5)  # the fewest samples whose scatter gives an error
-@example(1, 0.5, True, 4)
-@given(seeds, st.floats(0.01, 0.99), st.booleans(), st.sampled_from([None, 4, 5, 20]))
-def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, samples):
+@example(1, 0.5, True, 5, True)  # the fewest samples whose scatter gives an error
+@example(1, 0.5, True, 4, False)
+@given(seeds, st.floats(0.01, 0.99), st.booleans(), st.sampled_from([None, 4, 5, 20]), st.booleans())
+def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, samples, magnitudes):
     _, x, y, errors, covariance = drawn(seed)
-    y = np.sort(y)
+    y, (to, back) = np.sort(y), ((np.positive, np.positive) if magnitudes else (np.log, np.exp))
     errors, spread = (None, covariance) if shared else (errors, np.diag(errors**2))
     more = (factor(samples) if samples is not None else 1.0) if shared else 1.0
     dataset = results(x, y, errors, covariance if shared else None, samples)
-    at = float(np.exp(np.interp(share, [0.0, 1.0], np.log(x[[0, -1]]))))
+    dataset = dataset.assign_coords(n=("n", x, {"units": "mag" if magnitudes else ""}))
+    at = float(back(np.interp(share, [0.0, 1.0], to(x[[0, -1]]))))
 
     def between(values):
-        return np.exp(np.interp(np.log(at), np.log(x), np.log(values)))
+        return np.exp(np.interp(to(at), to(x), np.log(values)))
 
     found = linksweep.interpolate(dataset, "width", over="n", at=at)
     assert found["width"].item() == pytest.approx(between(y), rel=1e-9)
@@ -217,7 +216,7 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
     limit = float(np.exp(np.interp(share, [0.0, 1.0], np.log(y[[0, -1]]))))
 
     def place(values):
-        return np.exp(np.interp(np.log(limit), np.log(values), np.log(x)))
+        return back(np.interp(np.log(limit), np.log(values), to(x)))
 
     crossing = linksweep.find(dataset, f"width < {limit!r}", over="n")
     assert crossing["first"].item() == crossing["last"].item() == pytest.approx(place(y), rel=1e-9)
@@ -232,9 +231,8 @@ def test_first_last_and_number_of_crossings(seed):
     y = rng.uniform(-1.0, 1.0, 12)
     magnitudes = "v", np.arange(1.0, 13.0), {"units": "mag"}
     dataset = results(magnitudes[1], y, name="v").assign_coords(v=magnitudes)
-    found = linksweep.find(
-        dataset.isel(v=rng.permutation(12)), "width > 0", over="v"
-    )  # rows of a store are in any order
+    shuffled = dataset.isel(v=rng.permutation(12))  # rows of a store are in any order
+    found = linksweep.find(shuffled, "width > 0", over="v")
     flips = [i for i in range(11) if (y[i] > 0.0) != (y[i + 1] > 0.0)]
     assert found["crossings"].item() == len(flips)
     if flips:
@@ -248,17 +246,12 @@ def test_first_last_and_number_of_crossings(seed):
 @given(seeds, st.sampled_from([None, 20, 200]))
 def test_a_ratio_of_two_points(seed, samples):
     _, x, y, errors, covariance = drawn(seed)
-    pair, less = [0, len(x) - 1], np.ix_([0, -1], [0, -1])
-    apart = linksweep.ratio(results(x, y, errors), "width", "n", of=x[0], to=x[-1])
-    together = linksweep.ratio(
-        results(x, y, None, covariance, samples).assign(width_mc_error=("n", errors)), "width", "n", of=x[0], to=x[-1]
-    )
-    for found, spread, more in (
-        (apart, np.diag(errors[pair] ** 2), 1.0),
-        (together, covariance[less], 1.0 if samples is None else factor(samples)),
-    ):
+    whole = results(x, y, None, covariance, samples).assign(width_mc_error=("n", errors))
+    more = 1.0 if samples is None else factor(samples)
+    for dataset, spread in ((results(x, y, errors), np.diag(errors**2)), (whole, covariance * more)):
+        found = linksweep.ratio(dataset, "width", "n", of=x[0], to=x[-1])
         assert found["ratio"].item() == pytest.approx(y[0] / y[-1], rel=1e-12)
-        wanted = delta(lambda two: two[0] / two[1], y[pair], spread) * np.sqrt(more)
+        wanted = delta(lambda values: values[0] / values[-1], y, spread)
         assert found["ratio_error"].item() == pytest.approx(wanted, rel=1e-5)
 
 
@@ -324,8 +317,7 @@ def test_groups_explain_the_adjusted_share(seed, groups, n):
     inside = sum(np.sum((y[kind == k] - y[kind == k].mean()) ** 2) for k in range(groups))
     share = 1.0 - inside / np.sum((y - y.mean()) ** 2) * (n - 1) / (n - groups)
     assert found["first"].values[0] == pytest.approx(share, abs=1e-9)
-    even = table({"kind": names, "x": rng.random(n)}, y)
-    even = as_design(even, kind={"values": ["a"]}, x=[0, 1])
+    even = as_design(table({"kind": names, "x": rng.random(n)}, y), kind={"values": ["a"]}, x=[0, 1])
     chance = inside / np.sum((y - y.mean()) ** 2) * (groups - 1) / (n - groups)
     spread = linksweep.sensitivity(even)
     assert spread["first"].values[0] == pytest.approx(share + 0.5 * chance, abs=1e-9)
@@ -339,12 +331,9 @@ def test_indices_of_a_grid_without_the_part_of_the_noise(seed, sizes):
     """Against expectations written out: the variance of a mean of independent errors is a sum of theirs."""
     rng = np.random.default_rng(seed)
     values, errors = 3.0 * rng.standard_normal(sizes), rng.uniform(0.1, 1.0, sizes)
-    axes = {"a": np.arange(sizes[0]), "b": np.arange(sizes[1]), "c": np.arange(sizes[2])}
-    variables = {
-        "y": (tuple(axes), values, {"headline": 1}),
-        "y_mc_error": (tuple(axes), errors),
-        "status": (tuple(axes), np.full(sizes, DONE, np.int8)),
-    }
+    axes = dict(zip("abc", map(np.arange, sizes), strict=True))
+    variables = {"y": (tuple(axes), values, {"headline": 1}), "y_mc_error": (tuple(axes), errors)}
+    variables["status"] = tuple(axes), np.full(sizes, DONE, np.int8)
     found = linksweep.sensitivity(xr.Dataset(variables, axes, {"title": "", "function": "f"}))
 
     def variance(kept):
