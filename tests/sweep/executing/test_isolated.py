@@ -49,25 +49,23 @@ QUICK = [("SIGSEGV", ""), ("exit code 3", f"--pool serial {LIMITS}")]
 FUNCTION = """
 import ctypes, json, os, signal, sys, threading, time
 def f(x: float = 0.0):
-    if x in ({places}):
+    if x in {places}:
         {deed}
     return 2.0 * x
 """
 
 
-def written(folder, deed, places):
-    (folder / "f.py").write_text(FUNCTION.format(deed=deed, places="".join(f"{place}," for place in places)))
+def written(folder, deed, *places):
+    (folder / "f.py").write_text(FUNCTION.format(deed=deed, places=places))
     return "f.py:f"
 
 
 @pytest.mark.parametrize(("deed", "resources"), [*QUICK, *(slow(*case) for case in CASES if case not in QUICK)])
 def test_a_function_that_ends_its_process_at_its_first_points_fails_these_alone(tmp_path, sweep_here, deed, resources):
     code, said = (ENDINGS | LIMITED)[deed]
-    reference = written(tmp_path, code, (0, 1, 4))
+    reference = written(tmp_path, code, 0, 1, 4)
     code, _, err = sweep_here("run", reference, "--axis", "x=0:5:1", "-o", "s.zarr", *resources.split(), cwd=tmp_path)
-    assert code == 1, err
-    assert "3 points failed" in err
-    assert not [line for line in err.splitlines() if "distributed" in line or "Traceback" in line], err
+    assert (code, "3 points failed" in err, "distributed" in err, "Traceback" in err) == (1, True, False, False), err
     ds = xr.open_zarr(tmp_path / "s.zarr")
     assert ds["status"].values.tolist() == [2, 2, 1, 1, 2, 1]
     assert ds["f"].values[[2, 3, 5]].tolist() == [4.0, 6.0, 10.0]
@@ -109,7 +107,7 @@ HARMLESS = [  # what a function may do to its process without failing its own po
 @pytest.mark.slow
 @pytest.mark.parametrize("deed", HARMLESS)
 def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sweep_here, deed):
-    code, out, err = sweep_here("run", written(tmp_path, deed, (0,)), "--axis", "x=0:3:1", "-o", "s.zarr", cwd=tmp_path)
+    code, out, err = sweep_here("run", written(tmp_path, deed, 0), "--axis", "x=0:3:1", "-o", "s.zarr", cwd=tmp_path)
     assert (code, "wrote s.zarr" in err, "f: It is between 0 (x=0) and 6" in out) == (0, True, True), err
     assert xr.open_zarr(tmp_path / "s.zarr")["f"].values.tolist() == [0.0, 2.0, 4.0, 6.0]
 
@@ -140,7 +138,7 @@ def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, mo
 
 @pytest.mark.parametrize("number", [slow(signal.SIGINT), signal.SIGKILL])
 def test_a_child_does_not_outlive_its_run(tmp_path, start_sweep, number):
-    reference = written(tmp_path, f"open('begun', 'w').close(); {LIMITED['no other code'][0]}", (2,))
+    reference = written(tmp_path, f"open('begun', 'w').close(); {LIMITED['no other code'][0]}", 2)
     process = start_sweep("run", reference, "--axis", "x=0:4:1", "-o", "s.zarr", cwd=tmp_path)
     wait_until(lambda: process.poll() is not None or (tmp_path / "begun").exists(), "the block", PATIENCE_S)
     family = below(process.pid)
@@ -190,23 +188,17 @@ def test_no_process_of_a_run_imports_what_lies_in_the_present_folder(tmp_path, w
 
 
 SCRIPT = """
-import sys
-import linksweep
-
-def double(x: float = 1.0):
-    return 2.0 * x
-
-print(linksweep.run(double, axes={"x": [1.0, 2.0]}, store="s.zarr", workers=2).double.values)
-print([name for name in ("bokeh", "distributed", "dask.array") if name in sys.modules])
+import linksweep, sys
+ds = linksweep.run(lambda x: 2.0 * x, axes={"x": [1.0, 2.0]}, store="s.zarr", workers=2)
+print(ds.result.values, [name for name in ("bokeh", "distributed", "dask.array") if name in sys.modules])
 """
 
 
-@pytest.mark.parametrize("by_standard_input", [False, slow(True)])
-def test_a_script_computes_in_worker_processes(tmp_path, by_standard_input):
-    (tmp_path / "script.py").write_text(SCRIPT)
-    command, text = ([sys.executable, "-"], SCRIPT) if by_standard_input else ([sys.executable, "script.py"], None)
-    done = subprocess.run(command, input=text, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, "[2. 4.]\n[]\n"), done.stderr
+def test_a_script_by_standard_input_computes_in_worker_processes(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-"], input=SCRIPT, cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (0, "[2. 4.] []\n"), done.stderr
 
 
 THREE = {"x": [1.0, 2.0, 3.0]}
@@ -250,8 +242,7 @@ def test_a_child_that_a_function_forks_and_forgets_does_not_go_on_with_the_run(t
             raise ValueError("of the child")
         os.waitpid(child, 0)
         with mark.open("a") as file:
-            file.write(f"{x:g}\n")
-        return x
+            return file.write(f"{x:g}\n")
 
     assert run(f, tmp_path / "s.zarr", axes=THREE, pool="serial").status.values.tolist() == [1, 1, 1]
     marks = mark.read_text().split()  # the first point is computed twice where that is quick
@@ -296,7 +287,6 @@ def test_what_a_point_changes_is_put_back_for_the_others(change, options, tmp_pa
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         ds = run(f, "s.zarr", axes={"x": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]}, **options)
-    assert ds.status.values.tolist() == [1] * 6, ds.attrs["failures"]
     assert ds.f.values.tolist() == [expected, "changed", expected, expected, "changed", expected]
     assert before == outside()
     assert (tmp_path / "s.zarr").is_dir()
@@ -315,10 +305,11 @@ def test_global_generators_give_the_same_on_all_pools_and_another_number_at_each
 
 
 @pytest.fixture
-def no_end_by_the_alarm():
+def deadlines():
     """On a machine that stands still for seconds the alarm would end the process of the tests."""
     before = signal.signal(signal.SIGALRM, lambda number, frame: None)
-    yield
+    yield Deadlines()
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
     signal.signal(signal.SIGALRM, before)
 
 
@@ -328,9 +319,7 @@ def busy(seconds):
         pass
 
 
-@pytest.mark.usefixtures("no_end_by_the_alarm")
-def test_a_loop_is_ended_and_a_block_that_ends_as_its_bell_rings_leaves_nothing_behind():
-    deadlines = Deadlines()
+def test_a_loop_is_ended_and_a_block_that_ends_as_its_bell_rings_leaves_nothing_behind(deadlines):
     with pytest.raises(TimeLimitError), deadlines.within(0.02):
         busy(60)
     blocks = in_time = 0
@@ -341,12 +330,9 @@ def test_a_loop_is_ended_and_a_block_that_ends_as_its_bell_rings_leaves_nothing_
                 busy(0.0018)
             in_time += 1
         busy(0.001)  # an exception that came late would leave the test here
-    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
-@pytest.mark.usefixtures("no_end_by_the_alarm")
-def test_the_alarm_is_set_to_the_first_end_of_all_threads():
-    deadlines = Deadlines()
+def test_the_alarm_is_set_to_the_first_end_of_all_threads(deadlines):
     inside, leave = threading.Barrier(3), threading.Barrier(3)
 
     def block(seconds):
@@ -362,4 +348,3 @@ def test_the_alarm_is_set_to_the_first_end_of_all_threads():
     leave.wait(PATIENCE_S)
     for thread in threads:
         thread.join(PATIENCE_S)
-    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)

@@ -80,7 +80,7 @@ def no_pauses(monkeypatch):
 LEFT = {"failures": 0}
 
 
-def failing(*arguments, **options):
+def computing(*arguments, **options):
     """Fail on a worker, beside the experiment, as Dask did under load; some times, and then no more."""
     LEFT["failures"] -= 1
     if LEFT["failures"] >= 0:
@@ -89,35 +89,34 @@ def failing(*arguments, **options):
 
 
 @pytest.fixture
-def fetched(monkeypatch):
-    """A function that lets fetching a result fail some times; each is fetched by itself, as where several cannot be."""
-    monkeypatch.setattr(clusters, "MOST_FETCHED", 1)
-    fetch, calls = DaskDriver._result, []
+def failing(monkeypatch):
+    """A function that lets computing on a worker fail some times, or fetching a result with an error."""
+    monkeypatch.setattr(clusters, "MOST_FETCHED", 1)  # each is fetched by itself, as where several cannot be
+    fetch = DaskDriver._result
 
-    def fail(error, times):
+    def failing(times, error=None):
+        monkeypatch.setitem(LEFT, "failures", times)
+
         def result(self, future):
-            calls.append(future)
-            if len(calls) <= times:
+            LEFT["failures"] -= 1
+            if LEFT["failures"] >= 0:
                 raise error
             return fetch(self, future)
 
-        monkeypatch.setattr(DaskDriver, "_result", result)
+        where = (clusters, "run_on_worker", computing) if error is None else (DaskDriver, "_result", result)
+        monkeypatch.setattr(*where)
 
-    return fail
+    return failing
 
 
 ERRORS = [UnboundLocalError("result"), slow(TimeoutError("of a stream")), slow(OSError("Too many open files"))]
 
 
 @pytest.mark.parametrize("error", [None, *ERRORS])
-def test_an_error_inside_dask_is_no_points(study, coin_store, tmp_path, monkeypatch, dask, fetched, error):
+def test_an_error_inside_dask_is_no_points(study, coin_store, tmp_path, dask, failing, error):
     """Of computing a result, or of fetching it: fewer than a task may have."""
     sentences = Sentences()
-    if error is None:
-        monkeypatch.setattr(clusters, "run_on_worker", failing)
-        monkeypatch.setitem(LEFT, "failures", 4)
-    else:
-        fetched(error, 3)
+    failing(3 if error else 4, error)
     dataset, failures = run_study(study, tmp_path / "s.zarr", dask, sentences)
     assert not failures
     same(dataset, coin_store)
@@ -125,13 +124,9 @@ def test_an_error_inside_dask_is_no_points(study, coin_store, tmp_path, monkeypa
 
 
 @pytest.mark.parametrize("dies", [False, slow(True)])
-def test_one_that_stays_stops_the_run_and_blames_no_point(study, tmp_path, monkeypatch, dask, fetched, dies):
+def test_one_that_stays_stops_the_run_and_blames_no_point(study, tmp_path, dask, failing, dies):
     sentences = Sentences()
-    if dies:
-        fetched(KilledWorker("task", None, 0), 10**6)
-    else:
-        monkeypatch.setattr(clusters, "run_on_worker", failing)
-        monkeypatch.setitem(LEFT, "failures", 10**6)
+    failing(10**6, KilledWorker("task", None, 0) if dies else None)
     words = r"failed 6 times outside of the experiment, last with UnboundLocal|die whatever they do; no point is blamed"
     with pytest.raises(SweepError, match=words):
         run_study(study, tmp_path / "s.zarr", dask, sentences)
@@ -165,13 +160,9 @@ def died_once(path, number):
 
 
 @pytest.mark.slow
-def test_the_piece_of_a_worker_that_dies_is_computed_by_another(tmp_path):
+def test_the_piece_of_a_worker_that_dies_is_computed_by_another_and_limits_hold_for_pieces(tmp_path):
     with mapped(EXPERIMENT, Resources(workers=2), print) as run:
         assert list(run(died_once, [(tmp_path / "died", n) for n in range(8)])) == list(range(8))
-
-
-@pytest.mark.slow
-def test_limits_hold_for_pieces():
     limits = Limits(time_s=0.5)
     for resources, words in (
         (Resources(workers=1, limits=limits), r"longer than the time limit of 0\.5 s"),
