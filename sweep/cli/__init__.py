@@ -20,7 +20,7 @@ import textwrap
 import threading
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
@@ -330,6 +330,9 @@ SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Com
 _stopped_by: list[int] = []
 """The signal that ended the command, if one did."""
 
+RESULTS: list[Any] = [None]
+"""The standard output of the command: while it works, `sys.stdout` is standard error, for what others print."""
+
 # Else Python searches all imports for garbage at the end, which takes a fifth of a second.
 atexit.register(gc.freeze)
 
@@ -415,10 +418,16 @@ def command(section: str, summary: str, name: str | None = None) -> Callable[[Ca
 
     def decorate(function: Callable[..., Any]) -> click.Command:
         declared = group(function)
+
+        def call(**values: Any) -> None:
+            RESULTS[0] = sys.stdout
+            with redirect_stdout(sys.stderr):
+                declared.call(values)
+
         made = click.Command(
             name or function.__name__,
             params=list(declared.parameters().values()),
-            callback=lambda **values: declared.call(values),
+            callback=call,
             help=inspect.getdoc(function),
             short_help=summary,
         )
@@ -551,9 +560,9 @@ def prepare_streams() -> None:
     """Make the standard streams usable whatever this process was started with.
 
     A closed one is connected to the null device, because the next file to be opened would take its place and be written
-    to.  Characters that the encoding of a stream does not have are escaped.
+    to.  Characters that the encoding of a stream does not have are escaped.  Standard output has results alone.
     """
-    for descriptor, name in enumerate(("stdin", "stdout", "stderr")):
+    for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
@@ -561,15 +570,24 @@ def prepare_streams() -> None:
             if opened != descriptor:
                 os.dup2(opened, descriptor)
                 os.close(opened)
+    out = 1
+    if not os.path.samestat(os.fstat(1), os.fstat(2)):
+        # What C code prints, and programs that code of the user's starts, is no result.
+        out = os.dup(1)
+        os.dup2(2, 1)
+    sys.stdin = sys.stdin or open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 (to the end)
+    for descriptor, name in ((out, "stdout"), (2, "stderr")):
         stream = getattr(sys, name)
-        if descriptor == 0:
-            sys.stdin = stream or open(descriptor, encoding="utf-8", closefd=False)  # noqa: SIM115 (to the end)
-        elif stream is None:
-            setattr(sys, name, _Unfailing(open(descriptor, "wb", closefd=False), "utf-8"))  # noqa: SIM115
-        elif isinstance(stream, io.TextIOWrapper):
-            lines, through = stream.line_buffering, stream.write_through
-            unfailing = _Unfailing(stream.buffer, stream.encoding, "backslashreplace", None, lines, through)
-            setattr(sys, name, unfailing)
+        if stream is None or isinstance(stream, io.TextIOWrapper):
+            lines, through = (getattr(stream, kind, False) for kind in ("line_buffering", "write_through"))
+            file = open(descriptor, "wb", 0 if through else -1, closefd=False)  # noqa: SIM115
+            encoding = getattr(stream, "encoding", "utf-8")
+            setattr(sys, name, _Unfailing(file, encoding, "backslashreplace", None, lines, through))
+
+
+def put(text: str = "") -> None:
+    """Print a result."""
+    click.echo(text, file=RESULTS[0])
 
 
 def print_wrapped(text: str, first: str = "", later: str = "") -> None:
@@ -578,23 +596,23 @@ def print_wrapped(text: str, first: str = "", later: str = "") -> None:
     """
     wrapper = textwrap.TextWrapper(WIDTH, first, later, replace_whitespace=False)
     wrapper.break_long_words = wrapper.break_on_hyphens = False
-    click.echo(wrapper.fill(text))
+    put(wrapper.fill(text))
 
 
 def print_styled(text: str, **style: bool) -> None:
     """Print text in a style of ours, which it cannot change."""
-    click.secho(harmless(text), file=getattr(sys.stdout, "unescaped", None), **style)
+    click.secho(harmless(text), file=RESULTS[0].unescaped, **style)
 
 
 def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
     """Print tables with the columns for which there is room, and sentences below them; no number is cut."""
     # A file or a pipe has no width: the same bytes whatever terminal the command was typed in.
-    is_terminal = sys.stdout.isatty()
+    is_terminal = RESULTS[0].isatty()
     width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if is_terminal else WIDTH
     for number, table in enumerate(tables):
         kept, left_out = table.fitting(width)
         text = kept.text(width, styled=is_terminal)
-        click.echo(f"\n{text}" if number else text, file=getattr(sys.stdout, "unescaped", None))
+        click.echo(f"\n{text}" if number else text, file=RESULTS[0].unescaped)
         if left_out:
             print_wrapped(f"left out to fit {width} columns: {left_out}; --json has them")
     for sentence in notes:
@@ -610,7 +628,7 @@ def print_result(dataset: Any, table_format: str) -> None:
         notes = result.notes()
         print_tables(result.tables(), ["", *notes] if notes else ())
     else:
-        click.echo(result.written(table_format).rstrip("\n"))
+        put(result.written(table_format).rstrip("\n"))
 
 
 def print_headlines(dataset: Any, as_json: bool) -> None:

@@ -52,7 +52,7 @@ def list_studies(as_json: bool = JSON) -> None:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
         studies[name] = {key: document.get(key, "") for key in ("title", "question")} | {"answer": _answer(name)}
     if as_json:
-        click.echo(to_json(studies))
+        cli.put(to_json(studies))
         return
     for name, study in studies.items():
         cli.print_styled(name, bold=True)
@@ -102,7 +102,7 @@ def show(
 
         other: Any = None if minus is None else cli.link_in(minus, ())
         table = of_stars({} if link is None else link) if minus is None else of_difference(difference(link, other))
-        click.echo(getattr(table, table_format)().rstrip("\n"))
+        cli.put(getattr(table, table_format)().rstrip("\n"))
     elif link is not None:
         cli.print_result(link, table_format)
     else:
@@ -421,9 +421,9 @@ def compare(
         comparisons += some
         remarks += [f"{store}: {sentence}" for sentence in about]
     if table_format == "json":
-        click.echo(verdicts.as_json(comparisons, remarks))
+        cli.put(verdicts.as_json(comparisons, remarks))
     elif table_format == "csv":
-        click.echo(verdicts.records(comparisons).csv().rstrip("\n"))
+        cli.put(verdicts.records(comparisons).csv().rstrip("\n"))
         for sentence in remarks:
             click.echo(sentence, err=True)
     else:
@@ -482,7 +482,7 @@ def _in_the_terminal(stores: "Iterable[Location]", interval: float) -> None:
 
     from linksweep.sweep.running.status import Watched, pause
 
-    seen, console = [Watched(store) for store in stores], Console(file=getattr(sys.stdout, "unescaped", sys.stdout))
+    seen, console = [Watched(store) for store in stores], Console(file=cli.RESULTS[0].unescaped)
     with Live(console=console, auto_refresh=False) if console.is_terminal else nullcontext() as live:
         while True:
             begun = time.process_time()

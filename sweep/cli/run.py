@@ -10,7 +10,7 @@ import subprocess
 import sys
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -157,7 +157,10 @@ def _logged(watching: Watching) -> Iterator[None]:
         SENTENCES.setLevel(logging.DEBUG if watching.log is not None else watching.level)
         # Else Python prints what nobody handles to standard error.
         handle(logging.NullHandler(), RECORD)
-        RECORD.propagate = False
+        for logger in (SENTENCES, RECORD):
+            # Handlers of the user's code would say it again.
+            stack.callback(setattr, logger, "propagate", logger.propagate)
+            logger.propagate = False
         if watching.level == logging.DEBUG:
             warnings = Sentences(logging.WARNING)
             warnings.setFormatter(logging.Formatter("Dask: %(message)s"))
@@ -338,7 +341,7 @@ def refine(
     crossings = Result(find(state.dataset, goal["find"], state.along)) if goal["find"] and is_whole else None
     if how.as_json:
         answer = {"failures": failures, "answer": crossings and json.loads(crossings.written("json"))}
-        click.echo(to_json({name: value for name, value in vars(state).items() if name != "dataset"} | answer))
+        cli.put(to_json({name: value for name, value in vars(state).items() if name != "dataset"} | answer))
     else:
         cli.print_tables(crossings.tables() if crossings else ())
         for sentence in [*(crossings.notes() if crossings else ()), *state.sentences()]:
@@ -363,7 +366,7 @@ def plan(
 
     report = plan_report(*asked.load(), workers, accept_code)
     if as_json:
-        click.echo(to_json(report))
+        cli.put(to_json(report))
         return
     lines = [("study", report["title"]), ("grid", report["grid"])]
     failed = failed_before(report["points_failed"])
@@ -437,9 +440,9 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
 
     report = status_report(store)
     if as_json:
-        click.echo(to_json(report))
+        cli.put(to_json(report))
     elif "parts" in report:
-        click.echo(report["title"])
+        cli.put(report["title"])
         for total, states in report["parts"].items():
             cli.print_wrapped(f"of {total} parts: {'; '.join(f'{state}: {some}' for state, some in states.items())}")
     else:
@@ -466,15 +469,15 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     for number, one in enumerate(report["rounds"], 1):
         cli.print_wrapped(f"round {number} of sweep refine: {one}", later="   ")
     if failures := report["failures"]:
-        click.echo(f"\n{counted(len(failures), 'point')} failed:")
+        cli.put(f"\n{counted(len(failures), 'point')} failed:")
         for reason in reasons_of(failures).in_words():
             cli.print_wrapped(reason, "  ", "    ")
         if len(failures) > 1:
-            click.echo("sweep status --json has all of them")
+            cli.put("sweep status --json has all of them")
     programs = ", ".join(f"{name} {made['versions'][name]}" for name in DECIDING if name in made["versions"])
     commit = f" at commit {made['git_commit'][:12]}" if "git_commit" in made else ""
     since = made.get("started", "an unknown time").replace("T", " ").replace("+00:00", " UTC")
-    click.echo()
+    cli.put()
     cli.print_wrapped(f"made on {made.get('host', 'an unknown host')}, begun {since}, with {programs}{commit}")
     if report["command"]:
         cli.print_wrapped(f"by {report['command']}", later="   ")
@@ -484,7 +487,7 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
         f"sweep run --retry {store}": points["failed"] and not report["running"],
         f"sweep show {store}": report["complete"],
     }
-    click.echo(f"next: {', '.join(words for words, fits in nexts.items() if fits)}")
+    cli.put(f"next: {', '.join(words for words, fits in nexts.items() if fits)}")
 
 
 @cli.command("Store care", "Compare files with checksums; set damaged aside")
@@ -507,15 +510,15 @@ def check(
     if break_lock and not repair:
         raise click.UsageError("--break-lock goes with --repair: a check writes nothing")
     if repair:
-        click.echo("\n".join(files.repair(store, break_lock=break_lock) or [WHOLE]))
+        cli.put("\n".join(files.repair(store, break_lock=break_lock) or [WHOLE]))
         return
     report = files.check(store)
     if as_json:
-        click.echo(to_json(report))
+        cli.put(to_json(report))
     else:
         damaged = (report.identity | report.ledger | report.results).items()
         lines = [f"{file}: {problem}" for file, problem in damaged] or [WHOLE]
-        click.echo("\n".join([*lines, *(f"{store} {remark}" for remark in report.remarks)]))
+        cli.put("\n".join([*lines, *(f"{store} {remark}" for remark in report.remarks)]))
     if report:
         click.echo(f"`sweep check {typed(store)} --repair` repairs what can be repaired", err=True)
         sys.exit(cli.EXIT_FAILED_POINTS)
@@ -555,7 +558,8 @@ def reproduce(
         if debug:
             import pdb
 
-            pdb.post_mortem(error.__traceback__)
+            with redirect_stdout(cli.RESULTS[0]):
+                pdb.post_mortem(error.__traceback__)
         sys.exit(cli.EXIT_FAILED_POINTS)
     cli.print_headlines(again.dataset.assign_attrs(title=again.place, complete=1), as_json)
     for sentence in again.other_code:
@@ -720,7 +724,7 @@ def params(
     is_study = experiment.endswith(".toml") or experiment in built_in_studies()
     declared = linksweep.load_study(experiment).experiment if is_study else load_experiment(experiment)
     if schema:
-        click.echo(json.dumps(study_schema(declared), indent=1, ensure_ascii=False))
+        cli.put(json.dumps(study_schema(declared), indent=1, ensure_ascii=False))
         return
     rows = [
         {name: getattr(p, name) for name in ("name", "unit", "default", "required", "meaning")}
@@ -728,12 +732,12 @@ def params(
         for p in declared.parameters
     ]
     if as_json:
-        click.echo(to_json(rows))
+        cli.put(to_json(rows))
         return
     for row in rows:
         default = f"default: {row['default']}" if row["default"] is not None else "required" if row["required"] else ""
         unit = f" [{row['unit']}]" if row["unit"] else ""
-        click.echo(f"{row['name']}{unit}  {default}".rstrip())
+        cli.put(f"{row['name']}{unit}  {default}".rstrip())
         meaning = "" if row["meaning"] == row["name"] else f"{row['meaning']}; "
         cli.print_wrapped(f"{meaning}{row['allowed']}", "    ", "    ")
 
@@ -918,7 +922,7 @@ def match(
     plan = galaxy_search.plan_search(stars, galaxies, supplement, **search)
     summary = galaxy_search.summarise(galaxy_search.find_galaxies(plan, outputs, overwrite))
     if as_json:
-        click.echo(to_json(summary))
+        cli.put(to_json(summary))
     else:
         cli.print_tables(galaxy_search.summary_tables(summary), ["", *galaxy_search.summary_lines(summary)])
     for path in outputs.paths():

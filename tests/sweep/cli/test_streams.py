@@ -82,3 +82,32 @@ def test_a_message_that_no_file_can_hold_is_escaped_and_bounded(store, tmp_path)
     run = ("run", store.parent / "study.toml", "-o", tmp_path / "s.zarr", "--log", tmp_path / "run.log")
     code, _, err = shell("", *run)
     assert (code, "Traceback" in err, said in (tmp_path / "run.log").read_text()) == (1, False, True)
+
+
+LOUD = """
+import logging, os, sys
+{at_import}
+def loud(x: float):
+    {in_function}
+    if x == 2:
+        raise ValueError("no")
+    return x
+"""
+WORDS = 'print("said"); os.system("echo said"); os.write(1, b"said\\n")'
+LOG = "logging.basicConfig(stream=sys.stdout, level=logging.DEBUG, force=True)"
+
+
+@pytest.mark.parametrize(
+    ("at_import", "in_function", "pool"),
+    [(LOG, WORDS, "threads"), slow(WORDS, LOG, "threads"), slow(WORDS, LOG, "serial"), slow(LOG, WORDS, "processes")],
+    ids=["log", "words", "serial", "processes"],
+)
+def test_standard_output_has_results_alone_and_nothing_is_said_twice(tmp_path, at_import, in_function, pool):
+    (tmp_path / "f.py").write_text(LOUD.format(at_import=at_import, in_function=in_function))
+    asked = (f"{tmp_path}/f.py:loud", "--axis", "x=1,2,3", "-o", tmp_path / "s.zarr", "--json")
+    again = ("reproduce", tmp_path / "s.zarr", "--at", "x=1", "--json", "--trust")
+    commands = [("run", *asked, "--pool", pool), ("plan", *asked), again, ("params", asked[0], "--json")]
+    for command in commands if pool == "serial" else commands[:1]:
+        _, out, err = shell("", *command)
+        assert json.loads(out), err
+        assert err.count("failed at x=2.0") == (command[0] == "run")
