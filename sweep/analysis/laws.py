@@ -11,7 +11,7 @@ import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ LEVELLING_POINTS = 4  # the fewest for the levelling law, which has three parame
 DEVIATION_ALLOWED = 3.0  # an exponent may deviate from the expected one by this many of its errors
 P_VALUE_ALLOWED = 1e-3  # a law is said not to hold if the probability of its chi2 is lower
 EXCLUDED = "excluded by the study"
+SIGMAS = 2.0  # errors of crossings are made so that the truth is within this many of them as often as for a normal law
 RATE_WANTED = 2.0  # a levelling off is significant if its rate is more than this many errors above 0
 # A law is judged only if the errors that points do not share are this many times the neglected second order.
 FIRST_ORDER = 5.0
@@ -502,9 +503,9 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
     Returns:
         A dataset over the other axes with the variables ``met`` (whether and where the condition is met; its
         attributes give the meaning of the numbers), ``crossings`` (how many), ``first`` and ``last`` (the axis at the
-        first and last crossing; NaN if there is none) with ``_error`` (one sigma, from the errors of the points on both
-        sides), ``nearest`` (if the condition is never or always met, the value nearest to the limit; otherwise NaN) and
-        ``nearest_at`` (the axis there).
+        first and last crossing; NaN if there is none) with ``_error`` (one sigma, from the errors of the points around
+        it; NaN where these are so large that there may be no crossing), ``nearest`` (if the condition is never or
+        always met, the value nearest to the limit; otherwise NaN) and ``nearest_at`` (the axis there).
 
     Raises:
         SweepError: for an unknown variable or axis, points that are not done, and a unit of another kind.
@@ -598,17 +599,48 @@ def _cross(line: Line, limit: Limit, threshold: float, over_unit: str) -> dict[s
 
 
 def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[float, float]:
-    """Return where the line from point i to the next one meets the threshold, and the error of that."""
-    logarithm = bool(np.all(line.y[i : i + 2] > 0.0)) and threshold > 0.0
-    u, spread = _pair(line, i, logarithm)
-    fraction = ((np.log(threshold) if logarithm else threshold) - u[0]) / (u[1] - u[0])
-    z = on_scale(line.x, over_unit)
-    step = z[i + 1] - z[i]
-    # to first order the place moves by the error of the quantity there, over its slope
-    place, error = z[i] + fraction * step, abs(step / (u[1] - u[0])) * _mix(fraction, u, spread, line.samples)[1]
+    """Return where the line from point i to the next one meets the threshold, and the error of that.
+
+    The line is within two of its errors of the threshold up to two errors of the place, on the side where that is
+    farther (Fieller 1954): noise, which chooses the points on both sides, makes the line between them too steep.  The
+    error is NaN where the line does not leave the threshold.
+    """
+    u, _ = _from(threshold, line, i)
+    fraction, z = u[0] / (u[0] - u[1]), on_scale(line.x, over_unit)
+    place = z[i] + fraction * (z[i + 1] - z[i])
+    mirrored = replace(line, y=np.flip(line.y), errors=np.flip(line.errors))
+    after = _reach(line, z, i, fraction, threshold)
+    before = _reach(mirrored, -z[::-1], len(z) - 2 - i, 1.0 - fraction, threshold)
+    error = np.maximum(after - place, before + place) / SIGMAS
     if _is_logarithmic(line.x, over_unit):
         return float(np.exp(place)), float(np.exp(place) * error)
     return float(place), float(error)
+
+
+def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) -> float:
+    """Return up to which place a line is within `SIGMAS` of its errors of a threshold, from a fraction of the way from
+    point ``start`` to the next; beyond the last point the line goes on.  NaN if there is no such place.
+    """
+    for i in range(start, len(z) - 1):
+        u, spread = _from(threshold, line, i)
+        at, along = np.array([1.0 - fraction, fraction]), np.array([-1.0, 1.0])
+        spread = SIGMAS**2 * small_sample_factor(line.samples) * spread
+        # The square of the line less that of its errors is c + 2 b s + a s^2 at a distance s.
+        off, slope = at @ u, along @ u
+        a, b, c = slope**2 - along @ spread @ along, off * slope - at @ spread @ along, off**2 - at @ spread @ at
+        with np.errstate(invalid="ignore", divide="ignore"):
+            s = 0.0 if c >= 0.0 else -c / (b + np.sqrt(b * b - a * c))
+        if s >= 0.0 and (fraction + s <= 1.0 or i == len(z) - 2):
+            return float(z[i] + (fraction + s) * (z[i + 1] - z[i]))
+        fraction = 0.0
+    return np.nan
+
+
+def _from(threshold: float, line: Line, i: int) -> tuple[Array, Array]:
+    """Return two neighbouring values less a threshold and their covariance, of logarithms where all are above 0."""
+    logarithm = bool(np.all(line.y[i : i + 2] > 0.0)) and threshold > 0.0
+    values, spread = _pair(line, i, logarithm)
+    return values - (np.log(threshold) if logarithm else threshold), spread
 
 
 def _pair(line: Line, i: int, logarithm: bool) -> tuple[Array, Array]:

@@ -387,7 +387,7 @@ def _same(value: object, text: str) -> bool:
 LARGEST = 10**7
 
 
-def with_covariances(
+def add_covariances(
     dataset: Labelled, plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], ledger: Rows
 ) -> Labelled:
     """Return a dataset with ``NAME_mc_covariance_AXIS`` of every result with a Monte-Carlo error, for every axis along

@@ -201,6 +201,20 @@ def test_laws_and_places_are_printed(store_of, sweep_here):
     assert "amex   never; 0.5" in out
 
 
+@pytest.mark.parametrize("noise", [0.03, 0.1, 0.3, 0.5])
+@pytest.mark.parametrize("truth", [1.5, 1.75, 2.0])
+def test_crossings_of_points_with_errors_of_any_size(noise, truth):
+    """The noise, in steps of the axis, chooses the points on both sides; the truth is within two errors as often."""
+    x = np.arange(5.0)
+    y = x - truth + noise * np.random.default_rng(5).standard_normal((400, 5))
+    found = find(grid(y, noise, x=x), "width > 0", "n")
+    error = found["first_error"].values
+    known = np.isfinite(error)
+    assert known.mean() > 0.85  # else the line may cross nowhere
+    within = np.mean(abs(found["first"].values - truth)[known] < 2.0 * error[known])
+    assert 0.955 - 4.0 * np.sqrt(0.955 * 0.045 / 400) < within < 0.999
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("correlation", [0.0, 0.8])
 def test_stated_errors_and_chi2_of_a_power_law_are_those_of_simulated_points(correlation):
