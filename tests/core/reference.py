@@ -31,8 +31,8 @@ def design_matrix(ra, dec, pmra, pmdec, corrections=True, glide=False):
 
 
 def solve(design, differences, sigma, weighting="inverse-variance"):
-    """Solution for a design (4, N, K), differences and their errors (4, N); for equal weights its covariance is the
-    sandwich G diag(sigma^2) G^T with the gain G (K, 4, N), and chi2 is not at its minimum.
+    """Solution for a design (4, N, K), differences and their errors (4, N); for equal weights its formal errors are
+    those of the sandwich G diag(sigma^2) G^T with the gain G (K, 4, N), and chi2 is not at its minimum.
     """
     a, y, s = design.reshape(-1, design.shape[-1]), differences.ravel(), sigma.ravel()
     root_weight = 1.0 / s if weighting == "inverse-variance" else np.ones_like(s)
@@ -44,16 +44,10 @@ def solve(design, differences, sigma, weighting="inverse-variance"):
         raise LinkError("the link is rank deficient")
     gain = (vt.T / singular) @ (u.T * root_weight) / scale[:, None]
     estimate = gain @ y
-    residuals, covariance = y - a @ estimate, (gain * s) @ (gain * s).T
-    formal_error = np.sqrt(np.diag(covariance))
     return SimpleNamespace(
         estimate=estimate,
         gain=gain.reshape(len(scale), *differences.shape),
-        covariance=covariance,
-        formal_error=formal_error,
-        correlation=covariance / np.outer(formal_error, formal_error),
-        residuals=residuals.reshape(differences.shape),
-        chi2=float(np.sum((residuals / s) ** 2)),
-        dof=len(y) - len(scale),
+        formal_error=np.sqrt(np.sum((gain * s) ** 2, axis=1)),
+        chi2=float(np.sum(((y - a @ estimate) / s) ** 2)),
         condition_number=float(singular[0] / singular[-1]),
     )

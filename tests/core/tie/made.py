@@ -11,8 +11,6 @@ from linksweep.core.tie.astrometry import PAIRS, Astrometry, by_errors, joined, 
 from linksweep.core.tie.problem import Problem
 from linksweep.core.unknowns import Objects, parse_unknowns, spin_block
 from linksweep.sweep.cli import main
-from linksweep.sweep.tables.reader import read_row_group
-from linksweep.sweep.tie.tables import TableOptions
 
 NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
 
