@@ -218,26 +218,18 @@ def test_what_cannot_be_stacked_is_computed_one_by_one(changes):
     assert_same_bits(here, 10, 3)
 
 
-def sky(rng):
-    dec = np.arcsin(rng.uniform(-1.0, 1.0, 12))
-    zero = np.zeros_like(dec)
-    return points.Catalogue(rng.uniform(0.0, 2.0 * np.pi, 12) + zero, dec, zero, zero, zero)
+def without_errors(found, some):
+    """By themselves they would be linked in another way."""
+    one = np.full((*found.ra.shape, 4), points.MAS)
+    return replace(found, errors=OwnErrors(one), reference=OwnErrors(np.where(some[..., None], 0.0, one)))
 
 
-def without_errors(rng):
-    found = sky(rng)
-    sigma = np.where(rng.random(1)[..., :1] < 0.5, 0.0, points.MAS)[..., None] * np.ones((*found.ra.shape, 4))
-    return replace(found, errors=OwnErrors(np.full((*found.ra.shape, 4), points.MAS)), reference=OwnErrors(sigma))
+def at_a_pole(found, some):
+    """Where sines of noisy positions are computed in another way."""
+    return replace(found, dec=np.where(some & (np.arange(12) == 3), 89.99 * points.DEGREE, found.dec))
 
 
-def at_a_pole(rng):
-    found = sky(rng)
-    near = rng.random(1)[..., :1] < 0.5
-    return replace(found, dec=np.where(near & (np.arange(12) == 3), 89.99 * points.DEGREE, found.dec))
-
-
-def in_one_place(rng):
-    found = sky(rng)
+def in_one_place(found, some):
     return replace(found, ra=found.ra * 0.0 + 1.0, dec=found.dec * 0.0 + 0.5)
 
 
@@ -246,14 +238,15 @@ OWN = {"reference_errors": CatalogueErrors("reference"), "satellite_errors": Cat
 
 
 @pytest.mark.parametrize(
-    ("draw", "errors", "words"),
-    [
-        (without_errors, OWN, "no errors"),  # some of them; by themselves they would be linked in another way
-        (at_a_pole, NORMAL, "small angles"),  # where sines of noisy positions are computed in another way
-        (in_one_place, {}, "rank deficient"),
-    ],
+    ("change", "errors", "words"),
+    [(without_errors, OWN, "no errors"), (at_a_pole, NORMAL, "small angles"), (in_one_place, {}, "rank deficient")],
 )
-def test_catalogues_that_differ_in_kind_or_determine_no_link_are_refused(draw, errors, words):
+def test_catalogues_that_differ_in_kind_or_determine_no_link_are_refused(change, errors, words):
+    def draw(rng):
+        ra, dec = rng.uniform(0.0, 2.0 * np.pi, 12), np.arcsin(rng.uniform(-1.0, 1.0, 12))
+        zero = np.zeros_like(ra + dec)
+        return change(points.Catalogue(ra + zero, dec + zero, zero, zero, zero), rng.random(1)[..., :1] < 0.5)
+
     physics = replace(scenario(point(n_obj=12)), draw_catalogue=points.NestedDraw("own", 12, draw, True), **errors)
     with pytest.raises(points.LinkError, match=words):
         points.simulate_stack(physics, 5, streams(8))
