@@ -27,11 +27,9 @@ def plan():
 def test_a_link_has_the_figures_that_its_content_allows(link):
     for kind in ("solution", "residuals", "weight", "ranking"):
         assert "reference" in linksweep.plot(link, kind).get_suptitle()
-    for kind, how in (("spectrum", "--degree"), ("bins", "--bins")):
+    for kind, how in (("spectrum", "--degree"), ("bins", "--bins"), ("lines", "no kind 'lines' of a tie")):
         with pytest.raises(SweepError, match=how):
             linksweep.plot(link, kind)
-    with pytest.raises(SweepError, match="no kind 'lines' of a tie"):
-        linksweep.plot(link, "lines")
     with pytest.raises(SweepError, match="no variables"):
         linksweep.plot(link, variables=["estimate"])
 
@@ -109,13 +107,9 @@ def test_a_separation_is_that_of_rayleigh_where_the_errors_are_right(link):
         np.testing.assert_allclose(line.get_xdata()[1:], np.sort(values))
 
 
-def test_the_scatter_of_solutions_without_a_source_is_the_jackknife_error(link):
-    axes = linksweep.plot(link, "jackknife").axes[0]
-    x = axes.lines[0].get_xdata()
+def test_the_scatter_without_a_source_is_the_jackknife_error_and_the_band_of_a_trajectory_that_of_each_step(link):
+    x = linksweep.plot(link, "jackknife").axes[0].lines[0].get_xdata()
     assert np.std(x) == pytest.approx(float(link.errors.sel(error_kind="jackknife")[0]), rel=1e-9)
-
-
-def test_the_band_of_a_trajectory_is_the_error_of_each_step(link):
     axes = linksweep.plot(link, "trajectory").axes[0]
     vertices = axes.collections[0].get_paths()[0].vertices
     for step, (value, error) in enumerate(zip(link.step_estimate[:, 0], link.step_error[:, 0], strict=True)):

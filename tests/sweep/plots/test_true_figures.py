@@ -17,15 +17,11 @@ from linksweep import SweepError
 from linksweep.sweep.plots import style
 from tests.tiers import examples, slow
 
-LARGE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0]
 
-
-def results(x, y=None, unit="", name="x", attributes=None):
+def results(x):
     """Results along one axis, as `linksweep.open` returns them."""
-    y = np.linspace(1.0, 2.0, len(x)) if y is None else np.asarray(y, dtype=float)
-    variables = {"y": ("x", y, {"headline": 1}), "status": ("x", np.ones(len(x), dtype=int))}
-    coords = {name: ("x", np.asarray(x), {"units": unit} if unit else {})}
-    return xr.Dataset(variables, coords, {"title": "", "function": "f", **(attributes or {})})
+    variables = {"y": ("x", np.linspace(1.0, 2.0, len(x)), {"headline": 1}), "status": ("x", np.ones(len(x), int))}
+    return xr.Dataset(variables, {"x": x}, {"title": "", "function": "f"})
 
 
 def scales(dataset, **options):
@@ -47,6 +43,7 @@ def test_equal_steps_are_linear_however_far_they_go_and_equal_ratios_logarithmic
     assert scales(results(x))[0] == scale
 
 
+LARGE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0]
 OTHERS = [([1, 2, 5, 10, 20, 50], "log"), ([1.0, 1.19, 1.41, 1.68, 2.0], "log"), (LARGE, "linear")]
 OTHERS += [([1.0, 2.0, 2.5, 4.0, 5.5, 7.0], "linear"), ([0.0, 1.0, 10.0, 100.0], "linear"), ([1.0, 100.0], "linear")]
 
@@ -56,12 +53,9 @@ def test_other_axes_have_the_scale_on_which_they_are_more_even(x, scale):
     assert scales(results(x))[0] == scale
 
 
-def area(width: float = 1.0):
-    return {"area": width**2}
-
-
 def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
-    study = {"experiment": area, "axes": {"width": [1.0, 2.0, 3.0, 4.0]}, "figure": {"log": ["width", "area"]}}
+    study = {"experiment": lambda width: {"area": width**2}, "axes": {"width": [1.0, 2.0, 3.0, 4.0]}}
+    study["figure"] = {"log": ["width", "area"]}
     dataset = linksweep.run(study, tmp_path / "a.zarr", pool="serial")
     assert scales(dataset) == ("log", "log")
     assert scales(dataset, linear=["area"]) == ("log", "linear")
@@ -84,7 +78,6 @@ def test_a_logarithm_needs_numbers_above_zero(tmp_path):
 
 
 def several(curves, x):
-    curves = np.asarray(curves)
     variables = {"y": curves, "y_mc_error": 0.01 * curves, "y_predicted": 1.1 * curves, "status": 0 * curves + 1}
     coords = {"kind": [f"k{i}" for i in range(len(curves))], "x": x}
     variables = {name: (("kind", "x"), values) for name, values in variables.items()}
@@ -94,7 +87,7 @@ def several(curves, x):
 @pytest.mark.parametrize("number", [slow(2), 3, slow(7)])
 def test_only_markers_are_moved_aside_and_the_figure_says_so(number):
     x = np.geomspace(1e-6, 100.0, 5)
-    figure = linksweep.plot(several([x**2] * number, x), "lines")
+    figure = linksweep.plot(several(np.array([x**2] * number), x), "lines")
     figure.draw_without_rendering()
     [axes] = figure.axes
     true = axes.transData.transform(np.stack([x, x**2], axis=1))
@@ -114,8 +107,7 @@ def test_only_markers_are_moved_aside_and_the_figure_says_so(number):
     joined = [line for line in axes.lines if line.get_linestyle() == "-" and len(line.get_xdata()) == 5]
     assert len(joined) == number
     assert all(np.allclose(pixels(line), true) for line in joined)
-    said = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert "markers moved sideways, lines not" in said
+    assert "markers moved sideways, lines not" in [text.get_text() for text in figure.legends[0].get_texts()]
 
 
 @pytest.mark.parametrize("name", ["error-surface", slow("quasars")])
@@ -165,14 +157,12 @@ def test_maps_of_truth_values_have_two_colours(tmp_path):
     assert [text.get_text() for text in bar.get_yticklabels()] == ["False", "True"]
 
 
-DAYS = np.datetime64("2024-01-01", "ns") + np.arange(60) * np.timedelta64(1, "D")
-
-
-def tide(rate: float = 1.0):
-    return xr.DataArray(np.cos(rate * np.arange(60) / 9.0), {"day": DAYS}, ("day",), "height")
-
-
 def test_a_series_over_days_is_a_line_over_days(tmp_path):
+    days = np.datetime64("2024-01-01", "ns") + np.arange(60) * np.timedelta64(1, "D")
+
+    def tide(rate: float = 1.0):
+        return xr.DataArray(np.cos(rate * np.arange(60) / 9.0), {"day": days}, ("day",), "height")
+
     ds = linksweep.run(tide, tmp_path / "s.zarr", axes={"rate": [1.0, 2.0]}, pool="serial")
     [axes] = linksweep.plot(ds).axes
     for line, values in zip(axes.lines, ds["height"].transpose("rate", "day").values, strict=False):
@@ -182,11 +172,10 @@ def test_a_series_over_days_is_a_line_over_days(tmp_path):
     assert {"2024-01-01", "2024-01-02"} <= set(one.axes[0].get_legend_handles_labels()[1])
 
 
-def limited(x: float, cut: float | None = None):
-    return x if cut is None else min(x, cut)
-
-
 def test_labels_that_are_no_names_say_of_which_axis_they_are(tmp_path):
+    def limited(x: float, cut: float | None = None):
+        return x if cut is None else min(x, cut)
+
     axes = {"x": [1.0, 2.0, 3.0], "cut": [None, 1.0, 2.5]}
     [axes] = linksweep.plot(linksweep.run(limited, tmp_path / "s.zarr", axes=axes, pool="serial")).axes
     assert {"no cut", "cut = 1.0", "cut = 2.5"} <= set(axes.get_legend_handles_labels()[1])
@@ -231,10 +220,6 @@ def test_a_legend_takes_no_height_from_its_panel(dataset_of):
     assert panel.get_window_extent().height / panel.figure.dpi > 0.85
 
 
-def letters_in(town: str) -> int:
-    return len(town)
-
-
 KINDS = ["steel", "aluminium", "carbon fibre composite"]
 TOWNS = ["Amsterdam", "Buenos Aires", "Constantinople", "Heidelberg", "Kuala Lumpur", "Llanfairpwllgwyngyll", "Turin"]
 
@@ -244,7 +229,7 @@ TOWNS = ["Amsterdam", "Buenos Aires", "Constantinople", "Heidelberg", "Kuala Lum
 )
 def test_names_below_an_axis_do_not_cover_each_other(tmp_path, names, width, turned):
     different = [f"{name}{'' if i < len(TOWNS) else i}" for i, name in enumerate(names)]
-    dataset = linksweep.run(letters_in, tmp_path / "s.zarr", axes={"town": different}, pool="serial")
+    dataset = linksweep.run(lambda town: 1.0 * len(town), tmp_path / "s.zarr", axes={"town": different}, pool="serial")
     [axes] = drawn(dataset, width=width).axes
     texts = axes.get_xticklabels()
     assert [" ".join(text.get_text().split()) for text in texts] == different
