@@ -48,10 +48,8 @@ def write(folder, files):
 def check_refused(here, arguments, *phrases):
     before = tree(here)
     code, out, err = run_sweep(*arguments)
-    assert (code, out) == (2, ""), err
+    assert (code, out, "Traceback" in err, len(err) < 20_000) == (2, "", False, True), err
     assert all(phrase in err for phrase in phrases), err
-    assert "Traceback" not in err
-    assert len(err) < 20_000
     assert tree(here) == before
     return err
 
@@ -143,7 +141,7 @@ def test_all_problems_are_reported_in_one_message(here):
     places += ["fixed.error_scale (line 7)", "sampling.n_sim (line 9)"]
     said = check_refused(here, ("run", "study.toml"), "error: study.toml: 6 problems\n")
     assert [line.partition(":")[0].removeprefix("  - ") for line in said.splitlines()[1:]] == places
-    (here / "study.toml").write_text(fixed("error_scale = -1"))
+    (here / "study.toml").write_bytes(b"\xef\xbb\xbf" + fixed("error_scale = -1").replace("\n", "\r\n").encode())
     options = ("--set", "seed", "--axis", "model=x")
     check_refused(here, ("run", "study.toml", *options), "3 problems", "--set 'seed'", "'x'", "line 8")
 
@@ -156,11 +154,6 @@ def test_a_package_that_is_not_installed(here):
     done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert "put the package's folder in PYTHONPATH" in done.stderr
-
-
-def test_byte_order_mark_and_crlf_are_read(here):
-    (here / "study.toml").write_bytes(b"\xef\xbb\xbf" + GOOD.replace("\n", "\r\n").encode())
-    assert run_sweep("plan", "study.toml")[0] == 0
 
 
 DECAY = b"def decay(years: float, half_life: float, rng):\n    return {'left': rng.random() ** years, 'lost': years}\n"
@@ -200,15 +193,11 @@ COMMANDS = [
     ("run study.toml --workers 0", "Invalid value for '--workers': 0 is not in the range 1<=x<=4096"),
     ("run study.toml --pool gpu", "Invalid value for '--pool': 'gpu' is not one of 'processes', 'threads', 'serial'"),
     ("run study.toml --pool serial --workers 2", "--pool serial has no workers"),
-    ("run study.toml --scheduler tcp://127.0.0.1:1 --workers 2", "workers, scheduler: these are of different places"),
     ("run study.toml --retry --fresh", "--retry and --fresh contradict each other"),
     ("run study.toml --retry --set seed=8", "--retry computes points of a store as it is"),
     ("run study.toml --retry", "is a file, not a Zarr store"),
     ("show STORE --json --format csv", "--json and --format csv are two formats; name one"),
-    ("compare", "name stores, or give --all"),
-    ("compare STORE --workers 2", "go with --all"),
     ("compare STORE", "neither published numbers nor claims"),
-    ("compare DECAYED", "neither published numbers nor claims"),
     ("fit STORE --law levelling --expect 1", "--expect"),
     ("fit STORE --range 3", "--range: '3': a range is LOW:HIGH"),
     ("fit STORE --range 30:40", "coins has no value from 30 to 40; it goes from 1 to 20"),
@@ -313,15 +302,15 @@ def test_places_where_no_store_is_or_can_be(here, monkeypatch):
     for command in ("show", "status"):
         check_refused(here, (command, "results/missing.zarr"), "results/missing.zarr: no store there")
         check_refused(here, (command, "n" * 300), "nnn")
-    for path in ("n" * 300, f"{'n' * 300}/s.zarr"):
-        check_refused(here, ("plan", "study.toml", "-o", path), "nnn")
-    under_a_file = ("run", "study.toml", "-o", "study.toml/s.zarr")
-    check_refused(here, under_a_file, "cannot make a store there", "study.toml is not a directory")
     (here / "loop.zarr").symlink_to("loop.zarr")
-    check_refused(here, ("run", "study.toml", "-o", "loop.zarr"), "loop.zarr")
     (here / "closed").mkdir(mode=0o500)
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "closed")  # root may write anywhere
-    check_refused(here, ("run", "study.toml", "-o", "closed/s.zarr"), "closed is not a directory that can be written")
+    for command, path, said in (
+        *(("plan", "n" * 300, "nnn"), ("plan", f"{'n' * 300}/s.zarr", "nnn"), ("run", "loop.zarr", "loop.zarr")),
+        ("run", "study.toml/s.zarr", "study.toml is not a directory that can be written"),
+        ("run", "closed/s.zarr", "closed is not a directory that can be written"),
+    ):
+        check_refused(here, (command, "study.toml", "-o", path), said)
 
 
 def test_store_of_another_study(here):

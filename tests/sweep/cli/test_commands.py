@@ -23,13 +23,6 @@ PRINTING_TOO = [
 """Commands about a store of `quasars` and the tables that are built in, which print no table of axes of the user's."""
 
 
-@pytest.mark.parametrize("command", sorted(main.list_commands(None)))
-def test_every_command_has_help_with_an_example(sweep, command):
-    code, out, _ = sweep(command, "--help")
-    assert (code, f"sweep {command}" in out.replace("Usage: sweep", "")) == (0, True)
-    assert max(map(len, out.splitlines())) <= 80
-
-
 def test_help_and_completion_import_nothing_heavy():
     """They answer at once: what takes long to import is imported by the commands that need it."""
     words = "_SWEEP_COMPLETE='bash_complete', COMP_WORDS='sweep run quasars --set ', COMP_CWORD='4'"
@@ -49,12 +42,6 @@ def test_plan_writes_nothing(sweep, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_job_array_gets_the_options_of_its_study(sweep, tmp_path):
-    code, _, err = sweep("submit", "quasars", "--slurm", 3, "--axis", "v_max=14", "-o", "s.zarr", cwd=tmp_path)
-    script = (tmp_path / "s.zarr.slurm" / "submit.sh").read_text()
-    assert (code, "run quasars --axis=v_max=14 -o" in script, "--array=1-3" in script) == (0, True, True), err
-
-
 ODD = ["-o.zarr", "a  b.zarr", "$HOME.zarr", "#x&<b>;'\".zarr", "[s]*.zarr", "~.zarr", "two\nlines.zarr", "-long" * 40]
 
 
@@ -68,6 +55,7 @@ def test_commands_that_are_printed_and_written_can_be_given(name, tmp_path):
     _, _, damaged = run_sweep("check", "--", name, cwd=tmp_path)
     assert run_sweep("submit", *asked, new, "--slurm", 2, "--trust", cwd=tmp_path)[0] == 0
     script = (tmp_path / f"{new}.slurm" / "submit.sh").read_text()
+    assert "--array=1-2" in script
     lines = [*failed.split("`")[1::2], status.partition("next: ")[2], *damaged.split("`")[1::2]]
     lines += [line for line in script.splitlines() if line.startswith("exec ")]
     shell = 'sweep () { printf \'%s\\0\' "$@"; }; exec () { sweep "$@"; }; '
@@ -80,12 +68,15 @@ def test_commands_that_are_printed_and_written_can_be_given(name, tmp_path):
     assert words[6][4:] == ["merge", "--trust", "-o", new, *(f"{new}.part-{k}-of-2" for k in (1, 2))]
 
 
-def test_the_help_has_every_command_in_one_section_with_a_whole_sentence(sweep):
+def test_the_help_has_every_command_in_one_section_with_a_whole_sentence_and_each_has_its_own_with_an_example(sweep):
     code, out, _ = sweep("--help")
     commands = out.partition("\nRun:\n")[2]
     listed = [line.split()[0] for line in commands.splitlines() if line.startswith("  ")]
     assert (code, sorted(listed), "..." in commands) == (0, sorted(main.list_commands(None)), False)
-    assert max(map(len, out.splitlines())) <= 80
+    for command in listed:
+        code, more, _ = sweep(command, "--help")
+        assert (code, f"sweep {command}" in more.replace("Usage: sweep", "")) == (0, True)
+        assert max(map(len, (out + more).splitlines())) <= 80, command
 
 
 @pytest.mark.parametrize("commands", [PRINTING, slow(PRINTING_TOO)], ids=["some", "others"])
@@ -116,17 +107,11 @@ def test_one_thing_has_one_name_in_all_commands():
             assert "json" not in getattr(option.type, "choices", ()), name
 
 
-# Parts of a grid that --at names: those that the study excludes are not shown as if they were empty.
-
-
-def law(a: float, b: float = 1.0):
-    return b / a
-
-
 def test_a_part_that_the_study_excludes_is_refused(tmp_path):
     axes, exclude = {"a": [1.0, 2.0], "b": [1.0, 2.0, 3.0]}, [{"b": 3.0}, {"a": 2.0, "b": 2.0}]
-    linksweep.run({"experiment": law, "axes": axes, "exclude": exclude}, tmp_path / "s.zarr", pool="serial")
-    for command in ("show", "fit", "find --where law<1", "plot -o p.png", "sensitivity"):
+    study = {"experiment": lambda a, b: b / a, "axes": axes, "exclude": exclude}
+    linksweep.run(study, tmp_path / "s.zarr", pool="serial")
+    for command in ("show", "fit", "find --where result<1", "plot -o p.png", "sensitivity"):
         for at, points in (("a=2,b=2", "this point"), ("b=3", "all of these points")):
             code, out, err = run_sweep(*command.split(), "s.zarr", "--at", at, cwd=tmp_path)
             assert (code, out, f"--at {at}: the study excludes {points}" in err) == (2, "", True), command
@@ -141,12 +126,11 @@ def test_a_figure_of_failed_points_alone_is_refused(tmp_path):
         assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
 
 
-def wave(a: int, kind: str, b: float = 1.0):
-    return float(a) if kind == "sin" else -b
-
-
 @pytest.mark.parametrize("each", [1, slow(2)], ids=["alone", "crossed"])
 def test_all_points_of_a_table_that_have_a_value_are_shown(each, tmp_path):
+    def wave(a: int, kind: str, b: float = 1.0):
+        return float(a) if kind == "sin" else -b
+
     store, picture = tmp_path / "wave.zarr", tmp_path / "p.svg"
     points = {"a": [1, 2, 3, 4], "kind": ["sin", "cos", "sin", "sin"]}
     linksweep.run(wave, store, points=points, axes={"b": [1.0, 2.0]} if each == 2 else None, pool="serial")
@@ -165,9 +149,6 @@ def test_all_points_of_a_table_that_have_a_value_are_shown(each, tmp_path):
         linksweep.ratio(linksweep.open(store), "wave", "kind", of="cos", to="sin")
 
 
-BIN = Path(sys.executable).parent
-
-
 def offered(folder, *words):
     """What bash offers for the last word, by the function that the script defines."""
     script = f"""
@@ -179,18 +160,10 @@ _sweep_completion sweep
 printf '%s\\n' "${{COMPREPLY[@]}}"
 cat options 2>/dev/null || true
 """
-    here = {"PATH": f"{BIN}:/usr/bin:/bin"}
+    here = {"PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin"}
     done = subprocess.run(["bash", "-c", script], cwd=folder, capture_output=True, text=True, check=True, env=here)
     assert done.stderr == ""
     return done.stdout.split("\n")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["run", "plan"])
-def test_a_study_is_built_in_or_a_file(tmp_path, command):
-    (tmp_path / "quick.toml").touch()
-    assert [name for name in offered(tmp_path, "sweep", command, "qu") if name] == ["quasars", "quick.toml"]
-    assert "option: -o default" in offered(tmp_path, "sweep", command, "folder/qu")  # bash looks for files itself
 
 
 def test_commands_and_keys_of_the_study_that_is_named_before(tmp_path):
@@ -200,8 +173,12 @@ def test_commands_and_keys_of_the_study_that_is_named_before(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("content", [None, b"[[axes]]", b"[", b"\xff", b"axes = 3"])
-def test_a_bad_study_offers_what_every_study_has(tmp_path, content):
-    if content is not None:
+def test_a_study_is_built_in_or_a_file_and_a_bad_one_offers_what_every_study_has(tmp_path):
+    (tmp_path / "quick.toml").touch()
+    for command in ("run", "plan"):
+        assert [name for name in offered(tmp_path, "sweep", command, "qu") if name] == ["quasars", "quick.toml"]
+        assert "option: -o default" in offered(tmp_path, "sweep", command, "folder/qu")  # bash looks for files itself
+    for content in (b"[[axes]]", b"[", b"\xff", b"axes = 3"):
         (tmp_path / "bad.toml").write_bytes(content)
-    assert "n_sim=" in offered(tmp_path, "sweep", "run", "bad.toml", "--set", "n")
+        for study in ("bad.toml", "none.toml"):
+            assert "n_sim=" in offered(tmp_path, "sweep", "run", study, "--set", "n")

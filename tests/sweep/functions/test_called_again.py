@@ -17,17 +17,6 @@ AXES = {"x": [1.0, 2.0, 3.0]}
 counter = itertools.count()
 
 
-@experiment(vectorised=True)
-def together(x: float):
-    return np.random.default_rng().normal(size=len(x))
-
-
-def failing(x: float):
-    if x < 2.0:
-        raise ValueError("too small")
-    return random.random()
-
-
 DIFFERENT = {
     "numpy": lambda x: np.random.default_rng().normal(),
     "its own generator": lambda x, rng_of=np.random.default_rng(1): rng_of.normal(),  # noqa: B008
@@ -38,8 +27,8 @@ DIFFERENT = {
     "one of an array": lambda x: np.array([1.0, 2.0, random.random()]),
     "a length": lambda x: np.ones(1 + next(counter)),
     "names": lambda x: {f"y{next(counter)}": x},
-    "many points at once": together,
-    "after a point that fails": failing,
+    "many points at once": experiment(vectorised=True)(lambda x: np.random.default_rng().normal(size=len(x))),
+    "after a point that fails": lambda x: random.random() if x > 2.0 else 1 / 0,
 }
 
 

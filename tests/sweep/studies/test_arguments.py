@@ -138,12 +138,10 @@ def test_a_point_is_left_out_where_all_conditions_of_an_option_are_met(options):
         assert {(point["a"], point["n"]) for _, point in make_grid(study).parameters()} == kept
 
 
-@pytest.mark.parametrize(
-    "values", [{1, 2}, map(float, (1, 2)), 3.0, {"start": 1}], ids=lambda value: type(value).__name__
-)
-def test_objects_without_order_or_that_give_their_values_once_are_refused(values, tmp_path):
-    with pytest.raises(SweepError, match=r"axes\.e: .*write a list"):
-        run(user.law, tmp_path / "s.zarr", axes={"e": values})
+def test_objects_without_order_or_that_give_their_values_once_are_refused(tmp_path):
+    for values in ({1, 2}, map(float, (1, 2)), 3.0, {"start": 1}):
+        with pytest.raises(SweepError, match=r"axes\.e: .*write a list"):
+            run(user.law, tmp_path / "s.zarr", axes={"e": values})
 
 
 LINK = "linksweep.core.experiment:link"
@@ -188,10 +186,12 @@ def test_a_new_study_runs_as_it_is_and_says_the_defaults_in_comments(reference, 
     assert plan(sampled)[0]
 
 
-def test_every_study_of_ours_conforms_to_the_schema(link_validator):
+def test_every_study_of_ours_conforms_to_the_schema_which_has_the_parameters_of_its_experiment(link_validator):
     for text in corpus().values():
         if (document := tomllib.loads(text)).get("experiment", LINK) == LINK:  # others are only in a document
             link_validator.validate(document)
+    assert validator(COINS).schema["properties"]["fixed"]["properties"]["metal"]["enum"] == ["gold", "tin"]
+    assert run_sweep("params", "--schema", "no.such:thing")[:2] == (2, "")
 
 
 @pytest.mark.parametrize(
@@ -221,8 +221,3 @@ def test_the_schema_refuses_what_a_run_refuses(wrong, link_validator, tmp_path):
     assert not link_validator.is_valid(document)
     with pytest.raises(SweepError):
         run(document, tmp_path / "s.zarr")
-
-
-def test_the_schema_has_the_parameters_of_its_experiment(sweep):
-    assert validator(COINS).schema["properties"]["fixed"]["properties"]["metal"]["enum"] == ["gold", "tin"]
-    assert sweep("params", "--schema", "no.such:thing")[:2] == (2, "")
