@@ -34,7 +34,7 @@ for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.S
     if signal.getsignal(_number) is signal.SIG_IGN:  # as under nohup, and the processes of the tests would inherit it
         signal.signal(_number, _handler)
 
-FIRST = ("test_paper", "test_kills", "test_faults", "test_docs", "test_slurm", "test_study_fuzz", "test_benchmarks")
+FIRST = ("test_paper", "test_interrupt", "test_faults", "test_docs", "test_slurm", "test_study_fuzz", "test_benchmarks")
 """Files that take longest: a process that got one of them at the end would keep the others waiting."""
 
 

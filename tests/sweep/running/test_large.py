@@ -1,5 +1,6 @@
 """Large arrays: written once, by the process that computed them, and read as they are used."""
 
+import itertools
 import os
 import subprocess
 from contextlib import closing
@@ -14,40 +15,27 @@ from linksweep import Limits, Output, SweepError, experiment
 from tests.sweep.opening import same
 from tests.sweep.outside import Outside
 
-MOST = 64
-"""Values of a chunk, in place of a million."""
-
 
 @pytest.fixture(autouse=True)
 def _small(monkeypatch):
-    monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", MOST)
+    monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 64)
 
 
-def image_of(shape):
-    """Return a function of two parameters with an image and a number; it fails at b = 2."""
-
-    @experiment(outputs=[Output("image", nan=True), Output("level"), Output("names")])
-    def picture(a: int, b: int = 0):
-        if b == 2:
-            raise ValueError("two")
-        drawn = np.random.default_rng([a, b]).normal(size=shape)
-        drawn.flat[:: 7 + a] = np.nan
-        drawn.flat[1] = np.inf
-        return {"image": drawn, "level": a / 3, "names": [f"{a}", "x"]}
-
-    return picture
+@experiment(outputs=[Output("image", nan=True), Output("level"), Output("names")])
+def picture(a: int, b: int = 0):
+    if b == 2:
+        raise ValueError("two")
+    drawn = np.random.default_rng([a, b]).normal(size=(9, 40))
+    drawn.flat[:: 7 + a] = np.nan
+    drawn.flat[1] = np.inf
+    return {"image": drawn, "level": a / 3, "names": [f"{a}", "x"]}
 
 
-def check(dataset, picture):
-    """Compare the images of a dataset with what the function returns, and require that others are missing."""
-    dataset = dataset.transpose("a", "b", ...)
-    images = dataset["image"].values
-    for place in np.ndindex(images.shape[:2]):
-        if dataset["status"].values[place] == 1:
-            wanted = picture(dataset["a"].values[place[0]], dataset["b"].values[place[1]])["image"]
-            np.testing.assert_array_equal(images[place].astype(wanted.dtype), wanted)
-        else:
-            assert np.isnan(images[place].astype(float)).all()
+def check(dataset):
+    for a, b in itertools.product(dataset["a"].values, dataset["b"].values):
+        point = dataset.sel(a=a, b=b)
+        wanted = picture(a, b)["image"] if point["status"] == 1 else np.full((9, 40), np.nan)
+        np.testing.assert_array_equal(point["image"], wanted)
 
 
 def digests(store):
@@ -57,11 +45,11 @@ def digests(store):
 
 @pytest.mark.parametrize("options", [{"pool": "threads", "workers": 2}, {"workers": 2}, {"limits": Limits(60.0)}])
 def test_who_writes_them_changes_no_bit_and_they_are_stored_once(options, tmp_path):
-    picture, axes = image_of((9, 40)), {"a": range(3), "b": [0, 2]}
+    axes = {"a": range(3), "b": [0, 2]}
     serial = linksweep.run(picture, tmp_path / "serial.zarr", axes=axes, pool="serial", max_failures="100%")
     ds = linksweep.run(picture, tmp_path / "s.zarr", axes=axes, max_failures="100%", **options)
     same(ds, serial)
-    check(ds, picture)
+    check(ds)
     assert digests(tmp_path / "s.zarr") == digests(tmp_path / "serial.zarr")
     # A chunk is one file with two names; missing ones are files of their own.
     linked = [file for file in (tmp_path / "s.zarr" / "image").glob("c*.*") if file.stat().st_nlink == 2]
@@ -69,12 +57,12 @@ def test_who_writes_them_changes_no_bit_and_they_are_stored_once(options, tmp_pa
     assert len(list((tmp_path / "s.zarr" / "blocks").glob("large.*"))) == len(linked)
 
 
-HIDDEN = """
+PICTURES = """
 import numpy as np
 from pathlib import Path
 def picture(a: int):
-    assert not list(Path({store!r}).parent.glob("*.zarr"))
-    return {{"image": np.random.default_rng(a).normal(size=(1100, 500))}}
+    assert HIDDEN == (not list(Path("FOLDER").glob("*.zarr")))
+    return {"image": np.random.default_rng(a).normal(size=(1100, 500))}
 """
 
 
@@ -87,9 +75,7 @@ def test_workers_of_a_scheduler_write_them_where_they_see_the_store(hides, tmp_p
     hide = ["unshare", "--mount", "sh", "-c", f'mount -t tmpfs none "{folder}" && "$@"', "sh"] if hides else []
     if hides and (os.geteuid() != 0 or subprocess.run([*hide, "true"], check=False).returncode):
         pytest.skip("a file system of its own for a process needs root and unshare")
-    (tmp_path / "pictures.py").write_text(
-        HIDDEN.format(store=str(folder / "s.zarr")).replace("not list", "not list" if hides else "list")
-    )
+    (tmp_path / "pictures.py").write_text(PICTURES.replace("HIDDEN", str(hides)).replace("FOLDER", str(folder)))
     study = {"title": "p", "experiment": f"{tmp_path}/pictures.py:picture", "axes": {"a": [1, 2, 3]}}
     with closing(Outside(tmp_path)) as outside:
         outside.start_worker(before=hide)
@@ -100,10 +86,10 @@ def test_workers_of_a_scheduler_write_them_where_they_see_the_store(hides, tmp_p
 
 
 def test_a_store_is_opened_without_its_large_arrays_and_they_are_read_from_it_or_not_at_all(tmp_path):
-    picture, store = image_of((9, 9)), tmp_path / "s.zarr"
-    ds = linksweep.run(picture, store, axes={"a": [1, 2], "b": [0, 2]}, pool="serial", max_failures="100%")
-    linksweep.run(picture, store, axes={"a": [0, 1, 2], "b": [0, 1, 2]}, pool="serial", max_failures="100%")
-    check(ds, picture)  # a later run leaves what an earlier one has returned
+    store, how = tmp_path / "s.zarr", {"pool": "serial", "max_failures": "100%"}
+    ds = linksweep.run(picture, store, axes={"a": [1, 2], "b": [0, 2]}, **how)
+    linksweep.run(picture, store, axes={"a": [0, 1, 2], "b": [0, 1, 2]}, **how)
+    check(ds)  # a later run leaves what an earlier one has returned
     opened = linksweep.open(store)
     for file in (store / "blocks").glob("large.*"):
         file.unlink()

@@ -54,47 +54,31 @@ def some(values, most):
     return st.lists(values, min_size=1, max_size=most, unique=True)
 
 
-def table(**columns):
-    return st.fixed_dictionaries(columns)
-
-
-FLOATS = st.floats(-8.0, 8.0, width=16).map(lambda x: x + 0.0)
 LINK = {"experiment": "linksweep.core.experiment:link", "axes": {"model": ["amex", "gaia"], "n_obj": [20, 30]}}
-KINDS = {  # the study, or the name of a function above, and what is asked of it
-    "plain": ("plain", table(axes=table(k=some(st.integers(1, 9), 7), x=some(FLOATS, 5), word=some(st.just("b"), 1)))),
-    "noisy": (
-        "noisy",
-        table(
-            axes=table(k=some(st.integers(1, 4), 4)),
-            sampling=table(n_sim=st.integers(2, 1700), seed=st.integers(0, 99))
-            | st.just({"n_sim": 100, "precision": 0.1, "max_n_sim": 4000}),
-        ),
-    ),
-    "link": (
-        LINK,
-        table(
-            sampling=table(
-                n_sim=st.integers(1, 30),
-                n_cat=st.integers(1, 20),
-                keep_samples=st.booleans(),
-                common_random_numbers=st.booleans(),
-            )
-        ),
-    ),
+FLOATS = st.floats(-8.0, 8.0, width=16).map(lambda x: x + 0.0)
+NUMBERS = {"n_sim": st.integers(2, 1700), "seed": st.integers(0, 99)}
+SAMPLES = {"n_sim": st.integers(1, 30), "n_cat": st.integers(1, 20)}
+SAMPLES |= dict.fromkeys(("keep_samples", "common_random_numbers"), st.booleans())
+PRECISION = st.just({"n_sim": 100, "precision": 0.1, "max_n_sim": 4000})
+KINDS = {  # the study, or the name of a function above, and the axes and the sampling that are asked of it
+    "plain": ("plain", {"k": some(st.integers(1, 9), 7), "x": some(FLOATS, 5), "word": st.just(["b"])}, st.just({})),
+    "noisy": ("noisy", {"k": some(st.integers(1, 4), 4)}, st.fixed_dictionaries(NUMBERS) | PRECISION),
+    "link": (LINK, {}, st.fixed_dictionaries(SAMPLES)),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_parts_merged_in_any_order_are_one_run(tmp_path_factory, kind):
-    study, asked_for = KINDS[kind]
+    study, axes, samplings = KINDS[kind]
 
     @settings(max_examples=examples(10), phases=[Phase.generate], suppress_health_check=[HealthCheck.too_slow])
-    @given(asked=asked_for, total=st.integers(1, 6), rng=st.randoms(use_true_random=False))
-    def property_of_parts(asked, total, rng):
+    @given(st.fixed_dictionaries(axes), samplings, st.integers(1, 6), st.randoms(use_true_random=False))
+    def property_of_parts(axes, sampling, total, rng):
         folder = tmp_path_factory.mktemp("parts")
         (folder / "m.py").write_text(MODEL)
-        whole, more = (f"{folder}/m.py:{study}", asked) if isinstance(study, str) else (study | asked, {})
+        more = {"axes": axes, "sampling": sampling} if axes else {}
+        whole = f"{folder}/m.py:{study}" if axes else study | {"sampling": sampling}
         linksweep.run(whole, folder / "w", pool="serial", max_failures="100%", **more)
         stores = run_parts(whole, folder / "s", rng.sample(range(1, total + 1), total), total, **more)
         merge(stores[: rng.randint(1, total)], folder / "s")
@@ -117,7 +101,6 @@ def model(tmp_path):
 
 @pytest.fixture
 def into(model, tmp_path):
-    """A function that runs a study into a store of a name."""
     return lambda store, study=model, **how: linksweep.run(study, tmp_path / store, pool="serial", **how)
 
 

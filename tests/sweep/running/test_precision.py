@@ -167,31 +167,28 @@ def test_quasars_at_a_tenth(tmp_path, sweep_here):
     assert not [path.name for path in store.iterdir() if "(" in path.name]
 
 
+@experiment(outputs=[Output("y", statistics=("mean", "std", "q90")), Output("late", statistics=("mean", "std"))])
 def moments(x: float, rng: np.random.Generator, n_sim: int):
     return {"y": rng.normal(x, 2.0, n_sim), "late": rng.exponential(size=n_sim)}
-
-
-STATISTICS = [Output("y", statistics=("mean", "std", "q90")), Output("late", statistics=("mean", "std"))]
 
 
 @pytest.mark.parametrize("sampling", [{"n_sim": 5120}, {"n_sim": 64, "precision": 0.05}], ids=["number", "precision"])
 def test_values_so_far_are_those_of_the_first_realisations(tmp_path, sampling):
     """A run of just these realisations, bitwise: blocks are the same."""
-    f, share = experiment(outputs=STATISTICS)(moments), 2.0 if "precision" in sampling else 0.4
-    ds = stopped(f, tmp_path / "s.zarr", share, axes={"x": [1.0, 2.0, 3.0]}, sampling={"seed": 3, **sampling})
+    study = {"axes": {"x": [1.0, 2.0, 3.0]}, "sampling": {"seed": 3, **sampling}}
+    ds = stopped(moments, tmp_path / "s.zarr", 2.0 if "precision" in sampling else 0.4, **study)
     assert ds.attrs["running"] > 0
     for x, n in ((x, int(ds.n_sim_done.sel(x=x))) for x in ds.x.values[ds.status == 4]):
         fewer = {"n_sim": n, "seed": 3} | ({"precision": 0.999, "max_n_sim": n} if "precision" in sampling else {})
-        alone = linksweep.run(f, tmp_path / f"{x}.zarr", axes={"x": [float(x)]}, sampling=fewer, pool="serial")
+        alone = linksweep.run(moments, tmp_path / f"{x}", axes={"x": [float(x)]}, sampling=fewer, pool="serial")
         for name in alone.data_vars.keys() - {"status", "n_sim_done", "wall_time"}:
             np.testing.assert_array_equal(ds[name].sel(x=x), alone[name].sel(x=x), name)
 
 
 @pytest.mark.parametrize(("copies", "blocks", "share"), [(200, 4, 0.3), slow(1500, 16, 0.1), slow(1500, 8, 0.5)])
 def test_errors_of_values_so_far_of_a_function_cover(tmp_path, copies, blocks, share):
-    f = experiment(outputs=STATISTICS)(moments)
     x = np.arange(1.0, copies + 1.0)
-    ds = stopped(f, tmp_path / "s.zarr", share, axes={"x": x}, sampling={"n_sim": blocks * 512, "seed": 5})
+    ds = stopped(moments, tmp_path / "s.zarr", share, axes={"x": x}, sampling={"n_sim": blocks * 512, "seed": 5})
     assert ds.attrs["running"] == copies
     truths = {"y_mean": x, "y_std": 2.0, "y_q90": stats.norm(x, 2.0).ppf(0.9), "late_mean": 1.0, "late_std": 1.0}
     for name, truth in truths.items():
@@ -232,12 +229,10 @@ def test_half_a_run_covers_all_axes(tmp_path, shape):
 
 
 def test_memory_bounds_how_many_points_keep_their_realisations(tmp_path, monkeypatch):
-    """Points begin when others are done; the bits are the same."""
-    f = experiment(outputs=STATISTICS)(moments)
     study = {"axes": {"x": np.arange(1.0, 9.0)}, "sampling": {"n_sim": 2048, "seed": 3}}
-    whole = linksweep.run(f, tmp_path / "a.zarr", pool="serial", **study)
+    whole = linksweep.run(moments, tmp_path / "a.zarr", pool="serial", **study)
     monkeypatch.setattr("linksweep.sweep.planning.accumulator.MOST_KEPT", 8 * 2048 * 2)
-    ds = stopped(f, tmp_path / "s.zarr", 0.4, **study)
+    ds = stopped(moments, tmp_path / "s.zarr", 0.4, **study)
     assert ds.attrs["running"] <= 2
-    again = linksweep.run(f, tmp_path / "s.zarr", pool="serial", **study)
+    again = linksweep.run(moments, tmp_path / "s.zarr", pool="serial", **study)
     assert again.drop_vars("wall_time").equals(whole.drop_vars("wall_time"))

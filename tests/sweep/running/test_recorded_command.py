@@ -24,7 +24,6 @@ if __name__ == "__main__":
 
 
 def everything_in(folder):
-    """Return all that is in the files of a folder, but for the script."""
     return b"".join(file.read_bytes() for file in folder.rglob("*") if file.is_file() and file.suffix != ".py")
 
 

@@ -69,7 +69,6 @@ def test_blocks_add_up_whoever_computed_them(tmp_path):
 
 @pytest.mark.parametrize("chains", [1, slow(6)])
 def test_growth_of_any_kind_in_any_order_gives_the_bits_of_a_fresh_run(coins, tmp_path, chains):
-    """Chains of edits: axis values, a new axis, more realisations, more catalogues, one after the other."""
     rng = random.Random(11)
     for chain in range(chains):
         document = coins | {"axes": {"coins": [5]}, "fixed": {}, "sampling": {"n_sim": 300, "n_cat": 3, "seed": 7}}

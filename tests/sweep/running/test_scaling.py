@@ -89,9 +89,7 @@ finally:
 
 
 def memory_of(tmp_path, points, *command):
-    """Run a command on a study of so many points; return its own peak memory and that of the largest process that it
-    started in MB.
-    """
+    """Return the peak memory of a command on so many points, and that of the largest process that it started, in MB."""
     study = (COINS, "--axis", 'metal="gold","tin"', "--axis", f"coins=1:{points // 200}:1", "--set", "n_sim=1")
     command = [*command[:1], *study, "--axis", "chance=0.2:0.794:0.006", *command[1:]]
     done = subprocess.run(

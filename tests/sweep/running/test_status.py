@@ -100,8 +100,6 @@ def f(x: float, y: int = 0, rng=None):
 
 @pytest.fixture
 def run_f(tmp_path, sweep_here):
-    """A function that runs f into s.zarr, with conditions on which it fails."""
-
     def run(*options, fails="x == 2.0"):
         (tmp_path / "f.py").write_text(CODE.format(fails=fails))
         asked = ("f.py:f", "--axis", "x=0:4:1", "--pool", "serial", "-o", "s.zarr")
@@ -143,7 +141,6 @@ def test_a_file_that_cannot_be_written_ends_it_before_anything_is_computed(run_f
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("script") is None, reason="needs the command script, which has a terminal")
 def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_sweep):
-    """The bar is drawn again and again; what stays are the sentences."""
     store = tmp_path / "s.zarr"
     inner = f"TERM=xterm {sys.executable} -m linksweep run {link_study} -o {store} --set n_sim=100000 --workers 1"
     process = start_sweep(command=["script", "-qec", inner, "/dev/null"])

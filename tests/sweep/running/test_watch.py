@@ -27,17 +27,14 @@ def f(x: float, y: int = 0, rng=None):
 """
 
 
+def g(a=0, b=0, c=0, d=0):
+    return 1.0 / (a + b + c + d - 3)
+
+
 def look(store):
     watched = watch.Watched(store)
     watched.look()
     return watched
-
-
-@pytest.fixture(scope="module")
-def code(tmp_path_factory):
-    path = tmp_path_factory.mktemp("code") / "f.py"
-    path.write_text(CODE)
-    return f"{path}:f"
 
 
 @examples_of(max_examples=examples(25))
@@ -50,12 +47,12 @@ def code(tmp_path_factory):
     precision=st.booleans(),
     refined=st.integers(0, 2000),
 )
-def test_the_points_are_those_of_the_status(
-    code, tmp_path_factory, xs, sims, tasks, excluded, table, precision, refined
-):
+def test_the_points_are_those_of_the_status(tmp_path_factory, xs, sims, tasks, excluded, table, precision, refined):
     """Of runs that are extended, refined at a point and stopped anywhere; with failures, exclusions, repeated rows."""
-    store = tmp_path_factory.mktemp("any") / "s.zarr"
-    document = {"title": "f", "experiment": code, "axes": {"x": xs, "y": [0, 1]}}
+    folder = tmp_path_factory.mktemp("any")
+    store = folder / "s.zarr"
+    (folder / "f.py").write_text(CODE)
+    document = {"title": "f", "experiment": f"{folder}/f.py:f", "axes": {"x": xs, "y": [0, 1]}}
     if table:
         document |= {"axes": {"y": [0, 1]}, "points": {"columns": {"x": [*xs, xs[0]]}}}
     if excluded:
@@ -84,9 +81,8 @@ def test_the_points_are_those_of_the_status(
 
 @pytest.mark.parametrize("shape", [(), (7,), (3, 5), (37, 31), (5, 4, 3, 2), (400, 2), (1, 90)])
 def test_tiles_hold_every_point_once(tmp_path, shape):
-    (tmp_path / "g.py").write_text("def g(a=0, b=0, c=0, d=0):\n    return 1.0 / (a + b + c + d - 3)\n")
     axes = {name: list(range(n)) for name, n in zip("abcd", shape, strict=False)}
-    run({"title": "g", "experiment": f"{tmp_path / 'g.py'}:g", "axes": axes}, tmp_path / "s.zarr")
+    run({"title": "g", "experiment": g, "axes": axes}, tmp_path / "s.zarr")
     watched = look(tmp_path / "s.zarr")
     for most, across in ((100, 30), (2000, 2000)):
         rows = watched.tiles(most, across)
@@ -167,7 +163,6 @@ def f(x: float):
 
 @pytest.mark.slow
 def test_a_terminal_beside_a_run(tmp_path, start_sweep):
-    """The picture changes while the run goes on, nothing of others controls the terminal, and it ends with the run."""
     pyte = pytest.importorskip("pyte")
     (tmp_path / "f.py").write_text(SLOW)
     master, terminal = os.openpty()

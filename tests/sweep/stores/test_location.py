@@ -124,7 +124,6 @@ def contents(folder):
 
 
 def moved_out(store, name):
-    """Replace a file or a folder of a store by a link to it outside."""
     outside = store.parent / "outside"
     (store / name).rename(outside)
     (store / name).symlink_to(outside)
