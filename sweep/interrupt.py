@@ -48,13 +48,16 @@ class Interruptions:
 
     @contextmanager
     def postponed(self) -> Iterator[None]:
-        """Delay signals until the end of this block, which must be short, or of the block around it."""
+        """Delay signals until the end of this block, which must be short, or of the block around it; what was dropped
+        before it is raised there, too.
+        """
         before, self._holding = self._holding, True
         try:
             yield
         finally:
             self._holding = before
-        if self._owed and not before:
+        dropped = self.received is not None and sys.exc_info()[0] is None
+        if (self._owed or dropped) and not before:
             self._owed = False
             self._interrupt()
 

@@ -196,9 +196,11 @@ class Folder:
         return self.path.is_dir() and all(p.name.endswith(UNFINISHED) and p.is_file() for p in self.path.iterdir())
 
     def obstacle(self) -> str | None:
-        """Say what keeps a store from being made here: a file in the way, or a folder that cannot be written."""
+        """Say what keeps a store from being made here: a file or link in the way, a folder that cannot be written."""
         if self.path.exists():
             return None if self.path.is_dir() else "is a file, not a Zarr store"
+        if self.path.is_symlink():
+            return f"is a link to {os.readlink(self.path)}, which is not there"
         parent = next(p for p in self.path.parents if p.exists())
         if parent.is_dir() and os.access(parent, os.W_OK | os.X_OK):
             return None

@@ -302,11 +302,15 @@ def test_places_where_no_store_is_or_can_be(here, monkeypatch):
     for command in ("show", "status"):
         check_refused(here, (command, "results/missing.zarr"), "results/missing.zarr: no store there")
         check_refused(here, (command, "n" * 300), "nnn")
-    (here / "loop.zarr").symlink_to("loop.zarr")
+    for path in ("loop.zarr", "moved.zarr"):
+        (here / path).symlink_to(path.replace("moved", "away"))
+    moved = "moved.zarr: is a link to away.zarr, which is not there"
+    check_refused(here, ("show", "moved.zarr"), moved)
     (here / "closed").mkdir(mode=0o500)
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "closed")  # root may write anywhere
     for command, path, said in (
         *(("plan", "n" * 300, "nnn"), ("plan", f"{'n' * 300}/s.zarr", "nnn"), ("run", "loop.zarr", "loop.zarr")),
+        *(("run", "moved.zarr", moved), ("plan", "moved.zarr", moved)),
         ("run", "study.toml/s.zarr", "study.toml is not a directory that can be written"),
         ("run", "closed/s.zarr", "closed is not a directory that can be written"),
     ):

@@ -9,11 +9,13 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 import xarray as xr
 
+import linksweep
 from linksweep.sweep.interrupt import LOST_S, RunInterruptedError, watched
 from tests.sweep.opening import TUNED, Store, existing_store, load_study, rows_on_disk, run, same
 from tests.sweep.outside import below, command_of, wait_until
@@ -109,6 +111,18 @@ def test_except_exception_in_a_loop_does_not_go_on_after_ctrl_c(tmp_path, start_
     out, err = process.communicate(timeout=PATIENCE_S)
     assert (out.splitlines(), process.returncode != 0) == (["began 0"], True)
     assert err.splitlines()[-1].endswith("interrupted; what was done is kept, the same call goes on from there")
+
+
+def catching(x: int):
+    with suppress(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    return x
+
+
+def test_a_function_that_catches_it_ends_the_run_when_it_returns(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        linksweep.run(catching, tmp_path / "s.zarr", axes={"x": [1, 2, 3]}, pool="serial")
+    assert rows_on_disk(tmp_path / "s.zarr") == 1
 
 
 class Swallower:
