@@ -315,8 +315,14 @@ class Parameter:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
         if self.optional and (raw is None or (raw == "None" and self.kind in ("float", "int", "bool", "str"))):
             return None
-        value = self._object(raw) if self.takes_objects else raw
-        return value if isinstance(value, Named) else self._plain(value)
+        value: Any = self._object(raw) if self.takes_objects else raw
+        if not isinstance(value, Named):
+            return self._plain(value)
+        if self.takes_objects or value in self.defined:
+            return value
+        # A member of an enumeration of numbers or texts is one where only these are allowed.
+        is_member = isinstance(value.value, int | float | str) and type(value.value) not in (bool, int, float, str)
+        return self._plain(value.value if is_member else value)
 
     def _object(self, raw: Any) -> Any:
         """Return the object with a label that ``raw`` is or names, ``raw`` itself where it is none."""

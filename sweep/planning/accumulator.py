@@ -79,7 +79,7 @@ class Accumulator:
         self._rounds: dict[int, _Round] = {}
         self._share = plan.share()
         self._whole = self._only_block() if self._share is None else None
-        values = self.total[:0] if values is None else values
+        values = values if values is not None and self._rows else self.total[:0]
         self.survey = replace(self._survey(values), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
 
     def _survey(self, rows: Rows) -> Survey:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Experiment, Named, Parameter, Point, SweepError, Value, shown
+from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Value, shown
 from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import MAX_POINTS, Grid, GridPoint, all_but
-from linksweep.sweep.studies.points import MAX_VALUES, NUMBERS, axis_written, labels_of, require_distinct
+from linksweep.sweep.studies.points import MAX_VALUES, labels_of, numbers_like, require_distinct, require_labels
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
 from linksweep.sweep.tables.columns import sorted_json
 
@@ -34,26 +34,24 @@ Rows = dict[tuple[str, ...], list[Row]]
 
 
 def with_numbers_of(stored: Study, asked: Study) -> Study:
-    """Return a study in which numbers that equal those of a store are written as they are there: 2.0 as 2, which a
-    parameter of any type would take for another value.
-    """
-    defaults, changed = stored.experiment.defaults(), dict[str, dict[str, Any]]()
-    columns = () if asked.points is None else asked.points.names
-    for one in (one for one in asked.experiment.parameters if one.kind == "any" and one.name not in columns):
-        theirs = (defaults.get(one.name), stored.fixed.get(one.name), *stored.axes.get(one.name, ()))
-        known = {value: value for value in theirs if type(value) in NUMBERS}
-        for section, values in (("axes", asked.axes.get(one.name, ())), ("fixed", (asked.fixed.get(one.name),))):
-            written = tuple(known.get(value, value) if type(value) in NUMBERS else value for value in values)
-            if list(map(type, written)) != list(map(type, values)):
-                changed.setdefault(section, {})[one.name] = written if section == "axes" else written[0]
-    if not changed:
-        return asked
-    document = dict(asked.document)
-    for section, some in changed.items():
-        write = axis_written if section == "axes" else Parameter.written
-        raw = {name: write(asked.experiment.parameter(name), value) for name, value in some.items()}
-        document[section] = {**document.get(section, {}), **raw}
-    axes, fixed = {**asked.axes, **changed.get("axes", {})}, {**asked.fixed, **changed.get("fixed", {})}
+    """Return a study in which numbers that equal those of a store have their types: equal numbers are one point."""
+    defaults, document = stored.experiment.defaults(), dict(asked.document)
+    axes, fixed = dict(asked.axes), dict(asked.fixed)
+    for one in asked.experiment.parameters:
+        name, is_axis = one.name, one.name in axes
+        values = axes[name] if is_axis else (fixed.get(name),)
+        known = (defaults.get(name), stored.fixed.get(name), *stored.axes.get(name, ()))
+        alike = numbers_like(known, values) if one.kind == "any" else values
+        if [*map(type, alike)] == [*map(type, values)]:
+            continue
+        (axes if is_axis else fixed)[name] = alike if is_axis else alike[0]
+        if asked.points is not None and name in asked.points.names:
+            table = document["points"]
+            document["points"] = {**table, "columns": {**table["columns"], name: one.written(alike)}}
+        else:  # what has an effect only sometimes is an axis that the document may have as fixed
+            section = "fixed" if name in document.get("fixed", {}) else "axes"
+            raw = one.written(alike if section == "axes" else alike[0])
+            document[section] = {**document.get(section, {}), name: raw}
     return replace(asked, axes=axes, fixed=fixed, document=document)
 
 
@@ -105,7 +103,7 @@ def united(stored: Study, asked: Study, held: Collection[bytes] = (), *, is_whol
         rows, excluded, tables = {names: _joined(old, new)}, (), [PointTable(names)]
         if len(rows[names]) > MAX_VALUES:
             raise SweepError(f"the store and the study are together a table of more than {MAX_VALUES:,} points")
-    values = _columns(rows, {named: named for named in defined.values()}, is_table=bool(tables))
+    values = _columns(rows, asked.experiment, {named: named for named in defined.values()}, is_table=bool(tables))
     points = None
     if tables:
         size = len(values[tables[0].names[0]])
@@ -135,18 +133,26 @@ def united(stored: Study, asked: Study, held: Collection[bytes] = (), *, is_whol
     return replace(result, document=_document(stored, asked, result))
 
 
-def _columns(rows: Rows, known: Mapping[Named, Named], *, is_table: bool) -> dict[str, tuple[Value, ...]]:
+def _columns(
+    rows: Rows, experiment: Experiment, known: Mapping[Named, Named], *, is_table: bool
+) -> dict[str, tuple[Value, ...]]:
     """Return the values of each axis, of equal ones those that are ``known``, which can be computed with; raises
-    SweepError for numbers on one axis that differ by rounding.
+    SweepError for values that cannot be on one axis of the experiment.
     """
     columns: dict[str, tuple[Value, ...]] = {}
     for names, some in rows.items():
         for name, column in zip(names, zip(*some, strict=True), strict=True):
+            parameter = experiment.parameter(name)
             columns[name] = tuple(known.get(value, value) if isinstance(value, Named) else value for value in column)
             try:
-                require_distinct(() if is_table else columns[name])
+                plain = {(type(value), value): value for value in column if not isinstance(value, Named)}
+                if changed := [one for (kind, _), one in plain.items() if type(parameter.parse(one)) is not kind]:
+                    raise ValueError(f"{changed[0]!r} would be {parameter.parse(changed[0])!r}")
+                require_distinct(columns[name], is_table)
+                require_labels(columns[name])
             except ValueError as error:
-                raise SweepError(f"{name}, with its values in the store: {error}") from error
+                leave = "leave the earlier points out by --only (only=True)"
+                raise SweepError(f"{name}, with its values in the store: {error}; {leave}") from error
     return columns
 
 
@@ -258,7 +264,7 @@ def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
     """Return the document from which a store makes the union again."""
 
     def written(names: Sequence[str]) -> dict[str, Any]:
-        return {name: axis_written(whole.experiment.parameter(name), whole.axes[name]) for name in names}
+        return {name: whole.experiment.parameter(name).written(whole.axes[name]) for name in names}
 
     columns = () if whole.points is None else whole.points.names
     document = {**asked.document, "axes": written([name for name in whole.axes if name not in columns])}
@@ -323,7 +329,7 @@ def refined(study: Study, rounds: Iterable[Round]) -> Study:
         counts |= {name: max(n, counts.get(name, 0)) for name, n in one.n_sim.items()}
     grown = [name for name, values in study.axes.items() if len(axes[name]) > len(values)]
     axes |= {name: tuple(sorted(axes[name], key=lambda value: (value is None, value or 0))) for name in grown}
-    grid, written = Grid(study), {name: axis_written(parameters[name], axes[name]) for name in grown}
+    grid, written = Grid(study), {name: parameters[name].written(axes[name]) for name in grown}
     counts |= all_but(replace(study, axes=axes), {*added, *grid.digests(grid.indices())})
     document = {**study.document, "counts": counts, "axes": study.document.get("axes", {}) | written}
     return replace(study, axes=axes, counts=counts, document=document)

@@ -187,7 +187,9 @@ def _differences(one: _Source, other: _Source, accept_code: bool) -> list[str]:
             some |= {name: json.loads(source.attributes["versions"]).get(name) for name in DECIDING}
     sentences += [f"{key}: {a} {was}, {known[1][key]} {now}" for key, a in known[0].items() if a != known[1][key]]
     codes = [records[-1]["code"] if (records := run.records_of(s.attributes)) else {} for s in (one, other)]
-    if not accept_code and all(codes):
+    if accept_code:  # but for defaults, without which points at them are known
+        codes = [run.defaults_alone(codes[0], codes[1]), run.defaults_alone(codes[1], codes[0])]
+    if all(codes):
         sentences += code_differences(codes[0], codes[1], was, now)
     if is_part and not sentences and one.attributes["study_digest"] != other.attributes["study_digest"]:
         sentences.append(f"the points are others {was} than {now}")

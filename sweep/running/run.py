@@ -75,21 +75,35 @@ def rows_of_other_code(store: Store, study: Study) -> list[range]:
     ]
 
 
-def check_code(store: Store, study: Study, gone: Collection[bytes] = ()) -> None:
+def defaults_alone(code: Mapping[str, str], other: Mapping[str, str]) -> dict[str, str]:
+    """Return of some code the defaults of parameters that another version of it has, too."""
+    return {name: text for name, text in code.items() if name.startswith("default of ") and name in other}
+
+
+def check_code(store: Store, study: Study, gone: Collection[bytes] = (), accept_code: bool = False) -> None:
     """Raise SweepError for a store whose last blocks other code than a study's has made, but for points that are to
-    be computed again, by their digests.
+    be computed again, by their digests.  Code with other defaults is not even to be accepted: points at a default are
+    known without it.
     """
     records = records_of(store.attributes)
     if gone:
         last = max((row for key, row in store.rows.items() if key[:DIGEST_BYTES] not in gone), default=-1)
         records = [record for record in records if record["first_row"] <= last]
-    if store.rows and (changes := differences_of_code(records, study)):
-        meaning = (
-            "was made by other code, whose numbers would be mixed up with those of today's; --redo old (in Python "
-            'redo="old") computes its points again, --accept-code (accept_code=True) goes on and records for each '
-            "point which code made it, --fresh (fresh=True) starts anew, -o (store=NAME) names another store"
-        )
-        raise SweepError([meaning, *changes], str(store.location))
+    if not store.rows or not (changes := differences_of_code(records, study)):
+        return
+    meaning = (
+        '--redo old (in Python redo="old") computes its points again, --fresh (fresh=True) starts anew, '
+        "-o (store=NAME) names another store"
+    )
+    old, new = records[-1]["code"], code_of(study.experiment_reference, study.experiment)
+    if defaults_alone(old, new) != defaults_alone(new, old):
+        meaning = f"was made by other code with other defaults, for which points at them would be taken; {meaning}"
+    elif accept_code:
+        return
+    else:
+        goes_on = "--accept-code (accept_code=True) goes on and records for each point which code made it"
+        meaning = f"was made by other code, whose numbers would be mixed up with those of today's; {goes_on}, {meaning}"
+    raise SweepError([meaning, *changes], str(store.location))
 
 
 def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
@@ -635,10 +649,13 @@ class Session:
                 check_points(opened, study)
                 study, whole, wanted = with_stored(store, study)
             records = again_where(store, whole, beside.redo) if beside.redo else {}
-            if not accept_code:
-                check_code(store, study, records)
+            check_code(store, study, records, accept_code)
             store.again(records)
             again = frozenset(records)
+            if not store.rows and grid.study.experiment.undeclared:  # what results are like is open again
+                known = replace(grid.study.experiment, parameters=whole.experiment.parameters)
+                is_alone, study = whole is study, replace(study, experiment=known)
+                whole = study if is_alone else replace(whole, experiment=known)
             if retry:
                 wanted = again = frozenset(store.failures.keys() & set(grid.digests(grid.indices())))
             wanted = None if wanted is None else wanted | again

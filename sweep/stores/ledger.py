@@ -369,16 +369,17 @@ class Ledger:
     def retype(self, dtype: np.dtype[np.void], samples_width: int, drop: Iterable[bytes]) -> None:
         """Give rows another type, those that are there without the blocks to ``drop``; durable after `flush`."""
         self.flush()
-        revision, gone = self.manifest.revision + 1, set(drop)
+        revision, gone = self.manifest.revision + 1, {bytes(KEY_BYTES), *drop}
         before, self.parts, self.chunks = self.parts, [], set()
         for number, part in enumerate(before):
             # One by one: samples may not fit into memory together.
             records, samples = self._part(part)
             # A dropped row stays, with the key zero.
             changed = np.zeros(len(records), dtype=_record_type(dtype))
-            changed["row"], changed["seconds"] = converted(records["row"], dtype), records["seconds"]
             kept = np.array([key.tobytes() not in gone for key in records["key"]], dtype=bool)
-            changed["key"][kept] = records["key"][kept]
+            changed["key"][kept], changed["seconds"] = records["key"][kept], records["seconds"]
+            if kept.any():  # else results may be of another kind
+                changed["row"][kept] = converted(records["row"][kept], dtype)
             self.chunks |= _references(changed)
             samples = samples[np.repeat(kept, _counts(records).astype(np.intp))] if part.samples else samples
             with writing(self._location):

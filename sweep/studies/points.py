@@ -115,19 +115,6 @@ class Problems:
             raise SweepError(self.sentences, self.where)
 
 
-NUMBERS = {int, float}
-
-# Beside the values of an axis in the study of a store: integers among floats, of other runs, stay integers.
-TYPED = "typed"
-
-
-def axis_written(parameter: Parameter, values: tuple[Value, ...]) -> Any:
-    """Return the values of an axis as the study of a store has them."""
-    written = parameter.written(values)
-    is_mixed = parameter.kind == "any" and {*map(type, values)} == NUMBERS
-    return {"values": written, TYPED: True} if is_mixed else written
-
-
 class Values:
     """Reads values of the parameters of an experiment; ``problems`` takes what is wrong.
 
@@ -141,7 +128,7 @@ class Values:
         """Return the value at a place, None if it is wrong; problems begin with ``which``."""
         with self.problems.at(place, which):
             parameter = self._parameter(name)
-            is_plain = isinstance(raw, PLAIN_TYPES) or (isinstance(raw, dict) and raw.keys() == {LABEL})
+            is_plain = type(raw) in PLAIN_TYPES or (isinstance(raw, dict) and raw.keys() == {LABEL})
             is_object = parameter.takes_objects and not is_plain
             value = parameter.parse(labelled(raw) if is_object else raw)
             if parameter.kind not in ("file", "files"):
@@ -176,19 +163,18 @@ class Values:
                 raise ValueError(f"a {parameter.kind} cannot be an axis")
             if not (raw_values := axis_values(spec, whole=parameter.kind == "int")):
                 raise ValueError("an axis needs at least one value")
-            values = self.several(place, name, raw_values, typed=isinstance(spec, dict) and TYPED in spec)
+            values = self.several(place, name, raw_values)
             counts = Counter((type(value), value) for value in values or ())
             if repeated := [shown(value) for (_, value), n in counts.items() if n > 1]:
                 self.problems.add(place, f"duplicate values {first_of(repeated, 10)}")
-            require_distinct(values or ())
             return values
         return None
 
     def several(
-        self, place: KeyPath, name: str, raw_values: Sequence[object], rows: bool = False, typed: bool = False
+        self, place: KeyPath, name: str, raw_values: Sequence[object], rows: bool = False
     ) -> tuple[Value, ...] | None:
-        """Return values, None if any is wrong; problems name the row, from 1, where they are ``rows``.  Integers beside
-        floats are floats, unless they are ``typed``.
+        """Return values, None if any is wrong, equal numbers of one type; problems name the row, from 1, where they are
+        ``rows``.
         """
         before = len(self.problems.sentences)
         values = []
@@ -199,18 +185,46 @@ class Values:
                 return None
         if len(self.problems.sentences) > before:
             return None
-        kinds = {type(value) for value in values} if self.experiment.parameter(name).kind == "any" else set()
-        return tuple(float(value) for value in values) if kinds == NUMBERS and not typed else tuple(values)
+        alike = numbers_like(values, values)
+        with self.problems.at(place):
+            require_distinct(alike, may_repeat=rows)
+        return alike
 
 
-def require_distinct(values: Sequence[Value]) -> None:
-    """Raise ValueError for two numbers on one axis that differ by no more than rounding."""
-    numbers = sorted(value for value in values if type(value) is float)
+def numbers_like(known: Iterable[Value], values: Iterable[Value]) -> tuple[Value, ...]:
+    """Return values with numbers in the type that the first equal one of those that are ``known`` has: 2.0 as 2, which
+    a parameter of any type would take for another value.
+    """
+    first: dict[Value, Value] = {}
+    for value in known:
+        if type(value) in (int, float):
+            first.setdefault(value, value)
+    return tuple(first.get(value, value) if type(value) in (int, float) else value for value in values)
+
+
+def require_distinct(values: Sequence[Value], may_repeat: bool = False) -> None:
+    """Raise ValueError for numbers that cannot be values of one coordinate: integers that no float equals beside
+    floats, equal ones of two types, and unless values ``may_repeat`` two that differ by no more than rounding.
+    """
+    numbers = sorted(value for value in values if type(value) in (int, float))
+    if all(type(value) is int for value in numbers):
+        return
+    if inexact := next((value for value in numbers if value != float(value)), None):
+        raise ValueError(f"{inexact} cannot stand beside numbers with a fraction: no float equals it")
     for one, other in pairwise(numbers):
-        if 0.0 < other - one <= NEAR * max(abs(one), abs(other)):
+        is_near = other - one <= NEAR * max(abs(one), abs(other))
+        if is_near and (type(one) is not type(other) if one == other else not may_repeat):
             raise ValueError(
-                f"{one!r} and {other!r} differ by rounding only; they would be two points: give one of them"
+                f"{one!r} and {other!r} are equal but for rounding; they would be two points: give one of them"
             )
+
+
+def require_labels(values: Iterable[Value]) -> None:
+    """Raise ValueError for two values of which a coordinate would have the same label."""
+    known: dict[str, Value] = {}
+    for value in values:
+        if known.setdefault(str(value), value) != value:
+            raise ValueError(f"two values have the label {shown(str(value))}: give each its own")
 
 
 def _is_log(spec: Mapping[str, Any], *ends: float) -> bool:
@@ -235,7 +249,7 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
     >>> axis_values({"start": 10, "stop": 1000, "num": 5, "spacing": "log"}, whole=True)
     [10, 32, 100, 316, 1000]
     """
-    if isinstance(spec, dict) and set(spec) - {TYPED} == {"values"}:
+    if isinstance(spec, dict) and spec.keys() == {"values"}:
         spec = spec["values"]
     if isinstance(spec, list):
         return list(spec)
@@ -528,6 +542,9 @@ def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
     for name in doubtful:  # 0071 is a name, and not the number 71
         if kinds[name] == "str" or any(re.fullmatch(r"0\d+", str(cell)) for cell in written[name]):
             columns[name] = written[name]
+        else:  # an integer stays one when a row with a fraction is appended
+            pairs = zip(columns[name], written[name], strict=True)
+            columns[name] = [int(text) if re.fullmatch(r"[+-]?\d+", str(text)) else cell for cell, text in pairs]
     return columns, units
 
 
@@ -671,7 +688,7 @@ def plain_values(values: Any, where: str) -> Any:
 
 def plain_value(value: Any, where: str, label: str = "") -> Any:
     """Return a value as a study has it, as `plain_values`; without a ``label`` lists and tables stay as they are."""
-    if not label and isinstance(value, (*PLAIN_TYPES, list, tuple, Mapping)):
+    if not label and (type(value) in PLAIN_TYPES or isinstance(value, (list, tuple, Mapping))):
         return value
     if not label and ((isinstance(value, np.generic) and value.dtype.kind in PLAIN) or is_quantity(value)):
         return plain(value, where)

@@ -22,7 +22,16 @@ from linksweep.sweep.contract import DefinitionError, Experiment, Function, Name
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies import built_in_studies
-from linksweep.sweep.studies.points import KeyPath, Problems, Values, plain_study, read_cell, read_points, with_labels
+from linksweep.sweep.studies.points import (
+    KeyPath,
+    Problems,
+    Values,
+    plain_study,
+    read_cell,
+    read_points,
+    require_labels,
+    with_labels,
+)
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Condition, Context, Form, Part, Published, Sampling, Study
 from linksweep.sweep.tables.columns import TableFile
 
@@ -504,13 +513,12 @@ class _Reader:
         """Return the experiment with the objects that the study gives its parameters, each under one label."""
         parameters = []
         for parameter in experiment.parameters:
-            known = {one.name: one for one in parameter.defined}
-            values = (*(axes.get(parameter.name) or ()), fixed.get(parameter.name))
-            for value in values if parameter.takes_objects else ():
-                if known.setdefault(str(value), value) != value:
-                    place = ("axes" if parameter.name in axes else "fixed", parameter.name)
-                    self.problems.add(place, f"two values have the label {shown(str(value))}: give each its own")
-            objects = tuple(one for one in known.values() if isinstance(one, Named))
+            name = parameter.name
+            values = (*parameter.defined, *(axes.get(name) or ()), *([fixed[name]] if name in fixed else []))
+            if parameter.takes_objects:
+                with self.problems.at(("axes" if name in axes else "fixed", name)):
+                    require_labels(values)
+            objects = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
             parameters.append(replace(parameter, defined=objects))
         same = tuple(parameters) == experiment.parameters
         return experiment if same else replace(experiment, parameters=tuple(parameters))
@@ -554,9 +562,15 @@ class _Reader:
             # the values and not the file or the function that gave them: a store is continued as it was begun
             document["points"] = study.points.written({name: written[name] for name in study.points.names})
         paths = {name: one.path for name, one in values.items() if isinstance(one, TableFile)}
-        made = {name: written[name] for name in written if known[name].takes_objects and known[name].defined} | paths
         for key in {"axes", "fixed"} & document.keys():
-            document[key] = document[key] | {name: made[name] for name in made.keys() & document[key].keys()}
+            made = {
+                name: written[name]
+                for name, raw in document[key].items()
+                if (known[name].takes_objects and known[name].defined)
+                or Named in map(type, raw if isinstance(raw, list) else [raw])  # a member of an enumeration
+            }
+            made |= {name: path for name, path in paths.items() if name in document[key]}
+            document[key] = document[key] | made
         for name, by_name in form.define.items():
             for word, entries in by_name.items():
                 absolute = {

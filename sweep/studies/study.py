@@ -122,8 +122,11 @@ class Condition:
         """Return whether a parameter's value meets the condition."""
         if self.among is not None:
             return (value in self.among) != self.without
-        is_number = isinstance(value, int | float)
-        return is_number and (self.above is None or value > self.above) and (self.below is None or value < self.below)
+        return (
+            is_number(value)
+            and (self.above is None or value > self.above)
+            and (self.below is None or value < self.below)
+        )
 
 
 def _condition(name: str, written: Any, context: Context) -> Condition:
@@ -136,7 +139,9 @@ def _condition(name: str, written: Any, context: Context) -> Condition:
         if not isinstance(listed, list) or len(rule) > 1:
             raise ValueError("'in' takes a list, and 'in' or 'equal' stands alone")
         return Condition(name, among=tuple(parameter.parse(raw) for raw in listed))
-    if parameter.kind not in ("float", "int"):
+    values = context.axes.get(name) or ()
+    are_numbers = parameter.kind == "any" and all(value is None or is_number(value) for value in values)
+    if parameter.kind not in ("float", "int") and not are_numbers:
         raise ValueError(f"{name} has no order: use equal or in")
     if parameter.default is None and name not in context.known:
         raise ValueError(f"{name} has no value to compare: it is neither an axis nor fixed, and has no default")

@@ -59,13 +59,48 @@ def test_other_code_is_refused_with_what_differs_and_nothing_is_written(kind, fo
     for command in ("run s.toml -o s.zarr", "plan s.toml -o s.zarr", "run --retry s.zarr"):
         code, out, err = sweep(*command.split(), cwd=folder)
         assert (code, out, named in err) == (2, "", True), err
-        assert re.search(r"(?s)was made by other code.*--accept-code", err)
+        assert re.search(r"(?s)was made by other code.*--redo old", err)
+        assert ("--accept-code" in err) == (kind != "default")
     assert before == files_of(folder / "s.zarr")
     for command in ("show", "status"):  # what there is can be read
         assert sweep(command, "s.zarr", cwd=folder)[0] == 0
     for points, words in (("--at rate=2.0", "differs from s.zarr in mean"), ("--points 1", "differs: rate=")):
         code, _, err = sweep("reproduce", "s.zarr", *points.split(), cwd=folder)
         assert (code, named in err, words in err) == ((0, True, False) if kind == "default" else (1, True, True))
+
+
+def test_points_at_a_default_are_never_taken_for_those_at_another(tmp_path, sweep):
+    def run(default, *more):
+        (tmp_path / "m.py").write_text(f"def f(x: float, z: int = {default}):\n    return 100 * x + z\n")
+        return sweep(*(["run", "m.py:f"] if more[0] == "--axis" else []), *more, cwd=tmp_path)
+
+    assert run(2, "--axis", "x=1,2", "--axis", "z=2,3", "-o", "s.zarr")[0] == 0
+    assert run(3, "--axis", "x=5", "-o", "t.zarr")[0] == 0
+    for command in (
+        ["--axis", "x=1", "--set", "z=3", "-o", "s.zarr", "--accept-code"],
+        ["merge", "s.zarr", "t.zarr", "-o", "u.zarr", "--accept-code"],
+    ):
+        code, _, err = run(3, *command)
+        assert (code, "default of z is 2" in err) == (2, True), err
+    assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [[102.0, 103.0], [202.0, 203.0]]
+    assert run(3, "--axis", "x=1", "-o", "s.zarr", "--redo", "old")[0] == 0
+    table = linksweep.open(tmp_path / "s.zarr").f.to_dataframe().dropna().reset_index()
+    assert (table.f == 100 * table.x + table.get("z", 3)).all()
+
+
+@pytest.mark.parametrize(
+    "results", [["x", "str(x)", "[x, x]"], ["str(x)", "{'a': x}", "{'b': str(x), 'c': x}"], ["1 / 0", "str(x)", "x"]]
+)
+def test_where_all_points_are_computed_again_results_may_be_others(tmp_path, sweep, results):
+    for result in results:
+        (tmp_path / "m.py").write_text(f"def f(x: float):\n    return {result}\n")
+        code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--redo", "old", cwd=tmp_path)
+        assert code == (result == "1 / 0"), err
+    assert sweep("check", "s.zarr", cwd=tmp_path)[0] == 0
+    found = linksweep.open(tmp_path / "s.zarr").drop_vars(["status", "wall_time", "code"], errors="ignore")
+    want = eval(results[-1], {"x": 2.0})
+    want = want if isinstance(want, dict) else {"f": want}
+    assert {name: values.sel(x=2.0).values.tolist() for name, values in found.data_vars.items()} == want
 
 
 def test_accepted_code_is_told_for_each_point(folder, sweep):

@@ -259,13 +259,89 @@ def test_only_the_script_tries_failed_points_of_its_objects_again(tmp_path, monk
             run(dates, store, retry=True, **more)
 
 
-@given(runs=st.lists(st.lists(st.sampled_from([1, 2, 3, 1.0, 2.0, 2.5]), min_size=1, unique=True), max_size=4))
+@given(
+    runs=st.lists(
+        st.tuples(st.booleans(), st.lists(st.sampled_from([1, 2, 3, 1.0, 2.0, 2.5]), min_size=1, unique=True)),
+        max_size=4,
+    )
+)
 @settings(max_examples=examples(40), derandomize=True)
-def test_equal_numbers_are_one_point_whatever_their_type(tmp_path_factory, runs):
-    store, seen = tmp_path_factory.mktemp("numbers") / "s.zarr", dict[float, float]()
-    for axis in runs:
-        ds = linksweep.run(lambda x: 10 * x, store, axes={"x": axis}, pool="serial")
-        seen |= {float(value): 10.0 * value for value in axis}
-        assert sorted(ds.x.values.tolist()) == sorted(axis)
+def test_equal_numbers_are_one_point_of_the_type_that_came_first(tmp_path_factory, runs):
+    store, first, rows = tmp_path_factory.mktemp("numbers") / "s.zarr", dict[float, int | float](), list[float]()
+    for is_table, some in runs:
+        rows = list(dict.fromkeys([*rows, *some])) if is_table else rows  # it may only grow at its end
+        values = rows if is_table else some
+        section = {"points" if is_table else "axes": {"x": values}}
+        ds = linksweep.run(lambda x: repr(x) + "", store, **section, pool="serial")
+        first = {value: value for value in values} | first
+        assert sorted(ds.x.values.tolist()) == sorted(values)
         whole = linksweep.open(store)
-        assert dict(zip(whole.x.values.tolist(), whole.result.values.tolist(), strict=True)) == seen
+        shown = list(zip(whole.x.values.tolist(), whole.result.values.tolist(), strict=True))
+        assert sorted(shown) == sorted((value, repr(one)) for value, one in first.items())
+
+
+@pytest.mark.parametrize("more", [["--axis", "x=0,2,1.5"], ["--points", "x.csv"]])
+def test_the_numbers_of_a_point_do_not_depend_on_the_others(tmp_path, sweep, more):
+    (tmp_path / "m.py").write_text("def draw(rng, x):\n    return {'drawn': rng.normal(), 'power': x**30 % 7}\n")
+    (tmp_path / "x.csv").write_text("x\n0\n2\n")
+    few = ["--axis", "x=0,2"] if more[0] == "--axis" else more
+    assert sweep("run", "m.py:draw", *few, "--set", "n_sim=100", "-o", "s.zarr", cwd=tmp_path)[0] == 0
+    (tmp_path / "x.csv").write_text("x\n0\n2\n1.5\n")
+    for store in ("s.zarr", "t.zarr", "s.zarr"):
+        assert sweep("run", "m.py:draw", *more, "--set", "n_sim=100", "-o", store, cwd=tmp_path)[0] == 0
+    grown, fresh = (linksweep.open(tmp_path / name).drop_vars("wall_time") for name in ("s.zarr", "t.zarr"))
+    assert grown.identical(fresh.assign_attrs(grown.attrs)), (grown, fresh)
+    assert fresh.power_mean.values.tolist() == [0.0, float(2**30 % 7), 1.5**30 % 7]
+
+
+@pytest.mark.parametrize("axis", ["x=9007199254740993,0.5", "x=2,2.0", "x=1,1.0000000000000002"])
+def test_numbers_that_are_no_two_coordinates_are_refused(tmp_path, sweep, axis):
+    (tmp_path / "m.py").write_text("def f(x):\n    return x\n")
+    code, _, said = sweep("run", "m.py:f", "--axis", axis, "-o", "s.zarr", cwd=tmp_path)
+    assert (code, (tmp_path / "s.zarr").exists()) == (2, False)
+    assert axis[2:].split(",")[0] in said
+
+
+class Level(enum.IntEnum):
+    LOW = 1
+    HIGH = 2
+
+
+class Word(enum.StrEnum):
+    YES = "y"
+
+
+@pytest.mark.parametrize(
+    ("declared", "values", "labels"),
+    [
+        ("m", [*Level, 3], ["LOW", "HIGH", "3"]),
+        ("m", [*Word, "None"], ["YES", "None"]),
+        ("m: Level = Level.LOW", [*Level], ["LOW", "HIGH"]),
+        ("m: int", [*Level], [1, 2]),
+        ("m: str", [*Word], ["y"]),
+    ],
+)
+def test_members_of_enumerations_of_numbers_and_texts_are_what_they_are(tmp_path, declared, values, labels):
+    names = {"Level": Level}
+    exec(f"def kind({declared}):\n    return type(m).__name__", names)
+    for _ in range(2):
+        ds = linksweep.run(names["kind"], tmp_path / "s.zarr", axes={"m": values}, pool="serial")
+    assert ds.m.values.tolist() == labels
+    assert ds.kind.values.tolist() == [type(v).__name__ if labels != [1, 2] else "int" for v in values]
+
+
+def test_what_has_no_label_of_its_own_in_a_store_is_refused_before_it_is_there(tmp_path, sweep):
+    def run(axis, *more, annotation=""):
+        (tmp_path / "v.py").write_text(f"def score(version{annotation}):\n    return len(str(version))\n")
+        return sweep("run", "v.py:score", "--axis", axis, "-o", "s.zarr", *more, cwd=tmp_path)
+
+    assert run("version=1,2")[0] == 0
+    for axis, annotation, words in (
+        ('version="1",2b', "", "two values have the label '1'"),
+        ("version=2,3", ": float", "would be"),
+        ("version=a,b", ": str", "must be"),
+    ):
+        code, _, err = run(axis, "--accept-code", annotation=annotation)
+        assert (code, words in err, "--only" in err) == (2, True, True), err
+    assert run("version=3")[0] == 0
+    assert linksweep.open(tmp_path / "s.zarr").version.values.tolist() == [1, 2, 3]
