@@ -7,6 +7,7 @@ Monte Carlo too, is not printed anywhere and not allowed for.
 
 from __future__ import annotations  # names of xarray, which is imported only where it computes
 
+import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,8 +17,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from linksweep.sweep.analysis import quantity
-from linksweep.sweep.contract import Status
-from linksweep.sweep.formatting import finite_or, in_ascii, prefixed, rounded, to_json, units_of, with_error
+from linksweep.sweep.contract import FEW, Status
+from linksweep.sweep.formatting import finite_or, first_of, in_ascii, prefixed, rounded, to_json, units_of, with_error
 from linksweep.sweep.studies.study import Derived, Ratio, Reading, Slope, printed_rounding
 from linksweep.sweep.table_writer import Column, Table
 
@@ -69,7 +70,7 @@ def unit_of(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> str:
     """Return the unit of a result, or of its component where these differ; '' for a result that is not there, and
     for ratios and slopes.
     """
-    if not isinstance(derived, Reading) or derived.variable not in dataset:
+    if not isinstance(derived, Reading) or _problem(dataset, derived.variable, derived.component):
         return ""
     return quantity.units_along(_of_component(dataset, derived), derived.variable, [])[0]
 
@@ -77,8 +78,9 @@ def unit_of(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> str:
 def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> Iterator[Measured]:
     """Yield our number at every place that a claim is about; raises OutsideGridError for one that is not there."""
     name = derived.variable
-    if name not in dataset:
-        raise quantity.OutsideGridError(f"{name} is not a result of this store")
+    if problem := _problem(dataset, name, derived.component):
+        yield Measured(claim.where, missing=problem)
+        return
     part = _of_component(dataset, derived)
     if isinstance(derived, Slope):
         from linksweep.sweep.analysis import laws  # of the three only this is fitted
@@ -100,11 +102,30 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
             yield one
 
 
+def _problem(dataset: xr.Dataset, name: str, component: str | None = None) -> str:
+    """Return why a result, or a component of one, is not a number at each point; '' if it is."""
+    if name not in dataset:
+        is_begun = bool((dataset["status"].values == Status.DONE).any())
+        return f"{name} is not a result of this store" if is_begun else f"{NOT_DONE}: the first point"
+    if dataset[name].dtype.kind not in "biuf":
+        return f"{name} has no numbers"
+    if len(dims := quantity.own_dimensions(dataset, name)) > 1:
+        return f"{name} has the dimensions {', '.join(dims)} at each point"
+    labels = _components(dataset, name)
+    if component in (labels or (None,)):
+        return ""
+    return f"{name} has the components {first_of(labels, FEW)}" if labels else f"{name} has no component {component!r}"
+
+
+def _components(dataset: xr.Dataset, name: str) -> list[str]:
+    return [str(label) for dim in quantity.own_dimensions(dataset, name) for label in dataset[dim].values.tolist()]
+
+
 def _of_component(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> xr.Dataset:
     if derived.component is None:
         return dataset
-    dimension = str(dataset[derived.variable].dims[-1])
-    return dataset.isel({dimension: dataset[dimension].values.tolist().index(derived.component)})
+    (dimension,) = quantity.own_dimensions(dataset, derived.variable)
+    return dataset.isel({dimension: _components(dataset, derived.variable).index(derived.component)})
 
 
 def _fixed(dataset: xr.Dataset, where: Mapping[str, Any]) -> dict[str, int]:
@@ -208,7 +229,8 @@ def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
         for index in np.argwhere(np.isfinite(table.values)):
             here = dict(zip(map(str, table.dims), map(int, index), strict=True))
             number, rounding = float(table[here]), float(dataset[f"{name}_published_rounding"][here])
-            ((_, ours),) = _values(dataset, name, here)
+            problem = _problem(dataset, name)
+            ((_, ours),) = [({}, Measured({}, missing=problem))] if problem else _values(dataset, name, here)
             if rounding == 0.5 and number.is_integer() and is_exact:  # a count
                 yield judged(about, ours, number, 0.0, Rule())
             else:
@@ -300,6 +322,10 @@ def remarks(dataset: xr.Dataset) -> list[str]:
     outside = {name: n for name, table in tables.items() if (n := int(table.attrs.get("outside_grid", 0)))}
     sentences = [part for name in compared for part in quantity.unknown_parts(dataset, name)]
     words = "published numbers that are not in this grid and not compared"
+    unknown = json.loads(dataset.attrs.get("published_not_compared", "[]"))
+    sentences += [
+        f"{name}: is no result of one number at each point; its published numbers are not compared" for name in unknown
+    ]
     return [*sentences, *(f"{name}: {words}: {n}" for name, n in outside.items())]
 
 

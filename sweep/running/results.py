@@ -20,7 +20,7 @@ from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.stores.ledger import Stored
 from linksweep.sweep.stores.location import Location
 from linksweep.sweep.stores.store import FILL, RUNNING, dask_arrays_only_where_imported, finished, with_gaps
-from linksweep.sweep.studies.study import POINT, printed_rounding
+from linksweep.sweep.studies.study import POINT, Study, printed_rounding
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -336,7 +336,7 @@ def _published(grid: Grid) -> dict[str, Variable]:
     study = grid.study
     if study.published is None:
         return {}
-    outputs = {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
+    outputs = _of_one_number(study)
     origin = study.published.about.model_dump(exclude={"file"}, exclude_none=True)
     variables: dict[str, Variable] = {}
     for column in study.published.rows[0]:
@@ -361,11 +361,22 @@ def _published(grid: Grid) -> dict[str, Variable]:
     return variables
 
 
+def _of_one_number(study: Study) -> dict[str, Output]:
+    return {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
+
+
+def not_compared(study: Study) -> list[str]:
+    """Return the columns of published numbers of what is no result of one number, as far as results are known."""
+    if study.published is None or study.experiment.undeclared:
+        return []
+    return [c for c in study.published.rows[0] if c not in {*study.experiment.defaults(), *_of_one_number(study)}]
+
+
 def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) -> tuple[int, ...] | None:
     """Return the position in the grid that a published row refers to, or None if it is not in this grid."""
     study = grid.study
     settings = study.experiment.defaults() | dict(study.fixed)
-    others = row.keys() - outputs.keys() - study.axes.keys()
+    others = (row.keys() & settings.keys()) - outputs.keys() - study.axes.keys()
     if not all(_same(settings[name], row[name]) for name in others):
         return None
     place = []

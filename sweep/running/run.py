@@ -29,7 +29,15 @@ from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, fa
 from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
 from linksweep.sweep.planning.union import REFINED, UNITED, united, with_numbers_of
 from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures, Progress, Silent, Taken
-from linksweep.sweep.running.results import Labelled, add_covariances, assemble, assemble_samples, code_variable, masked
+from linksweep.sweep.running.results import (
+    Labelled,
+    add_covariances,
+    assemble,
+    assemble_samples,
+    code_variable,
+    masked,
+    not_compared,
+)
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, locked, writing
 from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, store_at
@@ -493,6 +501,7 @@ class Writer:
             "complete": int(points == done or self._has_its_part()),
             "failures": json.dumps(self.failures(MAX_FAILURES_NAMED)),
             "warnings": json.dumps(self.plan.grid.warnings),
+            "published_not_compared": json.dumps(not_compared(self.plan.grid.study)),
         }
 
     def _has_its_part(self) -> bool:

@@ -671,14 +671,15 @@ def _read_published(form: Form, values: Values, axes: Collection[str]) -> Publis
         parameters = {parameter.name: parameter for parameter in values.experiment.parameters}
         if not rows:
             raise ValueError("holds no rows")
-        if unknown := rows[0][1].keys() - {*outputs, *parameters, ""}:
+        unknown = rows[0][1].keys() - {*outputs, *parameters, ""}
+        if unknown and not values.experiment.undeclared:
             raise ValueError(f"has columns {shown(sorted(unknown))}, which are neither parameters nor outputs")
         for number, row in rows:
             with problems.at(where, f"{file}, line {number}: "):
                 if "" in row or None in row.values():
                     raise ValueError(f"does not have {len(reader.fieldnames or ())} cells as the header has")
                 for column, cell in row.items():
-                    if column not in outputs or column in axes:
+                    if column in parameters and (column not in outputs or column in axes):
                         kind = parameters[column].kind
                         parameters[column].parse(cell if kind == "str" else read_cell(cell, kind))
                     elif cell and isinstance(read_cell(cell, "float"), str):

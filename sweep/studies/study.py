@@ -161,8 +161,10 @@ def _place(name: str, raw: Any, context: Context) -> Value:
 
 def _variable(name: str, context: Context) -> str:
     outputs = {output.name: output for output in context.experiment.outputs}
+    if context.experiment.undeclared and name not in context.experiment.defaults():
+        return name  # what it is not is said where numbers are compared
     if name not in outputs or name in context.axes:
-        raise ValueError(f"{shown(name)} is no output{suggest(name, list(outputs))}")
+        raise ValueError(f"{shown(name)} is no output{suggest(name, list(outputs)) if outputs else ''}")
     if len(dims := outputs[name].dims) > 1:
         raise ValueError(f"{name} has the dimensions {', '.join(dims)}; at most one is allowed")
     return name
@@ -322,7 +324,7 @@ class Quantity(Section, frozen=True):
 
     @model_validator(mode="after")
     def _has_component(self, info: ValidationInfo) -> Self:
-        if info.context is not None:
+        if info.context is not None and not info.context.experiment.undeclared:
             (output,) = (one for one in info.context.experiment.outputs if one.name == self.variable)
             labels = info.context.experiment.coordinates[output.dims[0]] if output.dims else ()
             if self.component not in (labels or (None,)):

@@ -262,3 +262,38 @@ def test_the_whole_paper_from_one_command_runs_what_is_missing(sweep, tmp_path, 
     study.write_text(study.read_text().replace("seed = 7", "seed = 8"))
     code, _, err = sweep(*arguments)
     assert (code, "a different study" in err) == (2, True)
+
+
+def test_a_plain_function_has_claims_a_conclusion_and_published_numbers(tmp_path):
+    """Its results are known when there are some: what is none of them is said by name where numbers are compared."""
+    (tmp_path / "p.csv").write_text("a,w,lost\n1,1.0,3\n2,2.83,4\n", encoding="utf-8")
+
+    def power(a: float = 1.0):
+        return {"w": a**1.5, "word": "x", "pair": [a, 2.0 * a]}
+
+    wanted = [
+        claim(slope={"variable": "w", "over": "a"}, published="1.5"),
+        claim(value={"variable": "pair", "component": "1", "at": {"a": 4.0}}, published="8.0"),
+    ]
+    wrong = {"depth": "depth is not a result", "word": "word has no numbers", "pair": "pair has the components 0, 1"}
+    lost = [claim(value={"variable": name, "at": {"a": 1.0}}) for name in wrong]
+    values = {name: {"value": {"variable": name, "at": {"a": 2.0}}} for name in ("w", "depth")}
+    study = {
+        "experiment": power,
+        "axes": {"a": [1.0, 2.0, 4.0]},
+        "claim": wanted + lost,
+        "conclusion": {"sentences": ["It is {w}.", "It is {depth}."], "values": values},
+        "published": {"file": str(tmp_path / "p.csv"), "source": "Table 1"},
+    }
+    dataset = linksweep.run(study, tmp_path / "s", pool="serial")
+    found = compare(dataset)
+    assert [one.verdict for one in found] == ["reproduced"] * 4 + ["incomplete"] * 3
+    assert all(words in one.reason for words, one in zip(wrong.values(), found[4:], strict=True))
+    (remark,) = verdicts.remarks(dataset)
+    assert remark.startswith("lost: is no result of one number")
+    first, second = linksweep.answer(dataset).sentences
+    assert first.startswith("It is 2.8")
+    assert "depth is not a result of this store" in second
+    study["claim"] = [claim(value={"variable": "a", "at": {"a": 1.0}})]
+    with pytest.raises(linksweep.SweepError, match="'a' is no output"):
+        linksweep.run(study, tmp_path / "t", pool="serial")
