@@ -23,27 +23,18 @@ from tests.core.points import (
 )
 
 
-def gaia_table(folder, magnitudes=True, errors=True, **changes):
-    """A file of six objects with Gaia's names, of magnitudes 10 to 15."""
+def at(folder, contents=None, **changes):
+    """A point of synthetic objects, or of six in a file with Gaia's names, of magnitudes 10 to 15."""
+    if contents is None:
+        return point(**changes)
     r = np.array([[1, 2, 3], [-2, 1, 1], [0, -3, 1], [1, -1, -4], [-1, -1, 2], [5, 0, -1.0]]).T
     columns = {"source_id": np.arange(6), "ra": np.degrees(np.arctan2(r[1], r[0])) % 360.0}
-    columns["dec"] = np.degrees(np.arctan2(r[2], np.hypot(r[0], r[1])))
-    columns |= {"pmra": np.arange(6.0), "pmdec": -np.arange(6.0)}
-    if magnitudes:
-        columns["phot_g_mean_mag"] = np.arange(10.0, 16.0)
-    if errors:
-        columns |= {f"{name}_error": np.linspace(0.1, 0.2, 6) for name in ("ra", "dec", "pmra", "pmdec")}
-        columns["pmra_pmdec_corr"] = np.full(6, 0.6)
-    path = folder / "six.ecsv"
-    Table(columns | changes).write(path, overwrite=True)
-    return table_file(path)
-
-
-def at(folder, contents=None, **changes):
-    """A point of synthetic objects, or of those in a file."""
-    if contents is not None:
-        changes = {"catalogue": "file", "file": gaia_table(folder, **contents), "n_obj": None} | changes
-    return point(**changes)
+    columns |= {"dec": np.degrees(np.arctan2(r[2], np.hypot(r[0], r[1])))}
+    columns |= {"pmra": np.arange(6.0), "pmdec": -np.arange(6.0), "phot_g_mean_mag": np.arange(10.0, 16.0)}
+    columns |= {f"{name}_error": np.linspace(0.1, 0.2, 6) for name in ("ra", "dec", "pmra", "pmdec")}
+    columns |= {"pmra_pmdec_corr": np.full(6, 0.6)} | contents
+    Table({k: v for k, v in columns.items() if v is not None}).write(folder / "six.ecsv", overwrite=True)
+    return point(**{"catalogue": "file", "file": table_file(folder / "six.ecsv"), "n_obj": None} | changes)
 
 
 BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
@@ -111,8 +102,8 @@ def test_points_without_a_problem_can_be_computed(changes, tmp_path):
         ({"contents": {}, "n_obj": 4, "v_max": 12.5}, "only 3 objects of the file are brighter than v_max = 12.5"),
         ({"contents": {}, **BOTH}, "reference_errors and satellite_errors are both 'catalogue'"),
         ({"contents": {}, "method": "projected", "satellite_errors": "catalogue"}, "correlated"),
-        ({"contents": {"magnitudes": False}}, "'magnitude' needs a magnitude column"),
-        ({"contents": {"magnitudes": False}, "v_max": 12.0, "satellite_errors": "none"}, "magnitude column"),
+        ({"contents": {"phot_g_mean_mag": None}}, "'magnitude' needs a magnitude column"),
+        ({"contents": {"phot_g_mean_mag": None}, "v_max": 12.0, "satellite_errors": "none"}, "magnitude column"),
         ({"contents": {"phot_g_mean_mag": np.full(6, 22.0)}, "model": "gaia-2001"}, "v_max = 22 mag: the curve"),
         ({"contents": {}, "columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
         ({"contents": {"pmra_error": np.arange(6.0) % 4.0}, "satellite_errors": "catalogue"}, "object 1 has an"),

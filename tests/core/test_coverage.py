@@ -10,21 +10,14 @@ from tests.sweep.test_coverage import assert_covers, results_of
 
 pytestmark = pytest.mark.slow
 
-COPIES = 150
-QUASARS = {"catalogue": "quasars", "v_max": 14.0, "model": "gaia", "method": "projected"}
-
 
 @functools.cache
 def copies(n_cat, n_sim, aberration=False):
     """Return results of copies that differ in nothing but their random numbers."""
-    return results_of(
-        {
-            "title": "Copies",
-            "axes": {"error_scale": [1.0 + 1e-9 * k for k in range(COPIES)]},
-            "fixed": QUASARS | {"aberration": aberration},
-            "sampling": {"n_sim": n_sim, "n_cat": n_cat, "seed": 3},
-        }
-    )
+    quasars = {"catalogue": "quasars", "v_max": 14.0, "model": "gaia", "method": "projected", "aberration": aberration}
+    sampling = {"n_sim": n_sim, "n_cat": n_cat, "seed": 3}
+    axes = {"error_scale": [1.0 + 1e-9 * k for k in range(150)]}
+    return results_of({"title": "Copies", "axes": axes, "fixed": quasars, "sampling": sampling})
 
 
 @pytest.mark.parametrize(("n_cat", "n_sim"), [(12, 64), (2, 64)])

@@ -21,10 +21,6 @@ from tests.core.points import (
 from tests.tiers import examples, slow
 
 
-def merged(blocks):
-    return {name: sum(block[name] for block in blocks) for name in link.sums}
-
-
 @pytest.mark.parametrize("changes", [{}, {"reference_errors": "normal"}, {"solve_glide": True}])
 def test_samples_are_the_estimates_that_evaluate_adds_up(changes):
     both, n_sim = [point(**changes), point(n_obj=7, omega=(4.0, 0.0, -2.0), **changes)], points.ROWS + 88
@@ -61,7 +57,8 @@ def test_summarise_against_direct_formulas(solve_glide):
     n_cat, n_sim = 5, 8
     rng = np.random.default_rng(4)
     blocks = [link.evaluate([one], 1, rng, np.random.default_rng(k)) for k in range(n_cat) for _ in range(n_sim)]
-    results = {k: v[0] for k, v in link.summarise(merged(blocks), np.array([40.0]), np.array([5.0])).items()}
+    sums = {name: sum(block[name] for block in blocks) for name in link.sums}
+    results = {k: v[0] for k, v in link.summarise(sums, np.array([40.0]), np.array([5.0])).items()}
     error = np.array([block["error"][0] for block in blocks])
     predicted = np.array([block["predicted_variance"][0] for block in blocks])
     predicted_bias = np.array([block["predicted_bias"][0] for block in blocks])

@@ -16,22 +16,16 @@ ERRORS = RNG.uniform(0.2, 2.0, (2, N_OBJ))
 CORRELATION = RNG.uniform(-0.7, 0.7, N_OBJ)
 NAMES = {"motions": ("pmra", "pmdec"), "positions": ("ra", "dec")}
 SOLVED = {"motions": ("sigma_spin", slice(3, 6)), "positions": ("sigma_orientation", slice(0, 3))}
-BESIDE = {"motions": ("sigma_orientation", slice(0, 3)), "positions": ("sigma_spin", slice(3, 6))}
-KINDS = tuple(NAMES)
 
 
-def file_of(folder, kind, correlated=False):
+def point(folder, kind, correlated=False, **changes):
     first, second = NAMES[kind]
     columns = {"source_id": np.arange(N_OBJ), "ra": np.degrees(RA), "dec": np.degrees(DEC)}
     columns |= {"pmra": MOTIONS[0], "pmdec": MOTIONS[1], f"{first}_error": ERRORS[0], f"{second}_error": ERRORS[1]}
     columns |= {f"{first}_{second}_corr": CORRELATION} if correlated else {}
     Table(columns).write(folder / "one.ecsv", overwrite=True)
-    return table_file(folder / "one.ecsv")
-
-
-def point(folder, kind, correlated=False, **changes):
-    given = {"catalogue": "file", "file": file_of(folder, kind, correlated), "n_obj": None, "satellite_errors": "none"}
-    return link.defaults() | given | {"reference_errors": "catalogue"} | changes
+    file = {"catalogue": "file", "file": table_file(folder / "one.ecsv"), "n_obj": None}
+    return link.defaults() | file | {"satellite_errors": "none", "reference_errors": "catalogue"} | changes
 
 
 def results(*here):
@@ -50,7 +44,7 @@ def sandwich(weighting, correlated):
     return np.einsum("kin,ijn,ljn->kl", gain, covariance, gain)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", NAMES)
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 @pytest.mark.parametrize(
     ("side", "method", "correlated"),
@@ -68,7 +62,7 @@ def test_one_kind_of_observable_is_solved_alone(kind, weighting, side, method, c
     assert link.check(at) is None
     found, n_sim = results(at), 2000
     expected = sandwich(weighting, correlated)
-    (name, part), (name_beside, beside) = SOLVED[kind], BESIDE[kind]
+    (name, part), (name_beside, beside) = (SOLVED[kind], SOLVED[({*NAMES} - {kind}).pop()])
     sigma = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(found["sigma_predicted"][0, part], sigma, rtol=1e-9)
     np.testing.assert_allclose(found[f"{name}_predicted"], np.sqrt(np.mean(sigma**2)), rtol=1e-9)

@@ -25,16 +25,6 @@ def physics_of(**changes):
     return points.scenario(points.point(**(TRUTH | changes)))
 
 
-def both_sides(rng, n_sim, n_obj):
-    """Yield the normals (N, 4) of the reference and of the satellite: a stream of each for every chunk of realisations,
-    object by object.
-    """
-    for start in range(0, n_sim, points.ROWS):
-        shape = n_obj, 4, min(points.ROWS, n_sim - start)
-        satellite, reference = (stream.standard_normal(shape) for stream in rng.spawn(2))
-        yield from zip(reference.transpose(2, 0, 1), satellite.transpose(2, 0, 1), strict=True)
-
-
 def one_by_one(physics, n_sim, seed=1, catalogue_seed=2):
     """The solution of each realisation by singular value decomposition of its design matrix, from the same normals;
     the estimates - truth, and the truth.
@@ -46,13 +36,16 @@ def one_by_one(physics, n_sim, seed=1, catalogue_seed=2):
     p, q, _ = points.triad(catalogue.ra, catalogue.dec)
     y[2:] -= np.stack([p.T @ physics.aberration, q.T @ physics.aberration])
     truth = np.concatenate([physics.epsilon, physics.omega, -np.array(physics.aberration)[: 3 * physics.solve_glide]])
-    for normals in both_sides(np.random.default_rng(seed), n_sim, len(catalogue)):
-        sides = zip((physics.reference_errors, physics.satellite_errors), normals, strict=True)
-        shift, satellite = (errors(model, unit, catalogue).T for model, unit in sides)
-        seen = true + shift / np.stack([np.cos(catalogue.dec), *np.ones((3, len(catalogue)))])
-        design = design_matrix(*seen, corrections=physics.corrections, glide=physics.solve_glide)
-        solution = solve(design, y + shift - satellite, setup.sigma.T, physics.weighting)
-        yield solution, solution.estimate - truth
+    rng, models = np.random.default_rng(seed), (physics.satellite_errors, physics.reference_errors)
+    for start in range(0, n_sim, points.ROWS):  # of each chunk a stream for each side, object by object
+        shape = len(catalogue), 4, min(points.ROWS, n_sim - start)
+        streams = [stream.standard_normal(shape) for stream in rng.spawn(2)]
+        for k in range(shape[2]):
+            satellite, shift = (errors(m, each[..., k], catalogue).T for m, each in zip(models, streams, strict=True))
+            seen = true + shift / np.stack([np.cos(catalogue.dec), *np.ones((3, len(catalogue)))])
+            design = design_matrix(*seen, corrections=physics.corrections, glide=physics.solve_glide)
+            solution = solve(design, y + shift - satellite, setup.sigma.T, physics.weighting)
+            yield solution, solution.estimate - truth
 
 
 def covariances(model, catalogue):

@@ -138,52 +138,32 @@ def test_motions_are_the_derivatives_of_positions(years):
 # ----- two missions, each in a frame of its own
 
 
-def all_parameters(problem):
-    """Return the unknowns, their covariance and chi2 by least squares of all three tables, whose unknowns are also the
-    five parameters of every star in the reference's frame: no table is before another.
+def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star():
+    """The unknowns of least squares of all three tables are also the five parameters of every star in the reference's
+    frame: no table is before another.
     """
+    problem = missions()
     own, rows, n = problem.satellite, problem.rows, len(problem.satellite)
     found = differences(own, rows, problem.source)
     single = parse_unknowns("orientation,spin").matrix(*problem.objects(own))  # of each star; (n, 5, 6)
-    size = 5 * n + 12
-    design, right, weight = [], [], []
+    design = np.zeros((n + len(rows), 5, 5 * n + 12))
     for i in range(n):
-        line = np.zeros((5, size))
-        line[:, 5 * i : 5 * i + 5] = np.eye(5)
-        line[:, 5 * n : 5 * n + 6] = -single[i]  # a mission sees the star minus what its frame adds
-        design.append(line)
-        right.append(np.zeros(5))
-        weight.append(own.covariance()[i])
+        design[i, :, 5 * i : 5 * i + 5] = np.eye(5)
+    design[:n, :, 5 * n : 5 * n + 6] = -single  # a mission sees the star minus what its frame adds
     for r, i in enumerate(problem.source):
-        line = np.zeros((5, size))
-        line[:, 5 * i : 5 * i + 5] = found.partials[r]
+        design[n + r, :, 5 * i : 5 * i + 5] = found.partials[r]
         if rows.frame[r]:
-            line[:, 5 * n + 6 :] = -found.partials[r] @ single[i]
-        design.append(line)
-        right.append(found.values[r])
-        weight.append(found.covariance[r])
-    half = np.linalg.inv(np.linalg.cholesky(block_diag(*weight) / MAS**2))
-    a, y = half @ np.concatenate(design), half @ np.concatenate(right) / MAS
+            design[n + r, :, 5 * n + 6 :] = -found.partials[r] @ single[i]
+    half = np.linalg.inv(np.linalg.cholesky(block_diag(*own.covariance(), *found.covariance) / MAS**2))
+    right = np.concatenate([np.zeros(5 * n), *found.values])
+    a, y = half @ np.concatenate(design), half @ right / MAS
     x, *_ = lstsq(a, y)
-    residual = y - a @ x
-    return x[5 * n :] * MAS, np.linalg.inv(a.T @ a)[5 * n :, 5 * n :] * MAS**2, residual @ residual
-
-
-def agree(solution, x, covariance, digits=1e-9):
-    error = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(solution.estimate / error, x / error, atol=digits)
-    np.testing.assert_allclose(
-        solution.covariance / np.outer(error, error), covariance / np.outer(error, error), atol=digits
-    )
-
-
-def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star():
-    problem = missions()
-    solution = solve(source_sums(problem))
-    x, covariance, squares = all_parameters(problem)
-    agree(solution, x, covariance)
-    assert solution.squares == pytest.approx(squares, rel=1e-9)
-    assert solution.dof == 5 * len(problem.rows) - 12
+    covariance = np.linalg.inv(a.T @ a)[5 * n :, 5 * n :] * MAS**2
+    error, solution = np.sqrt(np.diag(covariance)), solve(source_sums(problem))
+    np.testing.assert_allclose(solution.estimate / error, x[5 * n :] * MAS / error, atol=1e-9)
+    np.testing.assert_allclose((solution.covariance - covariance) / np.outer(error, error), 0.0, atol=1e-9)
+    assert solution.squares == pytest.approx(np.sum((y - a @ x) ** 2), rel=1e-9)
+    assert solution.dof == 5 * len(rows) - 12
 
 
 # ----- closed forms
