@@ -50,10 +50,9 @@ def bucket(s3_endpoint, monkeypatch):
     """The address of a new bucket, with endpoint and credentials in the environment."""
     name = f"bucket-{uuid4().hex[:12]}"
     make_bucket(s3_endpoint, name)
-    monkeypatch.setenv("AWS_ENDPOINT_URL", s3_endpoint)
-    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "someone")
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "secret")
-    monkeypatch.setenv("AWS_REGION", "us-east-1")
+    words = {"ENDPOINT_URL": s3_endpoint, "ACCESS_KEY_ID": "someone", "SECRET_ACCESS_KEY": "secret"}
+    for key, value in (words | {"REGION": "us-east-1"}).items():
+        monkeypatch.setenv(f"AWS_{key}", value)
     return f"s3://{name}"
 
 

@@ -13,10 +13,6 @@ def toss(points, n_sim, rng, catalogue_rng):
     return {"heads": [rng.binomial(point["coins"], 0.4, size=n_sim).sum()], "tosses": [n_sim * point["coins"]]}
 
 
-def summary(sums, n, n_cat):
-    return {"share": sums["heads"] / sums["tosses"]}
-
-
 experiment = Experiment(
     name="evil",
     version=1,
@@ -27,5 +23,5 @@ experiment = Experiment(
     sums={"heads": (), "tosses": ()},
     outputs=(Output("share", "", BREAK, headline=True),),
     evaluate=toss,
-    summarise=summary,
+    summarise=lambda sums, n, n_cat: {"share": sums["heads"] / sums["tosses"]},
 )

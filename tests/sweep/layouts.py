@@ -2,7 +2,7 @@
 """Random small packages: a function ``f`` in ``main.py`` that reaches a constant through several modules."""
 
 import random
-import textwrap
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -133,53 +133,37 @@ class Layout:
 
     def write(self, folder: Path, constant: str = "3.0", *, cosmetic: bool = False) -> None:
         """Write the modules below a folder, ``main.py`` in ``work/``; ``cosmetic`` changes what changes no number."""
-        chance = random.Random(self.seed)
-        other = random.Random(f"other {self.seed}")
+        chance, other = random.Random(self.seed), random.Random(f"other {self.seed}")
         self.kinds.clear()
         self._reexported: list[tuple[str, str]] = []
-        depth = chance.randint(0, 3) if not self.only else int(self.only in LINKS)
-        modules: dict[str, list[str]] = {"main.py": []}
-        heads: dict[str, list[str]] = {"main.py": []}
-        path, name = "main.py", "f"
-        for level in range(depth + 1):
-            if level == depth:
-                self.kinds.append(kind := self.only if self.only in ENDS else chance.choice(sorted(ENDS)))
-                text = ENDS[kind].replace("CONSTANT", constant)
-            else:
-                self.kinds.append(kind := self.only or chance.choice(sorted(LINKS)))
-                places = [place for place in PLACES if place.startswith("../") or not path.startswith("../")]
-                inner, inner_path = f"g{level}", chance.choice(places) + f"m{level}.py"  # no circle of packages
-                statement, call = self._import(chance, path, inner_path, inner, at_top="IMPORT" not in LINKS[kind])
-                text = LINKS[kind].replace("INNER", call).replace("IMPORT", statement)
-                if "IMPORT" not in LINKS[kind]:
-                    heads[path].append(statement)
-            block = text.replace("NAME", name if level else "h")
-            modules[path].append(block)
-            if level < depth:
-                path, name = inner_path, inner
-                modules.setdefault(path, [])
-                heads.setdefault(path, [])
+        modules: dict[str, list[str]] = {}  # the import of each, and its definitions
+        path, name = "main.py", "h"
+        for level in range(chance.randint(0, 3) if not self.only else int(self.only in LINKS)):
+            self.kinds.append(kind := self.only or chance.choice(sorted(LINKS)))
+            places = [place for place in PLACES if place.startswith("../") or not path.startswith("../")]
+            inner, inner_path = f"g{level}", chance.choice(places) + f"m{level}.py"  # no circle of packages
+            at_top = "IMPORT" not in LINKS[kind]
+            statement, call = self._import(chance, path, inner_path, inner, at_top)
+            text = LINKS[kind].replace("INNER", call).replace("IMPORT", statement)
+            modules[path] = [statement * at_top, text.replace("NAME", name)]
+            path, name = inner_path, inner
+        self.kinds.append(kind := self.only if self.only in ENDS else chance.choice(sorted(ENDS)))
+        modules[path] = ["", ENDS[kind].replace("CONSTANT", constant).replace("NAME", name)]
         modules["main.py"].append("def f(x: float = 1.0):\n    return h(x)")
-        for file, blocks in modules.items():
-            dead = "7.0" if not cosmetic else "8.0"
-            blocks.insert(0, f"def unused(x):\n    return x * {dead}")
-            body = [textwrap.dedent(block) for block in blocks]
+        for file, (head, *blocks) in modules.items():
+            body = [*blocks, f"def unused(x):\n    return x * {8.0 if cosmetic else 7.0}"]
             if cosmetic:
                 other.shuffle(body)
-                body = [f"# {other.random()}\n{block}" for block in body]
-                body = [_with_docstrings(block) for block in body]
+                body = [f"# {other.random()}\n{_with_docstrings(block)}" for block in body]
             where = (folder / "work" / file).resolve()
             where.parent.mkdir(parents=True, exist_ok=True)
-            text = "\n\n\n".join(["\n".join(dict.fromkeys(heads[file])), *body]) + "\n"
-            where.write_text(text if not cosmetic else f'"""A module."""\n{text}')
+            where.write_text('"""A module."""\n' * cosmetic + "\n\n\n".join([head, *body]) + "\n")
         for package in ("work/local", "lib/pkg", "lib/pkg/sub"):
             (folder / package).mkdir(parents=True, exist_ok=True)
-            exported = [
-                f"from .{Path(file).stem} import {name}"
-                for file, name in self._reexported
-                if (folder / "work" / file).resolve().parent == (folder / package).resolve()
-            ]
-            (folder / package / "__init__.py").write_text("\n".join(exported) + "\n")
+            files = [((folder / "work" / file).resolve(), name) for file, name in self._reexported]
+            here = [(file.stem, name) for file, name in files if file.parent == (folder / package).resolve()]
+            exported = "".join(f"from .{module} import {name}\n" for module, name in here)
+            (folder / package / "__init__.py").write_text(exported)
 
     def _import(self, chance: random.Random, path: str, inner_path: str, inner: str, at_top: bool) -> tuple[str, str]:
         """Return an import statement in one module for a function of another, and how it is called there."""
@@ -191,13 +175,10 @@ class Layout:
             (f"import {module}", f"{module}.{inner}"),
             (f"from {module} import {inner} as renamed_{inner}", f"renamed_{inner}"),
         ]
-        if at_top:
-            ways.append((f"from {module} import *", inner))
-        if package:
-            ways.append((f"from {package} import {last}", f"{last}.{inner}"))
+        ways += [(f"from {module} import *", inner)] * at_top
+        ways += [(f"from {package} import {last}", f"{last}.{inner}")] * bool(package)
         if package and path.rpartition("/")[0] == inner_path.rpartition("/")[0]:
-            ways.append((f"from .{last} import {inner}", inner))
-            ways.append((f"from . import {last}", f"{last}.{inner}"))
+            ways += [(f"from .{last} import {inner}", inner), (f"from . import {last}", f"{last}.{inner}")]
         if package and not path.startswith(inner_path.rpartition("/")[0]):
             self._reexported.append((inner_path, inner))
             ways.append((f"from {package} import {inner}", inner))
@@ -207,9 +188,4 @@ class Layout:
 
 
 def _with_docstrings(block: str) -> str:
-    lines: list[str] = []
-    for line in block.splitlines():
-        lines.append(line)
-        if line.lstrip().startswith("def ") and line.endswith(":"):
-            lines.append(f'{" " * (len(line) - len(line.lstrip()) + 4)}"""Return a number."""')
-    return "\n".join(lines)
+    return re.sub(r"(?m)^( *)def .*:$", r'\g<0>\n\1    """Return a number."""', block)

@@ -3,9 +3,8 @@
 import random
 import re
 from collections.abc import Callable
-from pathlib import Path
 
-ROOT = Path(__file__).parent.parent.parent
+from tests.documents import ROOT, code
 
 NASTY = r"""
     0 -1 1 2 3.5 -0.0 1e308 -1e308 1e309 5e-324 nan inf -inf 1_000 0x10 0b1 9223372036854775808 9999999999999999999999
@@ -32,9 +31,8 @@ def corpus() -> dict[str, str]:
     """Every built-in study, and every whole study that the documents show."""
     studies = {path.stem: path.read_text() for path in sorted((ROOT / "sweeps").glob("*.toml"))}
     for document in sorted((ROOT / "docs").glob("*.md")):
-        blocks = re.findall(r"```toml[^\n]*\n(.*?)```", document.read_text(), flags=re.DOTALL)
-        for number, block in enumerate(block for block in blocks if block.startswith("title")):
-            studies[f"{document.stem}-{number}"] = block
+        whole = [block for block in code(document.name, "toml") if block.startswith("title")]
+        studies |= {f"{document.stem}-{number}": block for number, block in enumerate(whole)}
     return studies
 
 

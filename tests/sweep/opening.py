@@ -20,7 +20,7 @@ from linksweep.sweep.planning.plan import generators
 from linksweep.sweep.running import run as running
 from linksweep.sweep.running.merge import MERGED, merge
 from linksweep.sweep.running.progress import Silent
-from linksweep.sweep.running.run import attributes_of, find_store, identity, open_store, plan_study
+from linksweep.sweep.running.run import find_store, identity, open_store, plan_study
 from linksweep.sweep.running.scaling import measure_scaling
 from linksweep.sweep.running.status import status_report
 from linksweep.sweep.stores import ledger, location
