@@ -24,7 +24,6 @@ def free_port():
 
 @pytest.fixture(scope="session")
 def s3_endpoint():
-    """The address of an S3 server that runs for the whole session."""
     port = free_port()
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     server = subprocess.Popen([sys.executable, "-m", "tests.s3_server", str(port)], **quiet)
@@ -47,7 +46,6 @@ def make_bucket(endpoint, name):
 
 @pytest.fixture
 def bucket(s3_endpoint, monkeypatch):
-    """The address of a new bucket, with endpoint and credentials in the environment."""
     name = f"bucket-{uuid4().hex[:12]}"
     make_bucket(s3_endpoint, name)
     words = {"ENDPOINT_URL": s3_endpoint, "ACCESS_KEY_ID": "someone", "SECRET_ACCESS_KEY": "secret"}
@@ -87,7 +85,6 @@ SHORT = {
 
 @pytest.fixture(scope="session")
 def reference(tmp_path_factory):
-    """The results of the small study of the link, computed in this process."""
     folder = tmp_path_factory.mktemp("reference")
     (folder / "small.toml").write_text(LINK_STUDY)
     dataset = linksweep.run(folder / "small.toml", folder / "serial.zarr", pool="serial")
@@ -115,7 +112,6 @@ def store_of(tmp_path_factory, worker_id):
 
 @pytest.fixture
 def dataset_of(store_of):
-    """A function that returns the dataset of a built-in study, run with fewer realisations."""
     from tests.sweep.opening import open_dataset
 
     return lambda name: open_dataset(store_of(name))

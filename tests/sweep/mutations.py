@@ -37,7 +37,6 @@ def corpus() -> dict[str, str]:
 
 
 def lines_changed(text: str, chance: random.Random) -> str:
-    """A line that is missing, doubled, elsewhere or new, or no more lines."""
     lines = text.split("\n")
     i, j = chance.randrange(len(lines)), chance.randrange(len(lines))
     key, value = chance.choice(KEYS), chance.choice(NASTY)
@@ -54,7 +53,6 @@ def bytes_flipped(text: str, chance: random.Random) -> str:
 
 
 def replaced(text: str, chance: random.Random, pattern: str, change: Callable[[str], str], group: int = 0) -> str:
-    """Return a text in which something of a kind is another."""
     found = chance.choice(list(re.finditer(pattern, text)))
     start, stop = found.span(group)
     return text[:start] + change(found[group]) + text[stop:]
@@ -76,7 +74,6 @@ def key_misspelt(text: str, chance: random.Random) -> str:
 
 
 def number_changed(text: str, chance: random.Random) -> str:
-    """Another number where one stands: the study may well be good."""
     return replaced(text, chance, r"(?<![\w.\"])\d+(\.\d+)?(?![\w.\"])", lambda _: chance.choice(NUMBERS))
 
 

@@ -34,8 +34,7 @@ from linksweep.sweep.studies.study import POINT, POINT_TABLE
 from linksweep.sweep.table_writer import Column, Table
 
 SERIAL = Resources(pool="serial")
-OFTEN = {"flush_every_s": -1.0, "most_blocks": 1}
-"""A run that writes its ledger after every block."""
+OFTEN = {"flush_every_s": -1.0, "most_blocks": 1}  # a run that writes its ledger after every block
 
 
 def run_study(*study, **how):
@@ -90,7 +89,7 @@ class Stopping(Silent):
 
 
 class Killed(BaseException):
-    """The end of a process before an operation on a file."""
+    pass
 
 
 def dying(monkeypatch, kind=Folder):
@@ -136,7 +135,6 @@ def until_done(left, steps, call, between=lambda: None):
 
 
 def existing_store(where, study):
-    """Return the store of a study, or of a document of one, None where there is none."""
     study = study_from_dict(study) if isinstance(study, dict) else study
     found = find_store(where, study)
     return None if found is None else open_store(found, study)
@@ -152,12 +150,10 @@ def create_or_resume(where, study, attributes=None):
 
 
 def write(store, dataset):
-    """Replace the dataset of an open store, whose numbers mean what they did."""
     store.write(dataset.assign_attrs({name: store.attributes[name] for name in ("study_meaning", "study_axes")}))
 
 
 def parts_of(store, column="rows"):
-    """Return the names of the files of a column of the ledger, in a folder or a bucket, in their order."""
     return [path_of(getattr(part, column)) for part in OpenStore(store).ledger().parts]
 
 
@@ -171,7 +167,6 @@ def rows_on_disk(store):
 
 
 def files_of(store):
-    """Return the contents of all files of a store, in a folder or a bucket."""
     return located(store).get_all(located(store).keys())
 
 
@@ -184,14 +179,12 @@ def in_use(store):
 
 
 def forge(store, change, file="zarr.json"):
-    """Change the attributes of a document of a store in a folder, which gets a right checksum."""
     document = json.loads((Path(store) / file).read_text())
     change(document["attributes"])
     (Path(store) / file).write_bytes(sealed(document, file))
 
 
-IN_TEXT = None
-"""A step from a text into the document that it holds."""
+IN_TEXT = None  # a step from a text into the document that it holds
 
 
 def places_in(document, at=()):

@@ -36,7 +36,6 @@ class Outside:
         )
 
     def wait_for_workers(self, count: int) -> None:
-        """Wait until so many workers have joined."""
         from distributed import Client
 
         with Client(self.address, set_as_default=False) as client:
@@ -55,14 +54,12 @@ class Outside:
         return process
 
     def kill(self, *processes: subprocess.Popen) -> None:
-        """End processes and their children as a power cut does."""
         for process in processes:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             self.processes.remove(process)
 
     def close(self) -> None:
-        """End everything."""
         self.kill(*self.processes[::-1])
 
 
@@ -75,7 +72,6 @@ def address_in(file: Path) -> str | None:
 
 
 def wait_until(true, what, seconds=PATIENCE_S):
-    """Wait until a function returns something true, and return it."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         if found := true():
@@ -85,7 +81,6 @@ def wait_until(true, what, seconds=PATIENCE_S):
 
 
 def parents():
-    """Return the parent of every process."""
     found = {}
     for pid in filter(str.isdigit, os.listdir("/proc")):
         try:
@@ -128,7 +123,6 @@ def unix_sockets(pids):
 
 
 def _sockets_of(pids):
-    """Return the numbers of all sockets of these processes."""
     inodes = set()
     for link in (link for pid in pids for link in Path(f"/proc/{pid}/fd").glob("*")):
         with suppress(OSError):  # it is closed by now
@@ -137,7 +131,6 @@ def _sockets_of(pids):
 
 
 def command_of(pid):
-    """Return the command line of a process, empty if it is no more."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_text()
     except OSError:

@@ -25,7 +25,6 @@ GOOD = {
 
 
 def mean(*more, unit="", **others):
-    """Declared outputs: ``mean``, and ``more``."""
     return (Output("mean", unit, "mean", **others), *more)
 
 
@@ -99,7 +98,7 @@ def run(place, rates=(1.0, 2.0), sampling=None, **changed):
 
 
 class Stop(BaseException):
-    """An exception of a user's that is no Exception."""
+    pass
 
 
 def stop(points, n_sim, rng, catalogue_rng):
@@ -112,7 +111,6 @@ def of(*values):
 
 
 def summary(make):
-    """A summarise that makes its output of sums."""
     return {"summarise": lambda sums, n, n_cat: {"mean": make(sums["total"])}}
 
 
@@ -159,6 +157,9 @@ def test_nan_is_a_value_where_it_is_declared(tmp_path):
 
 
 def test_samples_are_held_to_what_is_declared(tmp_path):
+    with pytest.raises(SweepError, match="has no samples to keep"):
+        run(tmp_path / "s.zarr", sampling={"keep_samples": True})
+
     def draw(points, n_sim, rng, catalogue_rng):
         kept = [rng.normal(size=n_sim + 1) for p in points]
         return {"total": [k.sum() for k in kept], "each": kept}

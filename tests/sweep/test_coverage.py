@@ -26,7 +26,6 @@ SPREAD = f"{spread.__file__}:experiment"
 
 
 def results_of(document):
-    """The dataset that a run of a study leaves."""
     with TemporaryDirectory() as folder:
         return linksweep.run(document, Path(folder) / "s.zarr", pool="serial")
 

@@ -112,7 +112,6 @@ def test_the_table_comes_back_from_the_store(main_job, sweep):
 
 
 def test_error_free_data_return_the_truth(tmp_path):
-    """epsilon and omega come back to 1e-6 of their size."""
     fixed = {"catalogue": "quasars", "satellite_errors": "none"}
     study = {"title": "t", "axes": {"v_max": [14.0, 17.0]}, "fixed": fixed, "sampling": {"n_sim": 1, "n_cat": 10}}
     exact = linksweep.run(study, tmp_path / "s.zarr", pool="serial")

@@ -91,8 +91,7 @@ def test_styles_are_ours_alone():
     assert "\\u001b[31mbad" in table.text(styled=True)
 
 
-LONGEST_LABEL = 90
-"""Characters, three lines of xarray's labels."""
+LONGEST_LABEL = 90  # characters, three lines of xarray's labels
 
 
 @given(st.text(max_size=60))

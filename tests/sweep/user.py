@@ -41,12 +41,10 @@ def write_experiment(folder, name="user.py", **parts):
 
 
 def write_study(folder, axes="rate = [1.0, 2.0]", sampling="n_sim = 4", experiment="user.py:experiment", rest=""):
-    """Write a study of it."""
     text = f'title = "t"\nexperiment = "{experiment}"\n{rest}\n[axes]\n{axes}\n[sampling]\n{sampling}\n'
     (folder / "s.toml").write_text(text)
     return folder / "s.toml"
 
 
 def law(a: float = 1.0, n: int = 2, m: str = "x", e=None):
-    """A parameter of each kind."""
     return a

@@ -28,7 +28,6 @@ seed = 7
 
 
 def tree(folder):
-    """Every path below a folder, with the content of files."""
     return {p: p.read_bytes() if p.is_file() and not p.is_symlink() else None for p in sorted(folder.rglob("*"))}
 
 

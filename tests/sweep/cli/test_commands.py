@@ -24,7 +24,6 @@ PRINTING_TOO = [
 
 
 def test_help_and_completion_import_nothing_heavy():
-    """They answer at once: what takes long to import is imported by the commands that need it."""
     words = "_SWEEP_COMPLETE='bash_complete', COMP_WORDS='sweep run quasars --set ', COMP_CWORD='4'"
     code = f"import os, sys; os.environ.update({words})\nimport linksweep.sweep.cli\n"
     code += "try: linksweep.sweep.cli.main(prog_name='sweep')\n"

@@ -18,8 +18,7 @@ from tests.tiers import slow
 
 MARK = "\x1b]0;owned\x07\x9b2J\u202e\x1b[31m\r\x08"
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
-OURS = re.compile("\x1b\\[[0-9;]*m|\r(?=\n)")
-"""Styles; what a terminal makes of the end of a line."""
+OURS = re.compile("\x1b\\[[0-9;]*m|\r(?=\n)")  # styles; what a terminal makes of the end of a line
 
 FUNCTION = f'''
 import warnings
@@ -50,13 +49,11 @@ LOOKS = [  # at a store s.zarr and its study
 
 
 def found(text):
-    """Return what of a text would control a terminal."""
     return {text[max(0, one.start() - 30) : one.end() + 30] for one in CONTROLS.finditer(text)}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Where the study and its store s.zarr are."""
     folder = tmp_path_factory.mktemp("marked")
     (folder / "marked.py").write_text(FUNCTION)
     (folder / "study.toml").write_text(STUDY)

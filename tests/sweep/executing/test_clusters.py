@@ -106,7 +106,6 @@ def test_a_dashboard_needs_bokeh(monkeypatch):
 
 @pytest.mark.parametrize("speaks", [False, True])
 def test_a_port_that_says_nothing_or_is_of_a_server_of_another_kind(monkeypatch, speaks):
-    """Dask's own client would wait for ever."""
     monkeypatch.setattr(clusters, "CONNECT_TIMEOUT_S", 1)
 
     def speak(server):
@@ -133,7 +132,6 @@ AXES = {"x": [0.1 * k for k in range(40)]}
 
 @pytest.fixture(params=["threads", slow("processes")])
 def client(request):
-    """A client of a cluster that it has started."""
     processes = request.param == "processes"
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, processes=processes, dashboard_address=":0") as cluster,

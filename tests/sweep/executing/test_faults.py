@@ -25,7 +25,6 @@ LOCAL_CLUSTER = 'class = "distributed.LocalCluster"\nscale = 2\n[options]\nn_wor
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
-    """The results of the study that all tests here run, in the serial reference."""
     path = tmp_path_factory.mktemp("reference")
     (path / "small.toml").write_text(LINK_STUDY)
     return linksweep.run(linksweep.load_study(str(path / "small.toml"), LONG[1::2]), path / "s.zarr", pool="serial")
@@ -46,7 +45,6 @@ def start(link_study, tmp_path, start_sweep):
 
 
 def to_its_end(process, code=0):
-    """Return what a process says until it ends, which is of runs alone."""
     _, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == code, err
     assert not [line for line in err.splitlines() if re.search("distributed|Traceback|tornado", line)], err
@@ -99,7 +97,6 @@ def test_workers_may_come_late_and_all_of_them_die_and_others_join(start, tmp_pa
 
 
 def other_version(folder):
-    """Return an environment in which NumPy reports another version."""
     info = folder / "shim" / "numpy-0.0.9.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 0.0.9\n")

@@ -34,13 +34,12 @@ ENDINGS = {
     "SIGKILL": ("os.kill(os.getpid(), signal.SIGKILL)", "ended its process with SIGKILL"),
     "closed files": ("os.closerange(0, 4096)", "ended its process with exit code 1"),
 }
-LIMITED = {
+LIMITED = {  # how a block may end its process, without and with limits, and what is said of it
     "memory": ("kept = b'x' * 2**30; time.sleep(3600)", "needs more than the memory limit of 0.4 GB"),
     "a loop": ("while True: pass", LIMIT),
     "no exception": ("time.sleep(3600)", LIMIT),
     "no other code": ("__import__('re').match('(a+)+$', 'a' * 64 + 'b')", LIMIT),  # years, in which no other runs
 }
-"""How a block may end its process, without and with limits, and what is said of it."""
 LIMITS = "--time-limit 4 --memory-limit 400MB"
 POOLS = ("", "--workers 1", *(f"{pool} {LIMITS}" for pool in ("--pool serial", "--workers 2", "--pool threads")))
 CASES = [(deed, pool) for deed in ENDINGS | LIMITED for pool in POOLS if deed in ENDINGS or LIMITS in pool]
@@ -249,7 +248,7 @@ def test_a_child_that_a_function_forks_and_forgets_does_not_go_on_with_the_run(t
     assert [marks.count(x) for x in "23"] == [1, 1]
 
 
-CHANGES = {
+CHANGES = {  # what one point changes of its process, and what the others look at
     "folder": (lambda: os.chdir("/"), os.getcwd),
     "arithmetic": (lambda: np.seterr(all="raise"), lambda: str(np.float64(1.0) / np.float64(0.0) > 1.0)),
     "decimals": (lambda: setattr(decimal.getcontext(), "prec", 3), lambda: str(decimal.Decimal(1) / 3)),
@@ -261,7 +260,6 @@ CHANGES = {
     "output": (lambda: setattr(sys, "stdout", None), lambda: str(print("x"))),
     "errors": (lambda: setattr(sys, "stderr", None), lambda: str(print("", end="", file=sys.stderr))),
 }
-"""What one point changes of its process, and what the others look at."""
 
 
 @pytest.mark.parametrize("change", CHANGES)

@@ -44,7 +44,6 @@ def study(coins):
     ids=["serial", "guarded", "threads"],
 )
 def test_a_task_that_takes_too_long_hands_back_what_it_has(study, coin_store, tmp_path, monkeypatch, resources):
-    """To the bits of one that does not."""
     monkeypatch.setattr(worker, "ENOUGH_S", -1.0)
     watcher = Sentences()
     dataset, failures = run_study(study, tmp_path / "s.zarr", resources, watcher)
@@ -90,7 +89,6 @@ def computing(*arguments, **options):
 
 @pytest.fixture
 def failing(monkeypatch):
-    """A function that lets computing on a worker fail some times, or fetching a result with an error."""
     monkeypatch.setattr(clusters, "MOST_FETCHED", 1)  # each is fetched by itself, as where several cannot be
     fetch = DaskDriver._result
 

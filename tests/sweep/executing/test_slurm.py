@@ -72,12 +72,10 @@ PartitionName=short Nodes={name} Default=YES MaxTime=INFINITE State=UP OverSubsc
             raise RuntimeError((folder / "slurmctld.log").read_text()[-2000:]) from error
 
     def run(self, *command: str) -> str:
-        """Return what one of SLURM's commands prints."""
         done = subprocess.run(command, env=os.environ | self.environment, capture_output=True, text=True, check=False)
         return done.stdout.strip()
 
     def close(self) -> None:
-        """End all jobs and the daemons."""
         self.run("scancel", "-u", "root", "--signal=KILL")
         self.run("scancel", "-u", "root")
         time.sleep(1)

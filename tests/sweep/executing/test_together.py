@@ -12,14 +12,12 @@ import linksweep
 from tests.sweep.coins import experiment, toss
 from tests.sweep.opening import same
 
-MOST = 256
-"""Most catalogues in one call."""
+MOST = 256  # most catalogues in one call
 
 CALLS = []
 
 
 def together(points, n_sim, streams):
-    """Toss for each pair of generators."""
     CALLS.append(len(streams))
     found = [toss(points, n_sim, *pair) for pair in streams]
     return {name: np.array([sums[name] for sums in found]) for name in experiment.sums}

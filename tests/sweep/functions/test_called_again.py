@@ -74,14 +74,9 @@ def test_the_same_result_is_taken(kind, tmp_path):
     assert (run(SAME[kind], tmp_path / "s.zarr", axes=AXES, pool="serial").status == 1).all()
 
 
-def test_what_is_wrong_in_a_declaration(tmp_path):
-    with pytest.raises(SweepError, match=r"deterministic = 'no': must be True or False"):
-        experiment(deterministic="no")(lambda x=1.0: x)
+def test_the_second_call_counts_nowhere(tmp_path):
     with pytest.raises(SweepError, match=r"deterministic: is for a plain function"):
         run({"title": "Link", "fixed": {"n_obj": 20}}, tmp_path / "l.zarr", deterministic=False)
-
-
-def test_the_second_call_counts_nowhere(tmp_path):
     calls, watcher = [], Sentences()
 
     def f(x: float):

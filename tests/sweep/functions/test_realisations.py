@@ -137,19 +137,6 @@ def test_only_truth_values_are_counted(tmp_path, kind):
     assert kind is bool or f"'hit' is of type {kind.__name__}; the statistic 'count'" in ds.attrs["failures"]
 
 
-@pytest.mark.parametrize(
-    ("shared", "function", "problem"),
-    [
-        ("gian", lambda rng, gain: gain, "shared: 'gian' is no parameter; did you mean 'gain'?"),
-        (["gain"], lambda gain: gain, "shared: it takes no rng, and so it draws no random numbers"),
-    ],
-)
-def test_what_cannot_be_shared_is_refused_by_name(shared, function, problem):
-    with pytest.raises(SweepError) as refused:
-        experiment(shared=shared)(function)
-    assert problem in str(refused.value)
-
-
 def test_what_is_shared_is_part_of_what_the_numbers_mean(tmp_path):
     def declared(*shared):
         return experiment(shared=shared)(lambda rng, gain=1.0, rate=2.0: gain * rng.exponential(rate))
@@ -160,16 +147,10 @@ def test_what_is_shared_is_part_of_what_the_numbers_mean(tmp_path):
             sweep(declared(*shared), tmp_path / "s", {"n_sim": 60}, gain=[3.0])
 
 
-LINK = {
-    "title": "Samples",
-    "axes": {"n_obj": [20, 30]},
-    "fixed": {"catalogue": "quasars", "v_max": 15.0},
-    "sampling": {"n_sim": 520, "n_cat": 20, "seed": 5, "keep_samples": True},  # two parts, two groups
-}
-
-
 def test_samples_are_the_realisations_behind_the_results(tmp_path):
-    kept = linksweep.run(LINK, tmp_path / "s.zarr", pool="serial")
+    study = {"title": "Samples", "axes": {"n_obj": [20, 30]}, "fixed": {"catalogue": "quasars", "v_max": 15.0}}
+    study["sampling"] = {"n_sim": 520, "n_cat": 20, "seed": 5, "keep_samples": True}  # two parts, two groups
+    kept = linksweep.run(study, tmp_path / "s.zarr", pool="serial")
     estimate = kept["estimate"]
     assert estimate.dims == ("n_obj", "sample", "component")
     assert estimate.sizes["sample"] == 10_400
@@ -177,8 +158,3 @@ def test_samples_are_the_realisations_behind_the_results(tmp_path):
     xr.testing.assert_allclose(np.sqrt((error**2).mean("sample")), kept["sigma"], rtol=1e-9)
     xr.testing.assert_allclose(error.mean("sample"), kept["bias"], rtol=1e-6)
     assert len(np.unique(estimate.isel(n_obj=0, component=0))) == 10_400
-
-
-def test_an_experiment_without_samples_cannot_keep_them(coins, tmp_path):
-    with pytest.raises(SweepError, match="has no samples to keep"):
-        linksweep.run(coins | {"sampling": {"keep_samples": True}}, tmp_path / "s.zarr", pool="serial")

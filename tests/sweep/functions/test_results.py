@@ -16,7 +16,7 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 import linksweep
-from linksweep import Output, SweepError, experiment, run
+from linksweep import Output, experiment, run
 from linksweep.sweep.report.page import report_page
 from linksweep.sweep.result import Result
 from tests.sweep.opening import check
@@ -253,22 +253,6 @@ def test_tables_pages_and_laws_know_the_lengths(tmp_path):
     law = linksweep.fit_power_law(ds.isel(step=slice(1, None)), "number", over="step")  # each line to its own end
     assert bool((law.exponent > 0.0).all())
     assert not linksweep.find(ds, "number < 1", over="step").to_dataframe().empty
-
-
-@pytest.mark.parametrize(
-    ("outputs", "problem"),
-    [
-        ([Output("a", ragged=3)], "ragged = 3: must be True, or one of its dims"),
-        ([Output("a", dims="s", ragged="t")], "ragged = 't': must be True, or one of its dims (s)"),
-        ([Output("a", dims=("s", "t"), ragged=True)], "say along which of its dimensions, such as ragged='t'"),
-        ([Output("a", dims="s", coords={"s": [1, 2]}, ragged=True)], "return its coordinate as another output"),
-        ([Output("a", ragged=True)], "ragged: statistics of realisations need one length"),
-    ],
-)
-def test_a_declaration_that_means_nothing_is_refused_by_name(outputs, problem):
-    with pytest.raises(SweepError) as refused:
-        experiment(outputs=outputs)((lambda x, rng: [x]) if "statistics" in problem else (lambda x: [x]))
-    assert problem in str(refused.value)
 
 
 def grows(n: int):

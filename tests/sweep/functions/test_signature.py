@@ -2,6 +2,7 @@
 
 import functools
 import math
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -84,6 +85,26 @@ def test_what_cannot_be_swept_is_refused(function, sentence, tmp_path):
 def test_methods_of_objects_partials_and_callable_objects_are_functions(function, tmp_path):
     ds = run(function, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]}, pool="serial")
     assert [ds[name].values.tolist() for name in ds if name not in ("status", "wall_time")] == [[1.0, 2.0]]
+
+
+RAGGED = Output("a", ragged=True)
+WRONG = [  # what is declared of which function, and what is said of it
+    ({"shared": "gian"}, lambda rng, gain: gain, "shared: 'gian' is no parameter; did you mean 'gain'?"),
+    ({"shared": ["gain"]}, lambda gain: gain, "shared: it takes no rng, and so it draws no random numbers"),
+    ({"deterministic": "no"}, lambda x: x, "deterministic = 'no': must be True or False"),
+    ({"outputs": [Output("a", ragged=3)]}, lambda x: [x], "ragged = 3: must be True, or one of its dims"),
+    ({"outputs": [Output("a", dims="s", ragged="t")]}, lambda x: [x], "'t': must be True, or one of its dims (s)"),
+    ({"outputs": [replace(RAGGED, dims=("s", "t"))]}, lambda x: [x], "its dimensions, such as ragged='t'"),
+    ({"outputs": [replace(RAGGED, dims="s", coords={"s": [1, 2]})]}, lambda x: [x], "return its coordinate as another"),
+    ({"outputs": [RAGGED]}, lambda x, rng: [x], "ragged: statistics of realisations need one length"),
+]
+
+
+@pytest.mark.parametrize(("declared", "function", "problem"), WRONG)
+def test_a_declaration_that_means_nothing_is_refused_by_name(declared, function, problem):
+    with pytest.raises(SweepError) as refused:
+        experiment(**declared)(function)
+    assert problem in str(refused.value)
 
 
 def test_all_mistakes_of_a_declaration_are_told_at_once():

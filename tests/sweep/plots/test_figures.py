@@ -205,7 +205,6 @@ def test_what_a_panel_lacks_is_named(tmp_path):
 
 
 def drawn(figure):
-    """The labels of each visible panel, and all lines."""
     labels = [(axes.get_xlabel(), axes.get_ylabel()) for axes in figure.axes if axes.get_visible()]
     return labels, [line for axes in figure.axes for line in axes.get_lines()]
 

@@ -19,7 +19,6 @@ from tests.tiers import examples, slow
 
 
 def results(x):
-    """Results along one axis, as `linksweep.open` returns them."""
     variables = {"y": ("x", np.linspace(1.0, 2.0, len(x)), {"headline": 1}), "status": ("x", np.ones(len(x), int))}
     return xr.Dataset(variables, {"x": x}, {"title": "", "function": "f"})
 
@@ -124,7 +123,6 @@ def test_nothing_is_drawn_between_the_points_of_a_prediction(dataset_of, name):
 
 
 def weigh(load: float = 1.0, strong: bool = True):
-    """How a beam stands."""
     if load == 3.0 and strong:
         raise ValueError("too heavy to know")
     return {"stands": load < (3.5 if strong else 1.5)}

@@ -62,7 +62,6 @@ def test_the_answer_adds_the_parts_of_an_error_counts_what_agrees_with_the_predi
 
 @pytest.mark.parametrize("undone", [Status.MISSING, slow(Status.FAILED)])
 def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
-    """Neither on a page nor in a notebook, a caption or a terminal."""
     dataset = dataset_of("quasars")
     values = {name: array * np.nan for name, array in dataset.data_vars.items() if array.dtype.kind == "f"}
     status = dataset["status"] * 0 + undone

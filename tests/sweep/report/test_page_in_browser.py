@@ -77,7 +77,6 @@ def show(chromium, tmp_path, sweep_here):
 
 
 def wait_for_turn(driver, turn):
-    """Wait until every view has drawn what was asked of it."""
     views = "[...document.querySelectorAll('[data-explorer]')]"
     script = f"return {views}.every((view) => Number(view.dataset.turn) >= arguments[0])"
     wait_until(lambda: driver.execute_script(script, turn), script)
@@ -99,7 +98,6 @@ def turn_of(driver):
 
 
 def choose(driver, name, value):
-    """Choose an option of a control as a user does, and wait for the plot."""
     from selenium.webdriver.support.ui import Select
 
     turn, control = turn_of(driver), Select(driver.find_element("name", name))
@@ -149,7 +147,6 @@ def test_it_opens_from_a_file_without_network_and_complaint(show, store_of, widt
 
 
 def test_the_policy_stops_what_is_not_of_the_page(show, store_of):
-    """A script that got into the page in spite of all does not run, and nothing can be fetched."""
     driver = show([store_of("quasars")])
     driver.execute_script("""
       const script = document.createElement("script");
@@ -235,20 +232,7 @@ def test_hostile_texts_are_shown_as_text(show, evil_store):
     check_quiet(driver, 375)
 
 
-def test_a_heading_sorts_by_value(show, store_of):
-    driver = show([store_of("quasars")])
-    driver.execute_script("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-    heading = driver.find_element("xpath", "//table[1]//th[button[starts-with(., 'sigma_spin')]]")
-    rows = "[...arguments[0].closest('table').tBodies[0].rows]"
-    read = f"return {rows}.map((row) => Number(row.cells[arguments[0].cellIndex].dataset.value))"
-    for descending in (False, True):
-        heading.find_element("tag name", "button").click()
-        values = driver.execute_script(read, heading)
-        assert values == sorted(values, reverse=descending)
-
-
 def rows_shown(driver):
-    """The rows of the table of results that are shown, as their values of v_max."""
     rows = "[...document.querySelector('#results-1 tbody').rows].filter((row) => row.offsetParent)"
     return driver.execute_script(f"return {rows}.map((row) => Number(row.cells[1].dataset.value))")
 
@@ -307,10 +291,17 @@ def test_dragging_in_the_plot_chooses_a_range(show, store_of):
     assert "ranges" in driver.current_url
 
 
-def test_pictures_and_tables_are_saved(show, store_of, tmp_path):
+def test_a_heading_sorts_by_value_and_pictures_and_tables_are_saved(show, store_of, tmp_path):
     driver = show([store_of("quasars")])
     driver.execute_cdp_cmd("Browser.setDownloadBehavior", {"behavior": "allow", "downloadPath": str(tmp_path)})
     driver.execute_script("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+    heading = driver.find_element("xpath", "//table[1]//th[button[starts-with(., 'sigma_spin')]]")
+    rows = "[...arguments[0].closest('table').tBodies[0].rows]"
+    read = f"return {rows}.map((row) => Number(row.cells[arguments[0].cellIndex].dataset.value))"
+    for descending in (False, True):
+        heading.find_element("tag name", "button").click()
+        values = driver.execute_script(read, heading)
+        assert values == sorted(values, reverse=descending)
     for kind in ("csv", "svg", "png"):
         driver.execute_script("document.querySelector(arguments[0]).click()", f"button.{kind}")
         [found] = wait_until(lambda kind=kind: list(tmp_path.glob(f"quasars*.{kind}")), kind)

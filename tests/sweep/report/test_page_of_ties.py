@@ -80,7 +80,6 @@ def test_a_page_has_the_estimate_and_every_kind_of_error_along_the_axes_and_chi2
 
 
 def head_of(store, sweep):
-    """The sentences at the head of the page about a store."""
     assert sweep("report", store, "-o", store.with_suffix(".html"))[0] == 0
     return re.search(r'class="headline">(.*?)</div>', store.with_suffix(".html").read_text())[1]
 

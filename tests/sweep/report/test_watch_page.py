@@ -43,7 +43,6 @@ def ask(page, path, **request):
 
 
 def names_in(text):
-    """The names of all elements and attributes of a text."""
     names, reader = set(), HTMLParser()
     reader.handle_starttag = lambda tag, attrs: names.update({tag, *(name for name, _ in attrs)})
     reader.feed(text)
@@ -102,8 +101,6 @@ def period(length: float, noise: float = 0.1, rng=None):
 
 @pytest.fixture
 def beside(tmp_path, start_sweep):
-    """A function that starts a page about stores, and returns its address and process."""
-
     def start(*stores):
         process = start_sweep("watch", *stores, "--web", "--interval", "0.3", cwd=tmp_path)
         return process.stderr.readline().strip(), process

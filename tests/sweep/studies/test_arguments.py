@@ -148,7 +148,6 @@ LINK = "linksweep.core.experiment:link"
 
 
 def validator(reference=LINK, cwd=None):
-    """The validator of the schema that `sweep params` prints."""
     code, out, err = run_sweep("params", "--schema", reference, cwd=cwd)
     assert (code, err) == (0, "")
     schema = json.loads(out, parse_constant=pytest.fail)

@@ -71,7 +71,6 @@ def here(tmp_path, monkeypatch):
 
 
 def edited(here, *changes):
-    """Write the study with some changes."""
     text = STUDY
     for old, new in changes:
         text = text.replace(old, new, 1)

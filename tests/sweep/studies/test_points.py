@@ -33,8 +33,6 @@ FRAME = pd.DataFrame(COLUMNS)
 
 @pytest.fixture
 def read(tmp_path):
-    """Return the columns of the points that a run has."""
-
     def read(points, function=f, **more):
         ds = run(function, tmp_path / "s.zarr", points=points, pool="serial", fresh=True, **more)
         return {str(c): ds[c].values.tolist() for c in ds.coords if ds[c].dims == ("point",) and c != "point"}
@@ -44,8 +42,6 @@ def read(tmp_path):
 
 @pytest.fixture
 def problems_of(read):
-    """Return the problems of a study that is refused."""
-
     def problems_of(points, function=f, **more):
         with pytest.raises(SweepError) as refused:
             read(points, function, **more)

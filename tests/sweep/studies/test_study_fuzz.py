@@ -35,7 +35,6 @@ def folder(tmp_path, monkeypatch):
 
 
 def check_answer(result, what):
-    """Success, or one message for a terminal and exit code 2."""
     assert result.exception is None or isinstance(result.exception, SystemExit), (what, result.exception)
     assert result.exit_code in (0, 2), what
     if result.exit_code == 2:
@@ -100,8 +99,7 @@ LARGE = {
     "80 000 zipped names": START + "[grid]\nzip = [[" + "'v_max'," * 80_000 + "]]",
     "10^18 realisations": f"{START}[sampling]\nn_cat = 1000000000\nn_sim = 1000000000",
 }
-ADDRESSES_KB = 2**20
-"""A gigabyte of addresses, of which the interpreter with NumPy, SciPy, Dask and xarray takes half."""
+ADDRESSES_KB = 2**20  # a gigabyte of addresses, of which the interpreter with NumPy, SciPy, Dask and xarray takes half
 
 
 @pytest.mark.parametrize("case", [case if case == "an axis of 1e9 values by step" else slow(case) for case in LARGE])
