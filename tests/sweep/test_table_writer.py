@@ -84,13 +84,6 @@ def test_a_column_that_may_wrap_takes_several_lines_and_loses_no_word():
     assert " ".join(" ".join(line[3:].split()) for line in lines[1:]) == words
 
 
-def test_styles_are_ours_alone():
-    table = Table([Column("verdict", ["good", "\x1b[31mbad"])], "Coins")
-    assert "\x1b[1m" in table.text(styled=True)
-    assert "\x1b" not in table.text()
-    assert "\\u001b[31mbad" in table.text(styled=True)
-
-
 LONGEST_LABEL = 90  # characters, three lines of xarray's labels
 
 

@@ -73,14 +73,13 @@ def test_what_is_wrong_in_a_file_is_told_and_nothing_written(link_study, tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cluster.toml", "small.toml"]
 
 
-class Interrupted(LocalCluster):
-    def __init__(self, *args, **options):
-        super().__init__(*args, **options)
-        os.kill(os.getpid(), signal.SIGINT)
-
-
 @pytest.mark.slow
 def test_an_interrupted_start_leaves_no_process_in_a_session():
+    class Interrupted(LocalCluster):
+        def __init__(self, *args, **options):
+            super().__init__(*args, **options)
+            os.kill(os.getpid(), signal.SIGINT)
+
     with pytest.raises(KeyboardInterrupt), own_cluster(Interrupted, {"n_workers": 1, "threads_per_worker": 1}):
         pass
     assert not [pid for pid in workers_below(os.getpid()) if "spawn_main" in command_of(pid)]

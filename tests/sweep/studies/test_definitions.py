@@ -12,42 +12,32 @@ from tests.tiers import slow
 CURVES = """\
 import numpy as np
 
-
 def motions(v):
     return 0.02 + 0.01 * np.exp(0.4 * (v - 15.0))
 
-
 def positions(v):
     return np.full(len(v), 0.05)
-
 
 number = 3
 """
 
 STUDY = """\
 title = "Missions of our own"
-
+sampling = { n_sim = 6, n_cat = 2 }
 [axes]
 model = ["gaia", "small", "coded"]
 v_max = [15.0, 16.0]
-
 [define.model.small]
 nominal_length = 3.0
 unit = "uas"
 sigma_pm = [[9.0, 20.0], [13.0, 25.0], [17.0, 150.0]]
 sigma_pos = [[9.0, 15.0], [16.0, 90.0]]
-
 [define.model.coded]
 nominal_length = 5.0
 sigma_pm = "curves.py:motions"
 sigma_pos = "curves.py:positions"
-
 [fixed]
 catalogue = "quasars"
-
-[sampling]
-n_sim = 6
-n_cat = 2
 """
 
 
@@ -85,10 +75,8 @@ def run(study="own.toml", store="s.zarr", **options):
 def test_an_experiment_of_any_kind_can_have_definitions(here):
     die = Parameter("die", "str", "cube", "what is thrown", choices=("cube",), define=define)
     colour = Parameter("colour", "str", "red", "of the die", choices=("red", "green"))
-    thrown = Experiment(
-        *("dice", 1, (die, colour), {"sum": ()}, (Output("mean", "", "mean number", headline=True),), dice),
-        summarise=lambda sums, n, n_cat: {"mean": sums["sum"] / n},
-    )
+    declared = ("dice", 1, (die, colour), {"sum": ()}, (Output("mean", "", "mean number", headline=True),), dice)
+    thrown = Experiment(*declared, summarise=lambda sums, n, n_cat: {"mean": sums["sum"] / n})
     study = {"experiment": thrown, "axes": {"die": ["cube", "low"]}, "sampling": {"n_sim": 20_000}}
     dataset = run(study | {"define": {"die": {"low": {"faces": [1, 1, 2]}}}})
     assert dataset["die"].values.tolist() == ["cube", "low"]
@@ -134,8 +122,8 @@ def test_a_store_is_reproduced_from_itself(here, sweep):
 
 @pytest.mark.parametrize("returned", ["0.1 * v.mean() + 0 * v", "0.1 * v / v.max()", "0.01 * v * next(CALLS)"])
 def test_a_curve_of_more_than_the_magnitude_is_refused(here, sweep, returned):
-    other = f"from itertools import count\n\nCALLS = count(1)\n\n\ndef motions(v):\n    return {returned}\n"
-    (here / "curves.py").write_text(CURVES.replace("def motions(v)", "def unused(v)") + other)
+    other = f"from itertools import count\nCALLS = count(1)\ndef motions(v):\n    return {returned}\n"
+    (here / "curves.py").write_text(CURVES + other)
     status, _, err = sweep("run", "own.toml", cwd=here)
     said = ("model = 'coded': the error of proper motions at V = ", "it must depend on nothing but the magnitude")
     assert (status, [words in err for words in said], (here / "results").exists()) == (2, [True, True], False)
@@ -170,13 +158,13 @@ def test_points_are_known_by_the_curve_and_not_by_its_name(here):
     ("old", "new", "message"),
     [
         ('"gaia", "small"', '"gaia", "smal"', "axes.model (line 4): model = 'smal': must be one of 'amex', "),
-        ("model.small", "modle.small", "define.modle.small (line 7): unknown parameter 'modle'; did you mean 'model'?"),
-        ("model.small", "model.gaia", "define.model.gaia (line 7): 'gaia' is there already; take another name"),
-        ("nominal_length = 3.0", "length = 3.0", "define.model.small.length (line 8): unknown key"),
-        ("nominal_length = 3.0", "length = 3.0", "define.model.small.nominal_length (line 7): is required"),
-        ("[13.0, 25.0]", "[8.0, 25.0]", "define.model.small.sigma_pm (line 10): row 2: magnitude 8 does not come"),
-        ("25.0", "-25.0", "small.sigma_pm (line 10): row 2, sigma: -25.0: must be a number from 1e-06 to 1e+10"),
-        ("curves.py:motions", "curve.py:motions", "define.model.coded.sigma_pm (line 15): there is no file "),
+        ("model.small", "modle.small", "define.modle.small (line 6): unknown parameter 'modle'; did you mean 'model'?"),
+        ("model.small", "model.gaia", "define.model.gaia (line 6): 'gaia' is there already; take another name"),
+        ("nominal_length = 3.0", "length = 3.0", "define.model.small.length (line 7): unknown key"),
+        ("nominal_length = 3.0", "length = 3.0", "define.model.small.nominal_length (line 6): is required"),
+        ("[13.0, 25.0]", "[8.0, 25.0]", "define.model.small.sigma_pm (line 9): row 2: magnitude 8 does not come"),
+        ("25.0", "-25.0", "small.sigma_pm (line 9): row 2, sigma: -25.0: must be a number from 1e-06 to 1e+10"),
+        ("curves.py:motions", "curve.py:motions", "define.model.coded.sigma_pm (line 13): there is no file "),
         ("curves.py:motions", "curves.py:number", "'curves.py:number': the module has a int, not a function, at"),
         ("[15.0, 16.0]", "[15.0, 16.5]", "v_max = 16.5 mag: the curve of 'small' ends at 16 mag (1 point)"),
     ],

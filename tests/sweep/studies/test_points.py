@@ -1,5 +1,6 @@
 """The table [points]: files, designs and columns become the same points, and what is wrong is told by name and row."""
 
+import re
 import sys
 from typing import Annotated, Literal
 
@@ -50,60 +51,71 @@ def problems_of(read):
     return problems_of
 
 
-def written(folder, name):
-    path = folder / name
-    if name.endswith(".ecsv"):
-        table = Table.from_pandas(FRAME)
-        table["beta"] = table["beta"] / 24 * u.Unit("1/h")
-        table.write(path, format="ascii.ecsv")
-    else:
-        FRAME.to_csv(path, index=False) if name.endswith(".csv") else FRAME.to_parquet(path)
-    return path
-
-
-@pytest.mark.parametrize("kind", ["t.csv", "t.parquet", "t.ecsv", "frame", "arrays", "table"])
+@pytest.mark.parametrize("kind", ["csv", "parquet", "ecsv", "frame", "arrays", "table"])
 def test_a_table_is_the_same_whatever_holds_it(kind, tmp_path, read):
-    objects = {
-        "frame": FRAME,
-        "arrays": {name: np.array(values) for name, values in COLUMNS.items()},
-        "table": Table(COLUMNS, units={"beta": "1/d"}),
-    }
-    columns = read(objects[kind] if kind in objects else written(tmp_path, kind))
-    assert columns.keys() == COLUMNS.keys()
-    assert columns["beta"] == pytest.approx(COLUMNS["beta"], rel=1e-15)  # of hours into days
-    assert (columns["k"], columns["solver"]) == (COLUMNS["k"], COLUMNS["solver"])
+    path, hourly = tmp_path / f"t.{kind}", Table.from_pandas(FRAME)
+    hourly["beta"] = hourly["beta"] / 24 * u.Unit("1/h")
+    held = {
+        "csv": lambda: FRAME.to_csv(path, index=False),
+        "parquet": lambda: FRAME.to_parquet(path),
+        "ecsv": lambda: hourly.write(path, format="ascii.ecsv"),
+        "frame": lambda: FRAME,
+        "arrays": lambda: {name: np.array(values) for name, values in COLUMNS.items()},
+        "table": lambda: Table(COLUMNS, units={"beta": "1/d"}),
+    }[kind]()
+    columns = read(path if held is None else held)
+    assert columns == COLUMNS | {"beta": pytest.approx(COLUMNS["beta"], rel=1e-15)}  # of hours into days
 
 
 def sobol(**more):
     return {"design": "sobol", "n": 4, "ranges": {"beta": [1, 2]}} | more
 
 
+WRONG = [
+    ({"beta": [1.0, 2.0], "kk": [1, 2]}, "points.columns.kk: unknown parameter 'kk'; did you mean 'k'?"),
+    ({"beta": [1.0, np.nan]}, "points.columns.beta: has no value in row 2"),
+    (Table({"k": MaskedColumn([1, 2], mask=[True, False])}), "points.columns.k: has no value in row 1"),
+    ({"beta": [1.0, -2.0]}, "points.columns.beta: row 2: beta = -2.0: must be a finite number > 0"),
+    ({"k": [1, 2.5]}, "points.columns.k: row 2: k = 2.5: must be an integer"),
+    ({"beta": [1.0, 2.0], "k": [1]}, "the same number of values; beta has 2, k has 1"),
+    (Table({"beta": [1.0] * u.m}), "its column is in m, and the parameter is in 1/d"),
+    ("nowhere.csv", "no such file"),
+    (3, "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
+    (sobol(design="sobl"), "points.design: input should be 'sobol',"),
+    (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: a design needs both"),
+    (sobol(ranges={"beta": [0, 2]}), "points.ranges.beta: beta = 0: must be a finite number > 0"),
+    (sobol(ranges={"beta": [2, 1]}), "low = 2 must be less than high = 1"),
+    (sobol(ranges={"solver": ["a", "b"]}), "write { values = [...] }"),
+    (sobol(ranges={"k": {"low": 0, "high": 9, "spacing": "log"}}), "log spacing needs numbers above 0, not 0"),
+    (sobol(design="morris", ranges={"solver": {"values": ["a", "b"]}}), "steps between 4 numbers"),
+    (sobol(design="saltelli", n=10**6), "makes 3,000,000 points"),
+    ({"file": "t.csv", "n": 3}, "points: n: does not go with file"),
+    ({"columns": {"k": [1]}, "design": "sobol"}, "exactly one of file, design and columns"),
+]
+ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('km')"
+DISTANCES = QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})
+pointed = experiment()(lambda point=1.0, k=1: point * k)
+
+
 @pytest.mark.parametrize(
-    ("points", "problem"),
+    ("function", "tables", "problem"),
     [
-        ({"beta": [1.0, 2.0], "kk": [1, 2]}, "points.columns.kk: unknown parameter 'kk'; did you mean 'k'?"),
-        ({"beta": [1.0, np.nan]}, "points.columns.beta: has no value in row 2"),
-        (Table({"k": MaskedColumn([1, 2], mask=[True, False])}), "points.columns.k: has no value in row 1"),
-        ({"beta": [1.0, -2.0]}, "points.columns.beta: row 2: beta = -2.0: must be a finite number > 0"),
-        ({"k": [1, 2.5]}, "points.columns.k: row 2: k = 2.5: must be an integer"),
-        ({"beta": [1.0, 2.0], "k": [1]}, "the same number of values; beta has 2, k has 1"),
-        (Table({"beta": [1.0] * u.m}), "its column is in m, and the parameter is in 1/d"),
-        ("nowhere.csv", "no such file"),
-        (3, "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
-        (sobol(design="sobl"), "points.design: input should be 'sobol',"),
-        (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: a design needs both"),
-        (sobol(ranges={"beta": [0, 2]}), "points.ranges.beta: beta = 0: must be a finite number > 0"),
-        (sobol(ranges={"beta": [2, 1]}), "low = 2 must be less than high = 1"),
-        (sobol(ranges={"solver": ["a", "b"]}), "write { values = [...] }"),
-        (sobol(ranges={"k": {"low": 0, "high": 9, "spacing": "log"}}), "log spacing needs numbers above 0, not 0"),
-        (sobol(design="morris", ranges={"solver": {"values": ["a", "b"]}}), "steps between 4 numbers"),
-        (sobol(design="saltelli", n=10**6), "makes 3,000,000 points"),
-        ({"file": "t.csv", "n": 3}, "points: n: does not go with file"),
-        ({"columns": {"k": [1]}, "design": "sobol"}, "exactly one of file, design and columns"),
+        *((f, {"points": points}, problem) for points, problem in WRONG),
+        (far, {"axes": {"distance": [1.0, 2.0] * u.km}}, f"axes.distance: {ELSEWHERE}"),
+        (far, {"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
+        (far, {"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"points.distance: {ELSEWHERE}"),
+        (far, {"points": DISTANCES}, "points.columns.distance: has no value in row 2"),
+        # which parameters a wrong table has is not known: those without a default are not asked for
+        (far, {"points": sobol(n="4")}, "points.n: input should be a valid integer, not '4'"),
+        (far, {"points": {"distance": [1.0], "m": [1]}}, "columns.m: unknown parameter 'm'; known are distance, n"),
+        (f, {"points": {"beta": [1.0]}, "axes": {"beta": [1.0, 2.0]}}, "beta: is an axis too"),
+        (f, {"points": {"k": [1]}, "fixed": {"k": 2}}, "k: is fixed too"),
+        (pointed, {"points": {"k": [1, 2]}, "fixed": {"point": 1.0}}, "has a 'point' of its own"),
     ],
 )
-def test_what_is_wrong_is_told_by_name_and_row(points, problem, problems_of):
-    assert problem in "\n".join(problems_of(points))
+def test_what_is_wrong_or_in_two_places_is_told_by_name_and_row(function, tables, problem, problems_of):
+    [found] = problems_of(tables.pop("points", None), function, **tables)
+    assert problem in found
 
 
 @pytest.mark.parametrize(
@@ -122,42 +134,13 @@ def test_of_a_column_of_a_file_only_the_wrong_cells_are_named(text, problem, tmp
     assert sentence == f"points.file.{text[:4].strip(',; ') if text[0] == 'b' else 'k'}: {problem}"
 
 
-ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('km')"
-DISTANCES = QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})
-pointed = experiment()(lambda point=1.0, k=1: point * k)
-
-
-@pytest.mark.parametrize(
-    ("function", "tables", "problem"),
-    [
-        (far, {"axes": {"distance": [1.0, 2.0] * u.km}}, f"axes.distance: {ELSEWHERE}"),
-        (far, {"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
-        (far, {"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"points.distance: {ELSEWHERE}"),
-        (far, {"points": DISTANCES}, "points.columns.distance: has no value in row 2"),
-        # which parameters a wrong table has is not known: those without a default are not asked for
-        (far, {"points": sobol(n="4")}, "points.n: input should be a valid integer, not '4'"),
-        (far, {"points": {"distance": [1.0], "m": [1]}}, "columns.m: unknown parameter 'm'; known are distance, n"),
-        (f, {"points": {"beta": [1.0]}, "axes": {"beta": [1.0, 2.0]}}, "beta: is an axis too"),
-        (f, {"points": {"k": [1]}, "fixed": {"k": 2}}, "k: is fixed too"),
-        (pointed, {"points": {"k": [1, 2]}, "fixed": {"point": 1.0}}, "has a 'point' of its own"),
-    ],
-)
-def test_quantities_elsewhere_and_what_is_in_two_places_are_one_problem(function, tables, problem, problems_of):
-    [found] = problems_of(tables.pop("points", None), function, **tables)
-    assert problem in found
-
-
-RANGES = {
-    "beta": {"low": 0.01, "high": 1.0, "spacing": "log"},
-    "k": {"low": 1, "high": 9, "spacing": "log"},
-    "solver": {"values": ["a", "b"]},
-}
+RANGES = {"beta": {"low": 0.01, "high": 1.0, "spacing": "log"}, "k": {"low": 1, "high": 9, "spacing": "log"}}
 GROWS = {"sobol": True, "latin-hypercube": False, "halton": True, "random": True, "saltelli": True, "morris": True}
 
 
 def design(name, n, seed=0):
-    ranges = {key: RANGES[key] for key in ("beta", "k")} if name == "morris" else RANGES
-    return {"design": name, "n": n, "seed": seed, "ranges": ranges}
+    ranges = {} if name == "morris" else {"solver": {"values": ["a", "b"]}}
+    return {"design": name, "n": n, "seed": seed, "ranges": RANGES | ranges}
 
 
 @pytest.mark.parametrize("name", [slow(n) if n in ("halton", "random", "saltelli") else n for n in GROWS])
@@ -207,5 +190,4 @@ def test_a_function_derives_further_columns(tmp_path, read, problems_of):
 
 def test_without_salib_the_design_says_what_to_install(monkeypatch, problems_of):
     monkeypatch.setitem(sys.modules, "SALib", None)
-    [problem] = problems_of(design("saltelli", 4))
-    assert all(words in problem for words in ("saltelli: needs SALib", "linksweep[sensitivity]"))
+    assert re.search(r"saltelli: needs SALib.*linksweep\[sensitivity\]", problems_of(design("saltelli", 4))[0])
