@@ -41,6 +41,7 @@ JUDGED = [  # value, error, published and what else the claim says; the verdict,
     (0.6, np.nan, "0.60", {}, "incomplete", "not known"),
     (0.64, 0.0, "0.60", WIDE, "within tolerance", "7 %: curves by eye"),  # allowed are 0.005, and 0.042 more
     (0.56, 0.0, "0.60", WIDE, "within tolerance", "7 %: curves by eye"),
+    (-0.64, 0.0, "-0.60", WIDE, "within tolerance", "7 %: curves by eye"),
     (0.648, 0.0, "0.60", WIDE, "NOT reproduced", ""),
     (0.604, 0.0, "0.60", WIDE, "reproduced", ""),
     (90.6, 0.5, "5e2", WIDE | {"tolerance": 0.9}, "not comparable", "let pass a deviation of 500, more than 167"),

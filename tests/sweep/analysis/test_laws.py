@@ -250,15 +250,10 @@ def test_the_errors_of_the_levelling_law_cover_the_truth():
         assert abs(np.median(pulls)) < 0.25, name  # 1.25/sqrt(400) = 0.06, and a little bias of a law that bends
 
 
-@pytest.mark.parametrize(
-    ("y", "fall", "says"),
-    [
-        (np.sqrt(2.0 - ((V - 14.0) / 6.0) ** 2), 1e-6, "no plateau: falls by more everywhere"),
-        (np.sqrt(1.0 + 0.1 * (V - 14.0)), 0.05, "falls by less everywhere"),
-        (law(V, 1.0, 0.001, 0.05), 0.5, "falls by less everywhere"),
-    ],
-)
-def test_what_does_not_level_off_says_so(y, fall, says):
-    found = level_off(y, 1e-6 * y, fall).isel(model=0)
-    assert found["conclusion"].item() == says
-    assert abs(found["limit"].item()) == np.inf
+def test_what_does_not_level_off_says_so():
+    bent = np.sqrt(2.0 - ((V - 14.0) / 6.0) ** 2)
+    found = level_off(bent, 1e-6 * bent, 1e-6).isel(model=0)
+    assert (found["conclusion"].item(), found["limit"].item()) == ("no plateau: falls by more everywhere", np.inf)
+    straight = np.sqrt(1.0 + 0.1 * (V - 14.0))
+    found = level_off(straight, 1e-6 * straight).isel(model=0)
+    assert (found["conclusion"].item(), found["limit"].item()) == ("falls by less everywhere", -np.inf)

@@ -10,7 +10,7 @@ from hypothesis import given, settings as examples_of, strategies as st
 
 import linksweep
 from linksweep.sweep.contract import SweepError
-from tests.sweep.opening import Silent, bare, files_of
+from tests.sweep.opening import Stopping, bare, files_of
 from tests.tiers import examples, slow
 
 ELEVEN = {"x": np.linspace(0.0, 1.0, 11)}
@@ -101,13 +101,9 @@ def test_every_line_gets_points_at_its_own_crossing_and_further_runs_leave_no_ga
 def test_values_between_points_are_interpolated_to_the_error_that_was_asked_for():
     ds = linksweep.refine(wave, axes=ELEVEN, until="error < 0.02", pool="serial")
     x = np.linspace(0.0, 1.0, 2001)
-    apart = np.interp(x, ds.x.values, ds.wave.values) - np.sin(2.0 * np.pi * x)
-    assert np.abs(apart).max() < 0.02
+    assert np.abs(np.interp(x, ds.x.values, ds.wave.values) - np.sin(2.0 * np.pi * x)).max() < 0.02
     assert ds.sizes["x"] <= 0.1 / np.diff(ds.x.values).min() * 10  # not all of it
-
-
-def test_points_get_realisations_until_the_noise_between_them_is_below_the_error():
-    """Two errors of a value less what its neighbours say of it; realisations grow by factors of four."""
+    # two errors of a value less what its neighbours say of it are below that, too; realisations grow by factors of four
     goal = {"axes": {"x": [0.0, 0.1, 1.0]}, "sampling": {"n_sim": 60, "seed": 3}, "pool": "serial"}
     ds = linksweep.refine(uneven, until="error < 0.01", variable="y_mean", max_realisations=10**6, **goal)
     noise = 2.0 * np.linalg.norm(ds.y_mean_mc_error * [0.9, 1.0, 0.1])
@@ -115,18 +111,16 @@ def test_points_get_realisations_until_the_noise_between_them_is_below_the_error
     assert ds.sizes["x"] == 3  # a line has no use for more points
 
 
-def counted(x: int) -> float:
-    return 1.0 / x
-
-
 def test_midpoints_are_values_of_the_axis_in_its_own_spacing():
-    whole = linksweep.refine(counted, axes={"x": [1, 100, 200]}, find="counted < 0.017", within=1, pool="serial")
-    assert whole.x.dtype.kind == "i"
-    assert {58, 59} <= set(whole.x.values.tolist())  # 1/0.017 = 58.8
+    def whole(x: int):
+        return 1.0 / x
 
     def inverse(x: float):
         return 1.0 / x
 
+    ds = linksweep.refine(whole, axes={"x": [1, 100, 200]}, find="whole < 0.017", within=1, pool="serial")
+    assert ds.x.dtype.kind == "i"
+    assert {58, 59} <= set(ds.x.values.tolist())  # 1/0.017 = 58.8
     log = linksweep.refine(inverse, axes={"x": [1.0, 100.0, 1e4]}, find="inverse < 0.0005", within=500.0, pool="serial")
     assert rounds(log)[0]["points"] == [{"x": 1000.0}]
 
@@ -150,9 +144,7 @@ def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no
 
 @pytest.mark.slow
 def test_what_is_said_to_be_known_of_a_noisy_crossing_is_true_as_often_as_two_errors_are(sweep, tmp_path):
-    (tmp_path / "noise.py").write_text(
-        "def noisy(rng, x: float, sigma: float = 0.1):\n    return {'y': x - 0.4321 + sigma * rng.normal()}\n"
-    )
+    (tmp_path / "noise.py").write_text("def noisy(rng, x: float):\n    return {'y': x - 0.4321 + 0.1 * rng.normal()}\n")
     inside = []
     for seed in range(60):
         command = ["refine", "noise.py:noisy", "--axis", "x=0:1:0.1", "--set", f"seed={seed}", "--set", "n_sim=200"]
@@ -167,18 +159,6 @@ def test_what_is_said_to_be_known_of_a_noisy_crossing_is_true_as_often_as_two_er
     assert np.mean(inside) >= 0.9
 
 
-class Stop(Silent):
-    """Ends a run after some points, as Ctrl-C does."""
-
-    def __init__(self, after):
-        self.left = after
-
-    def advance(self, *_):
-        self.left -= 1
-        if self.left < 0:
-            raise KeyboardInterrupt
-
-
 @pytest.mark.parametrize("pool", ["serial", slow("processes")])
 @pytest.mark.parametrize("after", [3, *map(slow, (0, 5, 9))])
 def test_what_is_stopped_in_any_round_goes_on_to_the_same_bits(after, pool):
@@ -187,14 +167,14 @@ def test_what_is_stopped_in_any_round_goes_on_to_the_same_bits(after, pool):
     ds = None
     while ds is None:
         with suppress(KeyboardInterrupt):
-            ds = linksweep.refine(noisy, "stopped.zarr", **goal, pool=pool, progress=Stop(after))
+            ds = linksweep.refine(noisy, "stopped.zarr", **goal, pool=pool, progress=Stopping(after + 1))
         after += 3
     stopped = linksweep.open("stopped.zarr")
     assert all(bare(one).equals(bare(whole)) for one in (ds, stopped))
     assert rounds(ds) == rounds(whole)
 
 
-def test_points_that_fail_or_are_excluded_end_the_cutting_there():
+def test_points_that_fail_end_the_cutting_and_a_condition_on_a_conditional_axis_leaves_other_points_alone():
     def broken(x: float) -> float:
         if 0.42 < x < 0.48:
             raise ValueError("no")
@@ -204,8 +184,6 @@ def test_points_that_fail_or_are_excluded_end_the_cutting_there():
     assert (ds.status.values == 2).sum() == 1
     assert ds.sizes["x"] == 12
 
-
-def test_a_condition_on_a_conditional_axis_leaves_the_other_points_alone():
     def kernel(name: str, width: float = 1.0):
         return width if name == "rbf" else 0.5
 

@@ -104,12 +104,6 @@ def pieces_of(tables, difference, epoch=2016.0):
         )
 
 
-def sky_cells(own):
-    """The cell of each source: six bands of equal height in sin(dec), each of twelve steps in ra."""
-    band = np.floor(3.0 * (np.sin(own.values[1]) + 1.0))
-    return 12 * band + np.floor(own.values[0] * 6.0 / np.pi)
-
-
 def least_squares(tables, difference, weights, factor, resamples=2):
     """Everything of a solution for orientation and spin, from full matrices.
 
@@ -125,7 +119,7 @@ def least_squares(tables, difference, weights, factor, resamples=2):
     w = [g * f for g, f in zip(plain, factor, strict=True)]
     normals = np.array([one.a.T @ g @ one.a for one, g in zip(pieces, w, strict=True)])
     right = np.array([one.a.T @ g @ one.y for one, g in zip(pieces, w, strict=True)])
-    total = normals.sum(axis=0)
+    total, used = normals.sum(axis=0), np.flatnonzero(factor > 0.0)
     inverse = np.linalg.inv(total)
     x = inverse @ right.sum(axis=0)
     big_a, big_w, big_d = np.concatenate([one.a for one in pieces]), block_diag(*w), block_diag(*(o.d for o in pieces))
@@ -134,7 +128,6 @@ def least_squares(tables, difference, weights, factor, resamples=2):
     hat = np.eye(len(residual)) - big_a @ to_x
     of_residuals = hat @ big_d @ hat.T
     places = [slice(*edge) for edge in pairwise(np.cumsum([0, *(len(one.y) for one in pieces)]))]
-    used = np.flatnonzero(factor > 0.0)
 
     def solution(left):
         return np.linalg.solve(normals[left].sum(axis=0), right[left].sum(axis=0))
@@ -144,7 +137,8 @@ def least_squares(tables, difference, weights, factor, resamples=2):
 
     alone = np.full((n, 6), np.nan)
     alone[used] = [solution(np.arange(n) != s) for s in used]
-    cell = sky_cells(tables.own)
+    ra, dec = tables.own.values[:2]  # cells are six bands of equal height in sin(dec), each of twelve steps in ra
+    cell = 12 * np.floor(3.0 * (np.sin(dec) + 1.0)) + np.floor(ra * 6.0 / np.pi)
     scores = np.array([one.a.T @ g @ residual[p] for one, g, p in zip(pieces, w, places, strict=True)])[used]
     formal = to_x @ big_d @ to_x.T
     chi2, expected = residual @ big_w @ residual, np.trace(big_w @ of_residuals)
@@ -172,15 +166,8 @@ def least_squares(tables, difference, weights, factor, resamples=2):
 
 
 def linked(tables, **options):
-    return linksweep.tie(
-        tables.satellite,
-        tables.reference,
-        "orientation,spin",
-        positions="mean",
-        epoch=2016.0,
-        accept_misfit=True,
-        **options,
-    )
+    options = {"positions": "mean", "epoch": 2016.0, "accept_misfit": True} | options
+    return linksweep.tie(tables.satellite, tables.reference, "orientation,spin", **options)
 
 
 def compare(link, tables, weights, sign=1.0):
@@ -245,15 +232,6 @@ def test_a_solution_is_that_of_full_matrices(folder, seed, weights, clip):
         assert not factor[[2, 5, 6]].any()
 
 
-def test_the_other_sign_turns_what_has_one(folder):
-    tables = drawn_tables(folder, 5)
-    link = linked(tables, errors=KINDS, sign="satellite-reference", clip="discrepancy:1")
-    compare(link, tables, "covariance", sign=-1.0)
-    same = linked(tables, errors=KINDS, clip="discrepancy:1")
-    for name in ("estimate", "residual", "difference", "estimate_without", "step_estimate"):
-        np.testing.assert_array_equal(link[name], -same[name], err_msg=name)
-
-
 @pytest.mark.parametrize("seed", [3, *map(slow, (1, 4))])
 def test_what_a_clip_drops_has_no_part_in_the_rest(folder, seed):
     tables = drawn_tables(folder, seed, far=(3, 7), scale=1.6)  # some are significant alone, and not among so many
@@ -262,6 +240,10 @@ def test_what_a_clip_drops_has_no_part_in_the_rest(folder, seed):
     assert {3, 7} <= set(dropped)
     assert int(link.n_sources) == 12 - len(dropped)
     compare(link, tables, "covariance")
+    turned_round = linked(tables, errors=KINDS, clip="discrepancy", sign="satellite-reference")
+    compare(turned_round, tables, "covariance", sign=-1.0)
+    for name in ("estimate", "residual", "difference", "estimate_without", "step_estimate"):
+        np.testing.assert_array_equal(turned_round[name], -link[name], err_msg=name)
     chosen = int(link.step_chosen)
     assert set(link.step_dropped.values[1 : chosen + 1]) == set(link.source.values[dropped])
     # Each step is the solution without those that were dropped so far, the worst of those that were left, and the
@@ -320,33 +302,24 @@ def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypa
         np.testing.assert_allclose(link[name], plain[name], rtol=1e-6, atol=1e-9, err_msg=name)
 
 
-def separations(tables, difference):
+@pytest.mark.parametrize("seed", SEEDS)
+def test_separations_and_the_clip_of_rayleigh(folder, seed):
     """X and the separation of each row, as `weight` and `residuals` show them: of a position, else of a motion."""
-    own, rows = tables.own, tables.rows
-    cov, own_cov = rows.covariance() / MAS**2, own.covariance() / MAS**2
-    x, apart = np.zeros((2, len(own)))
+    tables = drawn_tables(folder, seed, n=20, far=(4,), coarse=(6, 8, 11))
+    link, own, rows = linked(tables, clip="rayleigh"), tables.own, tables.rows
+    cov, own_cov, (x, apart) = rows.covariance() / MAS**2, own.covariance() / MAS**2, np.zeros((2, 20))
     for k, s in enumerate(tables.source):
-        partials = np.eye(5)
-        years = rows.epoch[k] - own.epoch[s]
+        partials, years = np.eye(5), rows.epoch[k] - own.epoch[s]
         partials[0, 3] = partials[1, 4] = years
         positions = np.isfinite(rows.errors[0, k])
         pair = [0, 1] if positions else [3, 4]
-        lacks = np.isnan(own.errors[3, s])
-        if lacks and (years != 0.0 or not positions):
+        if np.isnan(own.errors[3, s]) and (years != 0.0 or not positions):
             continue  # it depends on a motion that nobody knows
-        d = difference[k, pair]
+        d = link.difference.values[k, pair]
         whole = (cov[k] + partials @ own_cov[s] @ partials.T)[np.ix_(pair, pair)]
         x[s] = max(x[s], np.sqrt(d @ np.linalg.solve(whole, d)))
         if positions:
             apart[s] = max(apart[s], np.hypot(*d))
-    return x, apart
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_separations_and_the_clip_of_rayleigh(folder, seed):
-    tables = drawn_tables(folder, seed, n=20, far=(4,), coarse=(6, 8, 11))
-    link = linked(tables, clip="rayleigh")
-    x, apart = separations(tables, link.difference.values)
     np.testing.assert_allclose(link.normalised_separation, x, rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(link.separation, apart, rtol=1e-4, atol=1e-6)
     limit = np.sqrt(2.0 * np.log(20))
@@ -390,17 +363,16 @@ def test_powers_are_the_integrals_of_their_fields_over_the_sky(folder):
     assert list(unknowns.labels) == list(link.unknown.values)
     fields = unknowns.derivatives(sky, np.zeros(ra.size))[1][:, -2:]
     gram = np.einsum("kin,lin,n->kl", fields, fields, weights)
+    names = np.array([str(label) for label in unknowns.labels])
     for which, kind, first in (("toroidal", "t", "omega"), ("spheroidal", "s", "glide")):
         for degree in (1, 2, 3):
-            names = [str(label) for label in unknowns.labels]
             start = first if degree == 1 else f"vsh_motion_{kind}_{degree}_"
-            at = [k for k, name in enumerate(names) if name.startswith(start)]
+            at = np.flatnonzero(np.char.startswith(names, start))
             assert len(at) == 2 * degree + 1, names
-            x, v = link.estimate.values[at], link.covariance.values[np.ix_(at, at)]
+            x, v, g = link.estimate.values[at], link.covariance.values[np.ix_(at, at)], gram[np.ix_(at, at)]
             one = link.sel(field=f"motion {which}", degree=degree)
-            g = gram[np.ix_(at, at)]
-            assert float(one.power) == pytest.approx(x @ g @ x)
-            assert float(one.power_noise) == pytest.approx(np.trace(g @ v))
-            assert float(one.power_chi2) == pytest.approx(x @ np.linalg.solve(v, x))
-            assert float(one.power_probability) > 1e-9
-            assert float(one.power_probability) == pytest.approx(stats.chi2.sf(float(one.power_chi2), 2 * degree + 1))
+            chi2 = x @ np.linalg.solve(v, x)
+            expected = {"power": x @ g @ x, "power_noise": np.trace(g @ v), "power_chi2": chi2}
+            expected["power_probability"] = stats.chi2.sf(chi2, 2 * degree + 1)
+            assert {name: float(one[name]) for name in expected} == pytest.approx(expected)
+            assert expected["power_probability"] > 1e-9
