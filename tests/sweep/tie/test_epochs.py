@@ -89,14 +89,12 @@ def drawn(seed, models, n_transits=24, bend=1.0, excess=0.0, ccds=9):
         w = np.einsum("kij,k->ij", design, truth) + size * rng.normal(size=t.shape)
         used = rng.random(t.shape) < 0.9
         used[:, 0] = False
-        part = Table({"source_id": np.full(n_transits, names[s])})
-        part["transit_id"] = np.arange(n_transits) + 1000 * s
-        part["obs_time_bary_corr"], part["parallax_factor_al"], part["colour_factor_al"] = delay, factor, colour
-        part["agis_source_excess_noise"] = np.full(n_transits, excess)
-        part["ra0"], part["dec0"] = np.full((2, n_transits), seen[:2, [s]] / DEGREE)
-        for name, array in zip(ARRAYS, (times.astype(np.int64), angles, w, error, used), strict=True):
-            part[name] = array
-        parts.append(part)
+        of_transits = {"obs_time_bary_corr": delay, "parallax_factor_al": factor, "colour_factor_al": colour}
+        of_star = {"source_id": names[s], "agis_source_excess_noise": excess}
+        of_star |= dict(zip(("ra0", "dec0"), seen[:2, s] / DEGREE, strict=True))
+        arrays = dict(zip(ARRAYS, (times.astype(np.int64), angles, w, error, used), strict=True))
+        of_star = {name: np.full(n_transits, one) for name, one in of_star.items()}
+        parts.append(Table({"transit_id": np.arange(n_transits) + 1000 * s} | of_star | of_transits | arrays))
         a, y, sigma = design[:, used].T, w[used], size[used]
         for some, one in zip((designs, values, errors), (a, y, sigma), strict=True):
             some.append(one)
@@ -147,15 +145,11 @@ def written(folder, scans, form="ecsv", units=True):
     table, path = scans.copy(), folder / f"scans.{form.removeprefix('dpac.')}"
     for name, unit in UNITS.items() if units else ():
         table[name].unit = unit
+    frame = pd.DataFrame({name: table[name].tolist() for name in table.colnames})
     if form == "csv":
-        frame = pd.DataFrame({name: list(table[name]) for name in table.colnames})
-        for name in ARRAYS:
-            frame[name] = [
-                json.dumps(np.asarray(cell).tolist()).replace("[", "(").replace("]", ")") for cell in table[name]
-            ]
+        frame[[*ARRAYS]] = frame[[*ARRAYS]].map(lambda cell: f"({json.dumps(cell)[1:-1]})")
         frame.to_csv(path, index=False)
     elif form == "dpac.parquet":
-        frame = pd.DataFrame({name: list(np.asarray(table[name]).tolist()) for name in table.colnames})
         frame.columns = [re.sub("_([a-z])", lambda found: found[1].upper(), name) for name in frame.columns]
         frame.to_parquet(path)
     else:
@@ -163,12 +157,11 @@ def written(folder, scans, form="ecsv", units=True):
     return path
 
 
-def linked(folder, sky, unknowns="orientation,spin", form="ecsv", scans=None, satellite=None, units=True, **options):
-    satellite, vlbi = sky.satellite if satellite is None else satellite, folder / "vlbi.ecsv"
-    satellite.write(folder / "gaia.ecsv", overwrite=True)
-    sky.vlbi.write(vlbi, overwrite=True)
-    path = written(folder, sky.scans if scans is None else scans, form, units)
-    return linksweep.tie(folder / "gaia.ecsv", vlbi, unknowns, epochs=[path], errors="formal", **options)
+def linked(folder, sky, form="ecsv", units=True, **options):
+    for name, table in (("gaia", sky.satellite), ("vlbi", sky.vlbi)):
+        table.write(folder / f"{name}.ecsv", overwrite=True)
+    options |= {"epochs": [written(folder, sky.scans, form, units)], "errors": "formal"}
+    return linksweep.tie(folder / "gaia.ecsv", folder / "vlbi.ecsv", "orientation,spin", **options)
 
 
 def with_every_parameter(link, sky, models):
@@ -248,9 +241,9 @@ def test_a_link_is_that_of_all_observations_with_every_parameter(tmp_path_factor
     folder = tmp_path_factory.mktemp("scans")
     models = ["5"] * len(models) if noisy else models  # the noise of AGIS is that of straight paths
     sky = drawn(seed, models, n_transits, excess=0.1 * noisy)
-    scans = sky.scans[np.random.default_rng(seed).permutation(len(sky.scans))]
+    sky.scans = sky.scans[np.random.default_rng(seed).permutation(len(sky.scans))]
     chosen = models_of(folder, sky, models, campbell=bool(seed % 2))
-    link = linked(folder, sky, scans=scans, epoch=EPOCH, accept_misfit=True, **chosen)
+    link = linked(folder, sky, epoch=EPOCH, accept_misfit=True, **chosen)
     assert link.path_model.values.tolist() == models
     estimate, covariance, squares, paths = with_every_parameter(link, sky, models)
     error = np.sqrt(np.diag(covariance))
