@@ -127,7 +127,7 @@ def test_a_claim_of_a_law_for_each_model():
     assert words == [["as expected", ""], ["as expected", "NOT as expected"], ["NOT as expected", "as expected"]]
 
 
-def test_a_ratio_of_points_that_are_not_done_or_not_finite():
+def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there():
     status = np.full((2, len(N)), DONE, np.int8)
     status[1, 0] = MISSING
     value = np.array([[1.0] * 5, [np.nan, 0.0, 1.0, 1.0, 1.0]])
@@ -135,6 +135,13 @@ def test_a_ratio_of_points_that_are_not_done_or_not_finite():
     found = compare(grid(value, 0.0, claims=claims, status=status))
     assert [c.verdict for c in found][:3] == ["incomplete", "NOT reproduced", "reproduced"]
     assert found[1].reason == "the ratio is not a finite number"
+    for keys, reason in (
+        ({"slope": LAW | {"over": "m"}}, "m is not an axis of this store"),
+        ({"slope": LAW, "where": {"colour": "red"}}, "'colour' is not an axis; known are model, n"),
+        ({"slope": LAW | {"variable": "depth"}}, "depth is not a result of this store"),
+    ):
+        comparison = only(grid(1.0, claims=[claim(**keys)]))
+        assert (comparison.verdict, comparison.reason) == ("incomplete", reason)
 
 
 def test_a_component_of_a_result():
@@ -146,16 +153,6 @@ def test_a_component_of_a_result():
     found = compare(dataset)
     assert [c.where for c in found] == [{"model": "old", "n": 50.0}, {"model": "new", "n": 50.0}]
     assert {(c.value, c.mc_error, c.unit, c.quantity) for c in found} == {(2.0, 0.2, "s", "shift[y]")}
-
-
-def test_a_claim_about_another_grid_is_incomplete_and_says_why():
-    for keys, reason in (
-        ({"slope": LAW | {"over": "m"}}, "m is not an axis of this store"),
-        ({"slope": LAW, "where": {"colour": "red"}}, "'colour' is not an axis; known are model, n"),
-        ({"slope": LAW | {"variable": "depth"}}, "depth is not a result of this store"),
-    ):
-        comparison = only(grid(1.0, claims=[claim(**keys)]))
-        assert (comparison.verdict, comparison.reason) == ("incomplete", reason)
 
 
 def test_a_store_carries_what_was_published_and_keeps_its_numbers(coins, tmp_path, monkeypatch):
@@ -184,13 +181,11 @@ def test_a_store_carries_what_was_published_and_keeps_its_numbers(coins, tmp_pat
     published_coins["published"] = {"file": "table.csv", "source": "Coins (1714)"}
     edited = linksweep.run(published_coins, "s.zarr", pool="serial")["share_published"].attrs
     assert (edited["source"], "tolerance" in edited) == ("Coins (1714)", False)
-
-
-def test_a_row_of_a_fixed_parameter_is_found_however_its_number_is_written(coins, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+    # a row of a fixed parameter is found however its number is written
     (tmp_path / "table.csv").write_text("chance,coins,share\n0.40,1,0.4\n.4,5,0.4\n0.5,20,0.4\n")
-    document = coins | {"axes": {"coins": [1, 5, 20]}, "published": {"file": "table.csv", "source": "Coins"}}
-    dataset = linksweep.run(document, tmp_path / "s.zarr", pool="serial")
+    published_coins["axes"] = {"coins": [1, 5, 20]}
+    del published_coins["claim"]
+    dataset = linksweep.run(published_coins, "t.zarr", pool="serial")
     assert dataset["share_published"].notnull().values.tolist() == [True, True, False]
 
 

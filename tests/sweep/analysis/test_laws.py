@@ -63,32 +63,24 @@ def test_truth_values_and_integers_have_crossings_and_values_between():
     assert ratio(dataset, "flag", "n", of=100.0, to=300.0)["ratio"].values == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(
-    ("value", "condition", "where", "nearest"),
-    [
-        (N**-0.5, "width < 0.05", "never", 300.0**-0.5),
-        (N**-0.5, "width < 0.5", "always", 10.0**-0.5),
-        (N**-0.5, "width > 0.5", "never", 10.0**-0.5),
-        (N**-0.5, "width >= 0.05", "always", 300.0**-0.5),
-        (N**-0.5, "width < -1", "never", 300.0**-0.5),
-        *((2.0 + 0 * N, f"width {sign} 2", where, 2.0) for sign, where in (("<", "never"), ("<=", "always"))),
-        *((2.0 + 0 * N, f"width {sign} 2", where, 2.0) for sign, where in ((">", "never"), (">=", "always"))),
-        (N**-0.5, "width > 0.1", "up to", None),
-        (N**-0.5, "width < 0.1", "from", None),
-        ([1.0, 3.0, 1.0, 3.0, 1.0], "width < 2", "several times", None),
-    ],
-)
-def test_where_a_condition_is_met(value, condition, where, nearest):
-    result = find(grid(value, 0.01), condition, "n")
-    assert met(result) == [where] * 2
-    if nearest is None:
+CONDITIONS = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}
+
+
+@settings(max_examples=examples(100))
+@given(st.lists(st.sampled_from([1.0, 2.0, 3.0]), min_size=5, max_size=5), st.sampled_from([*CONDITIONS]))
+def test_where_a_condition_is_met(value, sign):
+    result, holds = find(grid(value, 0.01), f"width {sign} 2", "n"), CONDITIONS[sign](value, 2.0)
+    flips, there = np.count_nonzero(np.diff(holds)), holds[-1]
+    some = ("from" if there else "up to") if flips == 1 else "several times"
+    assert met(result) == [some if flips else "always" if there else "never"] * 2
+    if flips:
         assert np.all(result["first"] <= result["last"])
     else:
-        assert result["nearest"].values == pytest.approx(nearest)
+        assert result["nearest"].values == pytest.approx(min(value, key=lambda one: abs(one - 2.0)))
         assert np.all(np.isnan(result["first"]))
 
 
-def test_units_are_converted_and_lines_of_another_kind_left_out(dataset_of):
+def test_units_are_converted_lines_of_another_kind_left_out_and_places_printed(dataset_of, store_of, sweep_here):
     dataset = dataset_of("quasars")
     in_uas, in_mas = (find(dataset, f"sigma_spin < {limit}", "v_max") for limit in ("0.9 uas/yr", "0.0009"))
     assert in_uas["first"].values == pytest.approx(in_mas["first"].values, rel=1e-12, nan_ok=True)
@@ -98,6 +90,12 @@ def test_units_are_converted_and_lines_of_another_kind_left_out(dataset_of):
     assert set(met(each)) == {"left out"}
     with pytest.raises(SweepError, match="sigma_spin is in mas / yr, not convertible to mag"):
         find(dataset, "sigma_spin < 1 mag", "v_max")
+    out = sweep_here("find", store_of("quasars"), "--where", "sigma_spin < 1 uas/yr", "--over", "v_max")[1]
+    assert "gaia   from 15." in out or "gaia   from 16." in out
+    assert "amex   never; 0.5" in out
+    out = " ".join(sweep_here("fit", store_of("sqrt-n"))[1].split())
+    assert "as expected" in out
+    assert "sigma_spin = amplitude x (n_obj / pivot)^exponent; errors: Monte Carlo, independent points" in out
 
 
 PLAIN = grid(N)
@@ -110,12 +108,6 @@ def test_any_text_is_a_condition_or_a_clear_error(text):
         find(PLAIN, text, "n")
 
 
-def test_conditions_that_are_none_are_refused():
-    for wrong in ("", "width < ", "width = 1", "1 < width", "width < 1 no", "width < 1e999", "width < 1 < 2"):
-        with pytest.raises(SweepError, match=r"a condition is VARIABLE|is not a unit that astropy knows"):
-            find(PLAIN, wrong, "n")
-
-
 def without_inverse(number):
     covariance = np.broadcast_to(np.eye(5), (2, 5, 5)).copy()
     covariance[1] = number
@@ -123,6 +115,7 @@ def without_inverse(number):
 
 
 WORDS = grid(N, words=(("model", "n"), np.full((2, 5), "a", dtype=object)))
+NO_CONDITIONS = "", "width < ", "width = 1", "1 < width", "width < 1 no", "width < 1e999", "width < 1 < 2"
 UNDONE = grid(N, status=[[MISSING, FAILED, FAILED, DONE, DONE], [DONE] * 5])
 
 
@@ -147,6 +140,7 @@ def law_of(dataset, variable="width", over="n"):
         (lambda: fit_levelling(grid(N).isel(n=[0, 1, 2]), "width", "n"), "4 points are .* n; there are 3 at model=old"),
         (lambda: interpolate(grid(N), "width", "n", 301.0), "n = 301 is beyond the points, which go from 10 to 300"),
         (lambda: interpolate(grid(N), "width", "n", "30"), "n = '30'"),
+        *((lambda c=c: find(PLAIN, c, "n"), "condition is VARIABLE|a unit that astropy knows") for c in NO_CONDITIONS),
     ],
 )
 def test_what_cannot_be_fitted(call, message):
@@ -189,16 +183,6 @@ def test_options_of_commands_say_what_arguments_of_functions_do(decays, sweep_he
             found = [np.nan if row[name] is None else row[name] for row in rows]
             finite = np.where(np.isfinite(values), values, np.nan)
             np.testing.assert_array_equal(found, finite.reshape(-1), err_msg=str(name))
-
-
-def test_laws_and_places_are_printed(store_of, sweep_here):
-    out = sweep_here("fit", store_of("sqrt-n"))[1]
-    assert "as expected" in out
-    law = "sigma_spin = amplitude x (n_obj / pivot)^exponent; errors: Monte Carlo, independent points"
-    assert law in " ".join(out.split())
-    out = sweep_here("find", store_of("quasars"), "--where", "sigma_spin < 1 uas/yr", "--over", "v_max")[1]
-    assert "gaia   from 15." in out or "gaia   from 16." in out
-    assert "amex   never; 0.5" in out
 
 
 @pytest.mark.parametrize("noise", [0.03, 0.1, 0.3, 0.5])

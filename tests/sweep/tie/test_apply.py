@@ -105,42 +105,37 @@ def test_the_file_has_the_columns_of_the_input_and_a_tie_finds_no_rotation(tmp_p
         linksweep.apply(link, tmp_path / "satellite.ecsv", out)
 
 
-def test_columns_keep_their_units_and_names(tmp_path):
-    link, own = linked(tmp_path, EPSILON[0], OMEGA[0]), stars(10, 4)
-    plain = gaia(tmp_path / "plain.ecsv", own)
-    table = Table.read(plain)
-    units = {"pmra": ("arcsec/yr", 1e-3), "pmra_error": ("arcsec/yr", 1e-3)}
-    units |= {"ra_error": ("uas", 1e3), "dec": ("rad", DEGREE)}
-    for name, (unit, factor) in units.items():
-        table[name] = Column(table[name].data * factor, unit=unit)
-    table["ra"] = (table["ra"] + 180.0) % 360.0 - 180.0  # which the result keeps to
-    table.rename_column("pmdec", "pm_dec")
-    table.write(tmp_path / "units.ecsv")
-    moved, expected = (linksweep.apply(link, tmp_path / name) for name in ("units.ecsv", "plain.ecsv"))
-    assert str(moved["pmra"].unit) == "arcsec / yr"
-    for name, (_, factor) in units.items():
-        np.testing.assert_allclose(moved[name], expected[name] * factor, rtol=1e-12)
-    np.testing.assert_allclose(moved["ra"], (expected["ra"] + 180.0) % 360.0 - 180.0, atol=1e-12)
-    np.testing.assert_allclose(moved["pm_dec"], expected["pmdec"], rtol=1e-12)
-    with pytest.raises(SweepError, match="CSV cannot say"):
-        linksweep.apply(link, tmp_path / "units.ecsv", tmp_path / "units.csv")
-    assert not (tmp_path / "units.csv").exists()
+SECONDS = None  # of time along the parallel
+UNITS = [
+    {"pmra": ("arcsec/yr", 1e-3), "pmra_error": ("arcsec/yr", 1e-3), "ra_error": ("uas", 1e3), "dec": ("rad", DEGREE)},
+    {"pmra": ("ms/yr", SECONDS), "pmra_error": ("ms/yr", SECONDS), "ra_error": ("ms", SECONDS)},
+]
+UNITS[1]["ra"] = "hourangle", 1.0 / 15.0
 
 
-def test_columns_in_units_of_time_keep_them(tmp_path):
+@pytest.mark.parametrize("units", UNITS, ids=["angles", "time"])
+def test_columns_keep_their_units_and_names(tmp_path, units):
     link = linked(tmp_path, EPSILON[0], OMEGA[0])
 
-    def in_time(table):
+    def converted(table):
         table = table.copy()
-        for name, unit in (("pmra", "ms/yr"), ("pmra_error", "ms/yr"), ("ra_error", "ms")):
-            table[name] = Column(table[name] / 15.0 / np.cos(np.radians(table["dec"])), unit=unit)
-        table["ra"] = Column(table["ra"] / 15.0, unit="hourangle")
+        for name, (unit, factor) in units.items():
+            by = factor or 1.0 / 15.0 / np.cos(np.radians(table["dec"]))
+            table[name] = Column(table[name] * by, unit=unit)
+        if "ra" not in units:
+            table["ra"] = (table["ra"] + 180.0) % 360.0 - 180.0  # which the result keeps to
+        table.rename_column("pmdec", "pm_dec")
         return table
 
     plain = Table.read(tmp_path / "satellite.ecsv")
-    moved, expected = linksweep.apply(link, in_time(plain)), in_time(linksweep.apply(link, plain))
-    for name in ("ra", "ra_error", "pmra", "pmra_error", "pmdec", "ra_pmra_corr"):
+    converted(plain).write(tmp_path / "units.ecsv")
+    moved, expected = linksweep.apply(link, tmp_path / "units.ecsv"), converted(linksweep.apply(link, plain))
+    for name in ("ra", "dec", "ra_error", "pmra", "pmra_error", "pm_dec", "ra_pmra_corr"):
         np.testing.assert_allclose(moved[name], expected[name], rtol=1e-12, err_msg=name)
+        assert moved[name].unit == expected[name].unit
+    with pytest.raises(SweepError, match="CSV cannot say"):
+        linksweep.apply(link, tmp_path / "units.ecsv", tmp_path / "units.csv")
+    assert not (tmp_path / "units.csv").exists()
 
 
 ARCSEC = dict.fromkeys(("pmra", "pmdec", "pmra_error", "pmdec_error"), "arcsec/yr")

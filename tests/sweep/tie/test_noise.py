@@ -114,9 +114,7 @@ def test_equal_errors_have_a_closed_form(tmp_path):
     np.testing.assert_allclose(link.error, factor * np.sqrt(np.diag(formal)), rtol=1e-3)
     assert float(link.chi2) == pytest.approx(nu, rel=1e-3)
     assert "satellite:position" in " ".join(link.attrs["notes"])
-
-
-def test_errors_that_are_right_or_too_large_have_no_noise():
+    # errors that are right or too large have no noise
     link = linksweep.tie("psrpi-de200", "timing-de200", "orientation", jitter="estimate")
     plain = linksweep.tie("psrpi-de200", "timing-de200", "orientation")
     np.testing.assert_array_equal(link.noise_size, 0.0)
@@ -158,12 +156,9 @@ def test_the_truth_is_within_the_error_as_often_as_it_should_be(seeds, case):
     assert np.mean(plain) < 0.6
 
 
-CALIBRATED = {"n": 40, "calibrators": ("", "J1")}
-
-
 @pytest.mark.parametrize("seed", [1, slow(2)])
-def test_rows_that_share_a_calibrator_share_its_error(tmp_path, seed):
-    tables = drawn_tables(tmp_path, seed, **CALIBRATED)
+def test_rows_that_share_a_calibrator_share_its_error_also_in_draws(tmp_path, seed):
+    tables = drawn_tables(tmp_path, seed, n=40, calibrators=("", "J1"))
     link = linked(tables)
     pieces, shared = list(pieces_of(tables, link.difference.values)), []
     for one in pieces:
@@ -177,10 +172,6 @@ def test_rows_that_share_a_calibrator_share_its_error(tmp_path, seed):
     np.testing.assert_allclose(link.estimate, inverse @ both.T @ weights @ y, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), inverse[:, :6], rtol=1e-4, atol=1e-7)
     assert linked(tables, jitter="estimate").noise.size
-
-
-def test_draws_have_the_errors_that_calibrators_share(tmp_path):
-    tables = drawn_tables(tmp_path, 3, **CALIBRATED)
     problem = set_up(tables.satellite, tables.reference, Options("orientation,spin", positions="mean")).problem
     expected = solve(source_sums(problem)).covariance
     draws = Simulation(problem, np.zeros(6)).draws(600, np.random.default_rng(1))
