@@ -216,7 +216,7 @@ def test_a_study_of_absurd_tables_is_refused_with_the_cause(tmp_path):
 @pytest.mark.parametrize("size", [slow(2.5), 10.0])
 def test_a_real_misfit_has_no_invented_cause_and_sources_that_alone_carry_it_are_named(tmp_path, size):
     """Errors that are too small by a factor, as those of radio stars are, also where it is said first."""
-    satellite, reference = sky(12, 6)
+    satellite, reference = sky(8, 6)
     rng = np.random.default_rng(1)
     for k, name in enumerate(NAMES):
         step = size * rng.normal(size=len(reference)) * reference[f"{name}_error"]
@@ -224,7 +224,7 @@ def test_a_real_misfit_has_no_invented_cause_and_sources_that_alone_carry_it_are
     found = solved(tmp_path, satellite, reference)[0]
     assert found.startswith("chi2 is ")
     assert found.endswith("no known mistake explains it: errors may be too small, or sources not single")
-    satellite, reference = sky(12, 6)
+    satellite, reference = sky(8, 6)
     bad = reference["source_id"][0]
     at = reference["source_id"] == bad
     reference["dec"][at] += np.random.default_rng(1).normal(size=np.count_nonzero(at)) * 30.0 / 3.6e6

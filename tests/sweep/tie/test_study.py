@@ -234,7 +234,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", [case if case in ("jitter", "huber:1.5") else slow(case) for case in CASES])
+@pytest.mark.parametrize("case", [case if case in ("jitter", "discrepancy:2") else slow(case) for case in CASES])
 def test_a_study_has_what_the_command_has_with_each_option(tmp_path, monkeypatch, case):
     monkeypatch.chdir(tmp_path)
     gaia("satellite.ecsv", stars(20, 3))
