@@ -5,22 +5,11 @@ import json
 import numpy as np
 import pytest
 from astropy.table import Table
-from click.testing import CliRunner
 
 import linksweep
 from linksweep import SweepError
-from tests.core.points import (
-    MISSIONS,
-    OTHER,
-    Function,
-    Named,
-    evaluated,
-    link,
-    main,
-    mission_from_table,
-    point,
-    table_file,
-)
+from tests.core import points
+from tests.core.points import MISSIONS, OTHER, Function, Named, evaluated, link, mission_from_table, point, table_file
 
 
 def at(folder, contents=None, **changes):
@@ -161,13 +150,6 @@ def test_a_study_is_told_what_is_wrong_and_nothing_is_written(fixed, sentence, t
     assert not list(tmp_path.iterdir())
 
 
-def sky(path, v_mag, **columns):
-    rng, n = np.random.default_rng(2), len(v_mag)
-    position = {"ra": rng.uniform(0.0, 360.0, n), "dec": np.degrees(np.arcsin(rng.uniform(-1.0, 1.0, n)))}
-    Table(columns | position | {"v_mag": v_mag}).write(path, overwrite=True)
-    return table_file(path)
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -184,9 +166,10 @@ def test_magnitudes_outside_of_a_curves_range_are_warned_of(changes, words):
 
 
 def test_an_object_with_most_of_the_weight_is_named_with_its_share(tmp_path):
-    v_mag = np.array([9.37, *np.full(40, 15.0)])
-    table = sky(tmp_path / "sky.ecsv", v_mag, Name=np.array(["Mrk 421", *(f"q{k}" for k in range(40))]))
-    one = point(catalogue="file", file=table, n_obj=None, satellite_errors="magnitude", model="amex")
+    v_mag, (ra, dec, *_) = np.array([9.37, *np.full(40, 15.0)]), points.sky(41)
+    columns = {"Name": ["Mrk 421", *(f"q{k}" for k in range(40))], "ra": np.degrees(ra), "dec": np.degrees(dec)}
+    Table(columns | {"v_mag": v_mag}).write(tmp_path / "sky.ecsv")
+    one = point(catalogue="file", file=table_file(tmp_path / "sky.ecsv"), n_obj=None, model="amex")
     (found,) = link.warn(one)
     weight = MISSIONS["amex"].sigma_pm_mas_yr(v_mag) ** -2.0
     assert f"row 1 (Mrk 421, V = 9.37) holds {100 * weight[0] / weight.sum():.0f} % of the weight" in found
@@ -196,24 +179,21 @@ def test_an_object_with_most_of_the_weight_is_named_with_its_share(tmp_path):
     assert link.warn(one | {"weighting": "equal"}) == []
 
 
-def test_a_run_says_and_stores_its_warnings_and_show_repeats_them(tmp_path):
-    study, store = tmp_path / "bright.toml", tmp_path / "bright.zarr"
-    study.write_text('title = "t"\n[axes]\nmodel = ["gaia"]\n[fixed]\nn_obj = 12\n[sampling]\nn_sim = 3\n')
-    run = CliRunner()
-    planned = run.invoke(main, ["plan", str(study), "-o", str(store)])
-    assert "its accuracy curve is known from V = 12.8 to 20" in planned.output
-    ran = run.invoke(main, ["run", str(study), "-o", str(store)])
-    assert "warning: model = 'gaia'" in ran.output + ran.stderr
-    (stored,) = json.loads(linksweep.open(store).attrs["warnings"])
+def test_a_run_says_and_stores_its_warnings_and_show_repeats_them(tmp_path, sweep):
+    (tmp_path / "bright.toml").write_text(
+        'title = "t"\nfixed = { n_obj = 12, model = "gaia" }\nsampling = { n_sim = 3 }'
+    )
+    planned, ran, shown = (
+        " ".join(" ".join(sweep(*command.split(), cwd=tmp_path)[1:]).split())
+        for command in ("plan bright.toml", "run bright.toml -o s.zarr", "show s.zarr")
+    )
+    (stored,) = json.loads(linksweep.open(tmp_path / "s.zarr").attrs["warnings"])
     assert stored.endswith("held at its floor (1 point)")
-    assert f"warning: {stored}" in " ".join(run.invoke(main, ["show", str(store)]).output.split())
+    assert "its accuracy curve is known from V = 12.8 to 20" in planned
+    assert all(f"warning: {stored}" in said for said in (ran, shown))
 
 
 @pytest.mark.parametrize(("last", "warned"), [(2016.5, True), (2016.0, False), (np.nan, False)])
 def test_rows_of_different_epochs_are_told(tmp_path, last, warned):
-    file = sky(tmp_path / "sky.ecsv", np.full(30, 15.0), ref_epoch=[2016.0] * 29 + [last])
-    found = [s for s in link.warn(point(catalogue="file", file=file, n_obj=None)) if "ref_epoch" in s]
-    assert found == warned * [
-        "file: ref_epoch is between 2016 and 2016.5, and the simulation takes all rows as of one epoch; "
-        "`sweep tie` links rows of different epochs"
-    ]
+    found = [s for s in link.warn(at(tmp_path, {"ref_epoch": [2016.0] * 5 + [last]})) if "ref_epoch" in s]
+    assert [s.partition(", and")[0] for s in found] == warned * ["file: ref_epoch is between 2016 and 2016.5"]

@@ -7,17 +7,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from tests.core import points
-from tests.core.points import (
-    OTHER,
-    CatalogueErrors,
-    NormalErrors,
-    OwnErrors,
-    experiment,
-    generators,
-    link,
-    point,
-    scenario,
-)
+from tests.core.points import CatalogueErrors, NormalErrors, OwnErrors, experiment, generators, link, point, scenario
 from tests.tiers import examples, slow
 
 
@@ -136,7 +126,9 @@ def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
     data=st.data(),
 )
 def test_no_bit_depends_on_who_shares_the_draw(changes, sizes, n_sim, data):
-    drawn = [point(**{"n_obj": n} | {name: OTHER[name] for name in c}) for c, n in zip(changes, sizes, strict=False)]
+    drawn = [
+        point(**{"n_obj": n} | {name: points.OTHER[name] for name in c}) for c, n in zip(changes, sizes, strict=False)
+    ]
     order = data.draw(st.permutations(range(len(drawn))))
     together = link.samples([drawn[k] for k in order], n_sim, *generators())
     for place, k in enumerate(order):
