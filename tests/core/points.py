@@ -13,23 +13,11 @@ from linksweep.core.fields import Field, ZonalErrors, parse_pattern, pattern_fie
 from linksweep.core.fixed_design import fixed_designs, neglected
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, exact_differences, triad
 from linksweep.core.link import LinkError
-from linksweep.core.missions import CALIBRATED, MISSIONS, FunctionCurve, Mission, mission_from_table
-from linksweep.core.missions.calibrate import (
-    all_skies,
-    calibration,
-    constants_of,
-    curve_of,
-    draw_skies,
-    fit,
-    published_model,
-    published_numbers,
-    spin_variance,
-)
+from linksweep.core.missions import CALIBRATED, MISSIONS, FunctionCurve, Mission, calibrate, mission_from_table
 from linksweep.core.scenario import scenario
 from linksweep.core.setup import ROWS, TILE, Prefixes, prepare
 from linksweep.core.simulate import can_stack, simulate, simulate_stack
 from linksweep.core.unknowns import Objects, link_unknowns
-from linksweep.sweep.cli import main
 from linksweep.sweep.contract import Named
 from linksweep.sweep.tables.columns import table_file
 

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from tests.core.points import CALIBRATED, all_skies, constants_of, fit, published_model, published_numbers
+from tests.core.points import CALIBRATED, calibrate
 from tests.sweep.test_coverage import assert_covers, results_of
 
 pytestmark = pytest.mark.slow
@@ -54,16 +54,16 @@ def test_the_error_of_a_bias_that_is_none():
 def test_the_errors_of_the_calibration(model):
     """Published numbers made from known constants with the errors that weigh them; chi2 above one only widens these."""
     copies, rng = 60, np.random.default_rng(7)
-    numbers, skies = published_numbers(model), all_skies(model, n_cat=12)
-    sigma, _ = published_model(numbers, skies, CALIBRATED[model].curve)
-    truth = np.log(constants_of(model))
-    relative_error = fit(model, numbers, skies).relative_error
+    numbers, skies = calibrate.published_numbers(model), calibrate.all_skies(model, n_cat=12)
+    sigma, _ = calibrate.published_model(numbers, skies, CALIBRATED[model].curve)
+    truth = np.log(calibrate.constants_of(model))
+    relative_error = calibrate.fit(model, numbers, skies).relative_error
     pulls = []
     for _ in range(copies):
         made = sigma * np.exp(relative_error * rng.standard_normal(len(sigma)))
         # half a unit in the last digit of a number that scatters goes with it, so that its weight is that of the truth
         printed = numbers.assign(sigma=made, rounding=numbers["rounding"] * made / numbers["sigma"])
-        found = fit(model, printed, skies)
+        found = calibrate.fit(model, printed, skies)
         widened = np.sqrt(max(1.0, found.chi2 / found.dof))
         pulls.append((np.log(found.constants) - truth) / np.sqrt(np.diag(found.log_covariance)) * widened)
     assert_covers(pulls)

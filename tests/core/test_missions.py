@@ -12,7 +12,7 @@ from pygaia.errors import astrometric
 from linksweep.core.missions import MISSIONS, CurveError, FunctionCurve, mission_from_table
 from linksweep.sweep.contract import DefinitionError, SweepError
 from tests.core import points
-from tests.core.points import CALIBRATED, Function, draw_skies, published_model, published_numbers, spin_variance
+from tests.core.points import CALIBRATED, Function, calibrate
 
 
 @pytest.mark.parametrize("name", ["amex", "gaia", "gaia-2001"])
@@ -217,11 +217,14 @@ def test_what_is_no_curve(function, sentence):
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 def test_the_closed_form_is_that_of_the_link(weighting):
     """Of the same catalogue, to rounding: 28 and 49 quasars."""
-    skies, quasars = draw_skies("quasars", 1, seed=5, faintest=14.5), points.drawn(5, catalogue="quasars", v_max=14.5)
+    skies, quasars = (
+        calibrate.draw_skies("quasars", 1, seed=5, faintest=14.5),
+        points.drawn(5, catalogue="quasars", v_max=14.5),
+    )
     predicted = points.run(
         points.of_objects(quasars, points.scenario(points.point(model="amex", weighting=weighting))), 1
     )["predicted_variance"]
-    variance = spin_variance(skies, MISSIONS["amex"].curve_pm_mas_yr, weighting)
+    variance = calibrate.spin_variance(skies, MISSIONS["amex"].curve_pm_mas_yr, weighting)
     assert variance.shape == (2, 1)
     assert variance[1, 0] == pytest.approx(np.mean(predicted[3:]), rel=1e-9)
 
@@ -229,8 +232,8 @@ def test_the_closed_form_is_that_of_the_link(weighting):
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 def test_equal_errors_on_an_isotropic_sky_give_the_textbook_value(weighting):
     """sigma sqrt(3/(2N)); 116 objects on 500 skies: geometry adds about 1/N = 1 %, the average is good to 0.2 %."""
-    skies = draw_skies("galaxies", 500, seed=9)
-    sigma = np.sqrt(spin_variance(skies, points.curve_of("gaia", np.array([0.3, 0.0])), weighting).mean())
+    skies = calibrate.draw_skies("galaxies", 500, seed=9)
+    sigma = np.sqrt(calibrate.spin_variance(skies, calibrate.curve_of("gaia", np.array([0.3, 0.0])), weighting).mean())
     assert sigma == pytest.approx(0.3 * np.sqrt(1.5 / 116), rel=0.012)
 
 
@@ -252,10 +255,10 @@ def test_the_error_of_a_curve_is_that_of_its_constants(model):
 
 def test_a_fit_finds_the_constants_that_made_the_numbers():
     truth = np.array([0.02, 0.5])
-    skies = {"quasars": draw_skies("quasars", 5, seed=7, faintest=16.0)}
-    numbers = published_numbers("gaia").head(len(skies["quasars"].counts))
-    sigma, _ = published_model(numbers, skies, points.curve_of("gaia", truth))
-    found = points.fit("gaia", numbers.assign(sigma=sigma, rounding=1e-9), skies)
+    skies = {"quasars": calibrate.draw_skies("quasars", 5, seed=7, faintest=16.0)}
+    numbers = calibrate.published_numbers("gaia").head(len(skies["quasars"].counts))
+    sigma, _ = calibrate.published_model(numbers, skies, calibrate.curve_of("gaia", truth))
+    found = calibrate.fit("gaia", numbers.assign(sigma=sigma, rounding=1e-9), skies)
     np.testing.assert_allclose(found.constants, truth, rtol=1e-5)
     assert found.chi2 < 1e-6
 
@@ -263,8 +266,8 @@ def test_a_fit_finds_the_constants_that_made_the_numbers():
 @pytest.mark.slow
 @pytest.mark.parametrize(("model", "count"), [("amex", 28), ("gaia", 13)])
 def test_the_constants_in_the_code_are_those_of_the_script(model, count):
-    """As rounded, and within the uncertainty of the free points.fit: docs/calibration.md has the table."""
-    found = points.calibration(model)
+    """As rounded, and within the uncertainty of the free fit: docs/calibration.md has the table."""
+    found = calibrate.calibration(model)
     assert MISSIONS[model].curve_pm_mas_yr == CALIBRATED[model].curve
     for constant in found["constants"].values():
         assert constant["in_code"] == pytest.approx(constant["chosen"], rel=0.005)
@@ -279,16 +282,16 @@ def test_the_constants_in_the_code_are_those_of_the_script(model, count):
 
 
 def test_errors_of_a_calibration_grow_with_a_misfit():
-    """The covariance of the constants is that of least squares, times chi2/dof where the numbers do not points.fit."""
-    skies = {"quasars": draw_skies("quasars", 4, seed=4, faintest=17.0)}
-    numbers = published_numbers("gaia").head(len(skies["quasars"].counts))
-    sigma, _ = published_model(numbers, skies, CALIBRATED["gaia"].curve)
+    """The covariance of the constants is that of least squares, times chi2/dof where the numbers do not fit."""
+    skies = {"quasars": calibrate.draw_skies("quasars", 4, seed=4, faintest=17.0)}
+    numbers = calibrate.published_numbers("gaia").head(len(skies["quasars"].counts))
+    sigma, _ = calibrate.published_model(numbers, skies, CALIBRATED["gaia"].curve)
     wrong = sigma * np.where(np.arange(len(sigma)) % 2, 0.8, 1.25)
-    found = points.fit("gaia", numbers.assign(sigma=wrong, rounding=1e-5), skies)
+    found = calibrate.fit("gaia", numbers.assign(sigma=wrong, rounding=1e-5), skies)
     assert found.chi2 / found.dof > 10.0
 
     def misfit(log_constants):
-        values, _ = published_model(numbers, skies, points.curve_of("gaia", np.exp(log_constants)))
+        values, _ = calibrate.published_model(numbers, skies, calibrate.curve_of("gaia", np.exp(log_constants)))
         return np.log(values / wrong) / found.relative_error
 
     at, step = np.log(found.constants), 1e-5
