@@ -74,8 +74,7 @@ def test_what_holds_results(tmp_path):
     kinds = {"dict": dict, "class": dataclasses.make_dataclass("Result", "yz"), "tuple": namedtuple("pair", "y z")}
     ds = results_of({name: kind(y=1.0, z="a") for name, kind in kinds.items()}, tmp_path)
     assert (ds.y.values.tolist(), ds.z.values.tolist()) == ([1.0] * 3, ["a"] * 3)
-    ds = results_of({"a": [1.0, 2.0]}, tmp_path, fresh=True)
-    assert ds.f.dims == ("case", "f_dim_0")
+    assert results_of({"a": [1.0, 2.0], "b": (3.0, 4.0)}, tmp_path, fresh=True).f.dims == ("case", "f_dim_0")
     ds = results_of({"a": 3.5}, tmp_path, [Output("y", unit="m")], fresh=True)
     assert (ds.y.item(), ds.y.units) == (3.5, "m")
     series = pd.Series([1.0, 2.0], index=pd.Index([10, 20], name="hour"), name="power")
@@ -214,30 +213,20 @@ def test_a_tuple_has_the_declared_outputs_in_order(tmp_path):
     check_refused(short, ([1.0, 2.0], 2.0), tmp_path, outputs)
     ds = xr.open_zarr(tmp_path / "s.zarr").isel(case=0).load()
     assert (ds.curve.values.tolist(), ds.peak.item()) == ([1.0, 2.0], 2.0)
-    assert results_of({"a": (1.0, 2.0)}, tmp_path, fresh=True).f.dims == ("case", "f_dim_0")
-
-
-KINDS = {
-    "number": lambda k, n: k / 3.0 + np.arange(n),
-    "mixed": lambda k, n: k * np.arange(n) if k > 1 else np.arange(n) / 7.0,
-    "count": lambda k, n: [2**60 + k + j for j in range(n)],
-    "truth": lambda k, n: np.arange(n) % 2 == k % 2,
-    "word": lambda k, n: np.array([f"é{k}" * j for j in range(n)], dtype=object if n else str),
-    "time": lambda k, n: np.datetime64("2020-01-01T00:00:00.000000001") + np.arange(n),
-    "table": lambda k, n: np.outer([1.0, k], np.arange(n)),
-}
-DIMS = {"table": ("state", "step")}
-
-
-@experiment(outputs=[Output(name, dims=DIMS.get(name, ("step",)), ragged="step") for name in KINDS])
-def walk(k: int, n: int):
-    if k == n == 9:
-        raise ValueError("no such walk")
-    return {name: make(k, n) for name, make in KINDS.items()}
 
 
 @pytest.mark.slow
 def test_tables_pages_and_laws_know_the_lengths(tmp_path):
+    kinds = {
+        "number": lambda k, n: k / 3.0 + np.arange(n),
+        "count": lambda k, n: [2**60 + k + j for j in range(n)],
+        "word": lambda k, n: np.array([f"é{k}" * j for j in range(n)], dtype=object),
+        "time": lambda k, n: np.datetime64("2020-01-01T00:00:00.000000001") + np.arange(n),
+        "table": lambda k, n: np.outer([1.0, k], np.arange(n)),
+    }
+    dims = dict.fromkeys(kinds, "step") | {"table": ("state", "step")}
+    declared = experiment(outputs=[Output(name, dims=dims[name], ragged="step") for name in kinds])
+    walk = declared(lambda k, n: {name: make(k, n) for name, make in kinds.items()})
     store = tmp_path / "s.zarr"
     linksweep.run(walk, store, axes={"k": [1, 2], "n": [3]}, pool="serial")
     ds = linksweep.run(walk, store, axes={"k": [1, 2], "n": [3, 5]}, pool="serial")

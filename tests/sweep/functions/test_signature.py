@@ -141,14 +141,6 @@ def test_a_declared_function_is_called_as_before_and_that_of_other_code_stays_as
     assert np.array_equal(ds.window.values[0], kaiser(5, 2.0))
 
 
-def function(docstring):
-    def f(start: float):
-        return start
-
-    f.__doc__ = docstring
-    return f
-
-
 @pytest.mark.parametrize(
     ("docstring", "title", "shown"),
     [
@@ -161,7 +153,10 @@ def function(docstring):
     ],
 )
 def test_the_title_is_the_first_sentence_of_the_docstring(tmp_path, docstring, title, shown):
-    store = tmp_path / "s.zarr"
-    dataset = linksweep.run(function(docstring), store, axes={"start": [30.0, 50.0]}, title=title, pool="serial")
+    def f(start: float):
+        return start
+
+    f.__doc__, store = docstring, tmp_path / "s.zarr"
+    dataset = linksweep.run(f, store, axes={"start": [30.0, 50.0]}, title=title, pool="serial")
     assert dataset.attrs["title"] == linksweep.open(store).attrs["title"] == shown
     assert ("20 degrees" in dataset.attrs.get("description", "")) == ("20 degrees" in (docstring or ""))
