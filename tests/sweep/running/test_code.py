@@ -19,10 +19,7 @@ from tests.sweep.opening import files_of
 from tests.sweep.user import write_experiment, write_study
 from tests.tiers import examples, slow
 
-HELPED = {
-    "before": "import helper\n",
-    "evaluate": '{"total": [n_sim * helper.value(p["rate"]) for p in points]}',
-}
+HELPED = {"before": "import helper\n", "evaluate": '{"total": [n_sim * helper.value(p["rate"]) for p in points]}'}
 
 
 @pytest.fixture

@@ -21,9 +21,8 @@ def levels(scatter: float, *, rng, n_sim):
 
 
 def run(store, progress=None, **sampling):
-    sampling = {"n_sim": 100, "seed": 3, "precision": 0.01} | sampling
-    axes = {"scatter": [0.01, 1.0, 10.0]}
-    return linksweep.run(levels, store, axes=axes, sampling=sampling, pool="serial", progress=progress)
+    how = {"axes": {"scatter": [0.01, 1.0, 10.0]}, "pool": "serial", "progress": progress}
+    return linksweep.run(levels, store, sampling={"n_sim": 100, "seed": 3, "precision": 0.01} | sampling, **how)
 
 
 def test_every_point_gets_what_it_needs_and_not_much_more(tmp_path):

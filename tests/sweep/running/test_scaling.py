@@ -1,7 +1,6 @@
 """`sweep scaling`, and grids of a million points that are planned, of a hundred thousand that run, in little memory."""
 
 import json
-import subprocess
 import sys
 import tempfile
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from benchmarks.measured import watch
 from tests.conftest import COINS
 from tests.sweep.opening import measure_scaling, study_from_dict
 
@@ -76,27 +76,12 @@ def test_bad_input_is_refused_and_writes_nothing(arguments, words, tmp_path, swe
     assert (status, words in err, list(tmp_path.iterdir())) == (2, True, []), err
 
 
-MEASURED = r"""
-import re, resource, runpy, sys
-sys.argv = ["sweep", *sys.argv[1:]]
-try:
-    runpy.run_module("linksweep", run_name="__main__")
-finally:
-    # of the program alone: ru_maxrss is at least that of the process that started it
-    peak = re.search(r"VmHWM:\s+(\d+) kB", open("/proc/self/status").read())[1]
-    print(peak, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss, file=sys.stderr)
-"""
-
-
 def memory_of(tmp_path, points, *command):
-    """Return the peak memory of a command on so many points, and that of the largest process that it started, in MB."""
+    """Return the peak memory of a command on so many points, and that of the largest of its processes, in MB."""
     study = (COINS, "--axis", 'metal="gold","tin"', "--axis", f"coins=1:{points // 200}:1", "--set", "n_sim=1")
     command = [*command[:1], *study, "--axis", "chance=0.2:0.794:0.006", *command[1:]]
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURED, *command], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return [int(kilobytes) / 1024 for kilobytes in done.stderr.split()[-2:]]
+    watched = watch([sys.executable, "-m", "linksweep", *command], tmp_path)
+    return max(own for _, own in watched.own_bytes) / 2**20, watched.peak_bytes / 2**20
 
 
 @pytest.mark.slow

@@ -95,10 +95,8 @@ def test_tiles_hold_every_point_once(tmp_path, shape):
         assert len(failed) >= min(1, sum(points for points, _ in watched.reasons))
 
 
-@pytest.mark.parametrize("where", ["folder", slow("bucket")])
-def test_a_store_that_comes_runs_ends_and_goes(coins, tmp_path, where, request):
-    store = f"{tmp_path if where == 'folder' else request.getfixturevalue('bucket')}/s.zarr"
-    watched, states = watch.Watched(store), []
+def test_a_store_that_comes_runs_ends_and_goes(coins, place):
+    watched, states = watch.Watched(place), []
 
     class Looking(Silent):
         def advance(self, works, result, taken):
@@ -107,16 +105,16 @@ def test_a_store_that_comes_runs_ends_and_goes(coins, tmp_path, where, request):
 
     watched.look()
     assert (watched.state, watched.is_over) == ("waiting", False)
-    run(coins, store, OFTEN, progress=Looking())
+    run(coins, place, OFTEN, progress=Looking())
     assert {state for state, _ in states} == {"running"}
     assert len({progress for _, progress in states}) > 1
     watched.look()
     assert (watched.state, watched.is_over, watched.progress) == ("finished", True, "6 of 6 points done")
-    for key in files_of(store):
-        located(store).delete(key)
+    for key in files_of(place):
+        located(place).delete(key)
     watched.look()
     assert watched.state == "gone"
-    run(coins | {"axes": {"coins": [1, 5]}}, store)
+    run(coins | {"axes": {"coins": [1, 5]}}, place)
     watched.look()
     assert watched.progress == "2 of 2 points done"
 
