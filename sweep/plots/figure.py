@@ -31,6 +31,7 @@ UNLABELLED = {
     grid.PREDICTION_BAND: "Bands are the one-sigma errors of the predictions.",
     grid.LAW_BAND: "Bands are the one-sigma errors of the fitted laws.",
     grid.JOINED: "Thin lines join the points.",
+    grid.ALONE: "Markers are points without a neighbour on their line.",
     grid.RUNNING: "Markers with a white centre are values so far, of points that are not done.",
     grid.WITHOUT: "Dotted lines are points on which the parameter along the axis has no effect.",
     style.MOVED: "Markers that cover each other are drawn a little to the left or right of them; lines are not.",

@@ -47,7 +47,7 @@ COVERED, COVERED_SHARE, ASIDE_PT = 0.015, 0.25, 4.5
 
 # Labels of what a caption explains; matplotlib leaves labels that begin with _ out of legends.
 ERROR_BAND, PREDICTION_BAND, LAW_BAND, JOINED = "_error band", "_prediction band", "_law band", "_joined"
-WITHOUT, RUNNING = "_without", "_running"
+WITHOUT, RUNNING, ALONE = "_without", "_running", "_alone"
 BAND = "band"  # the attribute of a difference: how far it may be from zero by chance
 
 
@@ -334,8 +334,15 @@ def _draw_series(
     look: dict[str, Any] = {**mark, "linestyle": "none", "markersize": 3.5 if few else 2.0, "elinewidth": 0.8}
     look |= {"zorder": 3, "rasterized": len(x) > MOST_VECTORS, "alpha": 1.0 if few else 0.4}
     words = name or (style.COMPUTED if quantity.standard_error(one, variable) is None else style.SIMULATED)
-    moved = [] if is_line else [axes.errorbar(x, y, yerr=sigma, label=words, **look)]
     running = np.broadcast_to(one["status"].values == Status.RUNNING, y.shape)
+    moved = [] if is_line else [axes.errorbar(x, y, yerr=sigma, label=words, **look)]
+    if is_line:
+        # No line shows a point that has no neighbour, and every second one may be done first.
+        alone = np.isfinite(y) & (np.convolve(np.isfinite(y), [1, 0, 1], "same") == 0)
+        if (marked := alone | running).any():
+            error = None if sigma is None else sigma[marked]
+            drawn = axes.errorbar(x[marked], y[marked], error, **look)
+            drawn.lines[0].set_label(ALONE if alone.any() else RUNNING)  # for the caption
     if running.any():
         centre = {**look, "color": "white", "markersize": 0.5 * look["markersize"], "zorder": 3.1, "label": RUNNING}
         moved.append(axes.errorbar(x[running], y[running], **centre))

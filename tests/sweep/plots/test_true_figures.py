@@ -7,7 +7,7 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 import xarray as xr
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from matplotlib.collections import PolyCollection
 from matplotlib.container import ErrorbarContainer
 from matplotlib.text import Text
@@ -40,6 +40,20 @@ def test_equal_steps_are_linear_however_far_they_go_and_equal_ratios_logarithmic
     x = [start * (1.0 + step * i if scale == "linear" else (1.0 + step) ** i) for i in range(n)]
     shuffle.shuffle(x)
     assert scales(results(x))[0] == scale
+
+
+@settings(max_examples=examples(25), deadline=None)
+@example([True, False] * 30)
+@given(st.lists(st.booleans(), min_size=3, max_size=60).filter(any))
+def test_every_value_is_seen_whatever_is_missing_beside_it(done):
+    dataset, seen = results(np.arange(float(len(done)))), set()
+    dataset = dataset.assign(y=dataset.y.where(done), status=("x", np.array(done, dtype=int)))
+    [axes] = linksweep.plot(dataset, "lines").axes
+    for line in axes.lines:
+        x, there = line.get_xdata(), np.isfinite(line.get_ydata())
+        ends = there if line.get_marker() not in ("None", "_", "|") else np.convolve(there, [1, 0, 1], "same") > 0
+        seen |= {*x[there & ends].tolist()}
+    assert seen == {*np.flatnonzero(done).tolist()}
 
 
 LARGE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0]
