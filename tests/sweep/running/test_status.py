@@ -53,17 +53,18 @@ def test_a_smaller_study_is_answered_while_another_process_holds_the_lock(tmp_pa
             linksweep.run(coins | asked, store, pool="serial", **more)
 
 
-def test_a_finished_run_writes_its_title_and_its_place_once(tmp_path, coins):
+def test_a_finished_run_writes_what_is_not_as_it_would_write_it_once(tmp_path, coins):
     whole = linksweep.run(coins, tmp_path / "s.zarr", pool="serial")
     store, coins = (tmp_path / "s.zarr").rename(tmp_path / "t.zarr"), coins | {"title": "Another"}
-    linksweep.run(coins, store, pool="serial")
-    stored, before = linksweep.open(store), files_of(store)
-    linksweep.run(coins, store, pool="serial")
-    assert files_of(store) == before
-    assert stored.equals(whole)
-    assert stored.attrs["title"] == "Another"
-    assert str(store) in (store / "zarr.json").read_text()
-    assert not check(store)
+    chunk = next(file for file in (store / "status").iterdir() if file.name != "zarr.json")
+    for damage in (lambda: None, chunk.unlink, lambda: chunk.write_bytes(b"")):
+        damage()
+        linksweep.run(coins, store, pool="serial")
+        stored, before = linksweep.open(store), files_of(store)
+        linksweep.run(coins, store, pool="serial")
+        assert files_of(store) == before
+        assert (stored.equals(whole), stored.attrs["title"], bool(check(store))) == (True, "Another", False)
+        assert str(store) in (store / "zarr.json").read_text()
 
 
 MODELS = """
