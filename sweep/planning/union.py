@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Value, shown
 from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import MAX_POINTS, Grid, GridPoint, all_but
-from linksweep.sweep.studies.points import MAX_VALUES, labels_of, numbers_like, require_distinct, require_labels
+from linksweep.sweep.studies.points import MAX_VALUES, Values, labels_of, numbers_like, require_distinct
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
 from linksweep.sweep.tables.columns import sorted_json
 
@@ -149,7 +149,7 @@ def _columns(
                 if changed := [one for (kind, _), one in plain.items() if type(parameter.parse(one)) is not kind]:
                     raise ValueError(f"{changed[0]!r} would be {parameter.parse(changed[0])!r}")
                 require_distinct(columns[name], is_table)
-                require_labels(columns[name])
+                Values.require_labels(columns[name])
             except ValueError as error:
                 leave = "leave the earlier points out by --only (only=True)"
                 raise SweepError(f"{name}, with its values in the store: {error}; {leave}") from error

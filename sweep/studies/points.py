@@ -190,6 +190,14 @@ class Values:
             require_distinct(alike, may_repeat=rows)
         return alike
 
+    @staticmethod
+    def require_labels(values: Iterable[Value]) -> None:
+        """Raise ValueError for two values of which a coordinate would have the same label."""
+        known: dict[str, Value] = {}
+        for value in values:
+            if known.setdefault(str(value), value) != value:
+                raise ValueError(f"two values have the label {shown(str(value))}: give each its own")
+
 
 def numbers_like(known: Iterable[Value], values: Iterable[Value]) -> tuple[Value, ...]:
     """Return values with numbers in the type that the first equal one of those that are ``known`` has: 2.0 as 2, which
@@ -217,14 +225,6 @@ def require_distinct(values: Sequence[Value], may_repeat: bool = False) -> None:
             raise ValueError(
                 f"{one!r} and {other!r} are equal but for rounding; they would be two points: give one of them"
             )
-
-
-def require_labels(values: Iterable[Value]) -> None:
-    """Raise ValueError for two values of which a coordinate would have the same label."""
-    known: dict[str, Value] = {}
-    for value in values:
-        if known.setdefault(str(value), value) != value:
-            raise ValueError(f"two values have the label {shown(str(value))}: give each its own")
 
 
 def _is_log(spec: Mapping[str, Any], *ends: float) -> bool:

@@ -22,16 +22,7 @@ from linksweep.sweep.contract import DefinitionError, Experiment, Function, Name
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies import built_in_studies
-from linksweep.sweep.studies.points import (
-    KeyPath,
-    Problems,
-    Values,
-    plain_study,
-    read_cell,
-    read_points,
-    require_labels,
-    with_labels,
-)
+from linksweep.sweep.studies.points import KeyPath, Problems, Values, plain_study, read_cell, read_points, with_labels
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Condition, Context, Form, Part, Published, Sampling, Study
 from linksweep.sweep.tables.columns import TableFile
 
@@ -517,7 +508,7 @@ class _Reader:
             values = (*parameter.defined, *(axes.get(name) or ()), *([fixed[name]] if name in fixed else []))
             if parameter.takes_objects:
                 with self.problems.at(("axes" if name in axes else "fixed", name)):
-                    require_labels(values)
+                    Values.require_labels(values)
             objects = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
             parameters.append(replace(parameter, defined=objects))
         same = tuple(parameters) == experiment.parameters
