@@ -13,18 +13,8 @@ from typing import Annotated, Any, Literal, TypeGuard, TypeVar, Union, cast, get
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import (
-    Experiment,
-    GeneratorPair,
-    Kind,
-    Named,
-    Output,
-    Parameter,
-    Point,
-    SweepError,
-    experiment as rules,
-    shown,
-)
+from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, experiment as rules, shown
+from linksweep.sweep.contract.experiment import GeneratorPair, Kind
 from linksweep.sweep.contract.rows import Array, Outcome, Reducer, Rows
 from linksweep.sweep.functions import results
 from linksweep.sweep.functions.statistics import Moments, drawn, quantile_of, statistic_problem
