@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.__main__ import BENCHMARKS, line
 from benchmarks.measured import Measured, Target
-from benchmarks.mutants import copy_of_checkout, mutants, nearest_tests
+from benchmarks.mutants import mutants, nearest_tests
 from tests.documents import ROOT
 
 
@@ -73,13 +73,6 @@ def test_a_mutant_is_a_program_that_differs_in_one_place(file):
 def test_every_file_has_tests():
     for path in [*(ROOT / "core").rglob("*.py"), *(ROOT / "sweep").rglob("*.py")]:
         assert nearest_tests(str(path.relative_to(ROOT))) != "."
-
-
-@pytest.mark.slow
-def test_a_copy_may_be_changed(tmp_path):
-    copy = copy_of_checkout(tmp_path)
-    assert (copy / FRAMES).read_bytes() == (ROOT / FRAMES).read_bytes()
-    assert (copy / "linksweep" / FRAMES).resolve() == copy / FRAMES
 
 
 @pytest.mark.slow

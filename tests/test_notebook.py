@@ -23,57 +23,37 @@ linksweep.run(growth, axes={"rate": [0.0, 0.1]}, store="serial.zarr", pool="seri
 """
 
 
-@pytest.fixture(scope="module")
-def outputs(tmp_path_factory):
-    """What each cell of the page, and of `ON_POOLS`, `MISTAKE` and `OTHER_CODE`, shows in a kernel."""
-    pytest.importorskip("ipykernel")
-    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
-    folder = tmp_path_factory.mktemp("notebook")
-    sources = [*code("function-notebook.md", "python"), ON_POOLS, MISTAKE, OTHER_CODE]
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source) for source in sources])
-    kernel = folder / "kernels" / "here"
-    kernel.mkdir(parents=True)
-    start = f'["{sys.executable}", "-m", "ipykernel_launcher", "-f", "{{connection_file}}"]'
-    (kernel / "kernel.json").write_text(f'{{"argv": {start}, "display_name": "here", "language": "python"}}')
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("JUPYTER_PATH", str(folder))
-        patch.delenv("PYTHONWARNINGS", raising=False)
-        resources = {"metadata": {"path": str(folder)}}
-        nbclient.NotebookClient(
-            notebook, kernel_name="here", timeout=int(PATIENCE_S), allow_errors=True, resources=resources
-        ).execute()
-    return [cell.outputs for cell in notebook.cells]
-
-
 def data(shown):
     return {kind for output in shown if "data" in output for kind in output["data"]}
 
 
-def said(shown):
-    return "".join(output["text"] for output in shown if output["output_type"] == "stream")
-
-
-def test_cells_show_datasets_and_pictures(outputs):
-    results, answer, picture, more, *_ = outputs
+def test_cells_of_the_page_on_every_pool_with_a_mistake_and_with_other_code(tmp_path):
+    """What each cell of the page, and of `ON_POOLS`, `MISTAKE` and `OTHER_CODE`, shows in a kernel."""
+    pytest.importorskip("ipykernel")
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    sources = [*code("function-notebook.md", "python"), ON_POOLS, MISTAKE, OTHER_CODE]
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source) for source in sources])
+    kernel = tmp_path / "kernels" / "here"
+    kernel.mkdir(parents=True)
+    start = f'["{sys.executable}", "-m", "ipykernel_launcher", "-f", "{{connection_file}}"]'
+    (kernel / "kernel.json").write_text(f'{{"argv": {start}, "display_name": "here", "language": "python"}}')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JUPYTER_PATH", str(tmp_path))
+        patch.delenv("PYTHONWARNINGS", raising=False)
+        options = {"kernel_name": "here", "timeout": int(PATIENCE_S), "allow_errors": True}
+        resources = {"metadata": {"path": str(tmp_path)}}
+        nbclient.NotebookClient(notebook, resources=resources, **options).execute()
+    *page, on_pools, mistake, other_code = [cell.outputs for cell in notebook.cells]
+    results, answer, picture, more, *_ = page
     assert not [output for output in (*results, *answer, *picture, *more) if output["output_type"] == "error"]
-    assert "text/html" in data(results)
-    assert "text/html" in data(answer)
+    assert "text/html" in data(results) & data(answer)
     assert "image/png" in data(picture)
-
-
-def test_a_function_of_a_cell_runs_on_every_pool(outputs):
-    assert said(outputs[-3]).split() == ["serial", "True", "threads", "True", "processes", "True"]
-
-
-def test_changed_code_is_refused_in_words_of_python(outputs):
-    [error] = [output for output in outputs[-1] if output["output_type"] == "error"]
+    said = "".join(output["text"] for output in on_pools if output["output_type"] == "stream")
+    assert said.split() == ["serial", "True", "threads", "True", "processes", "True"]
+    [error] = mistake
+    assert error["traceback"] == [f"SweepError: {error['evalue']}"]
+    assert "rte" in error["evalue"]
+    [error] = [output for output in other_code if output["output_type"] == "error"]
     assert error["ename"] == "SweepError"
     assert "value __main__.scale is 2.0 in the store, 3.0 now" in error["evalue"]
     assert "accept_code=True" in error["evalue"]
-
-
-def test_a_mistake_is_shown_as_its_sentence(outputs):
-    [error] = outputs[-2]
-    [sentence] = error["traceback"]
-    assert sentence == f"SweepError: {error['evalue']}"
-    assert "rte" in sentence

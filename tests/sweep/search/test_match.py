@@ -101,7 +101,7 @@ def test_the_search_from_files_to_files(folder):
     assert list(galaxies["class"]) == [LETTERS[name] for name in table["class"]]
     assert [list(row)[:3] for row in galaxies] == [[4012, 1, 1], [1, 13, 1], [1234, 567, 2], [5, 6, 1]]
     assert (folder / "out.png").read_bytes().startswith(b"\x89PNG")
-    assert sorted(path.name for path in folder.glob("*out*")) == ["out.dat", "out.ecsv", "out.png"]
+    assert len(list(folder.iterdir())) == 4 + 3  # tables that are read and outputs, no more
 
 
 def test_json_is_the_summary(folder):
