@@ -84,15 +84,15 @@ def test_the_amplitudes_are_the_field_that_was_fitted():
     np.testing.assert_allclose(link.amplitude_covariance, made @ link.covariance.values @ made.T, atol=1e-9)
 
 
-@pytest.mark.parametrize("sign", ["reference-satellite", "satellite-reference"])
-def test_a_difference_is_at_the_epoch_and_in_the_sign_of_the_first(sign):
+def test_a_difference_is_at_the_epoch_and_in_the_sign_of_the_first():
     tables = "psrpi-de200", "timing-de200", "orientation,spin"
-    one, other = linksweep.tie(*tables, epoch=2010.0), linksweep.tie(*tables, epoch=2016.0, sign=sign)
-    made = linksweep.difference(one, other)  # the same link at two epochs
-    # But for terms of the second order: the motions of stars turn with the orientation.
-    assert (abs(made.estimate) < 1e-4 * made.error).all()
-    np.testing.assert_allclose(made.covariance, 2.0 * one.covariance.values, rtol=1e-3)
-    assert made.attrs["sign"] == "reference-satellite"
+    one = linksweep.tie(*tables, epoch=2010.0)
+    for sign in ("reference-satellite", "satellite-reference"):
+        made = linksweep.difference(one, linksweep.tie(*tables, epoch=2016.0, sign=sign))  # the same link at two epochs
+        # But for terms of the second order: the motions of stars turn with the orientation.
+        assert (abs(made.estimate) < 1e-4 * made.error).all()
+        np.testing.assert_allclose(made.covariance, 2.0 * one.covariance.values, rtol=1e-3)
+        assert made.attrs["sign"] == "reference-satellite"
 
 
 def test_chi2_of_a_difference_is_that_of_its_covariance_and_what_has_none_is_refused():

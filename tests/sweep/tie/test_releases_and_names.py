@@ -13,7 +13,6 @@ from linksweep.core.tie.astrometry import PAIRS, propagated
 from linksweep.sweep.tie.tables import read_table
 from tests.core.tie.made import POSITION, gaia, gaia_table, only, random_correlations, seen_by_satellite, stars
 
-POSITIONS = ["source_id", "ra", "ra_error", "dec", "dec_error", "ref_epoch"]
 TURN = np.array([1.0, -2.0, 3.0]) * MAS
 
 
@@ -69,19 +68,8 @@ def test_sources_within_the_radius_and_leftovers_are_named(tmp_path):
     assert said(link, "1 of 11 rows of other.ecsv match no source: S11")
 
 
-def hip2_text(made, elements, sigma):
-    """Return rows of hip2.dat, byte by byte."""
-    lines = []
-    for k in range(len(made)):
-        ra, dec, *rest = made.values[:, k]
-        plx, pmra, pmdec = np.array(rest) / MAS
-        five = "".join(f" {error:6.2f}" for error in sigma[k])
-        line = f"{k + 1:6d} {5:3d} 0 1 {ra:13.10f} {dec:13.10f} {plx:7.2f} {pmra:8.2f} {pmdec:8.2f}{five}"
-        line += f" {60:3d} {0.5:5.2f} {0:2d} {0.0:6.1f} {0:4d} {9.5:7.4f} {0.001:6.4f} {0.02:5.3f} 0 {0.5:6.3f}"
-        line += f" {0.01:5.3f} {0.55:6.3f}" + "".join(f"{element:7.2f}" for element in elements[:, k])
-        assert len(line) == 276
-        lines.append(line)
-    return "\n".join(lines) + "\n"
+HIP2 = "{:6d}   5 0 1 {:13.10f} {:13.10f} {:7.2f} {:8.2f} {:8.2f}" + 5 * " {:6.2f}"  # of hip2.dat, byte by byte
+HIP2 += "  60  0.50  0    0.0    0  9.5000 0.0010 0.020 0  0.500 0.010  0.550" + 15 * "{:7.2f}"
 
 
 def test_raw_hip2_is_recognised_without_its_readme(tmp_path):
@@ -94,7 +82,10 @@ def test_raw_hip2_is_recognised_without_its_readme(tmp_path):
     elements = np.array([upper[:, i, j] for j in range(5) for i in range(j + 1)])
     elements *= 900.0 / np.abs(elements).max(axis=0)  # a factor is the same, and large numbers keep their digits
     sigma = rng.uniform(0.5, 2.0, (8, 5))
-    (tmp_path / "hip2.dat").write_text(hip2_text(made, elements, sigma))
+    each = enumerate(zip(made.values.T, sigma, elements.T, strict=True), start=1)
+    lines = [HIP2.format(k, *row[:2], *(row[2:] / MAS), *errors, *element) for k, (row, errors, element) in each]
+    assert set(map(len, lines)) == {276}
+    (tmp_path / "hip2.dat").write_text("\n".join(lines) + "\n")
     read = read_table(tmp_path / "hip2.dat")
     np.testing.assert_allclose(read.astrometry.values[:2], made.values[:2], atol=1e-10)
     np.testing.assert_allclose(read.astrometry.values[2:], made.values[2:], atol=0.006 * MAS)
@@ -102,8 +93,7 @@ def test_raw_hip2_is_recognised_without_its_readme(tmp_path):
     np.testing.assert_allclose(read.astrometry.correlations, wanted, atol=2e-3)
     assert set(read.astrometry.epoch) == {1991.25}
     assert next(iter(read.names.values())).tolist() == [str(k + 1) for k in range(8)]
-    cut = (tmp_path / "hip2.dat").read_text().splitlines()
-    (tmp_path / "cut.dat").write_text("\n".join([*cut[:2], cut[2][:200], *cut[3:]]))
+    (tmp_path / "cut.dat").write_text("\n".join([*lines[:2], lines[2][:200], *lines[3:]]))
     with pytest.raises(SweepError, match="no such row in line 3"):
         read_table(tmp_path / "cut.dat")
 
@@ -118,15 +108,20 @@ def test_what_is_known_is_taken_out_in_the_sign_of_the_results(tmp_path):
         np.testing.assert_allclose(link.estimate, wanted, atol=1e-5)
 
 
-def test_positions_of_one_epoch_give_epsilon_and_omega_only_together(tmp_path):
+def test_positions_of_one_epoch_give_epsilon_and_omega_only_together_and_are_no_release(tmp_path):
     made = still()
-    positions = gaia_table(only(made, POSITION, epoch=np.full(12, 2010.0)))
-    positions.keep_columns(POSITIONS)
-    for name in ("vlbi", "own"):
-        positions.write(tmp_path / f"{name}.ecsv")
-    link = linksweep.tie(tmp_path / "own.ecsv", tmp_path / "vlbi.ecsv", epoch=2016.0, positions="mean")
+    for epoch in (2010.0, 2017.5):
+        table = gaia_table(only(made, POSITION, epoch=np.full(12, epoch)))
+        table.keep_columns(["source_id", "ra", "ra_error", "dec", "dec_error", "ref_epoch"])
+        table.write(tmp_path / f"{epoch}.ecsv")
+    link = linksweep.tie(tmp_path / "2010.0.ecsv", tmp_path / "2010.0.ecsv", epoch=2016.0, positions="mean")
     assert said(link, "determine only epsilon + t omega, here t = -6 years")
     assert link.unknown.values.tolist() == ["epsilon_x", "epsilon_y", "epsilon_z"]
+    link = linksweep.tie(gaia(tmp_path / "own.ecsv", made), tmp_path / "2017.5.ecsv", "orientation", accept_misfit=True)
+    assert link.attrs["matched_by"] == "source_id"
+    assert not said(link, "different names")
+    campaigns = gaia(tmp_path / "campaigns.ecsv", replace(made, epoch=np.repeat([2016.0, 2020.0], 6)))
+    assert len(read_table(campaigns).astrometry) == 12
 
 
 def test_a_row_for_each_star_is_a_table_in_every_format(tmp_path, sweep):
@@ -145,19 +140,6 @@ def test_a_row_for_each_star_is_a_table_in_every_format(tmp_path, sweep):
     assert str(table["shift_omega_x"].unit) == "mas / yr"
     assert sweep("show", "a.zarr", "--stars", "--format", "csv", cwd=tmp_path)[1].count("\n") == 13
     assert "cook" in sweep("show", "a.zarr", "--stars", cwd=tmp_path)[1]
-
-
-def test_observations_at_epochs_of_releases_are_no_releases(tmp_path):
-    made = still()
-    own = gaia(tmp_path / "own.ecsv", made)
-    sessions = gaia_table(replace(made, epoch=np.full(12, 2017.5)))
-    sessions.keep_columns(POSITIONS)
-    sessions.write(tmp_path / "vlbi.ecsv")
-    link = linksweep.tie(own, tmp_path / "vlbi.ecsv", "orientation", accept_misfit=True)
-    assert link.attrs["matched_by"] == "source_id"
-    assert not said(link, "different names")
-    campaigns = gaia(tmp_path / "campaigns.ecsv", replace(made, epoch=np.repeat([2016.0, 2020.0], 6)))
-    assert len(read_table(campaigns).astrometry) == 12
 
 
 def test_only_rows_that_meet_a_condition_are_used(tmp_path):

@@ -209,27 +209,19 @@ def test_a_wrong_value_has_the_same_sentence_everywhere(tmp_path, name, value, t
 
 def written(folder, **changes):
     """A study of tables in this folder, and what it finds."""
-    study = {
-        "title": "t",
-        "experiment": TIE,
-        "fixed": {"unknowns": "orientation,spin", "accept_misfit": True} | changes,
-        "sampling": {"n_sim": 2},
-    }
+    fixed = {"unknowns": "orientation,spin", "accept_misfit": True} | changes
+    study = {"title": "t", "experiment": TIE, "fixed": fixed, "sampling": {"n_sim": 2}}
     return linksweep.run(study, folder / "s.zarr", pool="serial", fresh=True)
 
 
-CASES = {
+WHERE = ["phot_g_mean_mag < 14", "reference: phot_g_mean_mag < 10"]
+HIP = {"missions": {"hip": "hip.ecsv"}, "columns": {"hip:parallax": "plx"}, "mission_epochs": {"hip": "1991.25"}}
+CASES = {  # in a study, and in Python
     **{clip: ({"clip": clip}, {"clip": clip}) for clip in ("huber:1.5", "discrepancy:2", "median:1.5")},
     "jitter": ({"jitter": "estimate"}, {"jitter": "estimate"}),
     "without_cos_dec": ({"without_cos_dec": "reference"}, {"without_cos_dec": "reference"}),
-    "where there": (
-        {"where": "phot_g_mean_mag < 14; reference: phot_g_mean_mag < 10"},
-        {"where": ["phot_g_mean_mag < 14", "reference: phot_g_mean_mag < 10"]},
-    ),
-    "missions": (
-        {"missions": {"hip": "hip.ecsv"}, "mission_epochs": {"hip": "1991.25"}, "columns": {"hip:parallax": "plx"}},
-        {"missions": {"hip": "hip.ecsv"}, "mission_epochs": {"hip": 1991.25}, "columns": {"hip:parallax": "plx"}},
-    ),
+    "where there": ({"where": "; ".join(WHERE)}, {"where": WHERE}),
+    "missions": (HIP, HIP | {"mission_epochs": {"hip": 1991.25}}),
     "known_spin_table": ({"known_spin_table": "spin.ecsv"}, {"known_spin": "spin.ecsv"}),
 }
 

@@ -13,7 +13,7 @@ from linksweep.core.frames import ARCSEC, DEGREE, MAS
 from linksweep.core.tie.astrometry import PAIRS, kinds, propagated
 from linksweep.sweep.tie.setup import match
 from linksweep.sweep.tie.tables import TableOptions, read_table
-from tests.core.tie.made import NAMES, gaia, gaia_table, seen_by_satellite, stars
+from tests.core.tie.made import NAMES, gaia, gaia_table, only, seen_by_satellite, stars
 
 
 def test_blank_values_decide_the_kind_and_are_no_zeros(tmp_path):
@@ -110,25 +110,17 @@ def test_the_dataset_states_its_epoch_units_spins_by_bins_and_large_shares(tmp_p
 def test_the_galactic_aberration_carries_the_icrf(tmp_path):
     """Positions of 2015.0, moved by the glide towards the Galactic centre to 2020.0, are those of a satellite there."""
 
-    sky, rng = SkyCoord(l=0.0, b=0.0, unit="deg", frame="galactic").icrs, np.random.default_rng(2)
-    ra, dec = rng.uniform(0.0, 2.0 * np.pi, 40), np.arcsin(rng.uniform(-0.95, 0.95, 40))
-    to_centre = np.array(sky.cartesian.xyz)
+    to_centre = np.array(SkyCoord(l=0.0, b=0.0, unit="deg", frame="galactic").icrs.cartesian.xyz)
+    exact = {"errors": np.full((5, 40), 0.01 * MAS), "correlations": np.zeros((10, 40))}
+    made = only(stars(40, 2, pm=0.0, epoch=2020.0), np.arange(5) != 2, **exact)
+    (ra, dec), values = made.values[:2], made.values.copy()
     p = np.array([-np.sin(ra), np.cos(ra), np.zeros(40)])
     q = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
-    moved = 5.0 * 5.8e-3 * MAS * np.array([to_centre @ p / np.cos(dec), to_centre @ q])
-    error = np.full(40, 0.01)
-    quasars = {
-        "source_id": np.arange(40),
-        "ra": ra / DEGREE,
-        "dec": dec / DEGREE,
-        "ra_error": error,
-        "dec_error": error,
-    }
-    Table(quasars, meta={"extragalactic": True}).write(tmp_path / "quasars.ecsv")
-    ra, dec, still = *(np.array([ra, dec]) + moved), np.zeros(40)
-    gaia_like = quasars | {"ra": ra / DEGREE, "dec": dec / DEGREE, "ref_epoch": np.full(40, 2020.0)}
-    motions = {"pmra": still, "pmra_error": error, "pmdec": still, "pmdec_error": error}
-    Table(gaia_like | motions).write(tmp_path / "gaia.ecsv")
+    values[:2] += 5.0 * 5.8e-3 * MAS * np.array([to_centre @ p / np.cos(dec), to_centre @ q])
+    gaia(tmp_path / "gaia.ecsv", replace(made, values=values))
+    quasars = gaia_table(made)["source_id", "ra", "dec", "ra_error", "dec_error"]
+    quasars.meta["extragalactic"] = True
+    quasars.write(tmp_path / "quasars.ecsv")
     both = tmp_path / "gaia.ecsv", tmp_path / "quasars.ecsv"
     with_it = tie(*both, "orientation,position_glide", aberration=5.8)
     np.testing.assert_allclose(with_it.estimate, 0.0, atol=1e-5)
