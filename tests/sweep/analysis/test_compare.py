@@ -274,13 +274,9 @@ def test_a_plain_function_has_claims_a_conclusion_and_published_numbers(tmp_path
     wrong = {"depth": "depth is not a result", "word": "word has no numbers", "pair": "pair has the components 0, 1"}
     lost = [claim(value={"variable": name, "at": {"a": 1.0}}) for name in wrong]
     values = {name: {"value": {"variable": name, "at": {"a": 2.0}}} for name in ("w", "depth")}
-    study = {
-        "experiment": power,
-        "axes": {"a": [1.0, 2.0, 4.0]},
-        "claim": wanted + lost,
-        "conclusion": {"sentences": ["It is {w}.", "It is {depth}."], "values": values},
-        "published": {"file": str(tmp_path / "p.csv"), "source": "Table 1"},
-    }
+    study = {"experiment": power, "axes": {"a": [1.0, 2.0, 4.0]}, "claim": wanted + lost}
+    study["conclusion"] = {"sentences": ["It is {w}.", "It is {depth}."], "values": values}
+    study["published"] = {"file": str(tmp_path / "p.csv"), "source": "Table 1"}
     dataset = linksweep.run(study, tmp_path / "s", pool="serial")
     found = compare(dataset)
     assert [one.verdict for one in found] == ["reproduced"] * 4 + ["incomplete"] * 3

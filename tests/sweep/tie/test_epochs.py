@@ -157,11 +157,11 @@ def written(folder, scans, form="ecsv", units=True):
     return path
 
 
-def linked(folder, sky, form="ecsv", units=True, **options):
+def linked(folder, sky, form="fits", units=True, **options):
     for name, table in (("gaia", sky.satellite), ("vlbi", sky.vlbi)):
-        table.write(folder / f"{name}.ecsv", overwrite=True)
+        table.write(folder / f"{name}.fits", overwrite=True)
     options |= {"epochs": [written(folder, sky.scans, form, units)], "errors": "formal"}
-    return linksweep.tie(folder / "gaia.ecsv", folder / "vlbi.ecsv", "orientation,spin", **options)
+    return linksweep.tie(folder / "gaia.fits", folder / "vlbi.fits", "orientation,spin", **options)
 
 
 def with_every_parameter(link, sky, models):
@@ -279,7 +279,7 @@ def test_a_link_is_that_of_what_gaiasupdate_finds(tmp_path):
     origin = np.array([[sky.scans[name][24 * s] * DEGREE for s in range(4)] for name in ("ra0", "dec0")])
     as_table(fitted, origin, names).write(tmp_path / "supdate.ecsv")
     link = linked(tmp_path, sky)
-    same = linksweep.tie(tmp_path / "supdate.ecsv", tmp_path / "vlbi.ecsv", "orientation,spin", errors="formal")
+    same = linksweep.tie(tmp_path / "supdate.ecsv", tmp_path / "vlbi.fits", "orientation,spin", errors="formal")
     np.testing.assert_allclose(link.estimate / link.error, same.estimate / same.error, atol=3e-4)
     np.testing.assert_allclose(link.error, same.error, rtol=3e-4)
     assert link.attrs["misfit"] == same.attrs["misfit"] == ""
@@ -289,7 +289,7 @@ def test_a_link_is_that_of_what_gaiasupdate_finds(tmp_path):
 def test_each_format_is_read(tmp_path, form):
     sky = drawn(5, ["5"] * 4)
     link = linked(tmp_path, sky, form=form)
-    own = linksweep.tie(tmp_path / "gaia.ecsv", tmp_path / "vlbi.ecsv", "orientation,spin", errors="formal")
+    own = linksweep.tie(tmp_path / "gaia.fits", tmp_path / "vlbi.fits", "orientation,spin", errors="formal")
     np.testing.assert_allclose(link.estimate / link.error, own.estimate / own.error, atol=3e-4)  # of the same scans
     assert link.sizes["transit"] == len(sky.scans)
     spread = float((link.transit_residual / link.transit_error).std())
@@ -344,7 +344,7 @@ def test_a_mistake_is_refused_or_named_with_its_cause(tmp_path, mistake):
     sky = drawn(len(mistake), ["5"] * 4, excess=0.02 * (len(mistake) % 2))
     options = change if isinstance(change, dict) else change(sky) or {}
     try:
-        link = linked(tmp_path, sky, form="fits", units=False, accept_misfit=True, **options)
+        link = linked(tmp_path, sky, units=False, accept_misfit=True, **options)
         found, refused = link.attrs["misfit"], False
     except SweepError as error:
         found, refused = str(error), True
@@ -369,7 +369,7 @@ def test_text_in_a_file_is_never_run(tmp_path):
     path, run = tmp_path / "scans.csv", f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
     path.write_text(re.sub(r'"\(.*?"', f'"{run}"', path.read_text(), count=1))
     with pytest.raises(SweepError, match="cannot be read as epoch astrometry"):
-        linksweep.tie(tmp_path / "gaia.ecsv", tmp_path / "vlbi.ecsv", epochs=[path])
+        linksweep.tie(tmp_path / "gaia.fits", tmp_path / "vlbi.fits", epochs=[path])
     assert not (tmp_path / "ran").exists()
 
 
@@ -380,12 +380,12 @@ def test_the_command_takes_files_after_epochs(tmp_path, sweep):
     for name, part in (("one.fits", sky.scans[:half]), ("two.fits", sky.scans[half:])):
         part.write(tmp_path / name)
     model = f"{sky.satellite['source_id'][1]}=7"
-    command = ["tie", "gaia.ecsv", "vlbi.ecsv", "--unknowns", "orientation,spin", "--epochs", "one.fits", "two.fits"]
+    command = ["tie", "gaia.fits", "vlbi.fits", "--unknowns", "orientation,spin", "--epochs", "one.fits", "two.fits"]
     status, out, err = sweep(*command, "--star-model", model, "-o", "tie.zarr", "--json", cwd=tmp_path)
     assert status == 0, err
     assert json.loads(out)  # nothing else is printed there
     np.testing.assert_allclose(linksweep.open(tmp_path / "tie.zarr").estimate, whole.estimate, rtol=1e-6, atol=1e-9)
-    status, _, err = sweep("tie", "gaia.ecsv", "vlbi.ecsv", "one.fits", cwd=tmp_path)
+    status, _, err = sweep("tie", "gaia.fits", "vlbi.fits", "one.fits", cwd=tmp_path)
     assert status == 2
     assert "one.fits" in err
 
@@ -411,8 +411,8 @@ def test_a_star_that_accelerates_does_not_bias_the_link(tmp_path):
     models, number, off = ["7", "5", "5", "5", "9", "5"], 200, []
     for seed in range(number):
         sky = drawn(seed, models, n_transits=20, ccds=4, bend=0.2)
-        right = linked(tmp_path, sky, epoch=EPOCH, form="fits", **models_of(tmp_path, sky, models))
-        tables, options = (tmp_path / "gaia.ecsv", tmp_path / "vlbi.ecsv"), {"errors": "formal", "accept_misfit": True}
+        right = linked(tmp_path, sky, epoch=EPOCH, **models_of(tmp_path, sky, models))
+        tables, options = (tmp_path / "gaia.fits", tmp_path / "vlbi.fits"), {"errors": "formal", "accept_misfit": True}
         links = linksweep.tie(*tables, "orientation,spin", **options), right
         off.append([((link.estimate - np.array([*EPSILON, *OMEGA]) / MAS) / link.error).values for link in links])
     wrong, right = np.moveaxis(off, 1, 0)

@@ -126,7 +126,7 @@ def with_mistakes(n, seed, *mistakes):
 
 def written(folder, *tables):
     """Write a satellite's table and a reference's; return their paths as text."""
-    paths = [str(folder / "satellite.ecsv"), str(folder / "reference.ecsv")]
+    paths = [str(folder / "satellite.fits"), str(folder / "reference.fits")]
     for path, table in zip(paths, tables, strict=True):
         table.write(path, overwrite=True)
     return paths
