@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+import psutil
+
 from tests.tiers import PATIENCE_S
 
 
@@ -80,23 +82,11 @@ def wait_until(true, what, seconds=PATIENCE_S):
     raise AssertionError(f"waited {seconds} s for {what}")
 
 
-def parents():
-    found = {}
-    for pid in filter(str.isdigit, os.listdir("/proc")):
-        try:
-            found[int(pid)] = int(Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[1])
-        except OSError:
-            continue
-    return found
-
-
 def below(pid):
     """Return the processes that a process started, and those that these started."""
-    of = parents()
-    found = {pid}
-    while more := {child for child, parent in of.items() if parent in found} - found:
-        found |= more
-    return found - {pid}
+    with suppress(psutil.NoSuchProcess):
+        return {child.pid for child in psutil.Process(pid).children(recursive=True)}
+    return set()
 
 
 def workers_below(pid):
@@ -105,33 +95,24 @@ def workers_below(pid):
     return [child for child in sorted(below(pid)) if command_of(child) == own or "spawn_main" in command_of(child)]
 
 
+def _connections(pids, kind):
+    for pid in pids:
+        with suppress(psutil.NoSuchProcess):
+            yield from psutil.Process(pid).net_connections(kind)
+
+
 def listening(pids):
-    """Return the addresses, as /proc prints them, and the ports on which these processes listen."""
-    inodes = _sockets_of(pids)
-    lines = [
-        line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
-    ]
-    pairs = [line[1].split(":") for line in lines if line[3] == "0A" and line[9] in inodes]
-    return [(address, int(port, 16)) for address, port in pairs]
+    """Return the addresses and the ports on which these processes listen."""
+    return [tuple(one.laddr) for one in _connections(pids, "inet") if one.status == psutil.CONN_LISTEN]
 
 
 def unix_sockets(pids):
     """Return the names of the sockets of these processes that have one; '@' begins those that are no files."""
-    inodes = _sockets_of(pids)
-    lines = [line.split() for line in Path("/proc/net/unix").read_text().splitlines()[1:]]
-    return [line[7] for line in lines if len(line) > 7 and line[6] in inodes]
-
-
-def _sockets_of(pids):
-    inodes = set()
-    for link in (link for pid in pids for link in Path(f"/proc/{pid}/fd").glob("*")):
-        with suppress(OSError):  # it is closed by now
-            inodes.add(os.readlink(link).removeprefix("socket:[").removesuffix("]"))
-    return inodes
+    return [one.laddr for one in _connections(pids, "unix") if one.laddr]
 
 
 def command_of(pid):
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_text()
-    except OSError:
-        return ""
+    """Return the command line of a process, empty if it is no more."""
+    with suppress(psutil.NoSuchProcess):
+        return " ".join(psutil.Process(pid).cmdline())
+    return ""

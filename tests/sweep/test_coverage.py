@@ -22,12 +22,6 @@ pytestmark = pytest.mark.slow
 FALSE_ALARM = 1e-4
 COPIES = 400
 X = [1.0, 2.0, 3.0, 5.0, 8.0]
-SPREAD = f"{spread.__file__}:experiment"
-
-
-def results_of(document):
-    with TemporaryDirectory() as folder:
-        return linksweep.run(document, Path(folder) / "s.zarr", pool="serial")
 
 
 def assert_covers(pulls, dof=np.inf, independent=None):
@@ -50,20 +44,20 @@ def assert_covers(pulls, dof=np.inf, independent=None):
         assert low <= covered <= high, f"{covered:.3f} within {sigmas:g} errors, {share:.3f} expected"
 
 
-def copies_of(law, n_cat, n_sim, common=True):
+def copies_of(law, n_cat, n_sim):
     slope = {"variable": "width", "over": "x"}
     over = {"variable": "width", "of": {"x": 3.0}, "to": {"x": 2.0}}
     words = {"text": "a law", "source": "the experiment", "published": "-0.5", "exact": True}
-    return results_of(
-        {
-            "title": "Copies",
-            "experiment": SPREAD,
-            "axes": {"x": X, "copy": list(range(COPIES))},
-            "fixed": {"law": law},
-            "sampling": {"n_sim": n_sim, "n_cat": n_cat, "seed": 17, "common_random_numbers": common},
-            "claim": [words | {"slope": slope}, words | {"published": "0.8164966", "ratio": over}],
-        }
-    )
+    study = {
+        "title": "Copies",
+        "experiment": f"{spread.__file__}:experiment",
+        "axes": {"x": X, "copy": list(range(COPIES))},
+        "fixed": {"law": law},
+        "sampling": {"n_sim": n_sim, "n_cat": n_cat, "seed": 17, "common_random_numbers": True},
+        "claim": [words | {"slope": slope}, words | {"published": "0.8164966", "ratio": over}],
+    }
+    with TemporaryDirectory() as folder:
+        return linksweep.run(study, Path(folder) / "s.zarr", pool="serial").load()
 
 
 @pytest.fixture(scope="module", params=[(24, 600), (7, 100), (1, 20 * 512 + 100)], ids=["24x600", "7x100", "1x10340"])

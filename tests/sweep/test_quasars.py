@@ -85,8 +85,8 @@ def test_every_variable_and_coordinate_has_a_unit_that_astropy_parses(dataset):
     assert products["f3"]["f5"] == u.mas**2 / u.yr**2
 
 
-def test_the_printed_table_shows_ours_the_prediction_and_the_papers(main_job):
-    _, out, err = main_job
+def test_the_printed_table_shows_ours_the_prediction_and_the_papers_and_comes_back_from_the_store(main_job, sweep):
+    folder, out, err = main_job
     line = next(row for row in out.splitlines() if row.split()[:2] == ["gaia", "20"])
     sigma, plus_minus, _, predicted, published, difference, percent, n_obj = line.split()[2:]
     assert (plus_minus, published, percent, n_obj) == ("±", "0.57", "%", "15533")  # published in uas/yr
@@ -96,14 +96,10 @@ def test_the_printed_table_shows_ours_the_prediction_and_the_papers(main_job):
     assert sum(line.startswith((" amex", "amex", " gaia", "gaia")) for line in out.splitlines()) == 26
     assert "26 points" in err
     assert "\x1b" not in out + err  # no colour, no bar: this is not a terminal
-
-
-def test_the_table_comes_back_from_the_store(main_job, sweep):
-    store = main_job[0] / "results" / "quasars.zarr"
-    table = main_job[1].partition("n_obj: all")[0]
-    out = sweep("show", store)[1]
-    assert out.startswith(table)
-    assert "condition number" in out.removeprefix(table)
+    store, table = folder / "results" / "quasars.zarr", out.partition("n_obj: all")[0]
+    again = sweep("show", store)[1]
+    assert again.startswith(table)
+    assert "condition number" in again.removeprefix(table)
     rows = list(csv.DictReader(sweep("show", store, "--format", "csv")[1].splitlines()))
     assert len(rows) == 26
     assert [rows[k]["sigma_spin_published [mas / yr]"] for k in (12, 25)] == ["", "0.00057"]
@@ -122,19 +118,14 @@ def test_error_free_data_return_the_truth(tmp_path):
 LEAKS = ("degree-two", "zonal-errors", "magnitude-equation", "error-budget")
 
 
-def deviations(dataset):
-    """Second moments of the estimates minus their prediction, in their Monte-Carlo error: errors s and a bias b have a
-    variance of (2 s^4 + 4 s^2 b^2)/n.
-    """
+@pytest.mark.parametrize("name", [LEAKS[0], *map(slow, LEAKS[1:])])
+def test_the_prediction_of_a_leak_study_holds(name, dataset_of):
+    """In their Monte-Carlo error: second moments of errors s and a bias b have a variance of (2 s^4 + 4 s^2 b^2)/n."""
+    dataset = dataset_of(name)
     errors = dataset["sigma_predicted"] ** 2
     bias = dataset["sigma_rms_predicted"] ** 2 - errors
     variance = (2 * errors**2 + 4 * errors * bias) / dataset["n_sim_done"]
-    return (dataset["sigma"] ** 2 - errors - bias) / np.sqrt(variance)
-
-
-@pytest.mark.parametrize("name", [LEAKS[0], *map(slow, LEAKS[1:])])
-def test_the_prediction_of_a_leak_study_holds(name, dataset_of):
-    found = np.abs(deviations(dataset_of(name))).values
+    found = np.abs((dataset["sigma"] ** 2 - errors - bias) / np.sqrt(variance)).values
     assert np.nanmax(found) < 5.0
     assert np.nanmean(found) < 1.3  # 0.8 for normal deviates
 

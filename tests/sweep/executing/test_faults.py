@@ -138,7 +138,7 @@ def test_a_run_listens_on_loopback_at_most_and_leaves_nothing(start, tmp_path, m
     process = start(*(("--cluster", "c.toml") if pool == "cluster" else ("--workers", 2, "--pool", pool)))
     family = below(process.pid)
     addresses = {address for address, _ in listening({process.pid, *family})}
-    assert addresses == ({"0100007F"} if pool == "cluster" else set())
+    assert addresses == ({"127.0.0.1"} if pool == "cluster" else set())
     to_its_end(process)
     wait_until(lambda: not any(command_of(pid) for pid in family), "the end of all processes", 5)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["c.toml", "s.zarr", "small.toml", "temporary"]
