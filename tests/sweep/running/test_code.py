@@ -86,13 +86,18 @@ def test_points_at_a_default_are_never_taken_for_those_at_another(tmp_path, swee
 
 
 @pytest.mark.parametrize(
-    "results", [["x", "str(x)", "[x, x]"], ["str(x)", "{'a': x}", "{'b': str(x), 'c': x}"], ["1 / 0", "str(x)", "x"]]
+    "results",
+    [
+        *[["x", "str(x)", "[x, x]"], ["str(x)", "{'a': x}", "{'b': str(x), 'c': x}"], ["1 / (x - x)", "str(x)", "x"]],
+        *[["1 / (x - 1)", "1 / (x + 2)"], ["int(x)", "x / 2"]],
+    ],
+    ids=str,
 )
 def test_where_all_points_are_computed_again_results_may_be_others(tmp_path, sweep, results):
     for result in results:
         (tmp_path / "m.py").write_text(f"def f(x: float):\n    return {result}\n")
         code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--redo", "old", cwd=tmp_path)
-        assert code == (result == "1 / 0"), err
+        assert code == (" - " in result), err
     assert sweep("check", "s.zarr", cwd=tmp_path)[0] == 0
     found = linksweep.open(tmp_path / "s.zarr").drop_vars(["status", "wall_time", "code"], errors="ignore")
     want = eval(results[-1], {"x": 2.0})
@@ -327,12 +332,3 @@ def test_what_a_script_gathers_in_a_loop_refuses_nothing(tmp_path):
         done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
     assert linksweep.open(tmp_path / "s2.zarr").f.values.tolist() == [2 * np.pi, 4 * np.pi, 6 * np.pi]
-
-
-@pytest.mark.parametrize(("old", "new"), [("1 / (x - 2)", "1 / (x + 2)"), ("x", "x / 2")], ids=["failed", "integers"])
-def test_all_points_of_other_code_may_be_computed_again(tmp_path, old, new):
-    for text, redo in ((old, ""), (new, "old")):
-        (tmp_path / "m.py").write_text(f"def f(x: int):\n    return {text}\n")
-        how = {"axes": {"x": [1, 2, 3]}, "pool": "serial", "redo": redo}
-        ds = linksweep.run(f"{tmp_path}/m.py:f", tmp_path / "s.zarr", **how)
-    assert ds.f.values.tolist() == [eval(new) for x in (1, 2, 3)]

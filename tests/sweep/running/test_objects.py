@@ -259,12 +259,10 @@ def test_only_the_script_tries_failed_points_of_its_objects_again(tmp_path, monk
             run(dates, store, retry=True, **more)
 
 
-@given(
-    runs=st.lists(
-        st.tuples(st.booleans(), st.lists(st.sampled_from([1, 2, 3, 1.0, 2.0, 2.5]), min_size=1, unique=True)),
-        max_size=4,
-    )
-)
+NUMBERS = st.lists(st.sampled_from([1, 2, 3, 1.0, 2.0, 2.5]), min_size=1, unique=True)
+
+
+@given(runs=st.lists(st.tuples(st.booleans(), NUMBERS), max_size=4))
 @settings(max_examples=examples(40), derandomize=True)
 def test_equal_numbers_are_one_point_of_the_type_that_came_first(tmp_path_factory, runs):
     store, first, rows = tmp_path_factory.mktemp("numbers") / "s.zarr", dict[float, int | float](), list[float]()

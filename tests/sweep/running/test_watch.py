@@ -119,9 +119,7 @@ def test_a_store_that_comes_runs_ends_and_goes(coins, place):
     assert watched.progress == "2 of 2 points done"
 
 
-def test_looking_writes_nothing_damage_is_said_and_a_run_that_replaces_a_file_is_looked_at_again(
-    sweep_here, coin_store, tmp_path
-):
+def test_looking_writes_nothing_and_what_is_damaged_or_replaced_meanwhile_is_said(sweep_here, coin_store, tmp_path):
     store = tmp_path / "s.zarr"
     shutil.copytree(coin_store, store)
     before, part = files_of(tmp_path), store / parts_of(store)[0]
