@@ -195,7 +195,8 @@ def refine(
             thousandth of the axis.
         along: the axis that gets points; by default the only one with several numbers.
         variable: for ``until``, the output; by default the main one.
-        max_realisations: how many there may be in all; by default a fifth of those of the full grid.
+        max_realisations: how many there may be in all, besides those that the study itself has; by default points get
+            no more from a fifth of those of the full grid on, and new points are not limited.
         options: further arguments of `run`: ``axes``, ``sampling``, ``workers`` and so on.
 
     Returns:

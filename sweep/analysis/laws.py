@@ -32,6 +32,7 @@ LEVELLING_POINTS = 4  # the fewest for the levelling law, which has three parame
 DEVIATION_ALLOWED = 3.0  # an exponent may deviate from the expected one by this many of its errors
 P_VALUE_ALLOWED = 1e-3  # a law is said not to hold if the probability of its chi2 is lower
 EXCLUDED = "excluded by the study"
+NO_ERRORS = "none"
 SIGMAS = 2.0  # errors of crossings are made so that the truth is within this many of them as often as for a normal law
 RATE_WANTED = 2.0  # a levelling off is significant if its rate is more than this many errors above 0
 # A law is judged only if the errors that points do not share are this many times the neglected second order.
@@ -169,7 +170,7 @@ def lines(
     done, values that are not finite, and lines of fewer than ``least`` points.
     """
     quantity.require_axis(dataset, variable, over)
-    made = lines_of(dataset, variable, over, covariance)
+    made = lines_of(dataset, variable, over, covariance, least)
     quantity.require_done(dataset)
     problems = []
     for line in made.lines:
@@ -186,8 +187,13 @@ def lines(
     return made
 
 
-def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataArray | None = None) -> Lines:
-    """Return a quantity along an axis like `lines`, but with points that are not done."""
+def lines_of(
+    dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataArray | None = None, least: int = 2
+) -> Lines:
+    """Return a quantity along an axis like `lines`, but with points that are not done.
+
+    Where ``least`` is above 1, points at which the axis has no effect belong to no line.
+    """
     dimension = str(dataset[over].dims[0])
     pair = (dimension, f"{dimension}_other")
     if dimension == POINT:  # a table may repeat a point
@@ -197,7 +203,10 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
         name = f"{variable}_{quantity.COVARIANCE_SUFFIX}_{dimension}"
         if not set(pair) <= set(covariance.dims) <= {*others, *pair}:
             raise SweepError(f"{name} is {dict(covariance.sizes)}: it needs {' and '.join(pair)}, and no more")
-        dataset = dataset.drop_dims(pair[1], errors="ignore").assign({name: covariance})
+        try:
+            dataset = dataset.drop_dims(pair[1], errors="ignore").assign({name: covariance})
+        except ValueError as refused:  # of other sizes
+            raise SweepError(f"{name} is {dict(covariance.sizes)}: {refused}") from refused
     covariance = quantity.covariance_along(dataset, variable, dimension)
     if covariance is not None:
         covariance = covariance.isel({pair[1]: quantity.places_of_others(dataset, variable, dimension)})
@@ -222,7 +231,7 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataA
     for number, (index, unit) in enumerate(
         zip(quantity.places_along(dataset, others), quantity.units_along(dataset, variable, others), strict=True)
     ):
-        used = status[number] != Status.EXCLUDED
+        used = (status[number] != Status.EXCLUDED) & ~(np.isnan(x) & (least > 1))
         spread = errors[number][used] if covariance is None else errors[number][np.ix_(used, used)]
         made.append(Line(index, unit, x[used], value[number, used], spread, status[number, used], samples))
     grid = quantity.grid_of(dataset, others)
@@ -236,7 +245,7 @@ def _errors_in_words(dataset: xr.Dataset, known: bool, correlated: bool, samples
     if np.isnan(samples):
         needed = f"{FEWEST_SAMPLES} {outer_draw_of(dataset.attrs)}s, or as many blocks of one, and no `precision`"
         return f"not known, as points share random numbers and the store has no covariance of them (it needs {needed})"
-    return "Monte Carlo, independent points" if known else "none: points weigh the same, errors come from the scatter"
+    return "Monte Carlo, independent points" if known else NO_ERRORS
 
 
 # Laws
@@ -406,7 +415,8 @@ def _fitted(made: Lines, fit: Callable[..., dict[str, Any]]) -> list[dict[str, A
 def _notes(formula: str, made: Lines, rows: Sequence[Mapping[str, Any]]) -> list[str]:
     bad = sum(row.get("p_value", math.nan) < P_VALUE_ALLOWED for row in rows)
     more = f"{bad} of {len(rows)} lines: the law does not hold within the errors, p < {P_VALUE_ALLOWED:g}"
-    return [f"{formula}; errors: {made.errors}", *([more] if bad else [])]
+    weights = ": points weigh the same, errors come from the scatter" if made.errors == NO_ERRORS else ""
+    return [f"{formula}; errors: {made.errors}{weights}", *([more] if bad else [])]
 
 
 def _expected(dataset: xr.Dataset, made: Lines, line: Line) -> float:
@@ -868,5 +878,5 @@ def _crossing_in_words(row: Mapping[str, Any], unit: str, value_unit: str) -> st
         return f"{words}, first at {first}, last at {last}"
     if met == LEFT_OUT:
         return words
-    where = f"{row['nearest_at']:g} {unit}".rstrip()
-    return f"{words}; {with_unit(row['nearest'], 0.0, value_unit)} at {where} is nearest to the limit"
+    where = "" if math.isnan(row["nearest_at"]) else f" at {row['nearest_at']:g} {unit}".rstrip()
+    return f"{words}; {with_unit(row['nearest'], 0.0, value_unit)}{where} is nearest to the limit"

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.study import Study, is_number
 
 SURE = 3.0  # errors by which a value must be beyond a limit for its side to be decided
-SHARE = 0.2  # of the realisations of the full grid are spent at most, unless the user says otherwise
+SHARE = 0.2  # of the realisations of the full grid: where so many are spent points get no more, unless the user says so
 LARGEST_FACTOR = 16  # a point gets at most so many times its realisations in a round: its error is an estimate, too
 FINEST = 1e-3  # the share of an axis below which `until` cuts no interval, unless the user says otherwise
 ROUNDING = 1.0 + 1e-9
@@ -163,7 +164,7 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     finest = goal["within"] or FINEST * (axis[-1] - axis[0])
     made, common = laws.lines_of(dataset, variable, over), quantity.shares_random_numbers(dataset, [over])
     levels, known = made.thresholds(limit), dict[str, float]()
-    gaps, factors = list[tuple[laws.Line, int]](), list[tuple[laws.Line, int, float]]()
+    gaps, factors = list[tuple[float, laws.Line, int]](), list[tuple[laws.Line, int, float]]()
     for whole in made.lines:
         good = np.flatnonzero((whole.status == Status.DONE) & np.isfinite(whole.y) & np.isfinite(whole.x))
         # Points with common random numbers have most of their errors in common, too.
@@ -173,7 +174,7 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
         at = at_crossings(line, limit.is_met(line.y, level), level, within)
         lacks = list(at if is_find else between_points(line, level, within, made.over_unit))
         known |= {made.at(line): max(known for known, *_ in lacks)} if lacks else {}
-        gaps += [(line, i) for _, some, _ in lacks for i in some]
+        gaps += [(known, line, i) for known, some, _ in lacks for i in some]
         factors += [(line, i, factor) for *_, some in lacks for i, factor in some.items()]
     status, numbers = dataset["status"], asked.numbers()
     spent = int(dataset["n_sim_done"].sum() if numbers else (status == Status.DONE).sum())
@@ -181,7 +182,10 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     finest = finest if is_find else float(np.diff(there).min())
     per_line, each = math.floor((axis[-1] - axis[0]) / finest * ROUNDING) + 1, math.prod(numbers.values())
     full = per_line * (status.size // dataset[over].size) * each
-    points = {} if most is not None and spent >= most else _midpoints(asked, now, over, gaps)
+    if most is not None:  # what is known least comes first, as there may not be points for all
+        gaps.sort(key=lambda gap: -gap[0])
+    affordable = None if most is None else max(0, most - spent) // each
+    points = dict(islice(_midpoints(asked, now, over, [gap[1:] for gap in gaps]).items(), affordable))
     left = (int(SHARE * full) if most is None else most) - spent - len(points) * each
     are_alike = now.sampling.precision or now.sampling.keep_samples or now.sampling.common_random_numbers
     n_sim = {} if are_alike else _realisations(now, over, factors, left)

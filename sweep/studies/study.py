@@ -258,9 +258,10 @@ class Section(BaseModel):
 class Sampling(Section):
     """How many realisations: ``n_sim`` for each of ``n_cat`` catalogues, from one ``seed``.
 
-    With a ``precision`` a point gets at least ``n_sim`` and at most ``max_n_sim``, until the relative Monte-Carlo error
-    of its headline results is below the precision.  With ``common_random_numbers`` points that differ only in
-    parameters that do not change the random numbers draw the same ones.
+    With a ``precision`` a point gets at least ``n_sim`` and at most ``max_n_sim``, both rounded up to whole parts,
+    until the relative Monte-Carlo error of its headline results is below the precision.  With
+    ``common_random_numbers`` points that differ only in parameters that do not change the random numbers draw the same
+    ones.
     """
 
     n_sim: Count = Field(1000, description="realisations of each catalogue")
@@ -272,7 +273,9 @@ class Sampling(Section):
         description="relative error of the headline results at which a point stops, after n_sim at least",
         examples=[0.01],
     )
-    max_n_sim: Count | None = Field(None, description="but not more than these", examples=[MOST_SIMS])
+    max_n_sim: Count | None = Field(
+        None, description="but not more than these, rounded up to whole parts", examples=[MOST_SIMS]
+    )
     common_random_numbers: bool = Field(
         False, description="let points share what they can: ratios and exponents have far less noise"
     )

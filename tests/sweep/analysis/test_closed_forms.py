@@ -221,8 +221,8 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
     crossing = linksweep.find(dataset, f"width < {limit!r}", over="n")
     assert crossing["first"].item() == crossing["last"].item() == pytest.approx(place(y), rel=1e-9)
     # Half as far as the line is within two of its errors of the limit, on the side where that is farther.
-    z, at = np.log(x), np.log(crossing["first"].item())
-    far = np.ptp(z) * np.geomspace(1e-6, 3.0, 30001)[:, None]
+    z, at = to(x), to(crossing["first"].item())
+    far = np.ptp(z) * np.geomspace(1e-9, 3.0, 12001)[:, None]
     reaches = []
     for line in (at + far, at - far):
         i = np.clip(np.searchsorted(z, line) - 1, 0, len(x) - 2)
@@ -231,8 +231,10 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
         errors = np.sqrt(np.einsum("ki,ij,kj->k", weights, spread / np.outer(y, y), weights) * more)
         outside = np.flatnonzero(~(np.abs(weights @ np.log(y) - np.log(limit)) < 2.0 * errors))
         reaches.append(float(far[outside[0], 0]) if outside.size and not np.isnan(errors).any() else np.nan)
-    wanted = np.maximum(*reaches) / 2.0 * crossing["first"].item()
-    assert crossing["first_error"].item() == pytest.approx(wanted, rel=1e-3, nan_ok=True)
+    unit = 1.0 if magnitudes else crossing["first"].item()
+    wanted, error = np.maximum(*reaches) / 2.0 * unit, crossing["first_error"].item()
+    is_far = np.isnan(wanted) and error > 1.5 * np.ptp(z) * unit
+    assert is_far or error == pytest.approx(wanted, rel=2e-3, nan_ok=True)
 
 
 @several

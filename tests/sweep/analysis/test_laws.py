@@ -185,6 +185,22 @@ def test_options_of_commands_say_what_arguments_of_functions_do(decays, sweep_he
             np.testing.assert_array_equal(found, finite.reshape(-1), err_msg=str(name))
 
 
+def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here):
+    def kernel(name: str = "flat", width: float = 1.0):
+        return {"z": 7.0 if name == "flat" else 3.0 * width}
+
+    study = {"experiment": kernel, "axes": {"name": ["flat", "rbf"], "width": [1.0, 2.0, 4.0]}}
+    ds = linksweep.run(study | {"when": {"width": {"name": ["rbf"]}}}, tmp_path / "s.zarr", pool="serial")
+    out = sweep_here("find", tmp_path / "s.zarr", "--where", "z > 5", "--over", "width")[1]
+    assert "always; 7 is nearest to the limit" in out
+    assert "nan" not in out
+    assert "scatter" not in out
+    law = fit_power_law(ds, "z", "width").sel(name="rbf")
+    assert (law["points"].item(), law["exponent"].item()) == (3.0, pytest.approx(1.0))
+    linksweep.run(kernel, tmp_path / "t.zarr", points={"name": ["flat", "rbf"], "width": [1.0, 2.0]}, pool="serial")
+    assert sweep_here("find", tmp_path / "t.zarr", "--where", "z > 50")[1].strip() == "no point meets z > 50"
+
+
 @pytest.mark.parametrize("noise", [0.03, 0.1, 0.3, 0.5])
 @pytest.mark.parametrize("truth", [1.5, 1.75, 2.0])
 def test_crossings_of_points_with_errors_of_any_size(noise, truth):

@@ -142,6 +142,18 @@ def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no
     assert bare(mine).equals(bare(lavish.sel(x=ELEVEN["x"])))
 
 
+@pytest.mark.parametrize(("most", "spent"), [(1000, 1100), (1100, 1100), (1250, 1200), (1500, 1500)])
+def test_no_more_than_the_realisations_that_are_allowed_are_spent_on_new_points(most, spent):
+    def wave(rng, x: float):
+        return {"y": np.exp(3.0 * x) * np.sin(20.0 * x) + 1e-6 * rng.normal()}
+
+    more = {"axes": ELEVEN, "sampling": {"n_sim": 100}, "max_realisations": most, "pool": "serial"}
+    ds = linksweep.refine(wave, f"{most}.zarr", until="error < 0.001", **more)
+    assert int(ds.n_sim_done.sum()) == spent
+    new = set(ds.x.values.tolist()) - set(ELEVEN["x"])
+    assert not new or max(new) > 0.75  # where the wave is largest
+
+
 @pytest.mark.slow
 def test_what_is_said_to_be_known_of_a_noisy_crossing_is_true_as_often_as_two_errors_are(sweep, tmp_path):
     (tmp_path / "noise.py").write_text("def noisy(rng, x: float):\n    return {'y': x - 0.4321 + 0.1 * rng.normal()}\n")
