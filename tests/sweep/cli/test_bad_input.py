@@ -176,6 +176,7 @@ FILES = {
     "taken.toml": b"mine",
     "c.toml": b'class = "distributed.LocalCluster"\nscale = 1\n',
 }
+SOBOL = "plan quasars --design sobol:8"
 COMMANDS = [
     ("run french.toml", "french.toml: not UTF-8 text: byte 0xc9 in line 1"),
     ("run large.toml", "large.toml: is larger than 1,000,000 bytes"),
@@ -215,6 +216,21 @@ COMMANDS = [
     ("tie psrpi psrpi --mission a=psrpi --mission a=psrpi", "named twice"),
     ("tie psrpi psrpi --mission a=psrpi --mission-epoch b=1991.25", "no table 'b'"),
     ("tie psrpi psrpi --mission a=psrpi --jitter b:position=1", "no table 'b'"),
+    # no option is dropped for another
+    ("plan quasars --axis v_max=14,15 --set v_max=16", "--set v_max=16 and --axis v_max=14,15: v_max is"),
+    ("plan quasars --axis v_max=14,15 --axis v_max=16", "--axis v_max=14,15 and --axis v_max=16: v_max is given twice"),
+    ("plan quasars --set n_sim=1 --set sampling.n_sim=2", "--set n_sim=1 and --set sampling.n_sim=2: n_sim is given"),
+    ("plan quasars --set title=a --set title=b", "--set title=a and --set title=b: title is given twice"),
+    ("plan quasars --design random:8 --range v_max=1:5 --range v_max=1:6", "--range v_max=1:5 and --range v_max=1:6"),
+    (f"{SOBOL}:3 --range v_max=14:15 --set points.seed=4", "--set points.seed=4 and --design sobol:8:3:"),
+    (f"{SOBOL} --range v_max=14:15 --set points.n=16", "--set points.n=16 and --design sobol:8: n is"),
+    ("plan quasars --points t.csv --range v_max=14:15 --set points.seed=4", "t.csv): ranges, seed: does not"),
+    (f"{SOBOL} --range v_mxa=14:15", "points.ranges.v_mxa (--range v_mxa=14:15): unknown"),
+    (f"{SOBOL} --range error_scale=2:1e305", "(--range error_scale=2:1e305): high = 1e+305: must"),
+    ("plan quasars --design sobl:8 --range v_max=14:15", "points.design (--design sobl:8): input should be 'sobol'"),
+    (f"{SOBOL}:3:1 --range v_max=14:15", "--design 'sobol:8:3:1': must be written NAME:N or NAME:N:SEED"),
+    ('plan quasars --axis model=amex,"gaia,x"', "commas divide values"),
+    (f"{SOBOL} --range model='c,d',a", "commas divide values"),
     ("run study.toml --cluster c.toml --scheduler tcp://a:1", "these are of different places"),
     ("run study.toml --cluster c.toml --memory-limit 2GB", "memory, cluster: these are of different places"),
     ("run study.toml --cluster c.toml --time-limit 0", "'--time-limit'"),
@@ -271,7 +287,9 @@ def test_a_command_that_cannot_be_run_says_why(here, coin_store, decayed, comman
     check_refused(here, words, *phrase.split(", name it "))
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "host", slow("tcp://127.0.0.1:99999999")])
+@pytest.mark.parametrize(
+    "address", ["tcp://127.0.0.1:1", "host", "nonsense://x:1", "tcp://", slow("tcp://127.0.0.1:99999999")]
+)
 def test_bad_scheduler(here, monkeypatch, address):
     monkeypatch.setattr("linksweep.sweep.executing.clusters.CONNECT_TIMEOUT_S", 1)
     check_refused(here, ("run", "study.toml", "--scheduler", address), "no Dask scheduler", repr(address))

@@ -15,21 +15,15 @@ from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.contract import Status
 from linksweep.sweep.report.page import explorer, report_of, report_page, residuals, section
 from tests.sweep import evil
+from tests.sweep.analysis import made
 from tests.tiers import slow
 
 
 def grid(value, status=None, **others):
-    """A dataset of axes kind (2) and size (3), as results are."""
-    shape = np.shape(value)
-    variables = {"share": value, **{f"share_{suffix}": part for suffix, part in others.items()}}
-    dataset = xr.Dataset(
-        {name: (("kind", "size"), np.array(part, dtype=float), {"units": "mas"}) for name, part in variables.items()},
-        {"kind": np.array(["one", "two"], dtype=object), "size": [1.0, 2.0, 4.0]},
-        {"title": "A title", "complete": 1, "study": "the study's text"},
-    )
-    dataset["share"].attrs |= {"headline": 1, "long_name": "share of heads"}
-    status = np.full(shape, Status.DONE, dtype=np.int8) if status is None else np.array(status, dtype=np.int8)
-    return dataset.assign(status=(("kind", "size"), status))
+    """A dataset of axes model (2) and size (3), as results are."""
+    parts = {f"width_{name}": (("model", "size"), np.asarray(part, float)) for name, part in others.items()}
+    dataset = made.grid(value, x=[1.0, 2.0, 4.0], name="size", status=status, **parts)
+    return dataset.assign_attrs(complete=1)
 
 
 @pytest.fixture
@@ -53,7 +47,7 @@ def test_the_answer_adds_the_parts_of_an_error_counts_what_agrees_with_the_predi
     assert "It differs from its prediction by at most 20 % and 5.0 of its errors, at 1 point by more than 3" in text
     status = [[Status.DONE, Status.FAILED, Status.MISSING], [Status.DONE, Status.DONE, Status.EXCLUDED]]
     dataset = grid([[8.0, np.nan, np.nan], [7.0, 5.0, np.nan]], status)
-    assert "It is between 5 mas (kind=two, size=2) and 8 mas (kind=one, size=1), over 3 points." in sentences(dataset)
+    assert "It is between 5 mas (model=new, size=2) and 8 mas (model=old, size=1), over 3 points." in sentences(dataset)
     assert completeness(dataset) == [
         "Incomplete: 3 of 5 points are done, 1 missing and 1 failed. What follows is about those that are done."
     ]
@@ -157,12 +151,12 @@ def test_an_answer_is_question_and_sentences_as_text_and_in_a_notebook(results):
 @pytest.mark.parametrize(
     ("value", "phrase"),
     [
-        (VALUES, "It is between 2 mas (kind=one, size=4) and 80 mas (kind=two, size=1), over 6 points."),
-        (VALUES, "What changes it: kind by a factor of up to 10, size by a factor of up to 8, all else being equal."),
+        (VALUES, "It is between 2 mas (model=old, size=4) and 80 mas (model=new, size=1), over 6 points."),
+        (VALUES, "What changes it: model by a factor of up to 10, size by a factor of up to 8, all else being equal."),
         (np.full((2, 3), np.nan), "No point has a value yet."),
         (np.full((2, 3), 7.0), "7 mas"),
-        ([[np.nan, np.nan, 3.0], [np.nan] * 3], "3 mas at kind=one, size=4"),
-        ([[1.0, -1.0, 0.0], [0.0] * 3], "between -1 mas (kind=one, size=2) and 1 mas"),
+        ([[np.nan, np.nan, 3.0], [np.nan] * 3], "3 mas at model=old, size=4"),
+        ([[1.0, -1.0, 0.0], [0.0] * 3], "between -1 mas (model=old, size=2) and 1 mas"),
         ([[1.0, np.inf, 2.0], [1.0] * 3], "It is not a finite number at 1 point."),
     ],
 )
@@ -176,10 +170,10 @@ def test_differences_from_a_prediction_are_in_errors_and_have_no_unit(factor):
     values, error = factor * np.array(VALUES), 0.1 * factor * np.array(VALUES)
     errors = {"mc_error": 0.6 * error, "catalogue_error": 0.8 * error}
     dataset = grid(values, predicted=np.full((2, 3), 5.0 * factor), **errors)
-    found = residuals(dataset, "share")["share_from_prediction"]
+    found = residuals(dataset, "width")["width_from_prediction"]
     assert "units" not in found.attrs
     np.testing.assert_allclose(found.values, (values - 5.0 * factor) / error, rtol=1e-12)
-    assert residuals(grid(values, **errors), "share") is None
+    assert residuals(grid(values, **errors), "width") is None
 
 
 CHIRP = '''
