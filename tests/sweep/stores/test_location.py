@@ -1,4 +1,4 @@
-"""Folders and buckets keep the same promises; one run at a time writes to a store; links and pipes are refused in it."""
+"""Folders and buckets keep the same promises; one run at a time writes to a store; no links or pipes are in it."""
 
 import errno
 import json
