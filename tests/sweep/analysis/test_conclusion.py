@@ -11,6 +11,7 @@ from tests.sweep.analysis.made import DONE, FAILED, MISSING, answers, grid, stud
 
 AT = {"model": "gaia", "v_max": 20.0}
 GAIA = {"value": {"variable": "sigma_spin", "at": AT}}
+ZIPPED = {"axes": {"model": ["amex", "gaia"], "v_max": [14.0, 20.0]}, "grid": {"zip": [["model", "v_max"]]}}
 RATIO = {"variable": "sigma_spin", "of": {"model": "gaia"}, "to": {"model": "amex"}}
 
 
@@ -72,6 +73,12 @@ def test_what_is_not_there_is_said_or_left_out():
     assert sentences == ["Few.", "No further conclusion: numbers that it needs are missing (failed)."]
     beyond = {"value": {"variable": "sigma_spin", "at": {"model": "gaia", "v_max": 21.0}}}
     assert concluding(made(), "{beyond}", "{gaia}!", beyond=beyond, gaia=GAIA) == ["0.54 uas/yr!"]
+    # zipped axes are fixed and vary together
+    one = {"value": {"variable": "sigma_spin", "at": {"v_max": 20.0}}}
+    assert concluding(made(), "{gaia:%}", grid=ZIPPED, gaia=one | {"where": {"model": "gaia"}}) == ["0.054 %"]
+    slope = {"slope": {"variable": "sigma_spin", "over": "v_max"}, "where": {"model": "gaia"}}
+    with pytest.raises(SweepError, match="'v_max' cannot vary, because 'where' fixes model"):
+        concluding(made(), "{gaia}", grid=ZIPPED, gaia=slope)
 
 
 def test_without_a_conclusion_the_range_answers():
@@ -81,6 +88,10 @@ def test_without_a_conclusion_the_range_answers():
     assert said(made(np.full((2, 2), np.nan)))[0].endswith("No point has a value yet.")
     with pytest.raises(SweepError, match="the attribute 'conclusion' cannot be read"):
         linksweep.answer(made().assign_attrs(conclusion="{"))
+    # words about what the study fixes are not said of something else
+    changes = ({"settings": ["catalogue=galaxies"]}, {"settings": ["model=gaia"]}, {"axes": ["error_scale=1,2"]})
+    assert [linksweep.load_study("quasars", **change).conclusion for change in changes] == [None] * 3
+    assert linksweep.load_study("quasars", ["n_sim=5"], ["v_max=14,15"]).conclusion is not None
 
 
 def test_a_page_says_what_changes_a_result_and_how_well_it_is_predicted():
@@ -93,15 +104,6 @@ def test_a_page_says_what_changes_a_result_and_how_well_it_is_predicted():
     text = " ".join(" ".join(answer.sentences) for answer in answers(dataset))
     assert "What changes it: model by a factor of up to 3.21, n by a factor of up to 2.25" in text
     assert "by at most 20 % and 5.0 of its errors, at 1 point by more than 3 of them" in text
-
-
-def test_words_about_what_the_study_fixes_are_not_said_of_something_else():
-    changes = ({"settings": ["catalogue=galaxies"]}, {"settings": ["model=gaia"]}, {"axes": ["error_scale=1,2"]})
-    assert [linksweep.load_study("quasars", **change).conclusion for change in changes] == [None] * 3
-    assert linksweep.load_study("quasars", ["n_sim=5"], ["v_max=14,15"]).conclusion is not None
-
-
-ZIPPED = {"axes": {"model": ["amex", "gaia"], "v_max": [14.0, 20.0]}, "grid": {"zip": [["model", "v_max"]]}}
 
 
 @pytest.mark.parametrize(
@@ -121,11 +123,3 @@ def test_bad_conclusions_are_refused_when_the_study_is_read(sentence, value, pro
         concluding(made(), sentence, gaia=value)
     assert problem in str(error.value)
     assert "conclusion" in str(error.value)
-
-
-def test_zipped_axes_are_fixed_and_vary_together():
-    one = {"value": {"variable": "sigma_spin", "at": {"v_max": 20.0}}}
-    assert concluding(made(), "{gaia:%}", grid=ZIPPED, gaia=one | {"where": {"model": "gaia"}}) == ["0.054 %"]
-    slope = {"slope": {"variable": "sigma_spin", "over": "v_max"}, "where": {"model": "gaia"}}
-    with pytest.raises(SweepError, match="'v_max' cannot vary, because 'where' fixes model"):
-        concluding(made(), "{gaia}", grid=ZIPPED, gaia=slope)

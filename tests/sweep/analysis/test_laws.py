@@ -152,18 +152,10 @@ def decaying(x: float, kind: str = "a"):
     return {"y": (2.0 if kind == "a" else 3.0) * np.sqrt(0.04 + np.exp(-x)), "z": x + 10.0 * (kind == "b")}
 
 
-@pytest.fixture(scope="module")
-def decays(tmp_path_factory):
-    store = tmp_path_factory.mktemp("decays") / "s.zarr"
-    linksweep.run(decaying, store, axes={"x": np.arange(1.0, 9.0), "kind": ["a", "b"]}, pool="serial")
-    return store
-
-
+PART = "--range 2:7 --at kind=b --expect 0.5"
 COMMANDS = {
     "fit STORE --over x": lambda ds: fit_power_law(ds, "y", "x"),
-    "fit STORE --variable z --over x --range 2:7 --at kind=b --expect 0.5": lambda ds: fit_power_law(
-        ds.sel(kind="b", x=slice(2.0, 7.0)), "z", "x", 0.5
-    ),
+    f"fit STORE --variable z --over x {PART}": lambda ds: fit_power_law(ds.sel(kind="b", x=slice(2, 7)), "z", "x", 0.5),
     "fit STORE --variable y --law levelling": lambda ds: fit_levelling(ds, "y", "x"),
     "fit STORE --variable y --law levelling --fall 20": lambda ds: fit_levelling(ds, "y", "x", fall=0.2),
     "find STORE --where y<1 --at kind=b": lambda ds: find(ds.sel(kind="b"), "y < 1", "x"),
@@ -172,17 +164,18 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_options_of_commands_say_what_arguments_of_functions_do(decays, sweep_here, command):
-    result = COMMANDS[command](linksweep.open(decays))
-    code, out, err = sweep_here(*command.replace("STORE", str(decays)).split(), "--json")
-    assert code == 0, err
-    rows = json.loads(out)["rows"]
-    for name, values in result.data_vars.items():
-        if values.dtype.kind == "f":
-            found = [np.nan if row[name] is None else row[name] for row in rows]
-            finite = np.where(np.isfinite(values), values, np.nan)
-            np.testing.assert_array_equal(found, finite.reshape(-1), err_msg=str(name))
+def test_options_of_commands_say_what_arguments_of_functions_do(tmp_path, sweep_here):
+    decays = tmp_path / "s.zarr"
+    linksweep.run(decaying, decays, axes={"x": np.arange(1.0, 9.0), "kind": ["a", "b"]}, pool="serial")
+    for command, function in COMMANDS.items():
+        code, out, err = sweep_here(*command.replace("STORE", str(decays)).split(), "--json")
+        assert code == 0, err
+        rows = json.loads(out)["rows"]
+        for name, values in function(linksweep.open(decays)).items():
+            if values.dtype.kind == "f":
+                found = [np.nan if row[name] is None else row[name] for row in rows]
+                finite = np.where(np.isfinite(values), values, np.nan)
+                np.testing.assert_array_equal(found, finite.reshape(-1), err_msg=f"{command}: {name}")
 
 
 def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here):

@@ -21,20 +21,8 @@ def shape(x: float, root: float, power: float = 1.0, is_step: bool = False) -> f
     return math.copysign(1.0 if is_step else abs(x - root) ** power, x - root)
 
 
-def decay(x: float, rate: float) -> float:
-    return math.exp(-rate * x)
-
-
 def noisy(rng, x: float, sigma: float = 0.1) -> float:
     return {"y": x - 0.4321 + sigma * rng.normal()}
-
-
-def uneven(rng, x: float):
-    return noisy(rng, x, 0.02 * (1.0 + 9.0 * x))
-
-
-def wave(x: float) -> float:
-    return math.sin(2.0 * math.pi * x)
 
 
 def crossings(ds, condition, over="x"):
@@ -76,6 +64,9 @@ def test_a_root_is_located_with_a_fifth_of_the_points_of_the_full_grid(root, pow
 
 @pytest.mark.slow
 def test_every_line_gets_points_at_its_own_crossing_and_further_runs_leave_no_gaps():
+    def decay(x: float, rate: float) -> float:
+        return math.exp(-rate * x)
+
     goal = {"find": "decay < 0.2", "along": "x", "pool": "serial"}
     rates = {"rate": [1.0, 2.0, 3.0]}
     ds = linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.01, **goal)
@@ -99,6 +90,12 @@ def test_every_line_gets_points_at_its_own_crossing_and_further_runs_leave_no_ga
 
 
 def test_values_between_points_are_interpolated_to_the_error_that_was_asked_for():
+    def wave(x: float) -> float:
+        return math.sin(2.0 * math.pi * x)
+
+    def uneven(rng, x: float):
+        return noisy(rng, x, 0.02 * (1.0 + 9.0 * x))
+
     ds = linksweep.refine(wave, axes=ELEVEN, until="error < 0.02", pool="serial")
     x = np.linspace(0.0, 1.0, 2001)
     assert np.abs(np.interp(x, ds.x.values, ds.wave.values) - np.sin(2.0 * np.pi * x)).max() < 0.02

@@ -69,6 +69,15 @@ def test_rows_of_each_model_are_read(tmp_path, form, ending):
     found = read.astrometry.covariance()[:, :9, :9]
     np.testing.assert_allclose(found, covariance, rtol=1e-9, atol=1e-12 * covariance.max())
     assert any("3 of 5, 3 of 7, 3 of 9" in note for note in read.notes)
+    if form == "named":  # a unit is converted, and a wrong one noted
+        table = Table.read(tmp_path / f"dr4.{ending}")
+        units = dict.fromkeys(("accel_ra", "accel_dec", "accel_ra_error", "accel_dec_error"), "uas/yr2")
+        for column in units:
+            table[column] *= 1000.0
+        table.write(tmp_path / "wrong.ecsv")
+        assert sum("is its unit right" in note for note in read_table(tmp_path / "wrong.ecsv").notes) == 2
+        found = read_table(tmp_path / "wrong.ecsv", TableOptions(units=units)).astrometry
+        np.testing.assert_allclose(found.further, read.astrometry.further, rtol=1e-12)
 
 
 def path(star, accelerations, years):
@@ -148,20 +157,6 @@ def test_the_mean_motions_of_dr3_are_those_of_its_polynomials(tmp_path):
     assert any("averages, as in DR3" in note for note in link.attrs["notes"])
     own = linksweep.tie(path, reference, "orientation,spin", accelerations="at-epoch", accept_misfit=True)
     assert np.abs(own.estimate).max() > 0.01
-
-
-def test_a_unit_of_accelerations_is_converted_and_a_wrong_one_noted(tmp_path):
-    made, accelerations, covariance, sizes = drawn(6, 8)
-    path = satellite_table(tmp_path / "dr4.ecsv", made, accelerations, covariance, sizes)
-    table = Table.read(path)
-    for name in NINE[5:7]:
-        for column in (name, f"{name}_error"):
-            table[column] *= 1000.0
-    table.write(tmp_path / "wrong.ecsv")
-    assert sum("is its unit right" in note for note in read_table(tmp_path / "wrong.ecsv").notes) == 2
-    units = dict.fromkeys(("accel_ra", "accel_dec", "accel_ra_error", "accel_dec_error"), "uas/yr2")
-    found = read_table(tmp_path / "wrong.ecsv", TableOptions(units=units)).astrometry
-    np.testing.assert_allclose(found.further, read_table(path).astrometry.further, rtol=1e-12)
 
 
 def test_accelerations_of_a_reference_leave_its_five_parameters(tmp_path):

@@ -193,11 +193,6 @@ def compare(link, tables, weights, sign=1.0):
         np.testing.assert_allclose(got, expected, rtol=rtol, atol=atol)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("squares")
-
-
 KINDS = "formal,scaled,jackknife,sandwich,cells"
 SEEDS = [1, *map(slow, (2, 3))]
 
@@ -210,8 +205,8 @@ SEEDS = [1, *map(slow, (2, 3))]
     ],
 )
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_solution_is_that_of_full_matrices(folder, seed, weights, clip):
-    tables = drawn_tables(folder, seed, n=40, far=(2, 5, 6) if clip == "median:1.5" else ())  # several in some cells
+def test_a_solution_is_that_of_full_matrices(tmp_path, seed, weights, clip):
+    tables = drawn_tables(tmp_path, seed, n=40, far=(2, 5, 6) if clip == "median:1.5" else ())  # several in some cells
     link = linked(tables, weights=weights, clip=clip, errors=f"{KINDS},bootstrap" if clip == "none" else KINDS)
     compare(link, tables, weights)
     if clip == "none":
@@ -225,8 +220,8 @@ def test_a_solution_is_that_of_full_matrices(folder, seed, weights, clip):
 
 
 @pytest.mark.parametrize("seed", [3, *map(slow, (1, 4))])
-def test_what_a_clip_drops_has_no_part_in_the_rest(folder, seed):
-    tables = drawn_tables(folder, seed, far=(3, 7), scale=1.6)  # some are significant alone, and not among so many
+def test_what_a_clip_drops_has_no_part_in_the_rest(tmp_path, seed):
+    tables = drawn_tables(tmp_path, seed, far=(3, 7), scale=1.6)  # some are significant alone, and not among so many
     link = linked(tables, errors=KINDS, clip="discrepancy")
     dropped = np.flatnonzero(link.weight_factor.values == 0.0)
     assert {3, 7} <= set(dropped)
@@ -259,9 +254,9 @@ def test_what_a_clip_drops_has_no_part_in_the_rest(folder, seed):
     assert int(link.step_chosen) == significant.index(False)
 
 
-def test_sources_that_say_nothing_change_nothing(folder):
+def test_sources_that_say_nothing_change_nothing(tmp_path):
     """Without a motion and with one row at another epoch a source has no observation left: no error counts it."""
-    tables = drawn_tables(folder, 3)
+    tables = drawn_tables(tmp_path, 3)
     silent = np.array([0, 1, 2, 3])
     own, rows = tables.own, tables.rows
     more = only(own.taken(silent), POSITION)
@@ -270,7 +265,7 @@ def test_sources_that_say_nothing_change_nothing(folder):
     for name, first, second in (("own", own, more), ("rows", rows, later)):
         both = replace(joined(first, second), radial_velocity=np.zeros(len(first) + 4), apparent=None)
         of = np.arange(12) if name == "own" else tables.source
-        together[name] = gaia(folder / f"{name}.ecsv", both, source_id=np.append(of, np.arange(12, 16)) + 10**17)
+        together[name] = gaia(tmp_path / f"{name}.ecsv", both, source_id=np.append(of, np.arange(12, 16)) + 10**17)
     link = linked(SimpleNamespace(satellite=together["own"], reference=together["rows"]), errors=KINDS)
     plain = linked(tables, errors=KINDS)
     assert link.n_observations.values[12:].tolist() == [0.0] * 4
@@ -281,8 +276,8 @@ def test_sources_that_say_nothing_change_nothing(folder):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("clip", ["none", "huber:1.2", "median:3", "discrepancy:2"])
-def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypatch, clip):
-    tables = drawn_tables(folder, 8, n=14, far=(3, 7))
+def test_sources_that_do_not_fit_into_memory_give_the_same_link(tmp_path, monkeypatch, clip):
+    tables = drawn_tables(tmp_path, 8, n=14, far=(3, 7))
     options = {"clip": clip, "errors": "formal,scaled,cells"}
     plain = linked(tables, **options)
     monkeypatch.setattr("linksweep.core.tie.problem.KEPT_NUMBERS", 0)
@@ -295,9 +290,9 @@ def test_sources_that_do_not_fit_into_memory_give_the_same_link(folder, monkeypa
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_separations_and_the_clip_of_rayleigh(folder, seed):
+def test_separations_and_the_clip_of_rayleigh(tmp_path, seed):
     """X and the separation of each row, as `weight` and `residuals` show them: of a position, else of a motion."""
-    tables = drawn_tables(folder, seed, n=20, far=(4,), coarse=(6, 8, 11))
+    tables = drawn_tables(tmp_path, seed, n=20, far=(4,), coarse=(6, 8, 11))
     link, own, rows = linked(tables, clip="rayleigh"), tables.own, tables.rows
     cov, own_cov, (x, apart) = rows.covariance() / MAS**2, own.covariance() / MAS**2, np.zeros((2, 20))
     for k, s in enumerate(tables.source):
@@ -320,9 +315,9 @@ def test_separations_and_the_clip_of_rayleigh(folder, seed):
 
 
 @pytest.mark.parametrize("some", [("motion", "all"), *map(slow, (("five-parameter", "position"), ("all",)))])
-def test_jitter_is_what_one_would_add_by_hand(folder, some):
+def test_jitter_is_what_one_would_add_by_hand(tmp_path, some):
     """To the errors of each row of its kind, wherever it stands in the table; covariances stay."""
-    tables, rng = drawn_tables(folder, 1), np.random.default_rng(1)
+    tables, rng = drawn_tables(tmp_path, 1), np.random.default_rng(1)
     jitter = {kind: (0.0 if kind == "motion" else rng.uniform(0.0, 1.0), rng.uniform(0.0, 1.0)) for kind in some}
     # one number is that of motions for rows that have nothing else
     said = ",".join(f"{kind}={a}:{b}" if kind != "motion" else f"{kind}={b}" for kind, (a, b) in jitter.items())
@@ -335,17 +330,17 @@ def test_jitter_is_what_one_would_add_by_hand(folder, some):
     sigma, correlations = by_errors(covariance)
     correlations = np.array([correlations[pair] for pair in PAIRS])
     by_hand = replace(rows, errors=np.where(present, sigma, np.nan), correlations=correlations)
-    expected = gaia(folder / "by_hand.ecsv", by_hand, source_id=tables.source + 10**17)
+    expected = gaia(tmp_path / "by_hand.ecsv", by_hand, source_id=tables.source + 10**17)
     found = linked(tables, jitter=said)
     other = linked(SimpleNamespace(satellite=tables.satellite, reference=expected))
     for name in ("estimate", "errors", "chi2", "discrepancy", "difference_error"):
         np.testing.assert_allclose(found[name], other[name], rtol=1e-7, atol=1e-10, err_msg=name)
 
 
-def test_powers_are_the_integrals_of_their_fields_over_the_sky(folder):
+def test_powers_are_the_integrals_of_their_fields_over_the_sky(tmp_path):
     """By quadrature that is exact for these degrees; the noise is the average power of the errors alone."""
     own = stars(150, 3, pm=0.1)
-    path = gaia(folder / "quasars.ecsv", own)
+    path = gaia(tmp_path / "quasars.ecsv", own)
     link = linksweep.tie(path, "zero-motion", "spin", degree=3, errors="formal", accept_misfit=True)
     heights, of_heights = np.polynomial.legendre.leggauss(12)
     ra, dec = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False), np.arcsin(heights))

@@ -141,8 +141,6 @@ def test_columns_keep_their_units_and_names(tmp_path, units):
 
 ARCSEC = dict.fromkeys(("pmra", "pmdec", "pmra_error", "pmdec_error"), "arcsec/yr")
 OWN = {name: f"my {name}" for name in ("ra", *ARCSEC)}
-
-
 READ = [{"units": ARCSEC}, {"columns": OWN}, {"without_cos_dec": True}, {"epoch": 2016.0}, {"zero_errors": "missing"}]
 
 
@@ -197,16 +195,14 @@ def test_motions_without_errors_are_turned_and_half_a_motion_is_refused(tmp_path
         linksweep.apply(link, table)
 
 
-@pytest.mark.parametrize("unknowns", ["orientation", "spin"])
-def test_what_the_link_lacks_stays_and_is_said(tmp_path, unknowns):
-    link, own = linked(tmp_path, EPSILON[0], OMEGA[0], unknowns=unknowns), stars(10, 4)
-    moved = linksweep.apply(link, gaia(tmp_path / "own.ecsv", own))
-    lacking, zero = {"orientation": "spin", "spin": "orientation"}[unknowns], np.zeros(3)
-    whole = linked(tmp_path, *((EPSILON[0], zero) if lacking == "spin" else (zero, OMEGA[0])))
-    np.testing.assert_allclose(values_of(moved), values_of(linksweep.apply(whole, tmp_path / "own.ecsv")), atol=1e-20)
-    said = " ".join(moved.meta["comments"])
-    assert f"the link has no {lacking}" in said
-    assert "correlated" in said
+@pytest.mark.parametrize(("has", "lacks"), [("orientation", "spin"), ("spin", "orientation")])
+def test_what_the_link_lacks_stays_and_is_said(tmp_path, has, lacks):
+    link, own = linked(tmp_path, EPSILON[0], OMEGA[0], unknowns=has), gaia(tmp_path / "own.ecsv", stars(10, 4))
+    moved, zero = linksweep.apply(link, own), np.zeros(3)
+    whole = linked(tmp_path, *((EPSILON[0], zero) if lacks == "spin" else (zero, OMEGA[0])))
+    np.testing.assert_allclose(values_of(moved), values_of(linksweep.apply(whole, own)), atol=1e-20)
+    assert f"the link has no {lacks}" in " ".join(moved.meta["comments"])
+    assert "correlated" in " ".join(moved.meta["comments"])
 
 
 def test_what_cannot_be_carried_is_refused_by_name(tmp_path, monkeypatch):

@@ -31,24 +31,18 @@ def test_parallaxes_are_those_of_the_authors_package(tmp_path):
     assert any("zero points of 28 of 30 parallaxes subtracted" in note for note in found.notes)
 
 
-def edr3_to_icrf(pmra, pmdec, ra, dec, magnitude):
-    """Return the motions that Cantat-Gaudin & Brandt 2021 (A&A 649, A124) give, mas/yr, in three bins."""
-    x, y, z = {8.0: (18.4, 33.8, -11.3), 12.6: (27.3, 76.6, 0.5), 15.0: (0.0, 0.0, 0.0)}[magnitude]
-    along_ra = -np.sin(dec) * np.cos(ra) * x - np.sin(dec) * np.sin(ra) * y + np.cos(dec) * z
-    return pmra - along_ra / 1000.0, pmdec - (np.sin(ra) * x - np.cos(ra) * y) / 1000.0
-
-
 def bright(folder):
-    """Write motions with the spin of bright stars of EDR3, and those without it."""
+    """Write motions with the spin of bright stars of EDR3, and those without it.
+
+    Cantat-Gaudin & Brandt 2021 (A&A 649, A124), in three bins.
+    """
     made = replace(stars(30, 2), radial_velocity=np.zeros(30))
-    magnitude = np.tile([8.0, 12.6, 15.0], 10)
-    values = made.values.copy()
-    for k in range(30):
-        ra, dec, _, pmra, pmdec = made.values[:, k]
-        values[3:, k] = np.array(edr3_to_icrf(pmra / MAS, pmdec / MAS, ra, dec, magnitude[k])) * MAS
-    return gaia(folder / "gaia.ecsv", made, phot_g_mean_mag=magnitude), gaia(
-        folder / "true.ecsv", replace(made, values=values)
-    )
+    x, y, z = np.tile([[18.4, 27.3, 0.0], [33.8, 76.6, 0.0], [-11.3, 0.5, 0.0]], 10) * MAS / 1000.0
+    values, (ra, dec) = made.values.copy(), made.values[:2]
+    values[3] -= -np.sin(dec) * np.cos(ra) * x - np.sin(dec) * np.sin(ra) * y + np.cos(dec) * z
+    values[4] -= np.sin(ra) * x - np.cos(ra) * y
+    table = gaia(folder / "gaia.ecsv", made, phot_g_mean_mag=np.tile([8.0, 12.6, 15.0], 10))
+    return table, gaia(folder / "true.ecsv", replace(made, values=values))
 
 
 def test_the_published_spin_of_bright_stars_is_subtracted_and_chi2_says_whether_its_sign_is_right(tmp_path):

@@ -60,7 +60,7 @@ def test_errors_of_ra_in_the_icrf_are_seconds_of_time(tmp_path):
     assert list(kinds(found)) == ["position"] * 3
 
 
-def test_rows_of_vlbi_in_hours_with_mjd_and_seconds_of_time(tmp_path):
+def test_rows_of_vlbi_in_hours_with_mjd_and_seconds_of_time_whose_errors_need_a_unit(tmp_path):
     row = {"star": ["HR 1099"], "mjd": [57388.5], "ra": ["12:00:00.0"], "dec": ["-00:30:00"], "e_ra": [1e-5]}
     Table(row | {"e_dec": [2e-4]}, units={"e_ra": "s", "e_dec": "arcsec"}).write(tmp_path / "vlbi.ecsv")
     found = read_table(tmp_path / "vlbi.ecsv").astrometry
@@ -72,6 +72,13 @@ def test_rows_of_vlbi_in_hours_with_mjd_and_seconds_of_time(tmp_path):
     assert list(kinds(found)) == ["single epoch"]
     mean = read_table(tmp_path / "vlbi.ecsv", TableOptions(positions="mean")).astrometry
     assert list(kinds(mean)) == ["position"]
+    (tmp_path / "t.csv").write_text("name,epoch,RA,Dec,e_RA,e_Dec\nA,2015.5,1 2 3.4,-5 6 7.8,0.1,0.2\n")
+    with pytest.raises(SweepError, match="column 'RA' is sexagesimal, and 'e_RA' has no unit") as refused:
+        read_table(tmp_path / "t.csv")
+    assert "--unit dec_error=mas" in str(refused.value)
+    options = TableOptions(units={"ra_error": "ms", "dec_error": "mas"})
+    errors = read_table(tmp_path / "t.csv", options).astrometry.errors
+    np.testing.assert_allclose(errors[:2, 0] / MAS, [1.5 * np.cos(np.radians(5.1021667)), 0.2], rtol=1e-6)
 
 
 def test_matching_by_name_and_by_position_with_proper_motion(tmp_path):
@@ -163,16 +170,6 @@ def test_epochs_in_every_form_are_those_of_astropy(tmp_path, epoch, days):
     Table(columns | {"epoch": epoch}).write(tmp_path / "t.ecsv")
     found = read_table(tmp_path / "t.ecsv").astrometry.epoch
     np.testing.assert_allclose(found, WHEN.jyear, rtol=0.0, atol=days / 365.25)
-
-
-def test_errors_beside_positions_as_text_need_a_unit(tmp_path):
-    (tmp_path / "t.csv").write_text("name,epoch,RA,Dec,e_RA,e_Dec\nA,2015.5,1 2 3.4,-5 6 7.8,0.1,0.2\n")
-    with pytest.raises(SweepError, match="column 'RA' is sexagesimal, and 'e_RA' has no unit") as refused:
-        read_table(tmp_path / "t.csv")
-    assert "--unit dec_error=mas" in str(refused.value)
-    options = TableOptions(units={"ra_error": "ms", "dec_error": "mas"})
-    errors = read_table(tmp_path / "t.csv", options).astrometry.errors
-    np.testing.assert_allclose(errors[:2, 0] / MAS, [1.5 * np.cos(np.radians(5.1021667)), 0.2], rtol=1e-6)
 
 
 VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
