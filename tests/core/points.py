@@ -118,8 +118,3 @@ class Function:
 
     def __call__(self, *arguments):
         return self.function(*arguments)
-
-
-def mission_of_function(function):
-    curve = FunctionCurve(Function(function))
-    return Mission(curve, curve, 1.0, np.inf, "a test")

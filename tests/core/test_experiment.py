@@ -139,7 +139,8 @@ def test_no_bit_depends_on_who_shares_the_draw(changes, sizes, n_sim, data):
 
 def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
     """It may round otherwise among other objects: here by 1e-12 for each of them."""
-    mission = points.mission_of_function(lambda v_mag: np.full(len(v_mag), 0.3 * (1.0 + 1e-12 * len(v_mag))))
+    curve = points.FunctionCurve(points.Function(lambda v_mag: np.full(len(v_mag), 0.3 * (1.0 + 1e-12 * len(v_mag)))))
+    mission = points.Mission(curve, curve, 1.0, np.inf, "a test")
     limits = [scenario(point(catalogue="quasars", n_obj=None, v_max=v)) for v in (14.0, 15.0)]
     both = [replace(one, satellite_errors=points.MagnitudeErrors(mission)) for one in limits]
     together, alone = points.simulate(both, 30, *generators()), points.simulate(both[:1], 30, *generators())

@@ -96,13 +96,11 @@ FRAME_BIAS = 0.03 / 3600 * frames.DEGREE  # astropy hangs the Galactic axes on F
 
 
 def test_units_are_astropys():
-    for ours, theirs in (
-        (MAS, units.mas),
-        (frames.MICROARCSEC, units.uas),
-        (frames.DEGREE, units.deg),
-        (frames.ARCSEC, units.arcsec),
-    ):
-        assert ours == pytest.approx(theirs.to(units.rad), rel=1e-14)
+    ours, theirs = (
+        (MAS, frames.MICROARCSEC, frames.DEGREE, frames.ARCSEC),
+        (units.mas, units.uas, units.deg, units.arcsec),
+    )
+    assert ours == pytest.approx([unit.to(units.rad) for unit in theirs], rel=1e-14)
 
 
 def test_galactic_axes_against_astropy():

@@ -169,22 +169,17 @@ def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star
 # ----- closed forms
 
 
-def quasars(n, sigma, unknowns):
-    """Return motions of quasars on a uniform grid of the sky, all with one error."""
-    golden = np.arange(n) + 0.5
-    ra, dec = (golden * np.pi * (1.0 + np.sqrt(5.0))) % (2.0 * np.pi), np.arcsin(1.0 - 2.0 * golden / n)
-    errors, nan = np.full((5, n), np.nan), np.full(n, np.nan)
-    errors[3:] = sigma * MAS
-    values = np.array([ra, dec, *np.zeros((3, n))])
-    rows = np.where(np.isfinite(errors), values, np.nan)
-    satellite = Astrometry(values, np.zeros((5, n)), nan)
-    return Problem(satellite, Astrometry(rows, errors, nan), np.arange(n), parse_unknowns(unknowns), 2016.0)
-
-
 def test_the_errors_of_vector_harmonics_from_a_uniform_sky():
-    unknowns = parse_unknowns("vsh_motion:3")
-    solution = solve(source_sums(quasars(4000, 0.3, "vsh_motion:3")))
-    whole = 4.0 * np.pi * (0.3 * MAS) ** 2 / 4000
+    """Of motions of quasars on a uniform grid of the sky, all with one error."""
+    n, sigma, unknowns = 4000, 0.3 * MAS, parse_unknowns("vsh_motion:3")
+    golden, nan = np.arange(n) + 0.5, np.full(n, np.nan)
+    ra, dec = (golden * np.pi * (1.0 + np.sqrt(5.0))) % (2.0 * np.pi), np.arcsin(1.0 - 2.0 * golden / n)
+    values = np.array([ra, dec, *np.zeros((3, n))])
+    errors = np.where(np.arange(5)[:, None] < 3, np.nan, np.full((5, n), sigma))
+    rows = Astrometry(np.where(np.isfinite(errors), values, np.nan), errors, nan)
+    satellite = Astrometry(values, np.zeros((5, n)), nan)
+    solution = solve(source_sums(Problem(satellite, rows, np.arange(n), unknowns, 2016.0)))
+    whole = 4.0 * np.pi * sigma**2 / n
     orders = np.array([term.order for part in unknowns.blocks[0].parts for term in terms(*part)])
     np.testing.assert_allclose(np.diag(solution.covariance), np.where(orders == 0, whole, 0.5 * whole), rtol=5e-3)
 

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -17,11 +18,7 @@ from linksweep.sweep.search.search import LETTERS, galaxy_table, sky_map
 from tests.documents import commands
 
 ARCSEC = 1.0 / 3600.0
-
-
-def read_matches(path):
-    """The matches as anyone reads them."""
-    return Table.read(path, format="ascii.ecsv")
+read_matches = partial(Table.read, format="ascii.ecsv")
 
 
 def read_galaxy_table(path):
