@@ -115,6 +115,7 @@ import linksweep
 study = {"title": "A toy", "axes": {"n_obj": [30, 40, 50]}, "sampling": {"n_sim": 20}}
 ds = linksweep.run(study, "toy.zarr", pool="serial")
 """
+LARGEST = "assert (ds.sigma_worst == ds.sigma.max('component')).all()"
 PLOT = """
 assert len(linksweep.plot(ds, "dots").axes[0].lines) == 1
 from linksweep.sweep.cli.look import plot
@@ -132,10 +133,7 @@ TOYS = {
     "catalogue": ({"core/catalogues.py": RING}, LINK.replace("CHANGES", '"catalogue": "ring"')),
     "mission": ({"core/missions/__init__.py": FLAT}, LINK.replace("CHANGES", '"model": "flat"')),
     "block of unknowns": ({"core/unknowns.py": SOUTH}, TIE),
-    "output": (
-        {"core/parameters.py": WORST, "core/experiment.py": IN_THE_SUMMARY},
-        RUN + "assert (ds.sigma_worst == ds.sigma.max('component')).all()\n",
-    ),
+    "output": ({"core/parameters.py": WORST, "core/experiment.py": IN_THE_SUMMARY}, RUN + LARGEST),
     "kind of plot": ({"sweep/plots/__init__.py": A_KIND, "sweep/plots/dots.py": DOTS}, RUN + PLOT),
     "pool of this machine": (
         {"sweep/executing/pools.py": A_POOL, "sweep/executing/backwards.py": BACKWARDS},

@@ -24,12 +24,6 @@ def paper(tmp_path_factory):
     return folder, json.loads(done.stdout)
 
 
-@pytest.fixture
-def results(paper):
-    """A function that gives the results of a built-in study."""
-    return lambda name: linksweep.open(paper[0] / f"{name}.zarr")
-
-
 def test_the_verdicts_are_those_of_the_document(paper):
     """Laws, limits and tables of the paper are claims of the studies (Table 2, slopes of N and T, aberration, ...)."""
     text = " ".join((ROOT / "docs" / "science.md").read_text().split())
@@ -39,9 +33,13 @@ def test_the_verdicts_are_those_of_the_document(paper):
     assert {name: n for name, n in paper[1]["summary"].items() if n} == counts
 
 
-def test_with_corrections_the_spin_does_not_depend_on_proper_motions(results):
+def test_with_corrections_the_spin_does_not_depend_on_proper_motions(paper):
     """At 1 mas and 1 mas/yr; RMS of 3 x 64 values: 5 % Monte-Carlo error each."""
-    one = results("algorithm").isel(epsilon_size=3).sel(arithmetic="exact", n_obj=500)["sigma_spin"]
+    one = (
+        linksweep.open(paper[0] / "algorithm.zarr")
+        .isel(epsilon_size=3)
+        .sel(arithmetic="exact", n_obj=500)["sigma_spin"]
+    )
     with_a21, without = one.sel(corrections=True), one.sel(corrections=False)
     relative = with_a21 / with_a21.sel(mean_pm=0)
     assert 0.7 < relative.min() < relative.max() < 1.3
@@ -52,9 +50,9 @@ def test_with_corrections_the_spin_does_not_depend_on_proper_motions(results):
     assert 0.7 < (without / with_a21).sel(mean_pm=0) < 1.4  # no proper motions: A21 is zero
 
 
-def test_every_study_agrees_with_its_prediction(results):
+def test_every_study_agrees_with_its_prediction(paper):
     for name in ("radio-stars", "galaxies", "sqrt-n", "mission-length", "error-surface", "completeness"):
-        dataset = results(name)
+        dataset = linksweep.open(paper[0] / f"{name}.zarr")
         error = dataset["sigma_spin_mc_error"].where(dataset["sigma_spin_predicted"] > 0)
         off = np.abs(dataset["sigma_spin"] - dataset["sigma_spin_predicted"]) / error
         # 4.5 of the errors; for the radio stars, whose catalogues differ much, sigma/sqrt(2 n) is a little small

@@ -27,14 +27,13 @@ def at(folder, contents=None, **changes):
 
 
 BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
-VLBI = {"vlbi_a": np.full(6, 3.0), "vlbi_d": np.full(6, 4.0)}
-OF_VLBI = {"columns": (("reference_pmdec_error", "vlbi_d"), ("reference_pmra_error", "vlbi_a"))}
+OF_VLBI = {"columns": (("reference_pmdec_error", "d"), ("reference_pmra_error", "a"))}
 
 
 @pytest.mark.parametrize(
     "changes",
     [
-        {"contents": VLBI} | OF_VLBI | BOTH,
+        {"contents": {"a": np.full(6, 3.0), "d": np.full(6, 4.0)}} | OF_VLBI | BOTH,
         {"contents": {}, "method": "projected"},
         {},
         {"satellite_errors": "none"},

@@ -1,6 +1,5 @@
 """A catalogue from a table: what is read of it, and every way in which a table can be wrong."""
 
-import importlib.util
 import warnings
 from collections import ChainMap
 from itertools import combinations
@@ -21,8 +20,7 @@ GAIA = ANONYMOUS | {"source_id": np.arange(4)}
 UNITS = {"ra": "deg", "dec": "deg", "pmra": "mas / yr", "pmdec": "mas / yr", "phot_g_mean_mag": "mag",
          "ra_error": "mas", "dec_error": "mas", "pmra_error": "mas / yr", "pmdec_error": "mas / yr"}  # fmt: skip
 FORMATS = {".ecsv": "ascii.ecsv", ".csv": "ascii.csv", ".fits": "fits", ".vot": "votable", ".mrt": "ascii.mrt"}
-if importlib.util.find_spec("pyarrow"):
-    FORMATS[".parquet"] = "parquet"
+FORMATS |= {".parquet": "parquet"}
 
 
 @pytest.fixture

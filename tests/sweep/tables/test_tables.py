@@ -6,11 +6,13 @@ import io
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from astropy import units as u
 from astropy.coordinates import Angle
 from astropy.io import fits
 from astropy.table import Table
+from pyarrow import parquet
 
 from linksweep import SweepError
 from linksweep.sweep.tables.columns import Columns
@@ -155,11 +157,9 @@ def test_gaps_are_kept_and_large_identifiers_beside_them(text, columns, tmp_path
 
 
 def test_parquet_with_gaps(tmp_path):
-    pa = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
-
-    table = pa.table({"id": [2**62 + 1, None], "ra": [None, 2.5], "name": ["a", None]})
-    parquet.write_table(table, tmp_path / "t.parquet")
+    parquet.write_table(
+        pa.table({"id": [2**62 + 1, None], "ra": [None, 2.5], "name": ["a", None]}), tmp_path / "t.parquet"
+    )
     found = read_table(tmp_path / "t.parquet")
     assert [found[n].tolist() for n in found.colnames] == [[2**62 + 1, None], [None, 2.5], ["a", None]]
 
