@@ -73,9 +73,6 @@ def test_positions_of_single_epochs(years):
     np.testing.assert_allclose(found, (EPSILON + OMEGA * years) / MAS, atol=0.05)
 
 
-# ----- pieces
-
-
 def test_the_motion_is_astropys():
     truth = stars(50, 5, pm=5000.0, parallax=300.0)
     for epoch in (1950.0, 1991.25, 2030.0):
@@ -113,9 +110,6 @@ def test_the_frame_of_fk5_is_recovered_from_erfa():
     np.testing.assert_allclose(found[3:] / MAS, spin / MAS, atol=1e-5)
 
 
-# ----- paths that bend
-
-
 @given(
     st.floats(0.05, 30.0), st.floats(0.0, 0.98), st.floats(-40.0, 40.0), st.floats(-40.0, 40.0), st.floats(0.0, 3.14)
 )
@@ -133,9 +127,6 @@ def test_an_orbit_solves_the_equation_of_kepler(period, e, periastron, years, in
 def test_motions_are_the_derivatives_of_positions(years):
     low, here, high = bends(years + np.array([-1e-4, 0.0, 1e-4]))
     np.testing.assert_allclose((high - low)[:2, :4] / 2e-4, here[3:, :4], rtol=1e-6, atol=1e-6)
-
-
-# ----- two missions, each in a frame of its own
 
 
 def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star():
@@ -164,9 +155,6 @@ def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star
     np.testing.assert_allclose((solution.covariance - covariance) / np.outer(error, error), 0.0, atol=1e-9)
     assert solution.squares == pytest.approx(np.sum((y - a @ x) ** 2), rel=1e-9)
     assert solution.dof == 5 * len(rows) - 12
-
-
-# ----- closed forms
 
 
 def test_the_errors_of_vector_harmonics_from_a_uniform_sky():

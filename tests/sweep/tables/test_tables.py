@@ -46,9 +46,6 @@ HIP2_ROWS = """\
 """
 
 
-J2000 = {"ra": "RAJ2000", "dec": "DEJ2000"}
-
-
 def written(folder: Path, name: str, content: str | bytes) -> Path:
     path = folder / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
@@ -94,7 +91,8 @@ def test_a_table_of_vizier(tmp_path):
     assert table["HIP"].tolist() == [1, 2]
     assert list(table["Name"]) == ["A", "B #2"]
     assert table["e_RArad"].unit == u.mas
-    ra, dec = (Columns(table, "", {key: name}, {}, (key,)).quantity(key) for key, name in J2000.items())
+    names = {"ra": "RAJ2000", "dec": "DEJ2000"}
+    ra, dec = (Columns(table, "", {key: name}, {}, (key,)).quantity(key) for key, name in names.items())
     np.testing.assert_allclose(ra, Angle(["0h0m0.22s", "0h0m0.91s"]).deg, rtol=1e-14)
     np.testing.assert_allclose(dec, Angle(["1d5m20.4s", "-0d29m55.8s"]).deg, rtol=1e-14)
     np.testing.assert_allclose(Columns(table).quantity("ra"), [np.degrees(0.0000159148), np.nan])
