@@ -247,17 +247,21 @@ def _excess(problem: Problem, ratio: float) -> str:
         exchanged = _exchanged(problem, problem)
         causes += [Cause(words, after) for words, _, one in exchanged if explains(after := _ratio(one), ratio)]
         if len(worst):
+            of_worst = np.isin(problem.source, worst)
             alone = f"without {_listed(problem, worst)} it is {left:.2g} times its expectation; "
             for part in _of_sources(problem, worst):
-                causes += [cause for cause in _causes(problem, part, ratio) if cause.ratio < GOOD]
-            causes = [cause for cause in causes if not cause.hides]
+                causes += _causes(problem, part, ratio)
+            # corrected, these sources are to fit as the others do
+            n = np.array([np.sum(problem.rows.present[:, at]) for at in (~of_worst, of_worst)])
+            most = min(GOOD, (left * n[0] + max(left, 1.0) * chdtri(n[1], CHANCE)) / n.sum())
+            causes = [cause for cause in causes if not cause.hides and cause.ratio < most]
         else:
             for part in [*_by_kind(problem), *_by_epoch(problem)]:
                 causes += _causes(problem, part, ratio)
     # a correction that hides much may hide two mistakes
     if ratio > EXCESS and not alone and not any(cause.ratio < GOOD and not cause.hides for cause in causes):
         causes = _two(problem) or causes
-    said = likely(causes, 30.0 / max(1, int(np.sum(problem.rows.present))))
+    said = likely(causes, _alike_within(problem))
     return f"{alone}{said}" if said == UNEXPLAINED else said
 
 
@@ -278,22 +282,31 @@ def likely(causes: Sequence[Cause], alike: float) -> str:
 
 
 def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
-    """Return which errors are too large by a factor of units: the smallest that brings chi2 up to its level."""
-    units = sorted(LARGER.items(), reverse=True)
-    for group in groups:
-        what = group.words.removeprefix("the ").partition(" of ")[0]
+    """Return which errors are too large by a factor of units: those that bring chi2 of some groups up to their level
+    and that of all next to its expectation.
+    """
+    found: dict[float, Cause] = {}  # the same errors may have several names
+    for (factor, unit), group in product(LARGER.items(), groups):
+        names = {group.words.removeprefix("the ").partition(" of ")[0]: group.rows} | WITH_ERRORS
         wholes = [part for part in _wholes(problem) if part.table in ("satellite", group.part.table)]
-        for part, (name, rows), (factor, unit) in product(
-            (group.part, *wholes[::-1]), ((what, group.rows), ("all quantities", WITH_ERRORS["all quantities"])), units
-        ):
-            trial = _applied(problem, part, _scaled(rows, factor, errors=True))
+        for (name, rows), part in product(names.items(), (group.part, *wholes[::-1])):
+            if (trial := _applied(problem, part, _scaled(rows, factor, errors=True))) is None:
+                continue
             try:
-                after = [] if trial is None else _groups(trial, solve(source_sums(trial)))
+                solution = solve(source_sums(trial))
             except LinkError:
                 continue
-            if any(one.words == group.words and 0.1 < one.squares / one.expected < EXCESS for one in after):
-                return f"the likely cause: errors of {name} of {part.words} too large, {unit}"
-    return ""
+            level = {one.words: one.squares / one.expected for one in _groups(trial, solution)}
+            if 0.1 < level[group.words] < EXCESS:
+                ratio = max(level[group.words], solution.scale**2, key=lambda one: abs(np.log(one)))
+                cause = Cause(f"errors of {name} of {part.words} too large, {unit}", ratio, HIDES_ALL)
+                found.setdefault(round(ratio, 9), cause)
+    return likely(list(found.values()), _alike_within(problem)) if found else ""
+
+
+def _alike_within(problem: Problem) -> float:
+    """Return by how much chi2 over its expectation may differ between corrections that are equally good."""
+    return 30.0 / max(1, int(np.sum(problem.rows.present)))
 
 
 def explains(corrected: float, ratio: float) -> bool:

@@ -39,6 +39,9 @@ QUANTITIES = (*NUMBERS, *TYC, "TYC", "PGC", "source_id", "name")
 TYC_LIMITS = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
 """Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3."""
 
+# What stands for a missing identifier, as integers have no NaN.
+MISSING = {**dict.fromkeys((*TYC, "PGC"), 0), "source_id": np.iinfo(np.int64).min, "name": ""}
+
 _TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASCII)
 
 
@@ -368,7 +371,7 @@ def write(path: Path, content: bytes, overwrite: bool) -> None:
 def match_columns(result: Matches) -> pd.DataFrame:
     """Return a table with a row for each match: columns of the star tables, then those of `MATCH_COLUMNS`.
 
-    Numbers that a table does not have are NaN, identifiers 0, names empty.
+    Numbers that a table does not have are NaN, identifiers `MISSING`.
     """
     matches, galaxy_tables = result.matches, np.array(list(result.galaxies))
     star, galaxy = _together(result.stars), _together(result.galaxies)
@@ -390,9 +393,8 @@ def match_columns(result: Matches) -> pd.DataFrame:
 
 def _together(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """Return the rows of several tables, with the table's name and the number of each row, from 1."""
-    missing = {**dict.fromkeys((*TYC, "source_id"), 0), "name": ""}  # fills before integers would become floats
-    known = {name for table in tables.values() for name in table} & set(missing)
-    each = {name: table.assign(**{k: missing[k] for k in known - set(table)}) for name, table in tables.items()}
+    known = {name for table in tables.values() for name in table} & set(MISSING)
+    each = {name: table.assign(**{k: MISSING[k] for k in known - set(table)}) for name, table in tables.items()}
     together = pd.concat(each, names=["table", "row"]).reset_index()
     return together.assign(row=together["row"] + 1)
 
@@ -405,7 +407,7 @@ def matches_table(result: Matches) -> Any:
 
     table = AstropyTable(meta={"linksweep": version("linksweep"), **summarise(result)})
     for name, column in match_columns(result).items():
-        missing = column.isna() | ((column == 0) & (name in (*TYC, "source_id", "PGC")))
+        missing = column.isna() | (column == MISSING.get(name, np.nan))
         values = column.to_numpy() if column.dtype.kind in "if" else column.to_numpy(dtype=str)
         unit, meaning = MATCH_COLUMNS.get(name, (unit_of(name.removeprefix("star_")) or None, None))
         mask = missing.to_numpy() if missing.any() else False

@@ -401,9 +401,9 @@ class Columns:
         column = self.table[name]
         if isinstance(column, Time):
             return np.asarray(np.ma.filled(np.ma.asarray(column.jyear), np.nan), dtype=np.float64)
-        if self.kind(name) in "USO":
+        if self.kind(name) in "USOM":
             texts, years = self.text(name), np.full(len(self), np.nan)
-            for row in np.flatnonzero(~gaps(column) & ~np.isin(texts, ("", "--", "None"))):
+            for row in np.flatnonzero(~gaps(column) & ~np.isin(texts, ("", "--", "None", "NaT"))):
                 try:
                     with warnings.catch_warnings():  # astropy warns of years whose leap seconds are not known
                         warnings.simplefilter("ignore")

@@ -159,7 +159,7 @@ def _fits(content: bytes) -> Any:
     with _readable_as("as fits"), fits.open(io.BytesIO(content)) as units:
         kinds = (fits.BinTableHDU, fits.TableHDU)
         _require_one([f"{unit.name or 'HDU'} ({k})" for k, unit in enumerate(units) if type(unit) in kinds])
-    return _by_astropy("fits", io.BytesIO(content))
+    return _by_astropy("fits", io.BytesIO(content), astropy_native=True)  # with columns of times
 
 
 def _votable(content: bytes) -> Any:

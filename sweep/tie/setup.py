@@ -5,6 +5,7 @@ done to the rows, and the unknowns; of a Parquet table of millions of quasars on
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +172,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     jitter = parse_jitter(options.jitter, missions)
     if (options.star_models or options.orbits) and not options.epochs:
         raise SweepError("models and orbits are of stars with epoch astrometry: give its files as epochs")
-    left = read_table(Path(satellite), how["satellite"])
+    left = read_table(files.path_of(satellite), how["satellite"])
     n = len(left.astrometry)
     if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
         raise SweepError(
@@ -179,11 +180,11 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         )
     notes, epochs = left.named_notes(), None
     if options.epochs:
-        files = list(dict(options.epochs).values())
-        left, epochs = with_observations(left, files, dict(options.star_models), options.orbits)
+        observed = list(dict(options.epochs).values())
+        left, epochs = with_observations(left, observed, dict(options.star_models), options.orbits)
         notes += epochs.notes
     tables, matches, parts = {SIDES[0]: left}, [], []
-    for frame, (name, path) in enumerate({SIDES[1]: str(reference), **missions}.items()):
+    for frame, (name, path) in enumerate({SIDES[1]: str(files.path_of(reference)), **missions}.items()):
         if not frame and path == ZERO_MOTION:
             table = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
             matched = Match(np.arange(n), EVERY_SOURCE, np.full(n, -1))
@@ -300,21 +301,22 @@ def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | No
     kind, _, radius = (by or "").partition(":")
     if kind == "position":
         return _by_position(satellite, reference, radius)
-    pairs = [(name, name) for name in satellite.names if name in reference.names and kind in ("", "name", name)]
-    if kind in ("", "name"):
-        pairs += [(a, b) for a in satellite.names for b in reference.names if a != b]
+    by_column, forms = kind not in ("", "name"), (str.casefold, str)
+    pairs = sorted(product(satellite.names, reference.names), key=lambda pair: [len(set(map(f, pair))) for f in forms])
+    if by_column:
+        pairs = [(a, b) for a, b in pairs if kind.casefold() == a.casefold() == b.casefold()]
     releases: tuple[str, ...] = ()
     for a, b in pairs:
         both = satellite.releases.get(a, ""), reference.releases.get(b, "")
-        if kind in ("", "name") and all(both) and both[0] != both[1]:
+        if not by_column and all(both) and both[0] != both[1]:
             releases = releases or both
             continue
-        matched = _by_name(satellite, reference, (a, b), strict=kind == a or a.casefold() in SOURCE_NAMES)
+        matched = _by_name(satellite, reference, (a, b), strict=by_column or a.casefold() in SOURCE_NAMES)
         if len(matched.rows):
             return matched
     if by is None:
         return replace(_by_position(satellite, reference, ""), releases=releases)
-    said = [", ".join(f"{name} like {one[0]!r}" for name, one in t.names.items()) for t in (satellite, reference)]
+    said = [", ".join(f"{name} like {str(one[0])!r}" for name, one in t.names.items()) for t in (satellite, reference)]
     there = f"{satellite.path} has {said[0] or 'none'}, {reference.path} {said[1] or 'none'}"
     raise SweepError(f"match by {by!r}: no name is in both tables; columns of names: {there}")
 
@@ -622,7 +624,7 @@ MOST_NOTES = 5
 
 def in_row_groups(satellite: str | Path, reference: str | Path, options: Options) -> bool:
     """Return whether a table is read by row groups: many quasars in Parquet, of which no row needs a match."""
-    path = Path(satellite)
+    path = files.path_of(satellite)
     alone = str(reference) == ZERO_MOTION and not (options.missions or options.where or options.epochs)
     return alone and path.is_file() and reader.is_parquet(path) and sum(reader.row_groups(path)[0]) >= FROM_ROWS
 

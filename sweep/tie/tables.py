@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.core.frames import DEGREE, MAS, Array, Flags
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices
 from linksweep.core.tie import astrometry as core, mistakes
 from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.formatting import first_of
 from linksweep.sweep.tables import columns as archives
 from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, first_found, rows_where
 from linksweep.sweep.tables.reader import read_table as read_file
@@ -39,6 +40,9 @@ FASTEST_KM_S = 5000.0
 
 # Positions that are rounded by more than this fraction of their errors are too coarse.
 COARSE = 0.1
+
+# By how much, in units of the last decimal, numbers may differ from rounded ones.
+LIKE_ROUNDED = 1e-3
 
 # Errors after a mistake in their unit is corrected, mas or mas/yr.
 TYPICAL = (0.005, 300.0)
@@ -168,6 +172,15 @@ def as_read(link: Mapping[str, Any], table: Any, digest: str, told: ApplyOptions
         extragalactic=bool(as_before and before.extragalactic),
         zero_errors=before.zero_errors if told.zero_errors == TABLE else told.zero_errors,
         pmra_cos_dec=False if told.without_cos_dec else cos_dec,
+    )
+
+
+def path_of(table: Any) -> Path:
+    """Return the path that stands for a table; raises SweepError for anything else."""
+    if isinstance(table, str | Path):
+        return Path(table)
+    raise SweepError(
+        f"a table is a file, or the name of a built-in one: write this {type(table).__name__} to a file first"
     )
 
 
@@ -377,17 +390,36 @@ def _note_unequal(read: Columns, errors: Array) -> None:
 
 
 def _check_positions(read: Columns, values: Array, errors: Array) -> None:
-    for name, row, error in zip(PARAMETERS[:2], values, errors, strict=False):
+    for name, row, error in zip(PARAMETERS, values, errors, strict=True):
         if not read.has(name):
-            if not np.any(np.isfinite(values[2:])):
+            if np.any(np.isfinite(error)) or (name in ("ra", "dec") and not np.any(np.isfinite(values[2:]))):
                 read.require(name)
-        elif read.kind(column := str(read.name(name))) == "f" and read.table[column].dtype.itemsize < 8:
+            continue
+        if (
+            name in ("ra", "dec")
+            and read.kind(column := str(read.name(name))) == "f"
+            and read.table[column].dtype.itemsize < 8
+        ):
             size = np.abs(row) * (np.cos(values[1]) if name == "ra" else 1.0)
             what = f"positions in single precision (column {column!r}), too coarse for their errors,"
             read.check(size * 2.0**-24 > COARSE * error, what)
+        elif name in ("ra", "dec") and len(rounded := _rounded(row, error / np.cos(values[1] * (name == "ra")))):
+            what = f"{name} is written with a last decimal that is worth more than its error"
+            read.notes.append(f"{what}: were digits lost? {core.named_rows(rounded)}")
         read.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
     read.check(np.abs(values[1]) > 0.5 * np.pi * (1.0 + 1e-12), "a dec outside -90..90 deg")
     read.check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
+
+
+def _rounded(angle: Array, error: Array) -> Indices:
+    """Return the rows of angles (N,) whose last decimal, in any usual unit, is worth more than their errors."""
+    rounded = np.zeros(len(angle), dtype=bool)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for unit in (1.0, DEGREE, ARCSEC, 15.0 * ARCSEC):
+            step = unit / 10.0 ** np.floor(np.log10(unit / (1.01 * error)))  # a value like 0.12(1) is well written
+            rounded |= np.abs(angle / step - np.round(angle / step)) < LIKE_ROUNDED
+    # some angles are round by chance
+    return np.flatnonzero(rounded) if np.count_nonzero(rounded) > 1 + 0.1 * len(angle) else np.zeros(0, dtype=np.int64)
 
 
 def _accelerations(read: Columns, five: Flags, options: TableOptions) -> Array | None:
@@ -455,18 +487,19 @@ def _correlations(read: Columns, present: Flags) -> Array | None:
     absent = []
     for row, key, name, (i, j) in zip(correlations, CORRELATIONS, names, pairs, strict=False):
         both = present[i] & present[j]
-        if name is None and np.any(both):
-            absent.append(key)
-        if name is not None and np.any(np.isfinite(row)):  # a blank column counts as none
+        if name is None or not np.any(np.isfinite(row)):  # a blank column counts as none
+            absent += [key] if np.any(both) and (j < len(PARAMETERS) or any(names[10:])) else []
+        else:
             read.check(both & ~np.isfinite(row), f"no {name} (write 0 for none)")
         row[~(both & np.isfinite(row))] = 0.0
-    zero = f"; there is no column {', '.join(absent)}, which counts as 0:" if absent else ""
+    zero = f"no {first_of(absent, 5)}: a correlation without a column counts as 0" if absent else ""
+    read.notes += [zero] if zero else []
     zero += "; of corr_vec, the columns of the upper triangle one after the other," if from_vector else ""
     matrices = np.tile(np.eye(len(present)), (len(read), 1, 1))
     for row, (i, j) in zip(correlations, pairs, strict=True):
         matrices[:, i, j] = matrices[:, j, i] = row
     good = core.positive_definite(matrices)
-    read.check(~good, f"correlations that are impossible (not positive definite){zero}")
+    read.check(~good, f"correlations that are impossible (not positive definite){zero and '; '}{zero}")
     return correlations
 
 

@@ -48,6 +48,8 @@ REFUSED = [
     ("no column 'q'", {}, {}, {"columns": {"parallax": "q"}}),
     ("is no quantity", {}, {}, {"columns": {"paralax": "p"}}),
     ("'parallax' is in arcsec, and 'parallax_error' has no unit; say --unit", {"parallax": ARCSEC}, {}, {}),
+    ("no column 'parallax'", {"parallax": None}, {}, {}),
+    ("an error but no value of parallax in row 2", {"parallax": at(2, np.nan)}, {}, {}),
     # epochs
     ("no Julian year, MJD or JD from 1700 to 2300 in row 2", {}, {"ref_epoch": at(2, 0.0, 2016.0)}, {}),
     ("no Julian year, MJD or JD from 1700 to 2300 in row 1, 2, 3", {}, {"ref_epoch": at(0, 0, 15.5)}, {}),
@@ -84,6 +86,15 @@ REFUSED = [
     ("5 rows of .* and there are 4", {}, {"source_id": FEW}, {"jitter": "estimate"}),
     ("did you mean 'phot_g_mean_mag'", {}, {}, {"where": "phot_g_mean_mg < 1"}),
 ]  # fmt: skip
+
+
+@pytest.mark.parametrize("solved", [linksweep.tie, linksweep.forecast])
+@pytest.mark.parametrize("place", [0, 1])
+def test_a_table_is_a_file(solved, place):
+    tables = ["psrpi", "psrpi"]
+    tables[place] = Table({"ra": [1.0]})
+    with pytest.raises(SweepError, match="write this Table to a file"):
+        solved(*tables)
 
 
 @pytest.mark.parametrize(("words", "own", "rows", "options"), REFUSED, ids=[one[0] for one in REFUSED])

@@ -52,6 +52,15 @@ def test_identifiers_of_two_releases_are_different_names(tmp_path):
     assert linksweep.tie(*named, "orientation").attrs["matched_by"] == "hip"
 
 
+@pytest.mark.parametrize("by", [None, "hip", "HIP", "name"])
+def test_columns_of_names_are_the_same_in_any_case(tmp_path, by):
+    numbers = np.arange(12) + 100
+    tables = two_tables(tmp_path, own={"hip": numbers}, other={"HIP": numbers})
+    assert linksweep.tie(*tables, "orientation", by=by).attrs["matched_by"] == "hip = HIP"
+    with pytest.raises(SweepError, match="like '100"):
+        linksweep.tie(*tables, "orientation", by="hipp")
+
+
 def test_sources_within_the_radius_and_leftovers_are_named(tmp_path):
     made = still(pm=0.0)
     values = made.values.copy()

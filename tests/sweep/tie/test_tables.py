@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import Angle, SkyCoord
 from astropy.table import MaskedColumn, Table
 from astropy.time import Time
 
@@ -157,6 +157,40 @@ def test_rows_far_from_the_source_of_their_name_are_said_and_refused(tmp_path):
     assert not any("of the same name" in note for note in notes)
 
 
+@pytest.mark.parametrize("lost", ["ra_pmra_corr", "ra_dec_corr", "parallax_pmdec_corr"])
+@pytest.mark.parametrize("way", ["misnamed", "blank", "all others too"])
+def test_a_correlation_that_is_not_there_is_said(tmp_path, lost, way):
+    table = gaia_table(stars(4))
+    if way == "blank":
+        table[lost] = MaskedColumn(np.zeros(4), mask=True)
+    else:
+        table.rename_column(lost, lost.replace("corr", "correlation"))
+    others = [name for name in table.colnames if name.endswith("_corr")]
+    table.remove_columns(others[1:] if way == "all others too" else [])
+    table.write(tmp_path / "g.csv")
+    assert any(f"no {lost}" in note or "and 4 more" in note for note in read_table(tmp_path / "g.csv").notes)
+    gaia(tmp_path / "whole.csv", stars(4))
+    assert not read_table(tmp_path / "whole.csv").notes
+
+
+@pytest.mark.parametrize(
+    ("unit", "digits"), [("deg", 7), ("deg", 6), ("arcsec", 3), ("hms", 4), ("rad", 9), ("deg", 12), ("hms", 8)]
+)
+def test_positions_that_lost_digits_are_said(tmp_path, unit, digits):
+    table = gaia_table(stars(40))
+    ra, dec = Angle(table["ra"], "deg"), Angle(table["dec"], "deg")
+    for name, angle in (("ra", ra), ("dec", dec)):
+        if unit == "hms":
+            form = {"unit": "hourangle" if name == "ra" else "deg", "sep": ":", "precision": digits, "pad": True}
+            table[name] = angle.to_string(**form)
+        else:
+            table[name] = [f"{value:.{digits}f}" for value in angle.to_value(unit)]
+    table.write(tmp_path / "g.csv")
+    said = dict.fromkeys(("ra_error", "dec_error"), "mas") | ({} if unit == "hms" else {"ra": unit, "dec": unit})
+    lost = [note for note in read_table(tmp_path / "g.csv", TableOptions(units=said)).notes if "digits lost" in note]
+    assert [note[:3] for note in lost] == (["ra ", "dec"] if digits < 8 or unit == "rad" else [])
+
+
 WHEN = Time([1991.25, 2016.0, 2030.4], format="jyear", scale="tdb")
 
 
@@ -164,11 +198,15 @@ TEXTS = [f"{text}Z" for text in WHEN.isot], [f"J{y}" for y in WHEN.jyear], [f"B{
 EXACTLY = [(when, 1e-6) for when in (WHEN.jyear, WHEN.mjd, WHEN.jd, WHEN)]
 
 
-@pytest.mark.parametrize(("epoch", "days"), [*EXACTLY, *((text, 0.01) for text in TEXTS)])
-def test_epochs_in_every_form_are_those_of_astropy(tmp_path, epoch, days):
+TIMES = [("fits", Time(WHEN.jyear, format="jyear", scale=scale), 0.01) for scale in ("tcb", "tai")]
+FORMS = [*EXACTLY, *((text, 0.01) for text in (*TEXTS, WHEN.datetime64))]
+
+
+@pytest.mark.parametrize(("ending", "epoch", "days"), [*(("ecsv", *form) for form in FORMS), *TIMES])
+def test_epochs_in_every_form_are_those_of_astropy(tmp_path, ending, epoch, days):
     columns = {"ra": [10.0, 20.0, 30.0], "dec": [0.0] * 3, "ra_error": [1.0] * 3, "dec_error": [1.0] * 3}
-    Table(columns | {"epoch": epoch}).write(tmp_path / "t.ecsv")
-    found = read_table(tmp_path / "t.ecsv").astrometry.epoch
+    Table(columns | {"epoch": epoch}).write(tmp_path / f"t.{ending}")
+    found = read_table(tmp_path / f"t.{ending}").astrometry.epoch
     np.testing.assert_allclose(found, WHEN.jyear, rtol=0.0, atol=days / 365.25)
 
 
