@@ -152,12 +152,12 @@ def offered(folder, *words):
     """What bash offers for the last word, by the function that the script defines."""
     script = f"""
 eval "$(_SWEEP_COMPLETE=bash_source sweep)"
-compopt() {{ echo "option: $1 $2" >> options; }}
+compopt() {{ echo "option: $1 $2" > options; }}
 COMP_WORDS=({" ".join(f"'{word}'" for word in words)})
 COMP_CWORD={len(words) - 1}
 _sweep_completion sweep
 printf '%s\\n' "${{COMPREPLY[@]}}"
-cat options 2>/dev/null || true
+[ ! -f options ] || (cat options; rm options)
 """
     here = {"PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin"}
     done = subprocess.run(["bash", "-c", script], cwd=folder, capture_output=True, text=True, check=True, env=here)
