@@ -10,10 +10,8 @@ from astropy import units
 from astropy.table import Table as AstropyTable
 from hypothesis import given, strategies as st
 
-import linksweep
 from linksweep.sweep.formatting import described, prefixed, short_meaning
 from linksweep.sweep.table_writer import Column, Table
-from tests.tiers import slow
 
 LARGE = 2**60 + 1
 TABLE = Table(
@@ -84,24 +82,12 @@ def test_a_column_that_may_wrap_takes_several_lines_and_loses_no_word():
     assert " ".join(" ".join(line[3:].split()) for line in lines[1:]) == words
 
 
-LONGEST_LABEL = 90  # characters, three lines of xarray's labels
-
-
 @given(st.text(max_size=60))
 def test_the_whole_meaning_is_kept(meaning):
     attributes = described("", meaning)
     assert attributes.get("description", attributes.get("long_name", "")) == meaning
     assert meaning.startswith(short_meaning(meaning))
     assert all(attributes.values())
-
-
-@pytest.mark.parametrize("name", ["coins", *map(slow, ["quasars", "aberration", "galaxies"])])
-def test_results_have_no_empty_attributes_and_whole_labels(store_of, coin_store, name):
-    dataset = linksweep.open(coin_store if name == "coins" else store_of(name))
-    for variable in dataset.variables.values():
-        assert variable.attrs.get("units") != ""
-        assert variable.attrs["long_name"]
-        assert len(variable.attrs["long_name"]) <= LONGEST_LABEL
 
 
 WELL = [

@@ -120,12 +120,6 @@ def test_a_port_that_says_nothing_or_is_of_a_server_of_another_kind(monkeypatch,
             pass
 
 
-@pytest.mark.parametrize("address", ["host", "nonsense://x:1", "tcp://"])
-def test_what_is_no_address(address):
-    with pytest.raises(SweepError, match=r"expected tcp://HOST:PORT"), client_at(address):
-        pass
-
-
 AXES = {"x": [0.1 * k for k in range(40)]}
 
 

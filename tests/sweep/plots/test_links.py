@@ -18,12 +18,6 @@ def link():
     return linksweep.tie("psrpi-de200", "timing-de200", "orientation", clip="discrepancy:1", errors="jackknife,scaled")
 
 
-@pytest.fixture(scope="module")
-def plan():
-    options = {"add": [2026.0, 2030.0], "number": 2, "goal": ["spin"]}
-    return linksweep.forecast("psrpi", "psrpi", "orientation,spin", **options)
-
-
 def test_a_link_has_the_figures_that_its_content_allows(link):
     for kind in ("solution", "residuals", "weight", "ranking"):
         assert "reference" in linksweep.plot(link, kind).get_suptitle()
@@ -87,7 +81,9 @@ def test_many_arrows_are_weighted_means_of_cells_of_equal_area():
     np.testing.assert_allclose(length[whole] / length[0], expected[whole] / expected[0], rtol=1e-9)
 
 
-def test_a_forecast_has_its_epochs_and_ranking(plan):
+def test_a_forecast_has_its_epochs_and_ranking():
+    options = {"add": [2026.0, 2030.0], "number": 2, "goal": ["spin"]}
+    plan = linksweep.forecast("psrpi", "psrpi", "orientation,spin", **options)
     _, right = linksweep.plot(plan).axes[:2]
     np.testing.assert_allclose(right.lines[0].get_ydata(), 1000.0 * plan.error_with_epoch.values[:, 3])
     assert "µas/yr" in right.get_ylabel()
