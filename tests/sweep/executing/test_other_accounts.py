@@ -85,9 +85,7 @@ os._exit(0)  # threads may wait for answers for ever
 
 
 def what_others_get(folders=(), pid=None, but=()):
-    """Return what another account gets from all that a process, by default this one, and those below it listen on, and
-    from these folders; ``but`` are ports of others, such as those of servers that tests share.
-    """
+    """Return what another account gets from folders and all that a process and those below it listen on, but ports."""
     pid = pid or os.getpid()
     family = {pid, *below(pid)}
     ports = sorted({port for _, port in listening(family)} - set(but))

@@ -26,9 +26,7 @@ def drawn(law, n, copies, seed=7):
 
 
 def measured(values, *names):
-    """Statistics of realisations (n, copies), and their errors, as a run of a function that returns these makes them:
-    pairs of arrays (copies,); and the description of the last error.
-    """
+    """Statistics of realisations (n, copies) and their errors, pairs of (copies,), and the last error's description."""
     done = [0]
 
     @experiment(outputs=[Output("w", dims="copy", statistics=names)])
