@@ -49,7 +49,6 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
     "star args": "def NAME_apply(*functions):\n    def inner(x):\n        for one in functions:\n            x = one(x)\n        return x\n    return inner\n\nNAME = NAME_apply(lambda x: x, lambda x: INNER(x))",
     "delegated": "class C_NAME:\n    def __init__(self, g):\n        self.g = g\n    def __getattr__(self, name):\n        return self.g\n\nNAME_o = C_NAME(lambda x: INNER(x))\n\ndef NAME(x):\n    return NAME_o.anything(x)",
 }
-
 ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "literal": "def NAME(x):\n    return x + CONSTANT",
     "global": "K_NAME = CONSTANT\n\ndef NAME(x):\n    return x + K_NAME",

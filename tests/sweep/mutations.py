@@ -16,13 +16,11 @@ NASTY = r"""
     {start=1,stop=0,step=-1e-12} {start=1,stop=2,num=3,spacing="log"} {start=-1,stop=2,num=3,spacing="log"}
     {values=[1]} {above=1} {in=[1]} 1979-05-27 07:32:00 1979-05-27T07:32:00Z [[[[[[[[[[1]]]]]]]]]] '''raw'''
 """.split()  # noqa: SIM905
-
 KEYS = """
     title experiment axes fixed sampling grid exclude published claim v_max n_obj model n_sim n_cat seed zip file source
     start stop step num spacing text exact tolerance slope ratio value variable over component of to at where precision
     max_n_sim keep_samples common_random_numbers method catalogue_file
 """.split()  # noqa: SIM905
-
 VALUE = r"""=\s*("(?:[^"\\]|\\.)*"|\{[^{}]*\}|\[[^\[\]]*\]|[^\s,}\]\#"{\[]+)"""
 NUMBERS = ("0", "-1", "2", "17", "0.5", "16.25", "1e3", "1000000", "1e-9", "1e18", "4294967296")
 

@@ -18,7 +18,6 @@ from linksweep.sweep.running.scaling import _dataset
 from tests.sweep import spread
 
 pytestmark = pytest.mark.slow
-
 FALSE_ALARM = 1e-4
 COPIES = 400
 X = [1.0, 2.0, 3.0, 5.0, 8.0]

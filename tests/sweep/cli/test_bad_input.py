@@ -67,7 +67,6 @@ def after(section):
 
 CSV = "published/table.csv"
 PUBLISHED = f'[published]\nfile = "{CSV}"\nsource = "A paper"'
-
 STUDIES = {
     "unknown key": (f"colour = 3\n{GOOD}", "colour (line 1): unknown key; known are axes, claim, conclusion,"),
     "unknown parameter": (fixed("altitude = 3"), "fixed.altitude (line 8): unknown parameter 'altitude'"),
@@ -91,8 +90,6 @@ STUDIES = {
     "published file missing": (after(PUBLISHED), "published.file (line 15): 'published/table.csv' cannot be read:"),
     "published file a device": (after(PUBLISHED.replace(CSV, "/dev/zero")), "'/dev/zero' is larger than 1,000,000"),
 }
-
-
 PLACE = "published.file (line 15): 'published/table.csv'"
 MINE = "experiment (line 1): 'mine.py:experiment': "
 WITH_FILES = {  # by the content of a file beside the study: what is said

@@ -19,7 +19,6 @@ from tests.tiers import slow
 MARK = "\x1b]0;owned\x07\x9b2J\u202e\x1b[31m\r\x08"
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 OURS = re.compile("\x1b\\[[0-9;]*m|\r(?=\n)")  # styles; what a terminal makes of the end of a line
-
 FUNCTION = f'''
 import warnings
 MARK = {MARK!r}

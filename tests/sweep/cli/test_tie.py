@@ -8,8 +8,6 @@ import xarray as xr
 from tests.conftest import run_sweep
 
 LINK = ("psrpi-de200", "timing-de200", "--unknowns", "orientation", "--clip", "discrepancy", "--errors", "jackknife")
-
-
 PLAN = ("psrpi", "psrpi", "--unknowns", "orientation", "--add", "2030")
 
 
@@ -22,26 +20,14 @@ def stored(tmp_path_factory):
     return folder, link[1], plan[1]
 
 
-def test_a_link_is_printed_with_its_sign_and_stored(stored):
-    folder, link, _ = stored
+def test_a_link_is_printed_with_its_sign_stored_and_shown_again_also_in_formats_for_programs(stored):
+    folder, link, plan = stored
     assert all(words in link for words in ("reference - satellite", "epsilon_y", "jackknife"))
     with xr.open_zarr(folder / "tie.zarr") as found:
         assert found.attrs["sign"] == "reference-satellite"
         assert float(found.estimate[1]) == pytest.approx(-13.06, abs=0.01)
     code, _, err = run_sweep("tie", *LINK, "-o", folder / "tie.zarr")
     assert (code, "exists already" in err) == (2, True)
-
-
-def test_json_has_everything():
-    options = ("--unknowns", "orientation", "--json", "--sign", "satellite-reference", "--clip", "discrepancy:1")
-    content = json.loads(run_sweep("tie", "psrpi-de200", "timing-de200", *options)[1])
-    assert content["attributes"]["sign"] == "satellite-reference"
-    assert content["variables"]["estimate"]["values"][1] > 0.0
-    assert content["variables"]["step_chosen"]["values"] == 1
-
-
-def test_show_prints_what_the_command_printed_and_formats_for_programs(stored):
-    folder, link, plan = stored
     assert run_sweep("show", folder / "tie.zarr")[1] == link
     assert run_sweep("show", folder / "plan.zarr")[1] == plan
     content = json.loads(run_sweep("show", folder / "tie.zarr", "--json")[1])
@@ -51,6 +37,14 @@ def test_show_prints_what_the_command_printed_and_formats_for_programs(stored):
     assert lines[2].startswith("epsilon_y,mas,-13.05")
     assert "reference-satellite" in run_sweep("show", folder / "tie.zarr", "--format", "ecsv")[1]
     assert run_sweep("show", folder / "plan.zarr", "--format", "csv")[1].startswith("unknown,unit,error_now")
+
+
+def test_json_has_everything():
+    options = ("--unknowns", "orientation", "--json", "--sign", "satellite-reference", "--clip", "discrepancy:1")
+    content = json.loads(run_sweep("tie", "psrpi-de200", "timing-de200", *options)[1])
+    assert content["attributes"]["sign"] == "satellite-reference"
+    assert content["variables"]["estimate"]["values"][1] > 0.0
+    assert content["variables"]["step_chosen"]["values"] == 1
 
 
 def test_what_cannot_be_drawn_and_a_damaged_result_are_one_message(stored, tmp_path):

@@ -224,8 +224,6 @@ PLACES = {
     **{"workers": 2, "pool": "serial", "dashboard": True},
     **{"client": "tcp://a:1", "scheduler": "tcp://a:1", "cluster": "a.toml"},
 }
-
-
 PAIRS = [pair for pair in combinations(PLACES, 2) if pair not in (("workers", "pool"), ("workers", "dashboard"))]
 
 

@@ -25,7 +25,6 @@ from tests.sweep.outside import below, command_of, wait_until
 from tests.tiers import PATIENCE_S, examples, slow
 
 LOCK = threading.Lock()  # cannot be pickled, nor can a function that refers to it be sent to workers
-
 LIMIT = "a block took longer than the time limit of 4 s"
 ENDINGS = {
     "SIGSEGV": ("ctypes.string_at(0)", "ended its process with SIGSEGV"),
@@ -44,7 +43,6 @@ LIMITS = "--time-limit 4 --memory-limit 400MB"
 POOLS = ("", "--workers 1", *(f"{pool} {LIMITS}" for pool in ("--pool serial", "--workers 2", "--pool threads")))
 CASES = [(deed, pool) for deed in ENDINGS | LIMITED for pool in POOLS if deed in ENDINGS or LIMITS in pool]
 QUICK = [("SIGSEGV", ""), ("exit code 3", f"--pool serial {LIMITS}")]
-
 FUNCTION = """
 import ctypes, json, os, signal, sys, threading, time
 def f(x: float = 0.0):

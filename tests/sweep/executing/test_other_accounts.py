@@ -20,9 +20,7 @@ from tests.sweep.outside import below, listening, unix_sockets, wait_until
 from tests.tiers import PATIENCE_S
 
 NOBODY = 65534
-
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root has other accounts")
-
 ATTACK = r"""
 import asyncio, json, os, pickle, socket, sys
 from contextlib import suppress

@@ -17,9 +17,7 @@ from tests.sweep.outside import wait_until
 
 COMMANDS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "scancel")
 WANTING = [command for command in COMMANDS if not shutil.which(command)] + ["root"] * (os.geteuid() != 0)
-
 __all__ = ["reference", "start"]
-
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(WANTING), reason=f"needs {WANTING} (slurm-wlm, munge)")]
 
 

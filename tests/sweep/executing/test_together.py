@@ -13,7 +13,6 @@ from tests.sweep.coins import experiment, toss
 from tests.sweep.opening import same
 
 MOST = 256  # most catalogues in one call
-
 CALLS = []
 
 

@@ -15,8 +15,6 @@ from tests.tiers import slow
 
 AXES = {"x": [1.0, 2.0, 3.0]}
 counter = itertools.count()
-
-
 DIFFERENT = {
     "numpy": lambda x: np.random.default_rng().normal(),
     "its own generator": lambda x, rng_of=np.random.default_rng(1): rng_of.normal(),  # noqa: B008

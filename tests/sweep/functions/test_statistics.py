@@ -16,7 +16,6 @@ LAWS = {
     **{"weak lognormal": stats.lognorm(0.5), "Poisson": stats.poisson(100.0)},
 }
 CLOSE = (0.935, 0.965)  # the band of 95 +- 1.5 %, within two errors
-
 FEWEST = {"q5": 74, "q25": 14, "median": 6, "q75": 14, "q90": 35, "q95": 74, "q99": 388}  # realisations for an error
 
 

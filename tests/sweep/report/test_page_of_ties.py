@@ -13,7 +13,6 @@ from tests.sweep.analysis.made import report_of
 KINDS = ("scaled", "jackknife", "formal")
 CLIPS = ("none", "discrepancy:3")
 pytestmark = pytest.mark.slow  # drawing, of links with all their errors
-
 LABELS = ("epsilon_x", "epsilon_y", "epsilon_z", "omega_x", "omega_y", "omega_z")
 
 

@@ -23,7 +23,6 @@ from tests.sweep.report.test_page_in_browser import chromium, complaints, empty_
 from tests.tiers import PATIENCE_S
 
 watch = pytest.importorskip("linksweep.sweep.report.page")
-
 __all__ = ["chromium", "evil_store"]
 
 

@@ -20,7 +20,6 @@ def positions(v):
 
 number = 3
 """
-
 STUDY = """\
 title = "Missions of our own"
 sampling = { n_sim = 6, n_cat = 2 }

@@ -83,7 +83,6 @@ v_max = [16.0]
 [fixed]
 catalogue = "quasars"
 """
-
 LARGE = {
     "a file of 50 MB": START + "#" * 50_000_000,
     "a string of 50 MB": f'x = "{"a" * 50_000_000}"',
