@@ -123,8 +123,8 @@ def difference(link: "xr.Dataset", other: "xr.Dataset") -> "xr.Dataset":
         A dataset in mas and mas/yr with ``chi2`` of the difference, and the ``probability`` of a larger one by chance.
 
     Raises:
-        SweepError: where the links have no unknown in common, or the orientation of the other has another epoch and
-            no spin.
+        SweepError: where the links have no unknown in common, or are beside other known ones, or the orientation of
+            the other has another epoch and no spin.
 
     Example:
         >>> import linksweep
@@ -137,6 +137,9 @@ def difference(link: "xr.Dataset", other: "xr.Dataset") -> "xr.Dataset":
 
     if any(one is None or "chi2_expected" not in one for one in (link, other)):
         raise SweepError("a difference is one of two links, which sweep tie -o writes")
+    for name in ("known_orientation", "known_spin"):
+        if len(known := {one.attrs.get(name, "none") for one in (link, other)}) > 1:
+            raise SweepError(f"{name} is {' and '.join(sorted(known))}: estimates are beside it, solve with the same")
     labels, sign = other.unknown.values.tolist(), 1.0 if link.attrs["sign"] == other.attrs["sign"] else -1.0
     years, moved = link.attrs["epoch"] - other.attrs["epoch"], np.eye(len(labels))
     for name, rate in [(name, name.replace(old, new)) for name in labels for old, new in RATES.items() if old in name]:

@@ -494,12 +494,12 @@ def _correlations(read: Columns, present: Flags) -> Array | None:
         row[~(both & np.isfinite(row))] = 0.0
     zero = f"no {first_of(absent, 5)}: a correlation without a column counts as 0" if absent else ""
     read.notes += [zero] if zero else []
-    zero += "; of corr_vec, the columns of the upper triangle one after the other," if from_vector else ""
+    zero += "of corr_vec, the columns of the upper triangle one after the other" if from_vector else ""
     matrices = np.tile(np.eye(len(present)), (len(read), 1, 1))
     for row, (i, j) in zip(correlations, pairs, strict=True):
         matrices[:, i, j] = matrices[:, j, i] = row
     good = core.positive_definite(matrices)
-    read.check(~good, f"correlations that are impossible (not positive definite){zero and '; '}{zero}")
+    read.check(~good, "correlations that are impossible (not positive definite)", hint=f"; {zero}" if zero else "")
     return correlations
 
 

@@ -104,6 +104,8 @@ def test_chi2_of_a_difference_is_that_of_its_covariance_and_what_has_none_is_ref
     assert made.chi2.item() == pytest.approx(expected)
     assert made.probability.item() == pytest.approx(chi2(3).sf(expected))
     later = linksweep.tie(*tables, epoch=2016.0)
-    for second, why in ((later, "no omega_x"), (linksweep.forecast("psrpi", "psrpi", "orientation"), "two links")):
+    beside = linksweep.tie(*tables, epoch=2010.0, known_orientation=[1.0, 0.0, 0.0])
+    plan = linksweep.forecast("psrpi", "psrpi", "orientation")
+    for second, why in ((later, "no omega_x"), (plan, "two links"), (beside, "known_orientation is .* and none")):
         with pytest.raises(SweepError, match=why):
             linksweep.difference(one, second)
