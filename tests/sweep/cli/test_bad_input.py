@@ -284,7 +284,7 @@ def test_a_command_that_cannot_be_run_says_why(here, coin_store, decayed, comman
     check_refused(here, words, *phrase.split(", name it "))
 
 
-NO_ADDRESSES = ["host", "nonsense://x:1", "tcp://"]
+NO_ADDRESSES = ["host", "nonsense://x:1", "tcp://", "tcp://:1"]
 
 
 @pytest.mark.parametrize("address", [*NO_ADDRESSES, "tcp://127.0.0.1:1", slow("tcp://127.0.0.1:99999999")])
