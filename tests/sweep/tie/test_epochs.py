@@ -101,7 +101,7 @@ def drawn(seed, models, n_transits=24, bend=1.0, excess=0.0, ccds=9):
         fitted.append(fit(a[:, [0, 1, 2, 3, 4, 10]], y, sigma))
     sky = {"scans": vstack(parts), "design": designs, "values": values, "errors": errors}
     vlbi = observed(rng, made, further, orbits, names)
-    return SimpleNamespace(satellite=as_table(fitted, seen, names), vlbi=vlbi, **sky)
+    return SimpleNamespace(satellite=as_table(fitted, seen, names), vlbi=vlbi, origin=seen, **sky)
 
 
 def fit(design, values, errors):
@@ -277,8 +277,7 @@ def test_each_format_is_read_and_gives_the_link_of_what_gaiasupdate_finds(tmp_pa
     names = sky.satellite["source_id"].tolist()
     fitted = [GaiaEpochAstrometryArchive.supdate(frame, name) for name in names]
     fitted = [(one["parameters"], one["parameter_covariance_matrix_formal"]) for one in fitted]
-    origin = np.array([[sky.scans[name][24 * s] * DEGREE for s in range(4)] for name in ("ra0", "dec0")])
-    as_table(fitted, origin, names).write(tmp_path / "supdate.fits")
+    as_table(fitted, sky.origin, names).write(tmp_path / "supdate.fits")
     link = linked(tmp_path, sky, form=form)
     same = linksweep.tie(tmp_path / "supdate.fits", tmp_path / "vlbi.fits", "orientation,spin", errors="formal")
     np.testing.assert_allclose(link.estimate / link.error, same.estimate / same.error, atol=3e-4)

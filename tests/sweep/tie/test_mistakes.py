@@ -180,9 +180,8 @@ def test_two_mistakes_at_once_are_both_named(tmp_path, one, other, n, seed):
     assert all(re.search(MISTAKES[mistake][2], found[0]) for mistake in (one, other)), found
 
 
-OFF = ["half a year early there", "a quarter year late there", "a century early there"]
-VALUES = ["mu_alpha", "mu_alpha there", "motions exchanged", "motions reversed", "motions in arcsec there"]
-VALUES.append("one star reversed")
+OFF = [mistake for mistake in MISTAKES if "year" in mistake or "century" in mistake]
+VALUES = [mistake for mistake in MISTAKES if re.search("mu_alpha|motions|reversed", mistake)]
 
 
 @pytest.mark.slow
