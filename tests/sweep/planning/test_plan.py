@@ -374,7 +374,7 @@ def test_what_changes_nothing_is_refused_by_name(study, named):
     [
         ({}, 1),
         ({"fixed": {"chance": 0.7, "coins": 3}}, 1),
-        ({"axes": {"coins": [2, 3]}, "fixed": {"chance": 0.7}}, 2),  # it matters for one of the two
+        ({"axes": {"coins": [2, 3, 4]}, "fixed": {"chance": 0.7}}, 3),  # it matters for one of them
         ({"axes": {"coins": [2, 3], "chance": [0.5, 0.7]}, "exclude": [{"coins": 2, "chance": 0.7}]}, 3),
         ({"axes": {"coins": [2, 3], "chance": [0.5, 0.7]}, "grid": {"zip": [["coins", "chance"]]}}, 2),
     ],
