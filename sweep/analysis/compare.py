@@ -105,16 +105,12 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
 def _problem(dataset: xr.Dataset, name: str, component: str | None = None) -> str:
     """Return why a result, or a component of one, is not a number at each point; '' if it is."""
     if name not in dataset:
-        is_begun = bool((dataset["status"].values == Status.DONE).any())
-        return f"{name} is not a result of this store" if is_begun else f"{NOT_DONE}: the first point"
-    if dataset[name].dtype.kind not in "biuf":
-        return f"{name} has no numbers"
-    if len(dims := quantity.own_dimensions(dataset, name)) > 1:
-        return f"{name} has the dimensions {', '.join(dims)} at each point"
-    labels = _components(dataset, name)
-    if component in (labels or (None,)):
-        return ""
-    return f"{name} has the components {first_of(labels, FEW)}" if labels else f"{name} has no component {component!r}"
+        return f"{name} is not a result of this store" if Status.DONE in dataset["status"].values else NOT_DONE
+    dims, labels = quantity.own_dimensions(dataset, name), _components(dataset, name)
+    if dataset[name].dtype.kind not in "biuf" or len(dims) > 1:
+        return f"{name} is neither one number at each point nor one for each component"
+    wanted = f"one of {first_of(labels, FEW)}" if labels else "left out"
+    return "" if component in (labels or (None,)) else f"the component of {name} must be {wanted}"
 
 
 def _components(dataset: xr.Dataset, name: str) -> list[str]:
@@ -323,9 +319,7 @@ def remarks(dataset: xr.Dataset) -> list[str]:
     sentences = [part for name in compared for part in quantity.unknown_parts(dataset, name)]
     words = "published numbers that are not in this grid and not compared"
     unknown = json.loads(dataset.attrs.get("published_not_compared", "[]"))
-    sentences += [
-        f"{name}: is no result of one number at each point; its published numbers are not compared" for name in unknown
-    ]
+    sentences += [f"{name}: is not one number at each point, and published ones are not compared" for name in unknown]
     return [*sentences, *(f"{name}: {words}: {n}" for name, n in outside.items())]
 
 

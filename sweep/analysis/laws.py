@@ -32,7 +32,6 @@ LEVELLING_POINTS = 4  # the fewest for the levelling law, which has three parame
 DEVIATION_ALLOWED = 3.0  # an exponent may deviate from the expected one by this many of its errors
 P_VALUE_ALLOWED = 1e-3  # a law is said not to hold if the probability of its chi2 is lower
 EXCLUDED = "excluded by the study"
-NO_ERRORS = "none"
 SIGMAS = 2.0  # errors of crossings are made so that the truth is within this many of them as often as for a normal law
 RATE_WANTED = 2.0  # a levelling off is significant if its rate is more than this many errors above 0
 # A law is judged only if the errors that points do not share are this many times the neglected second order.
@@ -201,12 +200,11 @@ def lines_of(
     others = tuple(str(d) for d in dataset[variable].dims if d != dimension)
     if covariance is not None:
         name = f"{variable}_{quantity.COVARIANCE_SUFFIX}_{dimension}"
-        if not set(pair) <= set(covariance.dims) <= {*others, *pair}:
-            raise SweepError(f"{name} is {dict(covariance.sizes)}: it needs {' and '.join(pair)}, and no more")
-        try:
-            dataset = dataset.drop_dims(pair[1], errors="ignore").assign({name: covariance})
-        except ValueError as refused:  # of other sizes
-            raise SweepError(f"{name} is {dict(covariance.sizes)}: {refused}") from refused
+        unfit = {d for d in pair if d not in covariance.coords and covariance.sizes.get(d) != dataset.sizes[dimension]}
+        if unfit | set(covariance.dims) - {*others, *pair}:
+            needed = f"{' and '.join(pair)} of one length, and no more"
+            raise SweepError(f"{name} is {dict(covariance.sizes)}: it needs {needed}")
+        dataset = dataset.drop_dims(pair[1], errors="ignore").assign({name: covariance})
     covariance = quantity.covariance_along(dataset, variable, dimension)
     if covariance is not None:
         covariance = covariance.isel({pair[1]: quantity.places_of_others(dataset, variable, dimension)})
@@ -245,7 +243,7 @@ def _errors_in_words(dataset: xr.Dataset, known: bool, correlated: bool, samples
     if np.isnan(samples):
         needed = f"{FEWEST_SAMPLES} {outer_draw_of(dataset.attrs)}s, or as many blocks of one, and no `precision`"
         return f"not known, as points share random numbers and the store has no covariance of them (it needs {needed})"
-    return "Monte Carlo, independent points" if known else NO_ERRORS
+    return "Monte Carlo, independent points" if known else "none"
 
 
 # Laws
@@ -415,7 +413,7 @@ def _fitted(made: Lines, fit: Callable[..., dict[str, Any]]) -> list[dict[str, A
 def _notes(formula: str, made: Lines, rows: Sequence[Mapping[str, Any]]) -> list[str]:
     bad = sum(row.get("p_value", math.nan) < P_VALUE_ALLOWED for row in rows)
     more = f"{bad} of {len(rows)} lines: the law does not hold within the errors, p < {P_VALUE_ALLOWED:g}"
-    weights = ": points weigh the same, errors come from the scatter" if made.errors == NO_ERRORS else ""
+    weights = ": points weigh the same, errors come from the scatter" if made.errors == "none" else ""
     return [f"{formula}; errors: {made.errors}{weights}", *([more] if bad else [])]
 
 
@@ -578,11 +576,12 @@ def interpolate(
         if not x[0] <= at <= x[-1]:
             raise SweepError(f"{over} = {at:g} is beyond the points, which go from {x[0]:g} to {x[-1]:g}")
         i = min(max(int(np.searchsorted(x, at)) - 1, 0), len(x) - 2)
-        logarithm = bool(np.all(line.y[i : i + 2] > 0.0))
-        u, spread = _pair(line, i, logarithm)
+        u, spread, logarithm = _pair(line, i)
         *_, z = scale = on_scale(np.append(x, at), made.over_unit)
         fraction = (z - scale[i]) / (scale[i + 1] - scale[i])
-        value, error = _mix(fraction, u, spread, line.samples)
+        weights = np.array([1.0 - fraction, fraction])
+        value, variance = weights @ u, np.maximum(weights @ spread @ weights, 0.0) * small_sample_factor(line.samples)
+        error = np.sqrt(variance)
         row[:] = (np.exp(value), np.exp(value) * error) if logarithm else (value, error)
     attributes, rows = dataset[variable].attrs, rows.T.reshape(2, *(made.grid.sizes[d] for d in made.dims))
     of_error = described(units_of(attributes), f"one-sigma error of {variable}")
@@ -615,8 +614,8 @@ def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[flo
     farther (Fieller 1954): noise, which chooses the points on both sides, makes the line between them too steep.  The
     error is NaN where the line does not leave the threshold.
     """
-    u, _ = _from(threshold, line, i)
-    fraction, z = u[0] / (u[0] - u[1]), on_scale(line.x, over_unit)
+    (u, *_), z = _pair(line, i, threshold), on_scale(line.x, over_unit)
+    fraction = u[0] / (u[0] - u[1])
     place = z[i] + fraction * (z[i + 1] - z[i])
     mirrored = replace(line, y=np.flip(line.y), errors=np.flip(line.errors))
     after = _reach(line, z, i, fraction, threshold)
@@ -632,7 +631,7 @@ def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) 
     point ``start`` to the next; beyond the last point the line goes on.  NaN if there is no such place.
     """
     for i in range(start, len(z) - 1):
-        u, spread = _from(threshold, line, i)
+        u, spread, _ = _pair(line, i, threshold)
         at, along = np.array([1.0 - fraction, fraction]), np.array([-1.0, 1.0])
         spread = SIGMAS**2 * small_sample_factor(line.samples) * spread
         # The square of the line less that of its errors is c + 2 b s + a s^2 at a distance s.
@@ -646,25 +645,15 @@ def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) 
     return np.nan
 
 
-def _from(threshold: float, line: Line, i: int) -> tuple[Array, Array]:
-    """Return two neighbouring values less a threshold and their covariance, of logarithms where all are above 0."""
-    logarithm = bool(np.all(line.y[i : i + 2] > 0.0)) and threshold > 0.0
-    values, spread = _pair(line, i, logarithm)
-    return values - (np.log(threshold) if logarithm else threshold), spread
-
-
-def _pair(line: Line, i: int, logarithm: bool) -> tuple[Array, Array]:
-    """Return two neighbouring values and their covariance (2, 2), of their logarithms if asked for."""
+def _pair(line: Line, i: int, threshold: float | None = None) -> tuple[Array, Array, bool]:
+    """Return two neighbouring values less a threshold, if there is one, and their covariance (2, 2); and whether these
+    are logarithms, as where all are above 0.
+    """
     values, part = line.y[i : i + 2], slice(i, i + 2)
     spread = np.diag(line.errors[part] ** 2) if line.errors.ndim == 1 else line.errors[part, part]
-    return (np.log(values), spread / np.outer(values, values)) if logarithm else (values, spread)
-
-
-def _mix(fraction: float, values: Array, spread: Array, samples: float) -> tuple[float, float]:
-    """Return the value at a fraction of the way between two, and its error; NaN where the covariance is not known."""
-    weights = np.array([1.0 - fraction, fraction])
-    variance = np.maximum(weights @ spread @ weights, 0.0) * small_sample_factor(samples)
-    return float(weights @ values), float(np.sqrt(variance))
+    if np.all(values > 0.0) and (threshold is None or threshold > 0.0):
+        return np.log(values / (threshold or 1.0)), spread / np.outer(values, values), True
+    return values - (threshold or 0.0), spread, False
 
 
 def _is_logarithmic(x: Array, unit: str) -> bool:

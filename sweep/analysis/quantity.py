@@ -200,26 +200,22 @@ def places_of_others(dataset: xr.Dataset, variable: str, dimension: str) -> list
     These are places of the same labels.  Raises SweepError for a covariance without labels that is not of these points
     in their order: its rows and columns are then those of no covariance.
     """
-    if f"{dimension}_other" in dataset.coords and dimension in dataset.coords:
-        labels = (dataset[name].values.tolist() for name in (dimension, f"{dimension}_other"))
-        here, there = ([None if is_missing(value) else value for value in some] for some in labels)
+    name, pair = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}", (dimension, f"{dimension}_other")
+    if {*pair} <= {*dataset.coords}:
+        here, there = ([None if is_missing(v) else v for v in dataset[one].values.tolist()] for one in pair)
         place = {label: i for i, label in enumerate(there)}
         if len(place) == len(there) and place.keys() >= set(here):
             return [place[label] for label in here]
-    name, pair = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}", (dimension, f"{dimension}_other")
     covariance = np.moveaxis(dataset[name].values, [dataset[name].dims.index(d) for d in pair], (-2, -1))
-    if (n := covariance.shape[-1]) == dataset.sizes[dimension]:
+    if (n := covariance.shape[-1]) == covariance.shape[-2]:
         with np.errstate(invalid="ignore", divide="ignore"):
             sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
             correlation = covariance / sigma[..., :, None] / sigma[..., None, :]
         same = np.allclose(correlation, np.swapaxes(correlation, -1, -2), rtol=0.0, atol=1e-6, equal_nan=True)
         if same and not (np.abs(correlation) > 1.0 + 1e-6).any():
             return list(range(n))
-    sizes, both = dict(dataset[name].sizes), " and ".join(pair)
-    raise SweepError(
-        f"{name} is {sizes}, and {dimension}_other does not say of which points: cut or sort {both} alike, or open the "
-        "store with linksweep.open"
-    )
+    both = " and ".join(pair)
+    raise SweepError(f"{name} is not of these points: cut or sort {both} alike, or open the store with linksweep.open")
 
 
 def error_of_sum(
@@ -414,9 +410,8 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
     """
     problems: list[str] = []
     chosen: dict[str, set[int]] = {}
-    others = [f"{d}_other" for d in axes_of(dataset)]
-    one_dimensional = {str(n): c.dims[0] for n, c in dataset.coords.items() if len(c.dims) == 1}
-    axes = [n for n, dimension in one_dimensional.items() if dimension not in others and not n.endswith("_unit")]
+    axes = [str(n) for n, c in dataset.coords.items() if len(c.dims) == 1 and not str(n).endswith("_unit")]
+    axes = [name for name in axes if name not in {f"{dimension}_other" for dimension in axes_of(dataset)}]
     for name, wanted in places.items():
         if name not in axes:
             problems.append(f"{shown(name)} is not an axis{suggest(name, axes) if axes else '; there are none'}")

@@ -182,8 +182,7 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     finest = finest if is_find else float(np.diff(there).min())
     per_line, each = math.floor((axis[-1] - axis[0]) / finest * ROUNDING) + 1, math.prod(numbers.values())
     full = per_line * (status.size // dataset[over].size) * each
-    if most is not None:  # what is known least comes first, as there may not be points for all
-        gaps.sort(key=lambda gap: -gap[0])
+    gaps.sort(key=lambda gap: -gap[0])  # what is known least comes first, as there may not be points for all
     affordable = None if most is None else max(0, most - spent) // each
     points = dict(islice(_midpoints(asked, now, over, [gap[1:] for gap in gaps]).items(), affordable))
     left = (int(SHARE * full) if most is None else most) - spent - len(points) * each

@@ -360,10 +360,7 @@ def find(
     with part_of(store, at) as dataset:
         if over is None and len(varied_parameters(dataset)) > 1:
             met = laws.points_where(dataset, limit)
-            if met["status"].size or as_json:
-                cli.print_headlines(met, as_json)
-            else:
-                cli.put(f"no point meets {limit}")
+            cli.print_headlines(met, as_json) if as_json or met["status"].size else cli.put(f"no point meets {limit}")
             return
         result = laws.find(dataset, limit, require_axis(dataset, limit.variable, over))
     cli.print_result(result, "json" if as_json else "text")

@@ -307,11 +307,7 @@ def refine(
         within=opt("How well to locate it, in the unit of the axis.", type=POSITIVE, metavar="WIDTH"),
         along=opt("The axis that gets points.  [default: the only one with several numbers]"),
         variable=opt("With --until: what to interpolate.  [default: the main result]"),
-        most=opt(
-            "Most in all, new points too.  [default: a fifth of the full grid's for more at points]",
-            "--max-realisations",
-            type=click.IntRange(1),
-        ),
+        most=opt("Most in all.  [default: see docs/refine.md]", "--max-realisations", type=click.IntRange(1)),
     ),
     plan_only: bool = flag("Say which round is next, and compute and write nothing.", "--plan"),
     how: Running = cli.group(Running),

@@ -344,15 +344,11 @@ def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ..
     Raises ResultError where they differ in more than their values.
     """
     layout: Layout = outcomes[0].layout
-    if strange := [field for field in layout.fields if field.type not in NUMBERS | {"bool"}]:
-        name, kind = strange[0].name, strange[0].type
-        raise ResultError(f"{function}: {name!r} is of type {kind}; statistics are made of numbers and truth values")
     counted = {output.name for output in declared if "count" in output.statistics}
-    if strange := [field for field in layout.fields if field.name in counted and field.type != "bool"]:
+    if strange := [f for f in layout.fields if f.type != "bool" and (f.name in counted or f.type not in NUMBERS)]:
         name, kind = strange[0].name, strange[0].type
-        raise ResultError(
-            f"{function}: {name!r} is of type {kind}; the statistic 'count' is of truth values, how many are true"
-        )
+        made = "the statistic 'count' is of" if name in counted else "statistics are made of numbers and"
+        raise ResultError(f"{function}: {name!r} is of type {kind}; {made} truth values")
     layout = layout.with_floats(field.name for field in layout.fields)
     rows = []
     for outcome in outcomes:

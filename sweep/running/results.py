@@ -19,8 +19,8 @@ from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.stores.ledger import Stored
 from linksweep.sweep.stores.location import Location
-from linksweep.sweep.stores.store import FILL, RUNNING, dask_arrays_only_where_imported, finished, with_gaps
-from linksweep.sweep.studies.study import POINT, Study, printed_rounding
+from linksweep.sweep.stores.store import FILL, RUNNING, Store, dask_arrays_only_where_imported, finished, with_gaps
+from linksweep.sweep.studies.study import POINT, printed_rounding
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -169,7 +169,9 @@ def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labell
     for name, dimension in ragged.items():
         variables[name].attrs[RAGGED] = dimension
         longest[dimension] = max(longest.get(dimension, 1), int(np.max(results.get(name + LENGTH, 1))))
-    whole = Labelled(variables, _coordinates(grid))
+    columns = study.published.rows[0] if study.published is not None and not experiment.undeclared else ()
+    lost = [c for c in columns if c not in experiment.defaults() and f"{c}_published" not in variables]
+    whole = Labelled(variables, _coordinates(grid), {"published_not_compared": json.dumps(lost)} if lost else {})
     return whole.isel({dimension: slice(length) for dimension, length in longest.items()})
 
 
@@ -336,7 +338,7 @@ def _published(grid: Grid) -> dict[str, Variable]:
     study = grid.study
     if study.published is None:
         return {}
-    outputs = _of_one_number(study)
+    outputs = {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
     origin = study.published.about.model_dump(exclude={"file"}, exclude_none=True)
     variables: dict[str, Variable] = {}
     for column in study.published.rows[0]:
@@ -359,17 +361,6 @@ def _published(grid: Grid) -> dict[str, Variable]:
             meaning = f"half a unit of the last printed digit of {name}"
             variables[rounding] = _variable(grid, roundings.reshape(-1), Output(rounding, output.unit, meaning))
     return variables
-
-
-def _of_one_number(study: Study) -> dict[str, Output]:
-    return {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
-
-
-def not_compared(study: Study) -> list[str]:
-    """Return the columns of published numbers of what is no result of one number, as far as results are known."""
-    if study.published is None or study.experiment.undeclared:
-        return []
-    return [c for c in study.published.rows[0] if c not in {*study.experiment.defaults(), *_of_one_number(study)}]
 
 
 def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) -> tuple[int, ...] | None:
@@ -398,9 +389,7 @@ def _same(value: object, text: str) -> bool:
 LARGEST = 10**7
 
 
-def add_covariances(
-    dataset: Labelled, plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], ledger: Rows
-) -> Labelled:
+def add_covariances(dataset: Labelled, plan: Plan, accumulator: Accumulator, store: Store) -> Labelled:
     """Return a dataset with ``NAME_mc_covariance_AXIS`` of every result with a Monte-Carlo error, for every axis along
     which points share their random numbers; dimensions of the result and ``AXIS_other``, which has the values of AXIS.
 
@@ -416,15 +405,14 @@ def add_covariances(
     with_error = [o for o in outputs.values() if f"{o.name}_mc_error" in outputs and o.name not in plan.grid.study.axes]
     along = {output: _shared_dimensions(plan, output, len(samples)) for output in with_error}
     along = {output: dimensions for output, dimensions in along.items() if dimensions}
-    deviations = _deviations(plan, accumulator, samples, list(along), rows, ledger) if along else {}
+    deviations = _deviations(plan, accumulator, samples, list(along), store) if along else {}
     made = {
         f"{output.name}_mc_covariance_{dimension}": _covariance(plan, deviations[output.name], output, dimension)
         for output, dimensions in along.items()
         for dimension in dimensions
         if not np.isnan(deviations[output.name]).all()  # as of quantiles, which no sum gives
     }
-    pairs = (one.dims[-2:] for one in made.values())
-    others = {other: replace(dataset.coords[axis], dims=(other,)) for axis, other in pairs}
+    others = {one.dims[-1]: replace(dataset.coords[one.dims[-2]], dims=one.dims[-1:]) for one in made.values()}
     return replace(dataset.assign(made), coords=dataset.coords | others)
 
 
@@ -449,17 +437,12 @@ def _independent(plan: Plan) -> list[list[Block]]:
 
 
 def _deviations(
-    plan: Plan,
-    accumulator: Accumulator,
-    samples: Sequence[Sequence[Block]],
-    outputs: Sequence[Output],
-    rows: Mapping[bytes, int],
-    ledger: Rows,
+    plan: Plan, accumulator: Accumulator, samples: Sequence[Sequence[Block]], outputs: Sequence[Output], store: Store
 ) -> dict[str, Array]:
     """Return each result without each of the samples in turn, less the mean, scaled so that products add up to the
     covariance; (points, size of the result, samples), NaN for points that are not done.
     """
-    grid, count = plan.grid, len(samples)
+    grid, count, rows, ledger = plan.grid, len(samples), store.rows, store.read()
     experiment, n_cat, reducer = grid.study.experiment, grid.study.sampling.n_cat, accumulator.reducer
     alone_n = sum(block.realisations for block in samples[0])
     catalogues = np.full(count, float(max(n_cat - 1, 1)))
@@ -482,8 +465,8 @@ def _deviations(
             values = np.reshape(results[name], (count, -1)).T
             with np.errstate(invalid="ignore", divide="ignore"):
                 power = np.log2(np.reshape(twice[name] / once[name], (-1, 1)))  # 0 of a mean, 1 of a sum
-                sums = np.abs(power - np.round(power)) < 1e-9
-            values = values * (n / (n - alone_n)) ** np.where(sums, np.round(power), 0.0)
+            known = np.abs(power - np.round(power)) < 1e-9
+            values = values * (n / (n - alone_n)) ** np.where(known, np.round(power), 0.0)
             mine[point.index] = scale * (values - values.mean(axis=1, keepdims=True))
     return {name: grid.with_repeats(mine) for name, mine in deviations.items()}
 

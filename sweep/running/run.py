@@ -29,15 +29,7 @@ from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, fa
 from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
 from linksweep.sweep.planning.union import REFINED, UNITED, united, with_numbers_of
 from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures, Progress, Silent, Taken
-from linksweep.sweep.running.results import (
-    Labelled,
-    add_covariances,
-    assemble,
-    assemble_samples,
-    code_variable,
-    masked,
-    not_compared,
-)
+from linksweep.sweep.running.results import Labelled, add_covariances, assemble, assemble_samples, code_variable, masked
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, locked, writing
 from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, store_at
@@ -484,10 +476,10 @@ class Writer:
         if study.sampling.keep_samples:
             dataset = dataset.assign(assemble_samples(self.plan, self.accumulator.status, self.store.samples))
         if final and study.sampling.common_random_numbers and study.sampling.precision is None:
-            dataset = add_covariances(dataset, self.plan, self.accumulator, self.store.rows, self.store.read())
+            dataset = add_covariances(dataset, self.plan, self.accumulator, self.store)
         if len(records := records_of(self.store.attributes)) > 1:
             dataset = dataset.assign({"code": code_variable(self.plan, self.accumulator, self.store.rows, records)})
-        return replace(dataset, attrs=self._attributes())
+        return replace(dataset, attrs=dataset.attrs | self._attributes())
 
     def _attributes(self) -> dict[str, Any]:
         """Return the attributes of a dataset of everything taken so far."""
@@ -501,7 +493,6 @@ class Writer:
             "complete": int(points == done or self._has_its_part()),
             "failures": json.dumps(self.failures(MAX_FAILURES_NAMED)),
             "warnings": json.dumps(self.plan.grid.warnings),
-            "published_not_compared": json.dumps(not_compared(self.plan.grid.study)),
         }
 
     def _has_its_part(self) -> bool:

@@ -613,9 +613,8 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
     for name in (CHUNKS, LEDGER_THEN, STORE):
         dataset.attrs.pop(name, None)
     # a store of an earlier version does not label the second points of covariances
-    axes = {str(d): str(d).removesuffix("_other") for d in dataset.dims if str(d).endswith("_other")}
-    along = {d: dataset[axis] for d, axis in axes.items() if d not in dataset.coords and axis in dataset.coords}
-    return dataset.assign_coords({d: (d, axis.values, axis.attrs) for d, axis in along.items()})
+    axes = {d: d.removesuffix("_other") for d in map(str, dataset.dims) if d not in dataset.coords}
+    return dataset.assign_coords({d: (d, dataset[a].values) for d, a in axes.items() if a in dataset.coords})
 
 
 def with_gaps(whole: NDArray[np.int64]) -> NDArray[Any]:

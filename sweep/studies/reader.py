@@ -662,8 +662,7 @@ def _read_published(form: Form, values: Values, axes: Collection[str]) -> Publis
         parameters = {parameter.name: parameter for parameter in values.experiment.parameters}
         if not rows:
             raise ValueError("holds no rows")
-        unknown = rows[0][1].keys() - {*outputs, *parameters, ""}
-        if unknown and not values.experiment.undeclared:
+        if (unknown := rows[0][1].keys() - {*outputs, *parameters, ""}) and not values.experiment.undeclared:
             raise ValueError(f"has columns {shown(sorted(unknown))}, which are neither parameters nor outputs")
         for number, row in rows:
             with problems.at(where, f"{file}, line {number}: "):

@@ -273,9 +273,7 @@ class Sampling(Section):
         description="relative error of the headline results at which a point stops, after n_sim at least",
         examples=[0.01],
     )
-    max_n_sim: Count | None = Field(
-        None, description="but not more than these, rounded up to whole parts", examples=[MOST_SIMS]
-    )
+    max_n_sim: Count | None = Field(None, description="but not more than these, in whole parts", examples=[MOST_SIMS])
     common_random_numbers: bool = Field(
         False, description="let points share what they can: ratios and exponents have far less noise"
     )

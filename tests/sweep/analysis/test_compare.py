@@ -271,7 +271,7 @@ def test_a_plain_function_has_claims_a_conclusion_and_published_numbers(tmp_path
         claim(slope={"variable": "w", "over": "a"}, published="1.5"),
         claim(value={"variable": "pair", "component": "1", "at": {"a": 4.0}}, published="8.0"),
     ]
-    wrong = {"depth": "depth is not a result", "word": "word has no numbers", "pair": "pair has the components 0, 1"}
+    wrong = {"depth": "depth is not a result", "word": "neither one number", "pair": "must be one of 0, 1"}
     lost = [claim(value={"variable": name, "at": {"a": 1.0}}) for name in wrong]
     values = {name: {"value": {"variable": name, "at": {"a": 2.0}}} for name in ("w", "depth")}
     study = {"experiment": power, "axes": {"a": [1.0, 2.0, 4.0]}, "claim": wanted + lost}
@@ -282,7 +282,7 @@ def test_a_plain_function_has_claims_a_conclusion_and_published_numbers(tmp_path
     assert [one.verdict for one in found] == ["reproduced"] * 4 + ["incomplete"] * 3
     assert all(words in one.reason for words, one in zip(wrong.values(), found[4:], strict=True))
     (remark,) = verdicts.remarks(dataset)
-    assert remark.startswith("lost: is no result of one number")
+    assert remark.startswith("lost: is not one number")
     first, second = linksweep.answer(dataset).sentences
     assert first.startswith("It is 2.8")
     assert "depth is not a result of this store" in second
