@@ -744,8 +744,9 @@ def apply(
     path = built_in(Path(table)) if isinstance(table, (str, Path)) else Path("the table")
     raw = read_table(path) if isinstance(table, (str, Path)) else table.copy()
     how = as_read(link.attrs, raw, digest_of(path) if isinstance(table, (str, Path)) else "", told)
-    stars = astrometric_table(raw, str(path), "", how).astrometry
-    notes = _notes(link, stars, inverse, str(path))
+    whole = astrometric_table(raw, str(path), "", how)
+    stars = whole.astrometry
+    notes = [*_notes(link, stars, inverse, str(path)), *(note for note in whole.notes if "unit" in note)]
     read = Columns(raw, str(path), how.columns, how.units, QUANTITIES)
     if not any(read.has(name) for name in CORRELATIONS):
         if stars.correlations is not None:

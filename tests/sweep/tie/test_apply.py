@@ -172,6 +172,8 @@ def test_a_table_is_read_as_the_link_read_it_or_as_is_said(tmp_path, said):
     usual = linksweep.tie(of_satellite, reference, "orientation,spin", accept_misfit=True)
     usual["estimate"][:], usual["covariance"][:] = link.estimate, link.covariance
     expected = written(linksweep.apply(usual, of_satellite))
+    if said == {"units": ARCSEC}:  # another table, which says no units
+        assert "is its unit right" in " ".join(linksweep.apply(link, of_satellite).meta["comments"])
     for one, table, told in ((link, form, {}), (link, Table.read(form), {}), (usual, form, said)):
         moved = linksweep.apply(one, table, **told)
         assert moved.colnames == Table.read(form).colnames
