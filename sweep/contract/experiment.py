@@ -206,6 +206,10 @@ class Function(Protocol):
         """Call it."""
 
 
+class Unknown:
+    """Stands for the value of a `Named` that a store has: only the script that made it has the object."""
+
+
 @dataclass(frozen=True)
 class Named:
     """A value of a parameter that a study defines under a name of its own.

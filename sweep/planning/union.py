@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Value, shown
+from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Unknown, Value, shown
 from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import MAX_POINTS, Grid, GridPoint, all_but
 from linksweep.sweep.studies.points import MAX_VALUES, Values, labels_of, numbers_like, require_distinct
@@ -96,7 +96,10 @@ def united(stored: Study, asked: Study, held: Collection[bytes] = (), *, is_whol
     n = len(places) + len(mine)
     most = min(MAX_POINTS, max(SMALL, min(SPARSEST * n, n + MOST_LEFT_OUT)))
     are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
-    if are_lost or not _is_crossed(theirs, mine) or math.prod(map(len, rows.values())) > most:
+    zipped = [some for names, some in rows.items() if len(names) > 1 and {*names} != {*(tables and tables[0].names)}]
+    columns = [column for some in zipped for column in zip(*some, strict=True)]
+    repeat = any(len({*map(sorted_json, column)}) < len(column) for column in columns)  # no values of an axis do
+    if are_lost or repeat or not _is_crossed(theirs, mine) or math.prod(map(len, rows.values())) > most:
         names = tuple(dict.fromkeys([*stored.axes, *asked.axes, *changed]))
         old = [tuple({**was, **p.parameters}[name] for name in names) for p in theirs.points(theirs.repeated(places))]
         new = [tuple(p.parameters[name] for name in names) for p in mine.points(mine.repeated(mine.indices()))]
@@ -118,7 +121,7 @@ def united(stored: Study, asked: Study, held: Collection[bytes] = (), *, is_whol
         axes=values,
         fixed={name: value for name, value in asked.fixed.items() if name not in values},
         sampling=_sampling(stored, asked),
-        zipped=tuple(names for names in rows if len(names) > 1 and (points is None or names != points.names)),
+        zipped=tuple(names for names in rows if len(names) > 1 and (points is None or {*names} != {*points.names})),
         points=points,
         excluded=excluded,
         counts={},
@@ -151,8 +154,7 @@ def _columns(
                 require_distinct(columns[name], is_table)
                 Values.require_labels(columns[name])
             except ValueError as error:
-                leave = "leave the earlier points out by --only (only=True)"
-                raise SweepError(f"{name}, with its values in the store: {error}; {leave}") from error
+                raise SweepError(f"{name}, with its values in the store: {error}") from error
     return columns
 
 
@@ -234,7 +236,7 @@ def _experiment(stored: Study, asked: Study) -> Experiment:
     present, recorded = experiment.cost, stored.experiment.cost
 
     def cost(point: Point) -> float:
-        is_known = not any(isinstance(value, Named) and value.value is None for value in point.values())
+        is_known = not any(isinstance(value, Named) and value.value is Unknown for value in point.values())
         return present(point) if is_known else recorded(point)
 
     return replace(experiment, parameters=tuple(parameters), cost=cost if experiment.says_cost else present)

@@ -76,7 +76,7 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     sources = _sources(places, trust)
     _require_alike(sources, accept_code)
     place, part = located(into), sources[0].study.part
-    experiment = _experiment(sources)
+    experiment = replace(_experiment(sources), parameters=sources[0].study.experiment.parameters)
     study = replace(sources[0].study, experiment=experiment, part=None)
     held = {key[DIGEST] for source in sources for key in source.keys}.union(*(source.failed for source in sources))
     for source in sources[1:] if part is None else ():
@@ -143,7 +143,8 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         sources.append(_Source(location, kept, replace(study, part=part), layout, ledger.dtype, keys, ledger.failures))
     if not sources:
         raise SweepError("no store there; name those to merge, as in S.part-*", ", ".join(map(str, places)))
-    return sorted(sources, key=lambda source: source.study.part or Part(0, 0))
+    # Of stores that are no parts first one whose experiment has the parameters of all.
+    return sorted(sources, key=lambda one: (one.study.part or Part(0, 0), -len(one.study.experiment.parameters)))
 
 
 def _study_in(location: Location, attributes: Mapping[str, Any], trust: bool) -> tuple[Study, Layout | None]:
@@ -195,6 +196,8 @@ def _differences(one: _Source, other: _Source, accept_code: bool) -> list[str]:
         sentences.append(f"the points are others {was} than {now}")
     if not is_part and (why := _why_other(one, other)):
         sentences.append(why)
+    gone = other.study.experiment.defaults().keys() - one.study.experiment.defaults().keys()
+    sentences += [f"{name} is no parameter {was}" for name in sorted(gone)]
     return sentences
 
 

@@ -140,11 +140,11 @@ def verify(study: Study, where: Where, number: int) -> Verified:
     Results of a vectorised function are compared within its tolerance.  Raises SweepError as `OpenStore`, and for a
     function that cannot be sent to another process.
     """
-    opened = OpenStore(where)
-    study = as_recorded(study, opened.attributes)
+    opened, session = OpenStore(where), Session.open(Grid(study), where, accept_code=True)
+    study = session.asked().study
     tolerance = study.experiment.tolerance if study.experiment.vectorised else 0.0
     grid = Grid(study)
-    dataset = opened.dataset().transpose(*grid.dimensions, ...)
+    dataset = session.part()[0].to_xarray().transpose(*grid.dimensions, ...)
     done = np.intersect1d(np.flatnonzero(dataset["status"].values == Status.DONE), grid.indices())
     chosen = heapq.nsmallest(number, grid.points(done), key=lambda point: point.digest)
 

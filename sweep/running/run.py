@@ -7,7 +7,7 @@ import json
 import math
 import time
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from linksweep.sweep.code import as_recorded_where_unsteady, code_differences, code_of
-from linksweep.sweep.contract import Experiment, Named, Rows, Status, SweepError
+from linksweep.sweep.contract import Experiment, Named, Rows, Status, SweepError, Unknown, shown
 from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, ledger_key, lost_integers
 from linksweep.sweep.executing.executor import choose_executor
 from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources, available_cores
@@ -82,28 +82,27 @@ def defaults_alone(code: Mapping[str, str], other: Mapping[str, str]) -> dict[st
 
 def check_code(store: Store, study: Study, gone: Collection[bytes] = (), accept_code: bool = False) -> None:
     """Raise SweepError for a store whose last blocks other code than a study's has made, but for points that are to
-    be computed again, by their digests.  Code with other defaults is not even to be accepted: points at a default are
-    known without it.
+    be computed again, by their digests; for code with other defaults in any case, since points at a default are known
+    without it.
     """
     records = records_of(store.attributes)
+    ways = "--fresh (fresh=True) starts anew, -o (store=NAME) names another store"
+    if store.rows and records:
+        old, new = records[-1]["code"], code_of(study.experiment_reference, study.experiment)
+        was, now = defaults_alone(old, new), defaults_alone(new, old)
+        if was != now:
+            meaning = f"was made by other code with other defaults, for which points at them would be taken; {ways}"
+            raise SweepError([meaning, *code_differences(was, now, "in the store", "now")], str(store.location))
     if gone:
         last = max((row for key, row in store.rows.items() if key[:DIGEST_BYTES] not in gone), default=-1)
         records = [record for record in records if record["first_row"] <= last]
-    if not store.rows or not (changes := differences_of_code(records, study)):
-        return
-    meaning = (
-        '--redo old (in Python redo="old") computes its points again, --fresh (fresh=True) starts anew, '
-        "-o (store=NAME) names another store"
-    )
-    old, new = records[-1]["code"], code_of(study.experiment_reference, study.experiment)
-    if defaults_alone(old, new) != defaults_alone(new, old):
-        meaning = f"was made by other code with other defaults, for which points at them would be taken; {meaning}"
-    elif accept_code:
-        return
-    else:
-        goes_on = "--accept-code (accept_code=True) goes on and records for each point which code made it"
-        meaning = f"was made by other code, whose numbers would be mixed up with those of today's; {goes_on}, {meaning}"
-    raise SweepError([meaning, *changes], str(store.location))
+    if store.rows and not accept_code and (changes := differences_of_code(records, study)):
+        meaning = (
+            "was made by other code, whose numbers would be mixed up with those of today's; --redo old (in Python "
+            'redo="old") computes its points again, --accept-code (accept_code=True) goes on and records for each '
+            f"point which code made it, {ways}"
+        )
+        raise SweepError([meaning, *changes], str(store.location))
 
 
 def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
@@ -134,9 +133,9 @@ class Beside:
 ALL = Beside()
 
 
-def with_stored(store: Store, study: Study) -> tuple[Study, Study, Set[bytes] | None]:
-    """Return a study with its numbers as a store has them, the study of its points and of those of the store together,
-    and the digests of the points to be computed.
+def with_stored(store: Store, study: Study, only: bool = False) -> tuple[Study, Study, Set[bytes] | None]:
+    """Return a study with its numbers as a store has them, the study of its points and, unless ``only`` these are
+    meant, of those of the store together, and the digests of the points to be computed.
 
     The study itself, and None, where it has all of them.  Raises SweepError as `united`.
     """
@@ -152,18 +151,31 @@ def with_stored(store: Store, study: Study) -> tuple[Study, Study, Set[bytes] | 
     stored = recorded_study({**attributes, "study_document": json.dumps(document)}, where)
     stored = replace(stored, document={**stored.document, "define": document.get("define", {})})
     study = with_numbers_of(stored, study)
+    if only:
+        return study, study, None
     digests = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
     is_whole = attributes.get("complete") and attributes.get(BLOCKS) == len(store.rows)
     try:
         whole = united(stored, study, digests, is_whole=bool(is_whole))
     except SweepError as error:
-        raise SweepError(error.problems, where) from error
+        hint = "; --only (only=True) leaves the earlier points out"
+        raise SweepError([f"{one}{'' if '--only' in one else hint}" for one in error.problems], where) from error
     if whole is study:
         return study, study, None
     grid = Grid(study)
     wanted = set(grid.digests(grid.indices()))
     # More realisations are for all points, which are not shown without them.
     return study, whole, wanted if whole.sampling is stored.sampling else wanted | digests
+
+
+def require_known(study: Study, points: Callable[[Grid], Iterable[GridPoint]]) -> None:
+    """Raise SweepError for a point that is to be computed with an object that only its script can make again."""
+    if all(named.value is not Unknown for parameter in study.experiment.parameters for named in parameter.defined):
+        return
+    for name, value in (pair for point in points(Grid(study)) for pair in point.parameters.items()):
+        if isinstance(value, Named) and value.value is Unknown:
+            why = f"{name} = {shown(value.name)} is the label of an object that only its script can make again"
+            raise SweepError(f"{why}; run that, or leave the earlier points out by --only (only=True)")
 
 
 def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Record | None]:
@@ -303,6 +315,8 @@ def check_points(opened: OpenStore, study: Study) -> None:
         return
     names = [name for name in dict.fromkeys([*old, *study.points.names]) if name not in table.get("labels", ())]
     settings = study.experiment.defaults()
+    if not {*names} <= settings.keys():  # one is no parameter any more, which is refused where points are joined
+        return
     rows = min(len(next(iter(old.values()))), len(study.axes[study.points.names[0]]))
     was = {name: old.get(name) or rows * [document.get("fixed", {}).get(name, settings[name])] for name in names}
     now = {name: study.axes.get(name) or rows * [study.fixed.get(name, settings[name])] for name in names}
@@ -647,9 +661,11 @@ class Session:
             store = open_store(opened, study)
             if not beside.only:
                 check_points(opened, study)
-                study, whole, wanted = with_stored(store, study)
+            study, whole, wanted = with_stored(store, study, beside.only)
             records = again_where(store, whole, beside.redo) if beside.redo else {}
             check_code(store, study, records, accept_code)
+            if records:
+                require_known(whole, lambda grid: (p for p in grid.points() if p.digest in records))
             store.again(records)
             again = frozenset(records)
             if not store.rows and grid.study.experiment.undeclared:  # what results are like is open again
@@ -667,6 +683,8 @@ class Session:
             is_stored &= store.attributes.get(BLOCKS) == len(store.rows)
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
             session.is_left_alone = is_stored and not failed and not session.accumulator.survey.pending.blocks
+            missing = session.accumulator.missing_points()
+            require_known(whole, lambda grid: (p for p in grid.points(missing) if not wanted or p.digest in wanted))
         return session
 
     @property
@@ -678,10 +696,10 @@ class Session:
     def survey(self) -> Survey:
         """How much there is of what was asked for, and how much is pending; of all points if more than these are."""
         whole = self.accumulator.survey
-        asked = whole if self._asked is None else self._part().accumulator.survey
+        asked = whole if self._asked is None else self.asked().accumulator.survey
         return asked if asked.pending.blocks == whole.pending.blocks else whole
 
-    def _part(self) -> "Session":
+    def asked(self) -> "Session":
         """Return the session of the points of the study that was asked for alone, with what is there now."""
         study = self.study
         known = replace(self._asked or study, experiment=study.experiment, sampling=study.sampling, counts=study.counts)
@@ -690,7 +708,7 @@ class Session:
     def part(self) -> tuple[Labelled, dict[str, str]]:
         """Return the results of the points of the study that was asked for, and its failures by place."""
         assert self.store is not None, "it has more points"
-        writer = Writer(self._part().accumulator, self.store)
+        writer = Writer(self.asked().accumulator, self.store)
         return masked(writer.assembled(final=True)), writer.failures()
 
     def compute(
@@ -788,7 +806,7 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     input, and for a store that other code made unless ``accept_code``.
     """
     session = Session.open(make_grid(study), store, accept_code=accept_code)
-    asked = session if session._asked is None else session._part()
+    asked = session if session._asked is None else session.asked()
     return asked.accumulator.plan, session.survey
 
 

@@ -747,7 +747,10 @@ def plain_points(points: Any) -> dict[str, Any]:
         # a column may be called "file" or "design", but it is no text
         is_form = any(isinstance(points.get(key), str) for key in ("file", "design"))
         if is_form or isinstance(points.get("columns"), dict):
-            return dict(plain(points, "points"))
+            form = dict(plain({key: value for key, value in points.items() if key != "columns"}, "points"))
+            columns = points.get("columns", {})
+            whole = {str(name): plain_values(column, f"points.{name}") for name, column in columns.items()}
+            return form | ({"columns": whole} if columns else {})
         quantities, units = columns_of({name: column for name, column in points.items() if is_quantity(column)})
         columns = {
             str(name): plain_values(quantities.get(name, column), f"points.{name}") for name, column in points.items()

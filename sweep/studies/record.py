@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from linksweep.sweep.code import Code, SourceFunction, version_of
-from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, shown
+from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, Unknown, shown
 from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record
 from linksweep.sweep.studies.reader import study_of_attributes
@@ -135,7 +135,7 @@ def _made(kind: Any, stored: Mapping[str, Any]) -> Any:
     known = {field.name for field in fields(kind)}
     values = {name: _tuples(value) for name, value in stored.items() if name in known}
     if "defined" in values:
-        values["defined"] = tuple(Named(name, identity, None) for name, identity in values["defined"])
+        values["defined"] = tuple(Named(name, identity, Unknown) for name, identity in values["defined"])
     return kind(**({"default": None} if kind is Parameter else {}) | values)
 
 

@@ -328,6 +328,28 @@ def test_members_of_enumerations_of_numbers_and_texts_are_what_they_are(tmp_path
     assert ds.kind.values.tolist() == [type(v).__name__ if labels != [1, 2] else "int" for v in values]
 
 
+def test_objects_of_other_runs_are_never_computed_without_their_script(tmp_path, sweep, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("m.py").write_text(
+        "def f(x=None, y: int = 2):\n    return repr((x, y))\n\n\ndef g(rng, x=None):\n    return x is None\n"
+    )
+    for name, more, changed in (("f", {}, "--redo=y > 1"), ("g", {"sampling": {"n_sim": 60}}, "--set=n_sim=600")):
+        linksweep.run(f"m.py:{name}", f"{name}.zarr", axes={"x": [(1, "a"), 1]}, pool="serial", **more)
+        before = linksweep.open(f"{name}.zarr")
+        code, _, err = sweep("run", f"m.py:{name}", "--axis", "x=1,2", "-o", f"{name}.zarr", changed)
+        assert (code, "only its script can make again" in err) == (2, True), err
+        assert linksweep.open(f"{name}.zarr").identical(before)
+    assert sweep("run", "m.py:f", "--axis", "x=1,2", "-o", "f.zarr", "--verify", "3")[0] == 0
+    assert linksweep.open("f.zarr").f.values.tolist() == ["((1, 'a'), 2)", "(1, 2)", "(2, 2)"]
+
+
+def test_tuples_of_a_table_with_labels_stay_tuples(tmp_path):
+    things = [(1, 2), [1, 2], {"k": (1, 2)}, (1, (2, 3))]
+    table = {"x": things, "w": list("abcd")}
+    ds = linksweep.run(lambda x: repr(x) + "", tmp_path / "s.zarr", points=table, labels="w", pool="serial")
+    assert ds.result.values.tolist() == [repr(thing) for thing in things]
+
+
 def test_what_has_no_label_of_its_own_in_a_store_is_refused_before_it_is_there(tmp_path, sweep):
     def run(axis, *more, annotation=""):
         (tmp_path / "v.py").write_text(f"def score(version{annotation}):\n    return len(str(version))\n")

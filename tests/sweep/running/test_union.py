@@ -5,6 +5,7 @@ of code against a dictionary.
 import itertools
 import math
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -262,3 +263,49 @@ def test_points_that_are_computed_again_say_so_until_they_are_and_each_is_once(t
     assert "x > 1" in left
     same(linksweep.run(f, **study, pool="serial", redo="x > 1"), whole)
     assert sorted(calls) == [2.0, 3.0, 4.0]
+
+
+@pytest.mark.parametrize("first", ["x,y\n1,2\n", "y,x\n2,1\n"])
+def test_columns_of_a_table_may_come_in_another_order(tmp_path, sweep, monkeypatch, first):
+    monkeypatch.chdir(tmp_path)
+    Path("m.py").write_text("def f(x: float, y: float = 1.0):\n    return 10 * x + y\n")
+    for rows in (first, "y,x\n2,1\n3,1\n", "y,x\n2,1\n3,1\n"):
+        Path("p.csv").write_text(rows)
+        code, _, err = sweep("run", "m.py:f", "--points", "p.csv", "-o", "s.zarr")
+        assert code == 0, err
+    assert linksweep.open("s.zarr").f.values.tolist() == [12.0, 13.0]
+
+
+@pytest.mark.parametrize("y", [[7.0, 6.0], [7.0, 8.0]])
+def test_zipped_axes_with_a_value_that_repeats_become_a_table(tmp_path, y):
+    def run(x, y):
+        axes = {"x": x, "y": y}
+        study = {"title": "z", "experiment": str(tmp_path / "m.py") + ":f", "axes": axes, "grid": {"zip": [["x", "y"]]}}
+        return linksweep.run(study, tmp_path / "s.zarr", pool="serial")
+
+    (tmp_path / "m.py").write_text("def f(x: float, y: float):\n    return 10 * x + y\n")
+    for _ in range(2):
+        run([1.0, 2.0], [5.0, 6.0])
+        run([1.0, 3.0], y)
+    assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [15.0, 26.0, 10.0 + y[0], 30.0 + y[1]]
+
+
+@pytest.mark.parametrize("order", [["a", "b"], ["b", "a"]])
+def test_stores_of_which_one_has_a_parameter_more_are_merged_whole(tmp_path, sweep, monkeypatch, order):
+    monkeypatch.chdir(tmp_path)
+    for more, name in (("", "a"), (", t: int = 5", "b")):
+        Path("m.py").write_text(f"def f(x: float{more}):\n    return x\n")
+        assert sweep("run", "m.py:f", "--axis", "x=1,2", *(["--set", "t=1"] if more else []), "-o", name)[0] == 0
+    assert sweep("merge", *order, "-o", "c", "--accept-code")[0] == 0
+    table = linksweep.open("c").f.to_dataframe().dropna().reset_index()
+    assert sorted(zip(table.x, table.t, strict=True)) == [(1, 1), (1, 5), (2, 1), (2, 5)]
+    Path("m.py").write_text("def f(x: float, u: int = 5):\n    return x\n")
+    assert sweep("run", "m.py:f", "--axis", "x=1", "-o", "d")[0] == 0
+    code, _, err = sweep("merge", "b", "d", "-o", "e", "--accept-code")
+    assert (code, "is no parameter" in err) == (2, True)
+
+
+def test_a_table_with_a_column_that_is_no_parameter_any_more_is_refused(tmp_path):
+    linksweep.run(lambda x, s: x, tmp_path / "s", points={"x": [1.0], "s": ["b"]}, pool="serial")
+    with pytest.raises(SweepError, match="s of the store is no parameter any more"):
+        linksweep.run(lambda x: x, tmp_path / "s", points={"x": [1.0]}, pool="serial", accept_code=True)
