@@ -1,12 +1,15 @@
 """The errors of the link's results cover: over independent copies (value - truth) / error scatters by one."""
 
 import functools
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 
+import linksweep
 from tests.core.points import CALIBRATED, calibrate
-from tests.sweep.test_coverage import assert_covers, results_of
+from tests.sweep.test_coverage import assert_covers
 
 pytestmark = pytest.mark.slow
 
@@ -17,7 +20,9 @@ def copies(n_cat, n_sim, aberration=False):
     quasars = {"catalogue": "quasars", "v_max": 14.0, "model": "gaia", "method": "projected", "aberration": aberration}
     sampling = {"n_sim": n_sim, "n_cat": n_cat, "seed": 3}
     axes = {"error_scale": [1.0 + 1e-9 * k for k in range(150)]}
-    return results_of({"title": "Copies", "axes": axes, "fixed": quasars, "sampling": sampling})
+    study = {"title": "Copies", "axes": axes, "fixed": quasars, "sampling": sampling}
+    with TemporaryDirectory() as folder:
+        return linksweep.run(study, Path(folder) / "s.zarr", pool="serial")
 
 
 @pytest.mark.parametrize(("n_cat", "n_sim"), [(12, 64), (2, 64)])
