@@ -32,7 +32,7 @@ class Catalogue:
     """Objects as arrays of shape (N,): ra, dec (rad), pmra, pmdec (rad/yr, pmra with cos dec) and V magnitude.  While
     several catalogues are drawn together the shape is (catalogues, N).
 
-    ``errors`` are those that the catalogue lists, those of the satellite if the ``reference`` has others.
+    ``errors`` are those that the catalogue lists for both sides, unless it has others for ``reference`` or ``satellite``.
     """
 
     ra: Array
@@ -42,6 +42,7 @@ class Catalogue:
     v_mag: Array
     errors: OwnErrors | None = None
     reference: OwnErrors | None = None
+    satellite: OwnErrors | None = None
 
     def __len__(self) -> int:
         return int(self.ra.shape[-1])
@@ -72,7 +73,8 @@ class Catalogue:
 
     def own_errors(self, side: str) -> OwnErrors | None:
         """Return the errors that the catalogue lists for a side, "reference" or "satellite"; None if there are none."""
-        return self.reference if side == "reference" and self.reference is not None else self.errors
+        listed = self.reference if side == "reference" else self.satellite
+        return self.errors if listed is None else listed
 
     def moved_to(self, ra: Array, dec: Array) -> "Catalogue":
         """Return the same objects, with their proper motions along the local triad, at other positions."""
@@ -88,7 +90,7 @@ class Catalogue:
             return OwnErrors(function(sigma), None if correlation is None else function(correlation))
 
         ra, dec, pmra, pmdec, v_mag = map(function, (self.ra, self.dec, self.pmra, self.pmdec, self.v_mag))
-        return Catalogue(ra, dec, pmra, pmdec, v_mag, mapped(self.errors), mapped(self.reference))
+        return Catalogue(ra, dec, pmra, pmdec, v_mag, *map(mapped, (self.errors, self.reference, self.satellite)))
 
 
 @dataclass(frozen=True)
@@ -558,8 +560,7 @@ def catalogue_from_table(
     both, reference, satellite = (_own_errors(read, side, len(ra)) for side in ("", "reference_", "satellite_"))
     v_mag = read.quantity("v_mag") if read.has("v_mag") else np.full(len(ra), np.nan)
     read.finish()
-    errors, reference = satellite or both, reference or (both if satellite else None)
-    return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, errors, reference)
+    return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, both, reference, satellite)
 
 
 def _own_errors(read: Any, prefix: str, n_obj: int) -> OwnErrors | None:

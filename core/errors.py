@@ -259,7 +259,7 @@ class CatalogueErrors(ErrorModel):
         objects = catalogue.objects(point)
         if objects is None or objects.own_errors(side) is None:
             return f"{side}_errors = 'catalogue': the {point['catalogue']} catalogue has no errors of its own"
-        if point["reference_errors"] != point["satellite_errors"] or objects.reference is not None:
+        if point["reference_errors"] != point["satellite_errors"] or objects.reference or objects.satellite:
             return None
         return (
             "reference_errors and satellite_errors are both 'catalogue', but the objects have errors of one side only; "

@@ -183,7 +183,7 @@ def test_each_side_has_its_own_errors_or_those_of_both(there, write):
             factor = FACTORS[name if name in there else ""]
             expected = factor * np.array(list(ERRORS.values())).T[[2, 0]] * MAS
             np.testing.assert_allclose(found.own_errors(name).sigma, expected, rtol=1e-14)
-        elif name == "satellite":
+        else:
             asked = point(catalogue="file", file=table, n_obj=None) | {f"{name}_errors": "catalogue"}
             assert "has no errors of its own" in link.check(asked)
 
