@@ -32,7 +32,7 @@ class Catalogue:
     """Objects as arrays of shape (N,): ra, dec (rad), pmra, pmdec (rad/yr, pmra with cos dec) and V magnitude.  While
     several catalogues are drawn together the shape is (catalogues, N).
 
-    ``errors`` are those that the catalogue lists for both sides, unless it has others for ``reference`` or ``satellite``.
+    ``errors`` are those that the catalogue lists, unless it has others for the ``reference`` or the ``satellite``.
     """
 
     ra: Array
