@@ -55,12 +55,12 @@ def with_numbers_of(stored: Study, asked: Study) -> Study:
     return replace(asked, axes=axes, fixed=fixed, document=document)
 
 
-def united(stored: Study, asked: Study, held: Collection[bytes] = (), *, is_whole: bool = True) -> Study:
+def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is_whole: bool = True) -> Study:
     """Return the study of all points that a store holds and that are asked for; ``asked`` itself where it has them all.
 
     Axes get the values of both; a constant that is another one, or an axis, in the other study becomes an axis.  Where
     that makes no grid, or a large one that is nearly empty, the points are a table; those of a grid that neither has
-    are left out.  ``stored`` is the study of the store, and ``held`` has the digests of the points in its ledger: some
+    are left out.  ``stored`` is the study of the store, and ``in_ledger`` has the digests of the points in its ledger: some
     of that study unless it ``is_whole``, and perhaps others.  Raises SweepError for values that cannot be on one axis,
     and for one name of two different values.
     """
@@ -71,7 +71,7 @@ def united(stored: Study, asked: Study, held: Collection[bytes] = (), *, is_whol
 
     places = theirs.indices()
     if not is_whole:
-        places = places[np.array([digest in held for digest in theirs.digests(places)], dtype=bool)]
+        places = places[np.array([digest in in_ledger for digest in theirs.digests(places)], dtype=bool)]
     if not len(places):
         return asked
     along = np.unravel_index(places, theirs.shape) if theirs.shape else ()
@@ -126,7 +126,7 @@ def united(stored: Study, asked: Study, held: Collection[bytes] = (), *, is_whol
         excluded=excluded,
         counts={},
     )
-    result = replace(result, counts=_counts(theirs, places, mine, result, held))
+    result = replace(result, counts=_counts(theirs, places, mine, result, in_ledger))
     is_same = result.digest() == asked.digest()
     if is_same and [*result.dimensions] == [*asked.dimensions]:
         return asked
@@ -252,14 +252,14 @@ def _sampling(stored: Study, asked: Study) -> Sampling:
 
 
 def _counts(
-    theirs: Grid, places: NDArray[np.intp], mine: Grid, whole: Study, held: Collection[bytes]
+    theirs: Grid, places: NDArray[np.intp], mine: Grid, whole: Study, in_ledger: Collection[bytes]
 ) -> dict[str, int]:
     """Return the realisations of single points of two studies, the larger ones; none of points of their union that
     neither has.
     """
     both = [*theirs.study.counts.items(), *mine.study.counts.items()]
     counts = {name: n for name, n in sorted(both, key=lambda one: one[1]) if n}
-    return counts | all_but(whole, {*theirs.digests(places), *mine.digests(mine.indices()), *held})
+    return counts | all_but(whole, {*theirs.digests(places), *mine.digests(mine.indices()), *in_ledger})
 
 
 def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:

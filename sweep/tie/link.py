@@ -731,7 +731,7 @@ def apply(
         >>> [round(float(dec), 7) for dec in moved["dec"][:2]]
         [53.1172503, 53.1172503]
     """
-    told = ApplyOptions.named("apply", options)
+    asked = ApplyOptions.named("apply", options)
     output = None if output is None else Path(output)
     if output is not None:
         require_free(output)
@@ -743,7 +743,7 @@ def apply(
         link = stored.dataset
     path = built_in(Path(table)) if isinstance(table, (str, Path)) else Path("the table")
     raw = read_table(path) if isinstance(table, (str, Path)) else table.copy()
-    how = as_read(link.attrs, raw, digest_of(path) if isinstance(table, (str, Path)) else "", told)
+    how = as_read(link.attrs, raw, digest_of(path) if isinstance(table, (str, Path)) else "", asked)
     whole = astrometric_table(raw, str(path), "", how)
     stars = whole.astrometry
     notes = [*_notes(link, stars, inverse, str(path)), *(note for note in whole.notes if "unit" in note)]

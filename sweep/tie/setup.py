@@ -155,7 +155,7 @@ class Setup:
         said = {"epoch": self.problem.epoch, "satellite_epochs": [min(known), max(known)]}
         for name, table in ((name, self.tables[name]) for name in SIDES):
             said |= {name: table.path, f"{name}_columns": table.columns, f"{name}_sha256": table.digest}
-            said[f"{name}_read"] = table.options.told()
+            said[f"{name}_read"] = table.options.changed()
         return said
 
     def only(self, sources: Indices) -> "Setup":

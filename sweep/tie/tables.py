@@ -106,7 +106,7 @@ class TableOptions:
     zero_errors: str = "error"
     pmra_cos_dec: bool | None = None
 
-    def told(self) -> dict[str, Any]:
+    def changed(self) -> dict[str, Any]:
         """Return the options that are not the default."""
         return {name: value for name, value in vars(self).items() if value != getattr(TableOptions(), name)}
 
@@ -152,26 +152,26 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     return replace(read, path=str(path), notes=[*notes, *read.notes, *_usual_choices(table, options)])
 
 
-def as_read(link: Mapping[str, Any], table: Any, digest: str, told: ApplyOptions) -> TableOptions:
+def as_read(link: Mapping[str, Any], table: Any, digest: str, asked: ApplyOptions) -> TableOptions:
     """Return how a table is to be read: as the options say, else as the ``link`` (attributes of `tie`) read the same
     file, or its satellite's table as far as this one has the columns and says no units itself.
     """
     side = next((name for name in SIDES if digest and digest == link.get(f"{name}_sha256")), "")
     before = TableOptions(**link.get(f"{side or SIDES[0]}_read", {}))
-    columns = {key: name for key, name in before.columns.items() if name in table.colnames} | dict(told.columns)
-    units = dict(told.units)
+    columns = {key: name for key, name in before.columns.items() if name in table.colnames} | dict(asked.columns)
+    units = dict(asked.units)
     for key, unit in before.units.items():
         if (name := archives.column_of(key, table.colnames, columns)) in table.colnames and not table[name].unit:
             units.setdefault(key, unit)
-    as_before = told.epoch is None and (side or archives.column_of("ref_epoch", table.colnames, columns) is None)
-    cos_dec = before.pmra_cos_dec if "pmra" not in dict(told.units) else None
+    as_before = asked.epoch is None and (side or archives.column_of("ref_epoch", table.colnames, columns) is None)
+    cos_dec = before.pmra_cos_dec if "pmra" not in dict(asked.units) else None
     return TableOptions(
         columns,
         units,
-        epoch=before.epoch if as_before else told.epoch,
+        epoch=before.epoch if as_before else asked.epoch,
         extragalactic=bool(as_before and before.extragalactic),
-        zero_errors=before.zero_errors if told.zero_errors == TABLE else told.zero_errors,
-        pmra_cos_dec=False if told.without_cos_dec else cos_dec,
+        zero_errors=before.zero_errors if asked.zero_errors == TABLE else asked.zero_errors,
+        pmra_cos_dec=False if asked.without_cos_dec else cos_dec,
     )
 
 
