@@ -60,7 +60,7 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
 
     Axes get the values of both; a constant that is another one, or an axis, in the other study becomes an axis.  Where
     that makes no grid, or a large one that is nearly empty, the points are a table; those of a grid that neither has
-    are left out.  ``stored`` is the study of the store, and ``in_ledger`` has the digests of the points in its ledger: some
+    are left out.  ``stored`` is the study of the store, ``in_ledger`` the digests of its points that are there: some
     of that study unless it ``is_whole``, and perhaps others.  Raises SweepError for values that cannot be on one axis,
     and for one name of two different values.
     """
