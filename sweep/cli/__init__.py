@@ -608,7 +608,8 @@ def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
     """Print tables with the columns for which there is room, and sentences below them; no number is cut."""
     # A file or a pipe has no width: the same bytes whatever terminal the command was typed in.
     is_terminal = RESULTS[0].isatty()
-    width = max(WIDTH, shutil.get_terminal_size((WIDTH, 0)).columns) if is_terminal else WIDTH
+    known = os.get_terminal_size(RESULTS[0].fileno()) if is_terminal else (WIDTH, 0)
+    width = max(WIDTH, shutil.get_terminal_size(known).columns) if is_terminal else WIDTH
     for number, table in enumerate(tables):
         kept, left_out = table.fitting(width)
         text = kept.text(width, styled=is_terminal)
