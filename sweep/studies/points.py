@@ -185,7 +185,8 @@ class Values:
                 return None
         if len(self.problems.sentences) > before:
             return None
-        alike = numbers_like(values, values)
+        is_any = self.experiment.parameter(name).kind == "any"  # others have numbers of one type
+        alike = numbers_like(values, values) if is_any else tuple(values)
         with self.problems.at(place):
             require_distinct(alike, may_repeat=rows)
         return alike
@@ -214,9 +215,10 @@ def require_distinct(values: Sequence[Value], may_repeat: bool = False) -> None:
     """Raise ValueError for numbers that cannot be values of one coordinate: integers that no float equals beside
     floats, equal ones of two types, and unless values ``may_repeat`` two that differ by no more than rounding.
     """
-    numbers = sorted(value for value in values if type(value) in (int, float))
-    if all(type(value) is int for value in numbers):
+    kinds = {*map(type, values)} & {int, float}
+    if kinds == {int} or (may_repeat and len(kinds) < 2):  # a table may have a million rows
         return
+    numbers = sorted(value for value in values if type(value) in kinds)
     if inexact := next((value for value in numbers if value != float(value)), None):
         raise ValueError(f"{inexact} cannot stand beside numbers with a fraction: no float equals it")
     for one, other in pairwise(numbers):
@@ -747,10 +749,11 @@ def plain_points(points: Any) -> dict[str, Any]:
         # a column may be called "file" or "design", but it is no text
         is_form = any(isinstance(points.get(key), str) for key in ("file", "design"))
         if is_form or isinstance(points.get("columns"), dict):
-            form = dict(plain({key: value for key, value in points.items() if key != "columns"}, "points"))
-            columns = points.get("columns", {})
+            columns = points.get("columns")
+            if not isinstance(columns, dict):
+                return dict(plain(points, "points"))
             whole = {str(name): plain_values(column, f"points.{name}") for name, column in columns.items()}
-            return form | ({"columns": whole} if columns else {})
+            return {**plain({**points, "columns": {}}, "points"), "columns": whole}
         quantities, units = columns_of({name: column for name, column in points.items() if is_quantity(column)})
         columns = {
             str(name): plain_values(quantities.get(name, column), f"points.{name}") for name, column in points.items()

@@ -554,14 +554,13 @@ class _Reader:
             document["points"] = study.points.written({name: written[name] for name in study.points.names})
         paths = {name: one.path for name, one in values.items() if isinstance(one, TableFile)}
         for key in {"axes", "fixed"} & document.keys():
-            made = {
-                name: written[name]
+            document[key] = document[key] | {
+                name: paths.get(name, written[name])
                 for name, raw in document[key].items()
-                if (known[name].takes_objects and known[name].defined)
+                if name in paths
+                or (known[name].takes_objects and known[name].defined)
                 or Named in map(type, raw if isinstance(raw, list) else [raw])  # a member of an enumeration
             }
-            made |= {name: path for name, path in paths.items() if name in document[key]}
-            document[key] = document[key] | made
         for name, by_name in form.define.items():
             for word, entries in by_name.items():
                 absolute = {
