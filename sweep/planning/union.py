@@ -96,8 +96,8 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     n = len(places) + len(mine)
     most = min(MAX_POINTS, max(SMALL, min(SPARSEST * n, n + MOST_LEFT_OUT)))
     are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
-    zipped = [some for names, some in rows.items() if len(names) > 1 and {*names} != {*(tables and tables[0].names)}]
-    columns = [column for some in zipped for column in zip(*some, strict=True)]
+    others = [some for names, some in rows.items() if {*names} != {*(tables and tables[0].names)}]
+    columns = [column for some in others for column in zip(*some, strict=True)]
     repeat = any(len({*map(sorted_json, column)}) < len(column) for column in columns)  # no values of an axis do
     if are_lost or repeat or not _is_crossed(theirs, mine) or math.prod(map(len, rows.values())) > most:
         names = tuple(dict.fromkeys([*stored.axes, *asked.axes, *changed]))

@@ -290,6 +290,22 @@ def test_zipped_axes_with_a_value_that_repeats_become_a_table(tmp_path, y):
     assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [15.0, 26.0, 10.0 + y[0], 30.0 + y[1]]
 
 
+TABLES = [{"x": [1, 2], "y": [1, 3]}, {"d": [1, 1, 0]}, {"x": [4, 4]}, {"d": [0, 0]}]
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 3), (2, 1, 0), (3, 2, 1)])
+def test_merged_tables_with_values_that_repeat_keep_each_point_and_merge_again(tmp_path, order):
+    (tmp_path / "m.py").write_text("def f(x: int = 0, y: int = 2, d: int = 7):\n    return 100 * x + 10 * y + d\n")
+    experiment, stores, wanted = str(tmp_path / "m.py") + ":f", [], set[int]()
+    for number in order:
+        stores.append(tmp_path / f"{number}")
+        shown = linksweep.run(experiment, stores[-1], points=TABLES[number], pool="serial")
+        wanted |= {*shown.f.values.tolist()}
+    merge(stores, tmp_path / "m")
+    merge([tmp_path / "m", *stores], tmp_path / "n")
+    assert {*linksweep.open(tmp_path / "n").f.values.tolist()} == wanted
+
+
 @pytest.mark.parametrize("order", [["a", "b"], ["b", "a"]])
 def test_stores_of_which_one_has_a_parameter_more_are_merged_whole(tmp_path, sweep, monkeypatch, order):
     monkeypatch.chdir(tmp_path)
