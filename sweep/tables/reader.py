@@ -457,49 +457,50 @@ def is_parquet(path: Path) -> bool:
 
 def row_groups(path: Path) -> tuple[list[int], list[str]]:
     """Return the number of rows of each row group of a Parquet file, and the names of its columns."""
-    with path.open("rb") as source, _parquet(source) as (file, _):
+    with path.open("rb") as source, _parquet(source) as file:
         sizes = [file.metadata.row_group(group).num_rows for group in range(file.num_row_groups)]
-        return sizes, list(file.schema_arrow.names)
+        return sizes, list(_from_arrow(file.schema_arrow.empty_table()).colnames)
 
 
 def read_row_group(path: Path, group: int, columns: Sequence[str]) -> Any:
     """Return some columns of one row group as an astropy Table; the rest of the file is not read."""
-    with path.open("rb") as source, _parquet(source) as (file, units):
-        return _from_arrow(file.read_row_group(group, columns=list(columns), use_threads=False), units)
+    with path.open("rb") as source, _parquet(source) as file:
+        wanted = tuple(f"{column}." for column in columns)  # astropy's mask of NAME is NAME.mask
+        names = [name for name in file.schema_arrow.names if f"{name}.".startswith(wanted)]
+        return _from_arrow(file.read_row_group(group, columns=names, use_threads=False), columns)
 
 
 def _whole_parquet(content: bytes) -> Any:
-    with _parquet(io.BytesIO(content)) as (file, units):
-        return _from_arrow(file.read(), units)
+    with _parquet(io.BytesIO(content)) as file:
+        return _from_arrow(file.read())
 
 
 @contextmanager
-def _parquet(source: Any) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Give an open Parquet file and the units that astropy wrote into it; errors while it is read are SweepErrors."""
+def _parquet(source: Any) -> Iterator[Any]:
+    """Give an open Parquet file; errors while it is read are SweepErrors."""
     try:
         from pyarrow.parquet import ParquetFile
     except ImportError as error:
         raise SweepError("is a Parquet file, which needs pyarrow: install linksweep[parquet]") from error
     with _readable_as("as Parquet"):
-        file = ParquetFile(source)
-        units = {}
-        if b"table_meta_yaml" in (file.schema_arrow.metadata or {}):
-            from astropy.table import Table
-
-            source.seek(0)
-            described = Table.read(source, format="parquet", schema_only=True).columns
-            units = {name: column.unit for name, column in described.items()}
-        yield file, units
+        yield ParquetFile(source)
 
 
-def _from_arrow(arrow: Any, units: dict[str, Any]) -> Any:
+def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
     import pandas as pd
     import pyarrow as pa
+    from astropy.table import Table
+    from pyarrow import parquet
 
+    if b"table_meta_yaml" in (
+        arrow.schema.metadata or {}
+    ):  # astropy has a column of its own for a mask, two for a time
+        parquet.write_table(arrow, source := io.BytesIO())
+        return Table(Table.read(source, format="parquet", include_names=columns))  # no quantities
     decimals = [pa.float64() if pa.types.is_decimal(field.type) else field.type for field in arrow.schema]
     plain = [kind.value_type if pa.types.is_dictionary(kind) else kind for kind in decimals]
     arrow = arrow.cast(pa.schema([field.with_type(kind) for field, kind in zip(arrow.schema, plain, strict=True)]))
     table = from_frame(arrow.to_pandas(types_mapper=pd.ArrowDtype))
     for field in arrow.schema:
-        table[field.name].unit = (field.metadata or {}).get(b"unit", b"").decode() or units.get(field.name)
+        table[field.name].unit = (field.metadata or {}).get(b"unit", b"").decode()
     return table

@@ -12,11 +12,12 @@ from astropy import units as u
 from astropy.coordinates import Angle
 from astropy.io import fits
 from astropy.table import Table
+from astropy.time import Time
 from pyarrow import parquet
 
 from linksweep import SweepError
 from linksweep.sweep.tables.columns import Columns
-from linksweep.sweep.tables.reader import read_table
+from linksweep.sweep.tables.reader import read_row_group, read_table, row_groups
 
 VIZIER = """\
 #
@@ -160,6 +161,20 @@ def test_parquet_with_gaps(tmp_path):
     )
     found = read_table(tmp_path / "t.parquet")
     assert [found[n].tolist() for n in found.colnames] == [[2**62 + 1, None], [None, 2.5], ["a", None]]
+
+
+def test_parquet_of_astropy_has_its_masks_and_times(tmp_path):
+    table = Table({"id": [2**62 + 1, 7], "ra": [99.0, 2.5], "name": ["x", "b"]}, masked=True)
+    table["ra"].unit = u.deg
+    table["id"].mask[1] = table["ra"].mask[0] = table["name"].mask[0] = True
+    table["t"] = Time([2016.0, 2017.0], format="jyear")
+    table.write(tmp_path / "t.parquet")
+    names = row_groups(tmp_path / "t.parquet")[1]
+    for found in (read_table(tmp_path / "t.parquet"), read_row_group(tmp_path / "t.parquet", 0, names)):
+        assert found.colnames == ["id", "ra", "name", "t"]
+        assert [found[n].tolist() for n in names[:3]] == [[2**62 + 1, None], [None, 2.5], [None, "b"]]
+        assert (found["ra"].unit, found["t"].jyear.tolist()) == (u.deg, [2016.0, 2017.0])
+    assert read_row_group(tmp_path / "t.parquet", 0, ["ra"])["ra"].tolist() == [None, 2.5]
 
 
 @pytest.mark.parametrize(
