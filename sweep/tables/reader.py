@@ -496,7 +496,7 @@ def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
         arrow.schema.metadata or {}
     ):  # astropy has a column of its own for a mask, two for a time
         parquet.write_table(arrow, source := io.BytesIO())
-        return Table(Table.read(source, format="parquet", include_names=columns))  # no quantities
+        return Table.read(source, format="parquet", include_names=columns)
     decimals = [pa.float64() if pa.types.is_decimal(field.type) else field.type for field in arrow.schema]
     plain = [kind.value_type if pa.types.is_dictionary(kind) else kind for kind in decimals]
     arrow = arrow.cast(pa.schema([field.with_type(kind) for field, kind in zip(arrow.schema, plain, strict=True)]))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from astropy.table import Table
 from astropy.units import Unit
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
@@ -17,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from linksweep.core.frames import DEGREE, MAS, Array, position, triad
 from linksweep.core.link import LinkError
 from linksweep.core.tie import forecast as planning, mistakes, problem as solving
-from linksweep.core.tie.astrometry import PAIRS, Astrometry, kinds, named_rows
+from linksweep.core.tie.astrometry import ALL_PAIRS, Astrometry, kinds, named_rows
 from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
 from linksweep.core.unknowns import PARAMETERS, Harmonics, Objects, SpinByBin, Unknowns, amplitudes, link_unknowns
 from linksweep.sweep.contract import SweepError
@@ -34,7 +35,6 @@ from linksweep.sweep.tie.tables import QUANTITIES, UNITS, as_read, astrometric_t
 
 if TYPE_CHECKING:
     import xarray as xr
-    from astropy.table import Table
 
 # The experiment whose code the workers must have.
 EXPERIMENT = "linksweep.sweep.tie.experiment:tie"
@@ -695,12 +695,12 @@ ROTATION = link_unknowns()
 
 def apply(
     link: "xr.Dataset | str | Path",
-    table: "str | Path | Table",
+    table: str | Path | Table,
     output: str | Path | None = None,
     *,
     inverse: bool = False,
     **options: Any,
-) -> "Table":
+) -> Table:
     """Return a table of the satellite's frame in that of the reference, or back.
 
     Positions and motions are turned by the orientation at the epoch of each row, and motions by the spin, exactly; the
@@ -742,17 +742,18 @@ def apply(
             raise SweepError("is no link of two tables, which sweep tie -o writes", str(link))
         link = stored.dataset
     path = built_in(Path(table)) if isinstance(table, (str, Path)) else Path("the table")
-    raw = read_table(path) if isinstance(table, (str, Path)) else table.copy()
+    raw = read_table(path) if isinstance(table, (str, Path)) else Table(table)  # without quantities
     how = as_read(link.attrs, raw, digest_of(path) if isinstance(table, (str, Path)) else "", asked)
     whole = astrometric_table(raw, str(path), "", how)
     stars = whole.astrometry
     notes = [*_notes(link, stars, inverse, str(path)), *(note for note in whole.notes if "unit" in note)]
     read = Columns(raw, str(path), how.columns, how.units, QUANTITIES)
-    if not any(read.has(name) for name in CORRELATIONS):
-        if stars.correlations is not None:
-            raise SweepError("has no columns like ra_dec_corr for its correlations: write them first", str(path))
-        notes.append("the table has no columns of correlations: those that the link adds are lost")
-    put = _put(read, _moved(stars, link, inverse), how.pmra_cos_dec, output is not None and output.suffix == ".csv")
+    if stars.correlations is not None and not any(map(read.has, CORRELATIONS)):
+        raise SweepError("has no columns like ra_dec_corr for its correlations: write them first", str(path))
+    new = _moved(stars, link, inverse)
+    put = _put(read, new, how.pmra_cos_dec, output is not None and output.suffix == ".csv")
+    if lost := [name for name in CORRELATIONS if not read.has(name) and np.any(np.nan_to_num(new.get(name, 0.0)))]:
+        notes.append(f"the table has no {', '.join(lost)}: these correlations, which the link adds, are lost")
     if "satellite_read" not in link.attrs:
         notes.append(
             "the link does not know how its tables were read, with units, names of columns or cos(dec) of pmra"
@@ -763,7 +764,12 @@ def apply(
         notes.append(f"the table was read with {', '.join(said)}")
     raw.meta["comments"] = [*raw.meta.get("comments", []), *notes]
     if output is not None:
-        write_at_once(output, raw.write)  # it warns of long names in a FITS header
+        try:
+            write_at_once(output, raw.write)  # it warns of long names in a FITS header
+        except SweepError:
+            raise
+        except Exception as error:  # each format has others for what it cannot hold
+            raise SweepError(f"{output.suffix} cannot hold the table: {error}; write .ecsv", str(output)) from error
     return raw
 
 
@@ -814,19 +820,20 @@ def _moved(stars: Astrometry, link: "xr.Dataset", inverse: bool) -> dict[str, Ar
     ra, dec = position(r.T)
     axes = triad(ra, dec)[:2]
     values = stars.values.copy()
-    values[0] += (ra - values[0] + np.pi) % (2.0 * np.pi) - np.pi
-    values[1] = dec
+    in_halves = np.any(values[0] < 0.0)  # -180..180 deg
+    values[:2] = (ra + np.pi) % (2.0 * np.pi) - np.pi if in_halves else ra, dec
     values[3:] = np.where(np.isfinite(values[3:]), [np.sum(axis * velocity.T, axis=0) for axis in axes], np.nan)
     effect = ROTATION.matrix(Objects(ra, dec, *np.nan_to_num(values[3:])), years) * stars.present.T[..., None]
     # the axes of errors turn too, by so little (1e-7) that their covariance does not change
-    whole = stars.covariance()[:, :5, :5] + effect @ covariance @ effect.swapaxes(1, 2)
+    whole = stars.covariance()
+    whole[:, :5, :5] += effect @ covariance @ effect.swapaxes(1, 2)
     whole[:, [0, 1], [0, 1]] -= stars.shared[:, None] ** 2  # the part of a calibrator has a column of its own
-    errors = np.where(stars.present, np.sqrt(np.einsum("nii->in", whole)), np.nan)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        of_pairs = {(i, j): whole[:, i, j] / (errors[i] * errors[j]) for i, j in PAIRS}
+    errors = np.sqrt(np.einsum("nii->in", whole))
+    errors[errors == 0.0] = np.nan  # there is none, or it is exact
     new = {name: values[i] for i, name in enumerate(PARAMETERS) if name != "parallax"}
     new |= {f"{name}_error": errors[i] for i, name in enumerate(PARAMETERS) if name != "parallax"}
-    return new | {f"{PARAMETERS[i]}_{PARAMETERS[j]}_corr": values for (i, j), values in of_pairs.items()}
+    pairs = [(name, i, j) for name, (i, j) in zip(CORRELATIONS, ALL_PAIRS, strict=False) if j < len(errors)]
+    return new | {name: whole[:, i, j] / (errors[i] * errors[j]) for name, i, j in pairs}
 
 
 def _put(read: Columns, new: dict[str, Array], cos_dec: bool | None, is_csv: bool) -> list[str]:
@@ -841,7 +848,7 @@ def _put(read: Columns, new: dict[str, Array], cos_dec: bool | None, is_csv: boo
         if read.kind(name) not in "fiu":
             read.problems.append(f"column {name!r} is text: write it in {usual} first")
         elif is_csv and unit is not None and usual and Unit(unit) != Unit(usual):
-            read.problems.append(f"column {name!r} is in {unit}, which CSV cannot say: write .ecsv or .fits")
+            read.problems.append(f"column {name!r} is in {unit}, which CSV cannot say: write .ecsv")
         else:
             put.append(name)
             scale = 1.0 if not usual else DEGREE if quantity in ("ra", "dec") else MAS
@@ -852,7 +859,7 @@ def _put(read: Columns, new: dict[str, Array], cos_dec: bool | None, is_csv: boo
             of_motion = cos_dec if quantity.startswith("pmra") and usual else None
             if quantity in ALONG_RA[1:] and (read.in_time(quantity) if of_motion is None else not of_motion):
                 factor = factor * np.cos(new["dec"])
-            at = np.isfinite(before) & np.isfinite(values)
+            at = np.isfinite(values)
             read.table[name] = read.table[name].astype(np.float64)
             read.table[name][at] = (values / factor)[at]
     read.finish()

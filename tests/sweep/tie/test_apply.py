@@ -1,18 +1,32 @@
 """Tables carried into the other frame, against the simulation's exact step, ERFA, and derivatives by differences."""
 
+import re
 from dataclasses import replace
 
 import erfa
 import numpy as np
 import pytest
-from astropy.table import Column, Table
+from astropy.table import Column, QTable, Table
 from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 import linksweep
 from linksweep import SweepError
 from linksweep.sweep.tie.tables import read_table
-from tests.core.tie.made import DEGREE, EPSILON, MAS, NAMES, OMEGA, gaia, main, noise, seen_by_satellite, stars
+from tests.core.tie.made import (
+    DEGREE,
+    EPSILON,
+    MAS,
+    NAMES,
+    OMEGA,
+    gaia,
+    gaia_table,
+    main,
+    noise,
+    seen_by_satellite,
+    stars,
+)
+from tests.sweep.tie.test_accelerations import drawn, satellite_table
 from tests.tiers import slow
 
 
@@ -91,6 +105,41 @@ def test_the_covariance_of_the_link_is_added(tmp_path):
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
 
 
+def test_only_covariances_of_what_is_turned_change_in_rows_with_accelerations(tmp_path):
+    truth, accelerations, covariance, sizes = drawn(12, 3)
+    table = satellite_table(tmp_path / "own.ecsv", truth, accelerations, covariance, sizes)
+    reference = gaia(tmp_path / "reference.ecsv", truth)
+    link = linksweep.tie(table, reference, "orientation,spin", errors="formal")
+    linksweep.apply(link, table, tmp_path / "moved.ecsv")
+    before, after = (read_table(path).astrometry.covariance() for path in (table, tmp_path / "moved.ecsv"))
+    change = np.round((after - before) / MAS**2, 12)
+    assert np.all(change[:, [0, 1, 3, 4], [0, 1, 3, 4]] > 0.0)
+    change[:, :5, :5] = 0.0
+    assert not np.any(change)
+
+
+@pytest.mark.parametrize("has", [("ra_dec_corr",), ()])
+def test_correlations_without_a_column_are_named(tmp_path, has):
+    link, own = linked(tmp_path, EPSILON[0], OMEGA[0]), Table.read(tmp_path / "satellite.ecsv")
+    own = own[[name for name in own.colnames if name in has or not name.endswith("_corr")]]
+    comments = linksweep.apply(link, own).meta["comments"]
+    lost = re.findall(r"\w+_corr\b", next(note for note in comments if note.endswith("lost")))
+    pairs = ("ra_dec", "ra_pmra", "ra_pmdec", "dec_pmra", "dec_pmdec", "pmra_pmdec")
+    assert {*lost, *has} == {f"{pair}_corr" for pair in pairs}
+
+
+@pytest.mark.parametrize("turn", [-5.0, 5.0])
+@pytest.mark.parametrize("low", [0.0, -180.0])
+def test_right_ascensions_stay_in_the_range_of_the_table(tmp_path, turn, low):
+    link = linked(tmp_path, [0.0, 0.0, turn * MAS], np.zeros(3))
+    own = gaia_table(stars(6, 2))
+    ra = low + np.array([1e-9, 180.0 - 1e-9, 180.0, 180.0 + 1e-9, 350.0, 360.0 - 1e-9])
+    own["ra"] = ra
+    moved = linksweep.apply(link, own)["ra"]
+    assert np.all((moved >= low) & (moved <= low + 360.0))
+    np.testing.assert_allclose((moved - ra + 180.0) % 360.0 - 180.0, turn / 3.6e6, atol=1e-12)
+
+
 @pytest.mark.parametrize("form", ["csv", "fits", *map(slow, ("ecsv", "parquet"))])
 def test_the_file_has_the_columns_of_the_input_and_a_tie_finds_no_rotation(tmp_path, form):
     link = linked(tmp_path, 20.0 * EPSILON[0], OMEGA[0], noisy=False)
@@ -135,6 +184,11 @@ def test_columns_keep_their_units_and_names(tmp_path, units):
     with pytest.raises(SweepError, match="CSV cannot say"):
         linksweep.apply(link, tmp_path / "units.ecsv", tmp_path / "units.csv")
     assert not (tmp_path / "units.csv").exists()
+    if units["ra_error"][0] == "ms":
+        with pytest.raises(SweepError, match=r"cannot hold .* write \.ecsv"):
+            linksweep.apply(link, tmp_path / "units.ecsv", tmp_path / "units.fits")
+    quantities = linksweep.apply(link, QTable.read(tmp_path / "units.ecsv"), tmp_path / "quantities.ecsv")
+    np.testing.assert_array_equal(quantities["ra"], moved["ra"])
 
 
 ARCSEC = dict.fromkeys(("pmra", "pmdec", "pmra_error", "pmdec_error"), "arcsec/yr")
