@@ -472,10 +472,12 @@ class SourcesPlugin(WorkerPlugin):
 
 @dataclass(frozen=True)
 class Reply:
-    """A worker's answer: its address, how it differs from the client, and the result if this decides no number."""
+    """A worker's answer: its address, how it differs from the client, and the result unless it is ``another``, which
+    may compute other numbers.
+    """
 
     worker: str
-    deciding: list[str]
+    another: Identity | None
     others: list[str]
     result: Any = None
 
@@ -490,10 +492,10 @@ def run_on_worker(task: Task | Call, expected: Identity, guarded: bool, memory_l
     here = Identity.here(reference, digest)
     answer = Reply(
         worker.address,
-        expected.differences(here),
+        here if expected.differences(here) else None,
         other_versions(expected.others, here.others),
     )
-    if answer.deciding:
+    if answer.another is not None:
         return answer
     if guarded and isinstance(task, Task):
         limits = Limits(task.time_limit_s, memory_limit)
@@ -565,12 +567,17 @@ class DaskDriver:
         for worker, answer in sorted(answers.items()):
             if isinstance(answer, Identity):
                 self._warn(worker, other_versions(self._expected.others, answer.others))
-                problems += [f"{worker}: {text}" for text in self._expected.differences(answer)]
+                problems += self._differences(worker, answer)
             elif not isinstance(answer, OSError):  # else it has gone; should it return, its first task is compared
                 problems.append(f"{worker}: {type(answer).__name__}: {answer}")
         if problems:
             raise SweepError(problems, "workers that would not compute what this process would")
         self._look()
+
+    def _differences(self, worker: str, there: Identity) -> list[str]:
+        """Return a phrase for everything that decides the numbers and differs in a worker."""
+        self._expected = self._expected.beside(there, self._reference)
+        return [f"{worker}: {text}" for text in self._expected.differences(there)]
 
     def _register(self, plugin: WorkerPlugin) -> None:
         """Bring a plugin to all workers; some of them may leave meanwhile."""
@@ -657,6 +664,9 @@ class DaskDriver:
             except Exception as error:
                 self._send([self._after_trouble(one, error)])
             else:
+                if answer.another is not None:  # in values that are known now to differ from process to process
+                    self._send([one])
+                    continue
                 self._succeeded += 1
                 yield one.job, answer.result
 
@@ -760,6 +770,6 @@ class DaskDriver:
         finally:
             future.release()
         self._warn(answer.worker, answer.others)
-        if answer.deciding:
-            raise SweepError([f"{answer.worker}: {text}" for text in answer.deciding], "a worker that differs")
+        if answer.another is not None and (problems := self._differences(answer.worker, answer.another)):
+            raise SweepError(problems, "a worker that differs")
         return answer

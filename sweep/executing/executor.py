@@ -342,7 +342,7 @@ class _Child:
             raise SweepError(f"a child process could not start (exit code {exit_code}): {words}") from error
         if isinstance(answer, SweepError):
             raise answer
-        if differ := expected.differences(answer):
+        if differ := expected.beside(answer, code[1]).differences(answer):
             raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
 
     def memory(self) -> float:

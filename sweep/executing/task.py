@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
-from linksweep.sweep.code import code_of, load_experiment, source_digest, version_of
+from linksweep.sweep.code import as_recorded_where_unsteady, code_of, load_experiment, source_digest, version_of
 from linksweep.sweep.contract import Block, NotFiniteError, Outcome, ResultError, SweepError
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.planning.plan import Work
@@ -27,25 +27,35 @@ OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoo
 
 @dataclass(frozen=True)
 class Identity:
-    """What a process computes with, by name: versions and code that decide the numbers, and other versions."""
+    """What a process computes with, by name: versions and code that decide the numbers, and other versions; and which
+    values of the code differ from process to process, such as a time, as far as is known.
+    """
 
     deciding: Mapping[str, str]
     others: Mapping[str, str]
+    unsteady: frozenset[str] = frozenset()
 
     @classmethod
     def here(cls, reference: str, digest: str | None = None) -> "Identity":
         """Return with what this process would compute an experiment; raises SweepError as `load_experiment`."""
         experiment = load_experiment(reference, digest=digest or source_digest(reference))
-        code = code_of(reference, experiment, digest).items()
         deciding = {name: version_of(name) for name in DECIDING}
         deciding[f"experiment {experiment.name!r}"] = f"version {experiment.version}"
-        deciding |= {name: text for name, text in code if not name.startswith("value ")}  # such as a time
+        deciding |= code_of(reference, experiment, digest)
         others = {"python": platform.python_version(), "machine": platform.machine(), "linear algebra": _kernels()}
         return cls(deciding, others | {name: version_of(name) for name in OTHERS})
 
     def differences(self, there: "Identity") -> list[str]:
         """Return a phrase for everything that decides the numbers and differs in another process."""
-        return other_versions(self.deciding, there.deciding)
+        sides = [{k: v for k, v in one.deciding.items() if k not in self.unsteady} for one in (self, there)]
+        return other_versions(*sides)
+
+    def beside(self, there: "Identity", reference: str) -> "Identity":
+        """Return this with what another process shows to be unsteady."""
+        if not self.differences(there):
+            return self
+        same = as_recorded_where_unsteady(there.deciding, self.deciding, reference)
+        return replace(self, unsteady=self.unsteady | {k for k, text in there.deciding.items() if same[k] != text})
 
 
 @cache

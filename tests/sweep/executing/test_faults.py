@@ -117,6 +117,23 @@ def test_a_worker_with_another_version_stops_the_run(start, link_study, tmp_path
         same(tmp_path / "s.zarr", request.getfixturevalue("reference"))  # it has written nothing
 
 
+@pytest.mark.parametrize(("constant", "expected"), [(3.0, 2), slow(2.0, 0)])
+def test_a_worker_whose_module_has_another_value_stops_the_run(
+    tmp_path, start_sweep, outside, monkeypatch, constant, expected
+):
+    """A value that is another one in each process does not."""
+    for folder, value in (("here", 2.0), ("there", constant)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "helper.py").write_text(f"import time\nFACTOR, NOW = {value}, time.time()\n")
+    (tmp_path / "m.py").write_text("import helper\ndef f(x):\n    return helper.FACTOR * x + 0 * (helper.NOW > 0)\n")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "here"))
+    outside.start_worker(PYTHONPATH=str(tmp_path / "there"))
+    run = ("run", "m.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--scheduler", outside.address)
+    err = to_its_end(start_sweep(*run, cwd=tmp_path), expected)
+    assert ("tcp://" in err and "value helper.FACTOR is 2.0 here, 3.0 there" in err) == (expected == 2), err
+    assert (tmp_path / "s.zarr").exists() == (expected == 0)
+
+
 @pytest.mark.slow
 def test_a_scheduler_that_dies_ends_the_run_and_loses_nothing(start, link_study, tmp_path, sweep, outside, reference):
     outside.start_worker()
