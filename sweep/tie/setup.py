@@ -186,9 +186,10 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     tables, matches, parts = {SIDES[0]: left}, [], []
     for frame, (name, path) in enumerate({SIDES[1]: str(files.path_of(reference)), **missions}.items()):
         if not frame and path == ZERO_MOTION:
-            table = AstrometricTable(ZERO_MOTION, "", zero_motion(n), left.names)
-            matched = Match(np.arange(n), EVERY_SOURCE, np.full(n, -1))
-            rows = table.astrometry
+            moving = moving_sources(left.astrometry)
+            rows = zero_motion(len(moving))
+            table, matched = AstrometricTable(ZERO_MOTION, "", rows, {}), Match(moving, EVERY_SOURCE, moving * 0 - 1)
+            notes += without_motion(0 if all_sources else n - len(moving), n)
         else:
             table = read_table(Path(path), how[name])
             matched = match(left, table, options.by or None)
@@ -257,6 +258,16 @@ def zero_motion(n: int) -> Astrometry:
     """Return n rows of a reference whose sources do not move."""
     zeros = np.broadcast_to(np.array([np.nan, np.nan, np.nan, 0.0, 0.0])[:, None], (5, n))  # takes no memory
     return Astrometry(zeros, zeros, np.broadcast_to(np.nan, n))
+
+
+def moving_sources(stars: Astrometry) -> Indices:
+    """Return the sources that have a motion, of which a reference at rest has a row."""
+    return np.flatnonzero(stars.present[3])
+
+
+def without_motion(number: int, n: int) -> list[str]:
+    """Return a note on sources that a reference at rest leaves out."""
+    return [f"{number} of {n} sources have no motion with its error, and are left out"] if number else []
 
 
 def default_epoch(epochs: Array) -> float:
@@ -645,9 +656,9 @@ class RowGroup:
     def problem(self) -> Problem:
         """Return the problem of the rows; raises SweepError for wrong ones, with their numbers in the row group."""
         stars = self.read().astrometry
-        known, source = known_unknowns(self.options, stars), np.arange(len(stars))
+        known, source = known_unknowns(self.options, stars), moving_sources(stars)
         jitter = parse_jitter(self.options.jitter, ())
-        rows = with_jitter(zero_motion(len(stars)), jitter.get("reference", {}))
+        rows = with_jitter(zero_motion(len(stars)), jitter.get("reference", {})).taken(source)
         return Problem(stars, rows, source, self.unknowns, self.epoch, self.options.weights, known)
 
     def read(self) -> AstrometricTable:
@@ -666,9 +677,11 @@ class RowGroup:
 digest_once = lru_cache(maxsize=8)(files.digest_of)
 
 
-def look_through(group: RowGroup, per_source: bool) -> tuple[Array, tuple[Array, Indices], Array | None, Sequence[str]]:
+def look_through(
+    group: RowGroup, per_source: bool
+) -> tuple[Array, tuple[Array, Indices], Array | None, int, Sequence[str]]:
     """Return what a first look at a row group finds: one value in each bin of the column of bins; the epochs and how
-    many sources have each; the positions of the sources (2, n), rad, if ``per_source``; and notes.
+    many sources have each; the positions of the sources (2, n), rad, if ``per_source``; how many move; and notes.
     """
     table = group.read()
     stars, sample = table.astrometry, np.zeros(0)
@@ -677,7 +690,7 @@ def look_through(group: RowGroup, per_source: bool) -> tuple[Array, tuple[Array,
         bin_of = np.searchsorted(edges, stars.columns[name], side="right")
         sample = stars.columns[name][np.unique(bin_of, return_index=True)[1]]
     epochs = np.unique(stars.epoch[np.isfinite(stars.epoch)], return_counts=True)
-    return sample, epochs, stars.values[:2] if per_source else None, table.notes
+    return sample, epochs, stars.values[:2] if per_source else None, len(moving_sources(stars)), table.notes
 
 
 def set_up_row_groups(
@@ -699,7 +712,7 @@ def set_up_row_groups(
         if size
     ]
     looks = run(look_through, ((group, per_source) for group in groups))
-    samples, epochs, places, notes = zip(*looks, strict=True)
+    samples, epochs, places, moving, notes = zip(*looks, strict=True)
     values = np.broadcast_to(np.nan, (5, n))  # takes no memory
     if per_source:
         values = np.zeros((5, n))
@@ -714,8 +727,9 @@ def set_up_row_groups(
     said = [f"{path.name}, from row {first + 1} on: {note}" for note, first in noted.items()]
     if (more := len(said) - MOST_NOTES) > 0:
         said[MOST_NOTES:] = [f"{path.name}: {more} more such notes"]
+    said += without_motion(n - sum(moving), n)
     try:
-        unknowns = _unknowns(replace(groups[0], epoch=epoch), np.concatenate(samples), said)
+        unknowns = _unknowns(replace(groups[np.argmax(moving)], epoch=epoch), np.concatenate(samples), said)
     except ValueError as error:  # LinkError is one
         raise SweepError(str(error)) from error
     problems = [replace(group, epoch=epoch, unknowns=unknowns).problem for group in groups]
@@ -733,7 +747,7 @@ def set_up_row_groups(
 def _unknowns(group: RowGroup, sample: Array, notes: list[str]) -> Unknowns:
     """Return the unknowns of the whole table: the first rows say which are determined, all rows which bins are used."""
     stars = group.read().astrometry
-    few = stars.taken(slice(0, min(len(stars), 1000)))
+    few = stars.taken(moving_sources(stars)[:1000])
     rows = zero_motion(len(few))
     if group.options.bins:
         few = replace(few, columns={parse_bins(group.options.bins)[0]: sample} if len(sample) else {})
